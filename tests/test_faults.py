@@ -220,6 +220,13 @@ def test_a_covariance_stays_symmetric_over_many_steps():
 def test_integers_and_single_precision_are_computed_in_double():
     prior = celnav.Gaussian(np.array([1, 2]), np.eye(2, dtype=np.float32))
     assert prior.mean.dtype == prior.cov.dtype == prior.sqrt_cov.dtype == np.float64
+    z, third = np.array([[1.0, 2.0], [0.5, 1.5], [3.0, -1.0]]), np.eye(2) / 3.0
+    exact = run(z, prior, Q=third, R=np.eye(2))
+    assert exact.mean.dtype == exact.std.dtype == np.float64
+    single = run(z.astype(np.float32), prior, Q=third, R=np.eye(2, dtype=np.float32))
+    np.testing.assert_array_equal(single.mean, exact.mean)  # all of z is exact in single precision
+    whole = run((2.0 * z).astype(int), prior, Q=third, R=np.eye(2, dtype=int))
+    np.testing.assert_array_equal(whole.mean, run(2.0 * z, prior, Q=third, R=np.eye(2)).mean)
 
 
 @FORMS
@@ -233,6 +240,17 @@ def test_singular_covariances_work(form):
 def test_no_measurement_noise_works_where_the_prior_has_spread():
     track = run(np.ones((3, 2)), R=np.zeros((2, 2)))
     np.testing.assert_allclose(track.mean, 1.0, atol=1e-12)
+
+
+def test_what_a_model_raises_says_in_which_step():
+    def f(x, epoch):
+        if epoch.k == 3:
+            raise KeyError("no such star")
+        return x
+
+    with pytest.raises(KeyError, match="no such star") as error:
+        run(np.zeros((6, 2)), f=f, times=0.5 * np.arange(6))
+    assert "in step 3, t = 1.5" in error.value.__notes__
 
 
 def test_a_zero_interval_does_not_predict():

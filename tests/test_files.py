@@ -58,9 +58,9 @@ def test_an_interrupted_write_leaves_the_old_file_and_nothing_else(tmp_path):
     def interrupted():
         with outputs.path_for("a.txt") as path:
             path.write_text("half")
-            raise KeyboardInterrupt
+            raise KeyboardInterrupt("while it writes")
 
-    with pytest.raises(KeyboardInterrupt):
+    with pytest.raises(KeyboardInterrupt, match=r"^while it writes$"):
         interrupted()
     assert (tmp_path / "a.txt").read_text() == "old"
     assert {p.name for p in tmp_path.iterdir()} == {"a.txt", ".celnav.json"}

@@ -5,13 +5,17 @@ from __future__ import annotations
 
 import inspect
 import re
+from collections.abc import Mapping
+from copy import deepcopy
 from datetime import UTC, datetime
+from functools import partial
 from importlib import import_module
 from pkgutil import iter_modules
 
 import numpy as np
 import pytest
 import rerun as rr
+from matplotlib.figure import Figure
 
 import celnav
 from celnav.analysis import bounds, metrics, observability
@@ -163,7 +167,7 @@ CALLS = {
     "montecarlo.generator": dict(seed=1, study=2, run=3),
     "montecarlo.normals": dict(rngs=RNGS),
     "montecarlo.run_count": (montecarlo.run_count, dict(full=10, runs=5, effort=0.5)),
-    "problem.Problem": (lambda **arguments: problem.Problem(**arguments).draw(RNGS), DOUBT),
+    "problem.Problem": (lambda **arguments: problem.Problem(**arguments).draw(deepcopy(RNGS)), DOUBT),
     "problem.Problem.draw": (OWN.draw, dict(rngs=RNGS)),
     "problem.Problem.trial": (OWN.trial, dict(filters=TRIAL.filters, rngs=RNGS, reference="ukf")),
     "trial.drawn": dict(
@@ -488,13 +492,132 @@ def other_forms(value):
         )
 
 
+def lively(call, arguments, name):
+    """Arguments that work, in which an array's numbers differ from each other, if the call takes
+    such: a transposed matrix or a wrong stride then gives another result."""
+    value = arguments[name]
+    if numeric(value) and np.ndim(value):
+        array = np.array(value, float)
+        tilt = 1.0 + 0.01 * np.sin(1.0 + np.arange(array.size).reshape(array.shape))
+        even = (
+            tilt + np.swapaxes(tilt, -1, -2)
+            if array.ndim > 1 and len({*array.shape[-2:]}) == 1
+            else 2.0
+        )
+        for other in ((array + 0.1) * tilt, array + 0.01 * even, array * tilt):
+            try:
+                call(**copied(arguments | {name: other}))
+            except (ValueError, np.linalg.LinAlgError):
+                continue
+            return arguments | {name: other}
+    return arguments
+
+
+def copied(arguments):
+    """Arguments with generators of their own, in the state in which these are."""
+    return {
+        key: deepcopy(value) if key in ("rng", "rngs") else value
+        for key, value in arguments.items()
+    }
+
+
+def numbers_in(result, seen=()):
+    """Every array, number and word in a result: in containers, records and functions."""
+    if isinstance(result, np.ndarray | int | float | complex | np.generic):
+        yield np.asarray(result)
+    elif isinstance(result, str | bytes | type | None):
+        yield result
+    elif id(result) in seen:
+        return
+    elif isinstance(result, np.random.Generator):
+        yield deepcopy(result).random(3)
+    else:
+        seen = (*seen, id(result))
+        if isinstance(result, Figure):
+            parts = [*result.get_size_inches(), len(result.axes)]
+        elif hasattr(result, "as_component_batches"):
+            parts = [one.as_arrow_array().to_pylist() for one in result.as_component_batches()]
+        elif isinstance(result, Mapping):
+            parts = [part for item in result.items() for part in item]
+        elif isinstance(result, list | tuple | set):
+            parts = list(result)
+        elif isinstance(result, partial):
+            parts = [result.args, result.keywords]
+        elif callable(result) and hasattr(result, "__code__"):
+            parts = [cell.cell_contents for cell in result.__closure__ or ()]
+        else:
+            parts = list(getattr(result, "__dict__", {}).values())
+        for part in parts:
+            yield from numbers_in(part, seen)
+
+
+def assert_same_numbers(found, expected, what):
+    """Up to the order in which a library sums what lies in memory in another order."""
+    found, expected = list(numbers_in(found)), list(numbers_in(expected))
+    assert len(found) == len(expected), what
+    for mine, plain in zip(found, expected, strict=True):
+        if isinstance(plain, np.ndarray) and plain.dtype.kind in "fiucb":
+            np.testing.assert_allclose(
+                mine, plain, rtol=1e-11, atol=1e-13, err_msg=what, strict=False
+            )
+            assert mine.shape == plain.shape, what
+        elif isinstance(plain, np.ndarray):
+            assert (mine.dtype, mine.shape) == (plain.dtype, plain.shape), what
+        else:
+            assert mine == plain, what
+
+
+LOGGED = []
+
+
+class Listening(rr.RecordingStream):
+    """A stream that keeps what is logged."""
+
+    def log(self, entity, *parts, **_options):
+        LOGGED.append((entity, parts))
+
+    def send_columns(self, entity, _times, columns, **_options):
+        LOGGED.append((entity, [column.as_arrow_array().to_pylist() for column in columns]))
+
+
 @pytest.mark.parametrize("name", CALLS)
 @pytest.mark.filterwarnings("ignore")
-def test_what_may_be_meant_is_accepted(name, tmp_path):
+def test_what_may_be_meant_gives_the_same_numbers(name, tmp_path, monkeypatch):
+    """Other types of numbers, lists, arrays in any memory, and masked ones with nothing masked."""
+    monkeypatch.setattr(problem, "process_time", lambda: 0.0)
+    monkeypatch.setattr(rr, "RecordingStream", Listening)
     call, _, arguments = resolve(name, tmp_path)
-    for argument, value in arguments.items():
-        for other in other_forms(value):
-            call(**arguments | {argument: other})
+
+    def result(arguments):
+        LOGGED.clear()
+        return call(**copied(arguments)), tuple(LOGGED)
+
+    compared = 0
+    for argument in arguments:
+        some = lively(call, arguments, argument)
+        for other in other_forms(some[argument]):
+            if argument == "u" and type(other) is list:  # a model gets each item as it is
+                continue
+            plain, found = result(some), result(some | {argument: other})
+            assert_same_numbers(found, plain, f"{argument}={other!r}")
+            compared += len(list(numbers_in(plain)))
+    silent = name in (
+        "recording.recording",
+        "rules.tensor_product",
+        "pulsar.pulsars",
+        "pulsar.Timing",
+    )
+    assert compared or silent or not any(True for x in arguments.values() for _ in other_forms(x))
+
+
+@pytest.mark.parametrize("name", ["gyro.Body", "gravity.Gravity", "rules.Rule", "pulsar.Timing"])
+def test_records_of_arrays_are_compared_by_identity(name, tmp_path):
+    """Arrays have no one truth: two of them are two keys of a table."""
+    call, _, arguments = resolve(name, tmp_path)
+    one, other = call(**arguments), call(**arguments)
+    assert one == one
+    assert one != other
+    assert {one: 1, other: 2}[one] == 1
 
 
 def test_what_only_looks_wrong_is_accepted():

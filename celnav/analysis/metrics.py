@@ -65,7 +65,8 @@ def bootstrap(
     """Expanded percentile interval, its two ends, of ``statistic(*samples)``: the runs of all samples are resampled together.
 
     Each sample has its runs first, at least two. The same runs are drawn for all of them, so ratios of paired quantities keep what
-    they gain from common noise. The interval is widened about the value as Student's t asks for few runs [Hesterberg2015].
+    they gain from common noise. The interval is widened about the value as Student's t asks for few runs [Hesterberg2015];
+    that of a positive statistic of samples that are not negative, such as an RMSE, in the logarithm.
 
     block: how many that follow one another are drawn together, in a circle [Politis1992]: for samples that are epochs of one run
         instead of runs. Several times as long as errors are correlated; the samples must be many blocks long.
@@ -98,6 +99,9 @@ def bootstrap(
     wider = float(
         np.sqrt(blocks / (blocks - 1)) * special.stdtrit(blocks - 1, upper) / special.ndtri(upper)
     )
+    # What is made of squares and is positive stays so: it is widened by a factor.
+    if value > 0.0 and low >= 0.0 and all((array >= 0.0).all() for array in arrays):
+        return value * float(low / value) ** wider, value * float(high / value) ** wider
     return value + wider * float(low - value), value + wider * float(high - value)
 
 

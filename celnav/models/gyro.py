@@ -113,10 +113,9 @@ class Gyro:
             )
         turns = log(multiply(q[1:], inverse(q[:-1])))
         drift, noise = finite("drift", drift, (..., 3)), finite("noise", noise, (..., 3))
-        if drift.ndim > 1 and len(drift) >= len(
-            turns
-        ):  # one of each attitude: the last has no sample
-            drift = drift[: len(turns)]
+        # Drifts of all T attitudes, where there is an axis of time: the last has no sample.
+        if drift.ndim >= max(turns.ndim, noise.ndim) and len(drift) == len(q):
+            drift = drift[:-1]
         together(q=turns.shape[:-1], drift=drift.shape[:-1], noise=noise.shape[:-1])
         return np.asanyarray(turns / dt + drift + self.rate_std(dt) * noise)
 

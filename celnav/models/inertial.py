@@ -194,7 +194,8 @@ def star_residuals(x: Array, attitude: Array, stars: Array) -> Array:
 def wahba_misalignment(z: Array, attitude: Array, stars: Array) -> Array:
     """Misalignment ``(..., 3)`` that fits measured star residuals ``z (..., 3 k)`` best: Wahba's problem, by SVD [Markley1988].
 
-    ``stars (..., k, 3)``: unit vectors. ValueError if all are parallel (``|r_1 x r_2| < 1e-3``): a rotation about them is free.
+    ``stars (..., k, 3)``: unit vectors. ValueError if all are parallel (``|r_i x r_j| < 1e-3``):
+    a rotation about them is free.
     """
     directions = finite("stars", stars, (..., "k", 3))
     k, length = directions.shape[-2], np.linalg.norm(directions, axis=-1)
@@ -202,14 +203,10 @@ def wahba_misalignment(z: Array, attitude: Array, stars: Array) -> Array:
         raise ValueError(
             f"stars: expected unit vectors, got lengths from {length.min():.6g} to {length.max():.6g}"
         )
-    if (
-        k < 2
-        or (
-            np.linalg.norm(np.cross(directions[..., 0, :], directions[..., 1, :]), axis=-1) < 1e-3
-        ).all()
-    ):
+    pairs = np.cross(directions[..., :, None, :], directions[..., None, :, :])
+    if (np.linalg.norm(pairs, axis=-1).max((-2, -1), initial=0.0) < 1e-3).any():
         raise ValueError(
-            "stars: expected two directions that are not parallel (|r_1 x r_2| >= 1e-3)"
+            "stars: expected two directions that are not parallel (|r_i x r_j| >= 1e-3)"
         )
     z, attitude = finite("z", z, (..., 3 * k)), finite("attitude", attitude, (..., 3, 3))
     body = z.reshape(*z.shape[:-1], k, 3)

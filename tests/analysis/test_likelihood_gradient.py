@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 from taped import values
@@ -10,7 +12,7 @@ import celnav
 from celnav import Gaussian, Motion, Sensor, epochs
 from celnav.analysis.tuning import likelihood_gradient, maximize_likelihood
 from celnav.filters import adaptive
-from celnav.filters.gradient import alike
+from celnav.filters.gradient import Gradient, alike
 from celnav.tape import llvm
 from celnav.tape.derivative import with_slopes
 from celnav.tape.kernel import Kernel
@@ -229,6 +231,29 @@ def test_models_that_know_the_parameters_are_flown_by_numpy():
     )
 
 
+def test_arrays_that_change_their_shapes_are_flown_by_numpy():
+    """A noise of one column, and of two on the other side of the point."""
+
+    def build(p):
+        root = p[0] * np.array([[0.3], [0.1]])
+        if p[0] > 1.0:
+            root = np.concatenate([root, 0.0 * root], 1)
+        return celnav.ukf(Motion(F, sqrt_Q=root), Sensor(np.eye(1, 2), [[0.2]])), prior()
+
+    when = epochs(TIMES, Z)
+    with pytest.raises(CannotCompile, match=r"^the filter's arrays change their shapes with the"):
+        likelihood_gradient(build, [1.0], when, engine="compiled")
+    found = likelihood_gradient(build, [1.0], when)
+    assert found.engine.startswith("numpy: the filter's arrays change their shapes")
+
+    def wide(p):
+        root = p[0] * np.array([[0.3, 0.0], [0.1, 0.0]])
+        return celnav.ukf(Motion(F, sqrt_Q=root), Sensor(np.eye(1, 2), [[0.2]])), prior()
+
+    expected = likelihood_gradient(wide, [1.0], when, engine="compiled").gradient
+    np.testing.assert_allclose(found.gradient, expected, rtol=1e-5)
+
+
 def test_a_model_that_changes_with_a_parameter_later_is_noticed():
     """A branch on a parameter, on the other side of the start: there the step is another one."""
 
@@ -309,3 +334,36 @@ def test_what_is_known_to_be_the_same_program():
     assert not alike(made([0.5]), made([0.6]))
     assert not alike(made(0.5), celnav.ckf(made(0.5).motion, made(0.5).sensors[0]))
     assert not alike(object(), object())
+
+
+def test_the_values_of_names_are_part_of_a_program():
+    """Keywords of a partial, defaults of a function's keywords, tables by name."""
+
+    def decay(x, _, *, rate=1.0):
+        return rate * x
+
+    def slow(rate):
+        return lambda x, _, *, rate=rate: rate * x
+
+    def table(**values):
+        return lambda x, _: values["rate"] * x
+
+    for make in (lambda rate: partial(decay, rate=rate), slow, lambda rate: table(rate=rate)):
+        assert alike(make(0.5), make(0.5))
+        assert not alike(make(0.5), make(0.6))
+    assert not alike(table(rate=0.5), table(other=0.5))
+    assert not alike({"a": 1.0, "b": 2.0}, {"b": 2.0, "a": 1.0})
+    assert not alike({"a": 1.0}, {"a": 1.0, "b": 2.0})
+
+    def build(p):
+        motion = Motion(partial(decay, rate=1.0 if p[0] < 0.5 else 0.5), p[0] * np.eye(1))
+        return celnav.ukf(motion, Sensor([[1.0]], [[1.0]])), Gaussian([0.0], [[1.0]])
+
+    when, gradient = epochs(TIMES, Z[:, 0]), Gradient(build, epochs(TIMES, Z[:, 0]))
+    gradient(np.array([0.2]), np.ones(1))
+    with pytest.raises(CannotCompile, match="a model knows the parameters otherwise than by"):
+        gradient(np.array([0.8]), np.ones(1))  # nothing of the step at 0.2 is taken on trust
+    found = likelihood_gradient(build, [0.8], when).gradient
+    np.testing.assert_allclose(
+        Gradient(build, when)(np.array([0.8]), np.ones(1))[1], found, rtol=1e-6
+    )

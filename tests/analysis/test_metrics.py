@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
+from scipy.stats import chi2
 
 from celnav.analysis import bounds as linear_covariance
 from celnav.analysis import metrics
@@ -57,3 +59,65 @@ def test_a_block_of_one_is_none_and_blocks_go_round():
     assert metrics.bootstrap(np.mean, samples, block=1) == metrics.bootstrap(np.mean, samples)
     low, high = metrics.bootstrap(len, samples, block=10)  # the last block is cut
     assert low == high == 31
+
+
+@pytest.mark.parametrize(
+    ("error", "axis", "text"),
+    [
+        (3.0, 0, r"error: expected at least one run, got shape \(\)"),
+        ([], 0, r"error: expected at least one run, got shape \(0,\)"),
+        ([], 1, r"error: expected at least one run, got shape \(0,\)"),
+        (np.ones((5, 0, 2)), 1, r"error: expected at least one run, got shape \(5, 0, 2\)"),
+        (np.ones((5, 0, 2)), -2, r"error: expected at least one run, got shape \(5, 0, 2\)"),
+        (np.ones((5, 4, 2)), 3, r"axis: expected an integer from -3 to 2, got 3"),
+        (np.ones((5, 4, 2)), -4, r"axis: expected an integer from -3 to 2, got -4"),
+        (np.ones((5, 4, 2)), 1.5, r"axis: expected an integer from -3 to 2, got 1.5"),
+        (np.ones(4), 1, r"axis: expected an integer from -1 to 0, got 1"),
+    ],
+)
+@pytest.mark.parametrize("measure", [metrics.rmse, metrics.rmse_interval])
+def test_errors_without_runs_are_refused(measure, error, axis, text):
+    with pytest.raises(ValueError, match=f"^{text}$"):
+        measure(error, axis=axis)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2, -1, -2, -3])
+def test_the_rmse_is_the_length_over_the_runs(axis):
+    """Of any axis, with no epochs or no components too; nan of a lost run is handed on."""
+    error = np.random.default_rng(5).normal(size=(4, 5, 6))
+    error[2, 3, 1] = np.nan
+    found = metrics.rmse(error, axis)
+    expected = np.linalg.norm(error, axis=axis) / np.sqrt(error.shape[axis])
+    np.testing.assert_allclose(found, expected, rtol=1e-14)
+    assert np.isnan(found).sum() == 1
+    low, high = metrics.rmse_interval(error, 0.9, axis)
+    runs = error.shape[axis]
+    np.testing.assert_allclose(low, found * np.sqrt(runs / chi2.ppf(0.95, runs)), rtol=1e-12)
+    np.testing.assert_allclose(high, found * np.sqrt(runs / chi2.ppf(0.05, runs)), rtol=1e-12)
+    assert metrics.rmse(np.ones((0, 3, 2))).shape == (0, 2)
+    assert metrics.rmse([3.0, 4.0], axis=0) == np.sqrt(12.5)
+    assert metrics.rmse([-3.0], axis=0) == 3.0
+
+
+def test_the_interval_of_a_positive_quantity_is_positive():
+    """Of few runs too, one of which is much worse; that of a mean may well be negative."""
+    squares = np.array([0.01, 0.02, 0.01, 4.0])
+    low, high = metrics.bootstrap(metrics.rms, squares)
+    value = metrics.rms(squares)
+    assert 0.0 < low < value < high
+    assert metrics.bootstrap(np.mean, np.append(squares, -1e-9))[0] < 0.0
+    assert metrics.bootstrap(metrics.rms, np.zeros(4)) == (0.0, 0.0)
+    # Many runs: as Gauss has it, where a factor and a sum are one.
+    many = np.random.default_rng(6).chisquare(1.0, 4000)
+    found, half = metrics.bootstrap(np.mean, many), 1.96 * np.sqrt(2.0 / 4000)
+    np.testing.assert_allclose(found, many.mean() + np.array([-half, half]), rtol=0.01)
+
+
+@pytest.mark.parametrize("runs", [5, 10, 30])
+def test_intervals_of_an_rmse_cover_for_few_runs_too(runs):
+    """Of squares of Gaussian errors, in at least 90 % of 400 experiments."""
+    squares = np.random.default_rng(runs).chisquare(1.0, (400, runs))
+    found = [metrics.bootstrap(metrics.rms, one, resamples=200) for one in squares]
+    assert min(low for low, _ in found) > 0.0
+    held = np.mean([low <= 1.0 <= high for low, high in found])
+    assert held > 0.9 - 4.0 * np.sqrt(0.09 / 400)

@@ -350,9 +350,9 @@ def test_an_interrupted_campaign_goes_on_where_it_was(tmp_path, made):
     def progress(done, total):
         calls.append(done)
         if len(calls) == 4:
-            raise KeyboardInterrupt
+            raise KeyboardInterrupt("at the fourth call")
 
-    with pytest.raises(KeyboardInterrupt):
+    with pytest.raises(KeyboardInterrupt, match=r"^at the fourth call$"):
         campaign(study(TABLE), folder, progress=progress)
     assert len(list((folder / "units").iterdir())) == 3
     seen = []

@@ -161,10 +161,10 @@ def test_settled_epochs_that_do_not_exist_are_the_reason_of_every_run(unit):
 
 def test_lack_of_memory_is_not_a_failure_of_the_run(unit, monkeypatch):
     def trial(config, rngs):
-        raise MemoryError
+        raise MemoryError("of this trial")
 
     monkeypatch.setattr(csrukf, "trial", trial)
-    with pytest.raises(MemoryError):
+    with pytest.raises(MemoryError, match=r"^of this trial$"):
         execute(unit, code())
 
 

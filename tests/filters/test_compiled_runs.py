@@ -6,6 +6,7 @@ import inspect
 import math
 import pickle
 import re
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -546,3 +547,23 @@ def test_a_measurement_noise_of_each_run_that_nobody_has_looked_at():
     )
     known = celnav.run(celnav.ukf(motion, celnav.Sensor(np.eye(1), R)), prior, np.arange(6.0), z)
     np.testing.assert_allclose(found.mean, known.mean, rtol=1e-12, atol=1e-14)
+
+
+def test_a_run_that_keeps_nothing_needs_no_room_for_its_rows():
+    """Six states and one measurement: the rows of the means alone would take 6 MB."""
+    T, runs, n = 2000, 64, 6
+    motion = celnav.Motion(0.9 * np.eye(n), 0.01 * np.eye(n))
+    filter = celnav.compiled(celnav.ukf(motion, celnav.Sensor(np.ones((1, n)), [[0.1]])))
+    prior = celnav.Gaussian(RNG.standard_normal((runs, n)), np.eye(n))
+    times, z, peak = np.arange(float(T)), np.zeros((T, 1)), {}
+    filter.run(prior, times, z, keep="nothing")  # compiled now
+    for keep in ("nothing", "mean"):
+        tracemalloc.start()
+        track = filter.run(prior, times, z, keep=keep)
+        peak[keep] = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        assert (track.mean is None) is (keep == "nothing")
+        assert np.isfinite(track.log_likelihood).all()
+    rows = 8 * T * runs * n
+    assert peak["nothing"] < rows / 2
+    assert peak["mean"] > rows

@@ -76,8 +76,9 @@ def test_inputs_belong_to_intervals():
 def test_what_cannot_be_taken():
     with pytest.raises(ValueError, match="epochs: expected a slice that runs forward"):
         WHOLE[::-1]
-    with pytest.raises(IndexError):
-        WHOLE[8]
+    for beyond in (8, -9):
+        with pytest.raises(IndexError, match="index out of range"):
+            WHOLE[beyond]
 
 
 def test_epochs_are_made_one_at_a_time():

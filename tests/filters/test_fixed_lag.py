@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from twice import assert_same, twice
@@ -118,6 +120,43 @@ def test_sensors_that_are_late_by_themselves():
     np.testing.assert_allclose(state.belief.mean, expected.mean[-1], rtol=0, atol=1e-13)
     np.testing.assert_allclose(state.belief.cov, expected.cov[-1], rtol=0, atol=1e-13)
     assert infos[1].silent
+
+
+@pytest.mark.parametrize("there", [None, (None, None)], ids=["none", "none of two"])
+@pytest.mark.parametrize("sensors", [("radar",), ("gps",), ("radar", "gps")], ids="+".join)
+def test_late_samples_of_an_epoch_in_which_nothing_was_measured(sensors, there):
+    """Of either sensor or of both, whether the epoch had ``z=None`` or a tuple of Nones."""
+    filter = celnav.ukf(MOTION, RADAR, GPS)
+    come = Z[8] if "radar" in sensors else None, FIXES[8] if "gps" in sensors else None
+
+    def flown(there, late):
+        fixed = FixedLag(filter, 5)
+        state = fixed.start(PRIOR)
+        for epoch in celnav.epochs(TIMES[:12], (Z[:12], FIXES[:12])):
+            state, _ = fixed.step(state, epoch._replace(z=there) if epoch.k == 8 else epoch)
+        return fixed, fixed.late(state, 8, late)[0] if late else state
+
+    fixed, state = flown(there, come)
+    _, expected = flown(come, None)
+    np.testing.assert_array_equal(state.belief.mean, expected.belief.mean)
+    np.testing.assert_array_equal(state.belief.cov, expected.belief.cov)
+    before = flown(there, None)[1]
+    assert np.abs(state.belief.mean - before.belief.mean).max() > 1e-4
+    with pytest.raises(ValueError, match=r"^z: expected what epoch 8 does not have yet, got comp"):
+        fixed.late(state, 8, come)
+
+
+@pytest.mark.parametrize("there", [None, (None,)], ids=["none", "a tuple of none"])
+@pytest.mark.parametrize("as_tuple", [False, True])
+def test_a_late_sample_of_one_sensor_where_nothing_was_measured(there, as_tuple):
+    fixed = FixedLag(FILTERS["ukf"], 5)
+    state = expected = fixed.start(PRIOR)
+    for epoch in celnav.epochs(TIMES[:12], Z[:12]):
+        state, _ = fixed.step(state, epoch._replace(z=there) if epoch.k == 8 else epoch)
+        expected, _ = fixed.step(expected, epoch)
+    state, _ = fixed.late(state, 8, (Z[8],) if as_tuple else Z[8])
+    np.testing.assert_array_equal(state.belief.mean, expected.belief.mean)
+    np.testing.assert_array_equal(state.belief.cov, expected.belief.cov)
 
 
 def test_what_never_comes_late_changes_no_bit():
@@ -410,6 +449,18 @@ THERE[10, 3, 1] = 0.4
         (
             lambda: FixedLag(MOTION, 3),
             r"filter: expected a filter, such as celnav.ukf\(motion, sensor\), got Motion",
+        ),
+        (
+            lambda: FixedLag(SimpleNamespace(step=FILTERS["ukf"].step), 3),
+            r"filter: expected a filter, such as celnav.ukf\(motion, sensor\), got SimpleNamespace",
+        ),
+        (
+            lambda: FixedLag(SimpleNamespace(start=FILTERS["ukf"].start), 3),
+            r"filter: expected a filter, such as celnav.ukf\(motion, sensor\), got SimpleNamespace",
+        ),
+        (
+            lambda: FixedLag(type(FILTERS["ukf"]), 3),
+            r"filter: expected a filter, such as celnav.ukf\(motion, sensor\), got",
         ),
         (
             lambda: FixedLag(FILTERS["ukf"], -1),

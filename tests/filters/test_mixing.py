@@ -100,9 +100,15 @@ def test_fixes_of_each_run_tell_it_too():
             PRIORS["different"],
             when,
         )
-    for right in (lambda x, e: x @ F.T, lambda x, e: (x @ F.T) + OFFSET):
-        fixes = least_squares(celnav.Sensor(right, EYE, jacobian=one))
-        assert np.isfinite(celnav.run(fixes, PRIORS["different"], when).mean).all()
+    for right, offset in (
+        (lambda x, e: x @ F.T, 0.0 * OFFSET),
+        (lambda x, e: (x @ F.T) + OFFSET, OFFSET),
+    ):
+        fixes = celnav.run(
+            least_squares(celnav.Sensor(right, EYE, jacobian=one)), PRIORS["different"], when
+        )
+        expected = np.linalg.solve(F, (1.0 - offset)[..., None])[..., 0]
+        np.testing.assert_allclose(fixes.mean, np.stack([expected, expected]), atol=1e-12)
 
 
 def test_runs_that_only_the_measurements_have_are_mixed_later():
@@ -127,6 +133,21 @@ OFFSET, RATE, OWN = (
     np.array([F, [[0.5, 0.0], [2.0, 1.0]]]),
 )
 RNG = np.random.default_rng(0)
+
+
+def test_mixing_is_noticed_where_a_model_is_defined_for_some_states_only():
+    """Here positive first and negative second components: runs are exchanged with such ones."""
+    prior = celnav.Gaussian([[4.0, -9.0], [25.0, -1.0]], 1e-4 * EYE)
+
+    def roots(x):
+        return np.sqrt(x * [1.0, -1.0]) * [1.0, -1.0]
+
+    apart = filter_of(lambda x, e: 3.0 * roots(x) + 0.01 * OFFSET)
+    mixed = filter_of(lambda x, e: 3.0 * roots(x)[..., ::-1, :] + 0.01 * OFFSET)
+    found = celnav.run(apart, prior, EPOCHS[:2]).mean[1]
+    np.testing.assert_allclose(found, 3.0 * roots(prior.mean) + 0.01 * OFFSET, atol=1e-3)
+    with pytest.raises(ValueError, match="f: expected values of each run by itself"):
+        celnav.run(mixed, prior, EPOCHS[:2])
 
 
 @dataclass
@@ -162,21 +183,81 @@ APART = {
 }
 
 
+def _flow(x, epoch):
+    """The same to ten digits, each point by itself."""
+    flows = [solve_ivp(lambda t, v: -v + np.sin(v), (0.0, 1.0), p, rtol=1e-10, atol=1e-12).y[:, -1]
+             for p in x.reshape(-1, 2)]  # fmt: skip
+    return np.reshape(flows, x.shape)
+
+
+def linear(matrix):
+    return lambda x, e: x @ np.asarray(matrix).T
+
+
+ALONE = {
+    "transposed": lambda i: linear(F),
+    "matvec": lambda i: linear(F),
+    "swapped": lambda i: linear(F),
+    "offsets of each run": lambda i: lambda x, e: x + OFFSET[i],
+    "rates of each run": lambda i: linear([[1.0, RATE[i]], [RATE[i], 1.0]]),
+    "components": lambda i: linear([[1.0, RATE[i]], [0.0, 1.0]]),
+    "matrices of each run": lambda i: linear(OWN[i]),
+    "contracted": lambda i: linear(OWN[i]),
+    "a partial": lambda i: linear(RATE[i] * EYE),
+    "an object": lambda i: lambda x, e: x * np.exp(-RATE[i] * e.dt),
+    "inputs of each run": lambda i: lambda x, e: x + (0.0 if e.u is None else e.u),
+    "a solver for all": lambda i: _flow,
+    "it looks at the shape": lambda i: still,
+    "one for each run": lambda i: linear((i + 1.0) * EYE),
+}
+"""The same models of run i alone."""
+
+
+def assert_each_alone(track, made, prior, **tolerance):
+    """Each run is that of its own filter; ``made(i)``: filter and epochs of run i."""
+    for i in range(2):
+        filter, when = made(i)
+        alone = celnav.run(filter, celnav.Gaussian(prior.mean[i], prior.cov), when, keep="cov")
+        np.testing.assert_allclose(track.mean[:, i], alone.mean, **tolerance)
+        cov = np.broadcast_to(track.cov, (*track.mean.shape, 2))[:, i]
+        np.testing.assert_allclose(cov, alone.cov, **tolerance)
+
+
 @pytest.mark.parametrize("prior", PRIORS)
 @pytest.mark.parametrize("rule", RULES)
 @pytest.mark.parametrize("name", APART)
 def test_data_of_each_run_are_not_taken_for_it(name, rule, prior):
-    when = celnav.epochs(np.arange(3.0), np.zeros((3, 2, 2)), u=np.ones((2, 2, 2)) * OFFSET)
-    filter = filter_of(APART[name], APART[name], rule, FORM.get(prior, "square root"))
-    assert celnav.run(filter, PRIORS[prior], when, on_failure="flag").mean.shape == (3, 2, 2)
+    times, z, form = np.arange(3.0), np.ones((3, 2, 2)), FORM.get(prior, "square root")
+    u = np.ones((2, 2, 2)) * OFFSET
+    filter = filter_of(APART[name], APART[name], rule, form)
+    track = celnav.run(
+        filter, PRIORS[prior], celnav.epochs(times, z, u=u), on_failure="flag", keep="cov"
+    )
+    if name == "random" or (name, rule) == ("a solver for all", "differences"):
+        assert track.mean.shape == (3, 2, 2)  # differences of what a solver leaves over say little
+        return
+
+    def made(i):
+        model = ALONE[name](i)
+        return filter_of(model, model, rule, form), celnav.epochs(times, z[:, i], u=u[:, i])
+
+    loose = name == "a solver for all"  # by its tolerance of 1e-4, at each of three epochs
+    assert_each_alone(track, made, PRIORS[prior], rtol=1e-11, atol=3e-3 if loose else 1e-11)
 
 
 def test_intervals_of_each_run():
-    when = [
-        celnav.Epoch(k, float(k), np.array([0.5, 2.0]) * (k > 0), z=np.zeros(2)) for k in range(3)
-    ]
+    dt = np.array([0.5, 2.0])
+
+    def when(dt):
+        return [celnav.Epoch(k, float(k), dt * (k > 0), z=np.ones(2)) for k in range(3)]
+
     f = lambda x, e: np.stack([x[..., 0] + e.dt * x[..., 1], x[..., 1]], -1)  # noqa: E731
-    assert np.isfinite(celnav.run(filter_of(f, EYE), PRIORS["different"], when).mean).all()
+    track = celnav.run(filter_of(f, EYE), PRIORS["different"], when(dt), keep="cov")
+
+    def made(i):
+        return filter_of(linear([[1.0, dt[i]], [0.0, 1.0]]), EYE), when(1.0)
+
+    assert_each_alone(track, made, PRIORS["different"], rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize("lost", [0, 1])
@@ -184,19 +265,15 @@ def test_a_lost_run_hides_nothing_and_blames_nobody(lost):
     mean = PRIORS["different"].mean.copy()
     mean[lost] = np.nan
     prior = SquareRoot(mean, EYE)
-    for model, told in (
-        (MIXED["product"], True),
-        (APART["transposed"], False),
-        (APART["offsets of each run"], False),
-    ):
-        filter = filter_of(model, EYE)
-        if told:
-            with pytest.raises(ValueError, match="f: expected values of each run by itself"):
-                celnav.run(filter, prior, EPOCHS, on_failure="flag")
-        else:
-            assert np.isfinite(
-                celnav.run(filter, prior, EPOCHS, on_failure="flag").mean[:, 1 - lost]
-            ).all()
+    with pytest.raises(ValueError, match="f: expected values of each run by itself"):
+        celnav.run(filter_of(MIXED["product"], EYE), prior, EPOCHS, on_failure="flag")
+    for name in ("transposed", "offsets of each run"):
+        track = celnav.run(filter_of(APART[name], EYE), prior, EPOCHS, on_failure="flag")
+        alone = celnav.run(
+            filter_of(ALONE[name](1 - lost), EYE), celnav.Gaussian(mean[1 - lost], EYE), EPOCHS
+        )
+        np.testing.assert_allclose(track.mean[:, 1 - lost], alone.mean, rtol=0, atol=1e-13)
+        assert np.isnan(track.mean[:, lost]).all()
 
 
 @pytest.mark.parametrize("runs", [2, 5])

@@ -177,7 +177,8 @@ def test_a_measurement_without_noise_of_what_is_known_is_told(form):
         epochs([0.0], (np.zeros((1, RUNS, 1)), np.full((1, RUNS, 1), np.nan)))[0],
     )
     assert state.belief.cov.shape == (N, N)
-    assert np.isfinite(state.belief.mean).all()
+    expected = X0 - X0[:, :1] * P0[:, 0] / P0[0, 0]
+    np.testing.assert_allclose(state.belief.mean, expected, atol=1e-12)
     state, _ = filter.update(
         state, epochs([0.0], (np.zeros((1, RUNS, 1)), np.full((1, RUNS, 1), np.nan)))[0]
     )

@@ -467,8 +467,9 @@ def test_a_run_that_the_smoother_loses_is_told():
     flagged = smooth(track, other, on_failure="flag")
     np.testing.assert_array_equal(flagged.failed_at, [-1, 5])
     assert np.isnan(flagged.mean[:6, 1]).all()
-    assert np.isfinite(flagged.mean[6:]).all()
-    np.testing.assert_array_equal(flagged.mean[:, 0], smooth(track).mean[:, 0])
+    whole = smooth(track)
+    np.testing.assert_array_equal(flagged.mean[:, 0], whole.mean[:, 0])
+    np.testing.assert_array_equal(flagged.mean[6:], whole.mean[6:])
 
 
 def track_of(filter, **options):

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import numpy as np
 import pytest
 
 from celnav import Gaussian, Motion, Sensor, epochs, run, two_stage, ukf
-from celnav.filters.two_stage import TwoStage
-from celnav.gaussian.linalg import block
+from celnav.filters.records import Info
+from celnav.filters.two_stage import Stage, TwoStage
+from celnav.gaussian.linalg import SquareRoot, block
 
 RNG = np.random.default_rng(0)
 T, N, M, B = 40, 4, 3, 2
@@ -134,6 +137,59 @@ def test_the_sensitivity_is_the_derivative():
     )
 
 
+class Fixed(NamedTuple):
+    """State of `Lagged`: the estimate, and what the last measurement left over."""
+
+    belief: SquareRoot
+    rest: Any = None
+
+
+class Lagged:
+    """A first stage of constant gain K. It takes D times the last residual off the measurement,
+    and Omega times the innovation moves its prediction."""
+
+    D = np.array([[0.6, 0.2, 0.0], [0.0, -0.4, 0.1], [0.3, 0.0, 0.5]])
+    K = 0.2 * H.T
+    OMEGA = 0.1 * RNG.normal(size=(N, M))
+
+    def __init__(self, omega):
+        self.omega = self.OMEGA if omega else None
+
+    def start(self, prior):
+        return Fixed(SquareRoot.of(prior))
+
+    def predict(self, state, _epoch):
+        return state._replace(belief=state.belief._replace(mean=state.belief.mean @ F.T)), F
+
+    def update(self, state, epoch):
+        x, first = state.belief.mean, state.rest is None
+        y = epoch.z - x @ H.T - (0.0 if first else state.rest @ self.D.T)
+        if self.omega is not None:
+            x = x + y @ self.omega.T
+            y = y - (y @ self.omega.T) @ H.T
+        x = x + y @ self.K.T
+        lag = (None, None) if first else (self.D, H)
+        stage = Stage(y, np.eye(M), self.K, H, np.ones(M, bool), self.omega, *lag)
+        info = Info(innovation=y, whitened=y, used=stage.used)
+        return Fixed(state.belief._replace(mean=x), epoch.z - x @ H.T), stage, info
+
+
+@pytest.mark.parametrize("omega", [False, True], ids=["", "Omega"])
+def test_the_sensitivity_is_the_derivative_where_measurements_are_differenced(omega):
+    """By a linear first stage: the bias acts on a measurement directly and through the lag."""
+    z, unit = measured(runs=1), np.array([0.7, -1.3])
+    filter = TwoStage.of(Lagged(omega), GAMMA, BIAS)
+    state = moved = filter.start(prior(1))
+    for k, epoch in enumerate(epochs(np.arange(float(T)), z)):
+        state, _ = filter.step(state, epoch)
+        moved, _ = filter.step(moved, epoch._replace(z=epoch.z + GAMMA @ unit))
+        explained = -(state.Lambda @ unit)
+        np.testing.assert_allclose(
+            moved.first.belief.mean[0] - state.first.belief.mean[0], explained, atol=1e-12
+        )
+        assert np.abs(explained).max() > 0.01, k
+
+
 def test_batches_are_singles():
     z = measured()
     many, one = staged("square root", z), staged("square root", z[:, 1:2])
@@ -160,6 +216,26 @@ def test_a_boost_of_one_is_none_and_inflates_the_gain_only(form):
     total = S @ (4.0 * M0) @ S.T + H @ P0 @ H.T + R
     K = np.linalg.solve(total, S @ (4.0 * M0)).T
     np.testing.assert_allclose(state.bias.mean, B0 + (innovation - B0 @ S.T) @ K.T, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "bias",
+    [
+        Gaussian(np.tile(B0, (3, 1)), M0),
+        Gaussian(B0, np.tile(M0, (3, 1, 1))),
+        Gaussian(np.tile(B0, (3, 1)), np.tile(M0, (3, 1, 1))),
+    ],
+    ids=["mean", "covariance", "both"],
+)
+def test_a_bias_of_each_run_goes_with_as_many_runs(bias):
+    filter = two_stage(MOTION, SEEN, GAMMA, bias)
+    found, expected = followed(filter, measured(3)), staged("square root", measured(3))
+    np.testing.assert_allclose(found.mean, expected.mean, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(found.cov, expected.cov, rtol=0, atol=1e-12)
+    with pytest.raises(
+        ValueError, match=r"^bias: expected one, or one for each run, \(4,\), got \(3,\)$"
+    ):
+        filter.start(prior(4))
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,7 @@
 """Beliefs in both forms: their parts against the covariance algebra written out, and what a Gaussian refuses."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import chi2
@@ -105,14 +107,31 @@ def test_both_ways_to_say_a_gaussian_and_both_forms_are_the_same_belief():
             np.testing.assert_allclose(belief.std, np.sqrt([2.0, 1.0]), rtol=1e-14)
 
 
+def test_a_mean_may_be_replaced():
+    """The root goes with the covariance: it is no argument of its own there."""
+    P = np.array([[2.0, 0.5], [0.5, 1.0]])
+    for prior in (Gaussian(np.zeros(2), P), Gaussian(np.zeros(2), sqrt_cov=np.linalg.cholesky(P))):
+        other = replace(prior, mean=np.array([1.0, -1.0]))
+        np.testing.assert_array_equal(other.mean, [1.0, -1.0])
+        np.testing.assert_allclose(other.cov, P, rtol=1e-14)
+        np.testing.assert_allclose(other.sqrt_cov, np.linalg.cholesky(P), rtol=1e-14)
+
+
 def test_means_and_covariances_may_have_batch_axes_of_their_own():
-    for mean, P in (
-        (np.zeros((5, 2)), np.eye(2)),
-        (np.zeros(2), np.broadcast_to(np.eye(2), (5, 2, 2))),
-    ):
-        prior = Gaussian(mean, P)
-        assert (prior.mean.shape, prior.cov.shape) == (mean.shape, P.shape)
-        assert prior.sample(np.random.default_rng(0), (7,)).shape == (7, 5, 2)
+    """Each run has samples of its own, about its mean, as large as its covariance."""
+    means, P = np.arange(10.0).reshape(5, 2) ** 2, np.array([[2.0, 0.5], [0.5, 1.0]])
+    each, N = np.arange(1.0, 6.0)[:, None, None] * P, 20_000
+    for mean, cov in ((means, P), (means[1], each), (means, each)):
+        prior = Gaussian(mean, cov)
+        np.testing.assert_array_equal(prior.mean, mean)
+        np.testing.assert_allclose(prior.cov, cov, rtol=1e-14)
+        x = prior.sample(np.random.default_rng(0), (N,))
+        assert x.shape == (N, 5, 2)
+        root = np.linalg.cholesky(np.broadcast_to(cov, (5, 2, 2)))
+        white = np.linalg.solve(root, (x - mean)[..., None])[..., 0].reshape(N, 10)
+        # Ten columns of independent normal numbers: five deviations of a mean and of a covariance.
+        np.testing.assert_allclose(white.mean(0), 0.0, atol=5.0 / np.sqrt(N))
+        np.testing.assert_allclose(np.cov(white.T), np.eye(10), atol=5.0 * np.sqrt(2.0 / N))
 
 
 def test_lost_is_what_is_not_finite_or_has_a_negative_variance():
@@ -145,8 +164,12 @@ def test_samples_have_the_moments():
 
 
 def test_samples_on_a_curved_space_are_tangents():
-    belief = Gaussian(np.array([0.0, 0.0, 0.0, 1.0]), np.eye(3))
-    assert belief.sample(np.random.default_rng(0), (7,)).shape == (7, 3)
+    """Three numbers about zero for a quaternion of four, whatever the mean."""
+    P, N = np.array([[2.0, 0.5, 0.0], [0.5, 1.0, -0.3], [0.0, -0.3, 0.5]]), 50_000
+    for mean in ([0.0, 0.0, 0.0, 1.0], [0.6, 0.0, -0.8, 0.0]):
+        x = Gaussian(np.array(mean), P).sample(np.random.default_rng(0), (N,))
+        np.testing.assert_allclose(x.mean(0), 0.0, atol=5.0 * np.sqrt(2.0 / N))
+        np.testing.assert_allclose(np.cov(x.T), P, atol=5.0 * 2.0 * np.sqrt(2.0 / N))
 
 
 @pytest.mark.parametrize("batch", BATCHES)

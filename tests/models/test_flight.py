@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
 
 from celnav.models import earth
 from celnav.models.earth import turning_flight
@@ -78,3 +79,15 @@ def test_bad_input_is_refused_by_name():
         turning_flight([0.0, np.nan], **FLIGHT)
     with pytest.raises(ValueError, match=r"^latitude: expected a flight away from the poles"):
         turning_flight([0.0, 100.0], **{**FLIGHT, "latitude": np.radians(88.9), "heading": 0.0})
+
+
+def test_the_spin_of_axes_is_the_rotation_vector_from_each_to_the_next():
+    """Of turns from none and a microradian to nearly a right angle."""
+    turns = np.random.default_rng(0).standard_normal((6, 3))
+    turns *= (np.array([1e-6, 1e-3, 0.1, 0.7, 1.5, 0.0]) / np.linalg.norm(turns, axis=1))[:, None]
+    start = Rotation.from_rotvec([0.3, -1.0, 0.5])
+    axes = [start]
+    for turn in turns:  # of the axes, by components on them: those of a fixed vector turn back
+        axes.append(Rotation.from_rotvec(-turn) * axes[-1])
+    found = earth.spin(np.stack([one.as_matrix() for one in axes]), 20.0)
+    np.testing.assert_allclose(found, turns / 20.0, rtol=0, atol=1e-15)

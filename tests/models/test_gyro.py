@@ -81,6 +81,37 @@ def test_a_gyro_without_noise_gives_the_attitude_back():
     np.testing.assert_allclose(at.positive(once[:4]), at.positive(path[-1, :4]), atol=1e-13)
 
 
+@pytest.mark.parametrize("T", [2, 3, 7])
+@pytest.mark.parametrize("runs", [(), (4,)], ids=["one", "runs"])
+def test_a_sample_is_the_mean_rate_and_the_drift_at_its_start(T, runs):
+    """With drifts of the T attitudes, of the T - 1 samples, or constant ones of each run."""
+    rng, dt = np.random.default_rng(T), 0.5
+    turns, noise = 0.1 * rng.standard_normal((2, T - 1, *runs, 3))
+    q = [at.exp(0.3 * rng.standard_normal((*runs, 3)))]
+    for turn in turns:
+        q.append(at.multiply(at.exp(turn), q[-1]))
+    drift = 0.01 * rng.standard_normal((T, *runs, 3))
+    white = WALK.sigma_v / np.sqrt(dt) * noise
+    for given, expected in (
+        (drift, drift[:-1]),
+        (drift[:-1], drift[:-1]),
+        (drift[0], drift[0]),
+        (np.array([1e-3, 0.0, -2e-3]), np.array([1e-3, 0.0, -2e-3])),
+    ):
+        samples = WALK.measure(np.stack(q), given, noise, dt)
+        assert samples.shape == (T - 1, *runs, 3)
+        np.testing.assert_allclose(samples, turns / dt + expected + white, rtol=0, atol=1e-12)
+
+
+def test_drifts_of_more_attitudes_than_there_are_are_refused():
+    q = np.broadcast_to(at.IDENTITY, (5, 4))
+    with pytest.raises(
+        ValueError,
+        match=r"^q, drift, noise: expected batch axes that go together, got \(4,\), \(6,\), \(4,\)",
+    ):
+        WALK.measure(q, np.zeros((6, 3)), np.zeros((4, 3)), 0.5)
+
+
 def test_rotation_is_eulers_equation_and_keeps_momentum():
     body = Body(J, (0.0, -2.0, 0.0))
     start = np.append(at.from_euler([0.1, -0.2, 0.3]), [0.02, -0.01, 0.03])

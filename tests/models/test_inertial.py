@@ -231,8 +231,43 @@ def test_a_system_without_errors_follows_the_flight():
     assert turned < 1e-8
 
 
-def test_bad_input_is_refused_by_name():
-    with pytest.raises(ValueError, match=r"^stars: expected unit vectors"):
+def test_stars_are_parallel_only_if_all_pairs_are():
+    """Two of three may be: the third direction fixes the rotation."""
+    attitude, phi = (
+        inertial.misalignment_matrix(np.array([0.2, -0.5, 1.0])),
+        np.array([0.3, 0.1, -0.2]),
+    )
+    stars = STARS[[0, 0, 1]]
+    z = inertial.star_residuals(np.append(phi, np.zeros(10)), attitude, stars)
+    np.testing.assert_allclose(inertial.wahba_misalignment(z, attitude, stars), phi, atol=1e-9)
+    near = np.array([[1.0, 0.0, 0.0], [np.sqrt(1.0 - 1.1e-3**2), 1.1e-3, 0.0]])
+    z = inertial.star_residuals(np.append(phi, np.zeros(10)), attitude, near)
+    np.testing.assert_allclose(inertial.wahba_misalignment(z, attitude, near), phi, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "stars",
+    [
+        STARS[[0]],
+        STARS[[0, 0]],
+        np.stack([STARS[0], -STARS[0]]),
+        np.array([[1.0, 0.0, 0.0], [np.sqrt(1.0 - 0.9e-3**2), 0.9e-3, 0.0]]),
+        np.stack([STARS, STARS[[1, 1]]]),
+    ],
+    ids=["one star", "one twice", "opposite", "nearly", "in one run of two"],
+)
+def test_parallel_stars_are_refused(stars):
+    """In any run: the misalignment would be an arbitrary one."""
+    z = np.zeros((*stars.shape[:-2], 3 * stars.shape[-2]))
+    with pytest.raises(
+        ValueError,
+        match=r"^stars: expected two directions that are not parallel \(\|r_i x r_j\| >= 1e-3\)$",
+    ):
+        inertial.wahba_misalignment(z, np.eye(3), stars)
+
+
+def test_stars_of_another_length_are_refused():
+    with pytest.raises(
+        ValueError, match=r"^stars: expected unit vectors, got lengths from 2 to 2$"
+    ):
         inertial.wahba_misalignment(np.zeros(6), np.eye(3), 2.0 * STARS)
-    with pytest.raises(ValueError, match=r"^stars: expected two directions that are not parallel"):
-        inertial.wahba_misalignment(np.zeros(6), np.eye(3), STARS[[0, 0]])

@@ -1,5 +1,7 @@
 """Orbits: against scipy's integrator, the potential, the elements and the printed check value."""
 
+import re
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -208,14 +210,33 @@ def test_orbits_refuse_and_say_what(call, words):
 
 
 @pytest.mark.parametrize(
-    "call",
+    ("call", "words"),
     [
-        lambda: check_orbit([4593e3, 4391e3, 3230e3, -4608.0, 500.0, 5871.0]),  # m and m/s
-        lambda: check_orbit([4593.0, 4391.0, 3230.0, -4608.0, 500.0, 5871.0]),  # km and m/s
-        lambda: check_orbit([0.72, 0.69, 0.51, -0.6, 0.1, 0.7]),  # Earth radii
-        lambda: from_elements(7136.635, 0.001, 65.0, 30.0, 30.0, 0.0),  # degrees
+        (  # m and m/s
+            lambda: check_orbit([4593e3, 4391e3, 3230e3, -4608.0, 500.0, 5871.0]),
+            [r"state: r = 7.12807e\+06 km with a speed of 7480.13 km/s is no orbit of the Earth"],
+        ),
+        (  # km and m/s
+            lambda: check_orbit([4593.0, 4391.0, 3230.0, -4608.0, 500.0, 5871.0]),
+            [r"state: r = 7128.07 km with a speed of 7480.13 km/s is no orbit of the Earth"],
+        ),
+        (  # Earth radii
+            lambda: check_orbit([0.72, 0.69, 0.51, -0.6, 0.1, 0.7]),
+            ["state: a radius of 1.12009 km lies inside the Earth; positions are in km"],
+        ),
+        (  # degrees
+            lambda: from_elements(7136.635, 0.001, 65.0, 30.0, 30.0, 0.0),
+            [
+                "i: 65 rad is more than a full turn; angles are in radians",
+                "raan: 30 rad is more than a full turn",
+                "argp: 30 rad is more than a full turn",
+            ],
+        ),
     ],
 )
-def test_numbers_in_other_units_are_warned_of(call):
-    with pytest.warns(UnitWarning):
+def test_numbers_in_other_units_are_warned_of(call, words):
+    with pytest.warns(UnitWarning) as told:
         call()
+    assert len(told) == len(words)
+    for warning, text in zip(told, words, strict=True):
+        assert re.match(text, str(warning.message))

@@ -193,13 +193,19 @@ def test_sightings_refuse_and_say_what(call, words):
 
 
 @pytest.mark.parametrize(
-    "call",
+    ("call", "words"),
     [
-        lambda: star_directions(75.0),
-        lambda: position([np.rad2deg(A0[0]), *A0[1:]], SEPARATION, strict=False),
-        lambda: pseudo_position_covariance(R0, SEPARATION, [18.0, 18.0, 18.0]),
+        (lambda: star_directions(75.0), "separation: 75 rad is more than a full turn"),
+        (
+            lambda: position([np.rad2deg(A0[0]), *A0[1:]], SEPARATION, strict=False),
+            "A: 49.8834 rad is more than a full turn",
+        ),
+        (
+            lambda: pseudo_position_covariance(R0, SEPARATION, [18.0, 18.0, 18.0]),
+            "sigma: a deviation of 18 rad tells nothing",
+        ),
     ],
 )
-def test_angles_in_degrees_or_seconds_are_warned_of(call):
-    with pytest.warns(UnitWarning):
+def test_angles_in_degrees_or_seconds_are_warned_of(call, words):
+    with pytest.warns(UnitWarning, match=f"^{words}; angles are in radians$"):
         call()

@@ -1,6 +1,7 @@
 """Recordings read back with pyarrow alone, and files that are whole or not there."""
 
 import contextlib
+import io
 import os
 import socket
 import subprocess
@@ -58,6 +59,54 @@ def verify(path):
 def covariances(rng, steps=len(TIMES)):
     A = rng.standard_normal((steps, 3, 3))
     return A @ A.mT
+
+
+class Log:
+    """A stream that keeps what is logged: components by name, of each entity."""
+
+    def __init__(self):
+        self.found = {}
+
+    def log(self, entity, style, **_options):
+        self.found[entity] = {
+            str(batch.component_descriptor()).split(":")[-1]: batch.as_arrow_array().to_pylist()
+            for batch in style.as_component_batches()
+        }
+
+    def send_columns(self, *_columns):
+        pass
+
+
+@pytest.mark.parametrize(("options", "seen"), [({}, True), ({"shown": False}, False)])
+def test_a_curve_is_seen_unless_it_is_to_be_hidden(options, seen):
+    log = Log()
+    recording.Recorder(log, TIMES).curve("plots/a", TIMES, "#112233", "speed", width=2.0, **options)
+    assert log.found["plots/a"] == {
+        "visible_series": [seen],
+        "names": ["speed"],
+        "widths": [2.0],
+        "colors": [0x112233FF],
+    }
+
+
+def test_a_globe_has_circles_every_fifteen_degrees():
+    """Eleven of latitude, and 24 halves from pole to pole, a little above the ground."""
+    log = Log()
+    recording.Recorder(log, TIMES).globe("earth", 6378.0)
+    assert log.found["earth"]["half_sizes"] == [[6378.0] * 3]
+    lines = [np.array(line) for line in log.found["earth/grid"]["strips"]]
+    for line in lines:
+        np.testing.assert_allclose(np.linalg.norm(line, axis=1), 1.003 * 6378.0, rtol=1e-6)
+    circles, halves = lines[:11], lines[11:]
+    heights = [np.degrees(np.arcsin(line[:, 2] / 1.003 / 6378.0)) for line in circles]
+    np.testing.assert_allclose(
+        np.stack(heights), np.tile(np.arange(-75.0, 90.0, 15.0)[:, None], (1, 121)), atol=1e-3
+    )
+    assert len(halves) == 24
+    middle = [np.degrees(np.arctan2(line[30, 1], line[30, 0])) % 360.0 for line in halves]
+    np.testing.assert_allclose(middle, np.arange(0.0, 360.0, 15.0), atol=1e-3)
+    for line in halves:
+        np.testing.assert_allclose(line[[0, -1], 2], 1.003 * 6378.0 * np.array([-1, 1]), rtol=1e-6)
 
 
 def test_ellipsoid_axes_rebuild_the_covariance():
@@ -184,15 +233,15 @@ def test_an_own_file_is_replaced_and_a_failure_leaves_it(tmp_path):
 
     def fail(out):
         out.curve("plots/a", TIMES, colors.TRUTH, "a")
-        raise Stop
+        raise Stop("here")
 
-    with pytest.raises(Stop):
+    with pytest.raises(Stop, match=r"^here$"):
         write(path, fail)
     assert path.read_bytes() == old
     with pytest.raises(ValueError, match=r"plots/a values: expected shape \(20,\), got \(3,\)"):
         write(path, lambda out: out.curve("plots/a", np.zeros(3), colors.TRUTH, "a"))
     assert path.read_bytes() == old
-    with pytest.raises(Stop):
+    with pytest.raises(Stop, match=r"^here$"):
         write(tmp_path / "new.rrd", fail)
     assert [p.name for p in tmp_path.iterdir()] == ["a.rrd"]
     write(path, lambda out: out.curve("plots/b", TIMES, colors.TRUTH, "b"))
@@ -303,6 +352,41 @@ def test_the_viewer_draws_a_picture_without_a_screen(tmp_path):
     red, green, blue = np.moveaxis(drawn[50:-50, :, :3], -1, 0)
     orange = (red > green + 0.1) & (green > blue + 0.1)
     assert orange.any(0).sum() > 400  # the curve, thin as it is, from left to right
+
+
+def test_a_picture_is_of_the_recording_at_its_time_without_the_bar(tmp_path, monkeypatch):
+    """By a viewer that only listens; 31 of the 900 rows of its window are its own."""
+    from PIL import Image
+
+    from celnav.show import picture
+
+    told = []
+
+    class Viewer:
+        def open(self, recording):
+            told.append(recording)
+
+        def set_time(self, timeline, *, duration, play_state):
+            told.append((timeline, duration, play_state))
+
+        def take_screenshot(self, max_size):
+            told.append(max_size)
+            rows = np.random.default_rng(0).integers(0, 255, (900, 40, 3), np.uint8)
+            rows[:31] = 7
+            out = io.BytesIO()
+            Image.fromarray(rows).save(out, "PNG")
+            return out.getvalue()
+
+    monkeypatch.setattr(picture, "_viewer", lambda: contextlib.nullcontext(Viewer()))
+    monkeypatch.setattr(picture.time, "sleep", lambda seconds: None)
+    monkeypatch.chdir(tmp_path)
+    picture.picture("a.rrd", tmp_path / "a.png", 2.5, width=300)
+    assert told[:2] == [str(tmp_path / "a.rrd"), ("t", 2.5, "paused")]
+    assert set(told[2:]) == {300}
+    drawn = np.asarray(Image.open(tmp_path / "a.png"))
+    np.testing.assert_array_equal(
+        drawn, np.random.default_rng(0).integers(0, 255, (900, 40, 3), np.uint8)[31:]
+    )
 
 
 def test_a_viewer_that_does_not_start_is_one_line(tmp_path, monkeypatch):

@@ -361,3 +361,89 @@ def test_a_track_without_deviations_is_refused():
         match="track: expected one with means and deviations; run with keep='cov', or 'std'",
     ):
         track.report(truth)
+
+
+# -- texts -----------------------------------------------------------------------------------------
+def by_hand(sigma, runs, spoiled=False, **options):
+    """The report of fixes and speeds at six epochs, with errors that are written here."""
+    error = 0.5 * np.array(
+        [[1, -1, 2, -2, 0], [0, 1, -1, 0, 1], [-1, 2, 0, 1, 1], [2, 0, -2, -1, 0],
+         [1, 1, -1, 9, 0], [0, -2, 1, 1, -1]]
+    )[:, :runs, None]  # fmt: skip
+    start = np.array([0.0, 0.0, 0.0, 0.0, 50.0])[:runs]
+    times = 0.5 * np.arange(6.0)
+    truth = np.stack(np.broadcast_arrays(start + times[:, None], 1.0), -1)
+    fixes, speeds = truth[..., :1] + error, truth[..., 1:] - 0.5 * error[::-1]
+    if spoiled:
+        speeds[2, 1] = fixes[3] = np.nan
+
+    def f(x, epoch):
+        """The last run is lost at the fifth epoch."""
+        lost = spoiled & (epoch.k == 4) & (x[..., :1] > 40.0)
+        return np.where(lost, np.nan, x @ np.array([[1.0, epoch.dt], [0.0, 1.0]]).T)
+
+    filter = celnav.ukf(
+        celnav.Motion(f, np.diag([0.0, 0.04])),
+        celnav.Sensor([[1.0, 0.0]], [[sigma**2]]),
+        celnav.Sensor([[0.0, 1.0]], [[sigma**2 / 4.0]]),
+        hooks=[gate(3.0)] if spoiled else [],
+    )
+    prior = celnav.Gaussian(np.stack(np.broadcast_arrays(start, 1.0), -1), np.diag([4.0, 1.0]))
+    track = celnav.run(filter, prior, times, (fixes, speeds), on_failure="flag", **options)
+    return str(track.report(truth, names=["position (m)", "speed (m/s)"]))
+
+
+def test_the_text_of_many_runs_with_all_that_can_happen():
+    assert (
+        by_hand(1.0, 5, spoiled=True, keep="cov")
+        == """\
+5 runs, 6 epochs from 0 to 2.5 s
+
+component       RMSE              95 %  claimed  mean error  inside 95 %
+position (m)  0.3172  0.2004 to 0.4129   0.6633      0.0685      100.0 %
+speed (m/s)   0.1518  0.1179 to 0.1976   0.3498   -0.000421      100.0 %
+
+NEES     over 2: 0.1844, claims too much (95 % of consistent ones: 0.6645 to 1.403), correlation of errors
+         counted; in the band of the runs' mean at 17 % of the epochs
+NIS 0    z0: 0.2726, claims too much (95 % of consistent ones: 0.4992 to 1.672); of 22 components used, 1
+         rejected
+NIS 1    z1: 0.3197, claims too much (95 % of consistent ones: 0.5325 to 1.612); of 26 components used, 1
+         rejected
+events   10 components missing, 2 components rejected, 1 of 5 runs lost, the first (run 4) at 2 s; what was
+         before counts"""
+    )
+
+
+def test_the_text_of_runs_of_which_nothing_is_to_be_told():
+    assert (
+        by_hand(0.6, 4, keep="cov")
+        == """\
+4 runs, 6 epochs from 0 to 2.5 s
+
+component       RMSE               95 %  claimed  mean error  inside 95 %
+position (m)  0.4347   0.1713 to 0.7916   0.3878      0.0311       91.7 %
+speed (m/s)   0.3523  0.08347 to 0.8036   0.2261      -0.109       91.7 %
+
+NEES     over 2: 1.726, claims too little (95 % of consistent ones: 0.586 to 1.523), correlation of errors
+         counted; in the band of the runs' mean at 83 % of the epochs
+NIS 0    z0: 3.558, claims too little (95 % of consistent ones: 0.5167 to 1.64); of 24 components used
+NIS 1    z1: 2.081, claims too little (95 % of consistent ones: 0.5167 to 1.64); of 24 components used
+events   none: nothing missing, rejected or lost"""
+    )
+
+
+def test_the_text_of_one_run_that_claims_too_little():
+    assert (
+        by_hand(0.1, 1, keep="std")
+        == """\
+one run, 6 epochs from 0 to 2.5 s
+
+component       RMSE  claimed  mean error  inside 95 %
+position (m)  0.2655  0.06686       0.189       33.3 %
+speed (m/s)   0.2573  0.04881      -0.122       33.3 %
+
+NEES     no covariances are stored: run with keep='cov'
+NIS 0    z0: 29.68, claims too little (95 % of consistent ones: 0.2062 to 2.408); of 6 components used
+NIS 1    z1: 2.228, consistent (95 % of consistent ones: 0.2062 to 2.408); of 6 components used
+events   none: nothing missing, rejected or lost"""
+    )

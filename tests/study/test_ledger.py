@@ -7,7 +7,8 @@ import json
 import numpy as np
 import pytest
 
-from celnav.show.claims import TYPES, dumps, plain, written
+from celnav.show import page
+from celnav.show.claims import TYPES, dumps, plain, style, table, written
 from celnav.study.ledger import KINDS, VERDICTS, WORDS, Number, Row, estimate, order
 
 
@@ -167,3 +168,48 @@ def test_plain_values():
     ]
     assert order(3e-9) == 1e-8
     assert order(0.0) == 0.0
+
+
+STYLES = {
+    "reproduced": "good",
+    "shown": "good",
+    "holds": "good",
+    "reproduced with fitted parameters": "good",
+    "not reproduced": "bad",
+    "not shown": "bad",
+    "does not hold": "bad",
+    "paper in error": "error",
+    "undecided": "open",
+    "not addressed": "open",
+    "not decidable": "open",
+    "no number": "open",
+    "level only": "part",
+    "in part": "part",
+    "reconstructed": "part",
+    "noted": "part",
+}
+
+
+def test_each_verdict_has_its_color():
+    """And the page has a color of its own for each of the five classes."""
+    assert {verdict: style(verdict) for verdict in VERDICTS} == STYLES
+    text = page.document("t")
+    for name in set(STYLES.values()):
+        assert f".{name}{{color:var(--{name})" in text
+    colors = [text.split(f"--{name}:#")[1][:6].split("}")[0] for name in set(STYLES.values())]
+    assert len(set(colors)) == 5
+
+
+@pytest.mark.parametrize(
+    ("value", "kind", "cell"),
+    [
+        (0.5, "finding", '<td class="good">shown</td>'),
+        (2.0, "finding", '<td class="bad">not shown <b>(not as expected)</b></td>'),
+        (2.0, "erratum", '<td class="bad">not shown <b>(not as expected)</b></td>'),
+        (0.5, "erratum", '<td class="error">paper in error</td>'),
+        (np.nan, "check", '<td class="open">no number <b>(not as expected)</b></td>'),
+    ],
+)
+def test_a_row_of_a_page_has_the_color_of_its_verdict(value, kind, cell):
+    row = table([written(claim(Number("x", value, (0.0, 1.0)), kind=kind))])
+    assert row.endswith(f"{cell}</tr></tbody></table>")

@@ -9,7 +9,20 @@ import pytest
 
 import celnav
 from celnav.study.ledger import Row
-from celnav.study.numbers import all_of, consistency, entries, given, of, ratio, rmse, tiers
+from celnav.study.numbers import (
+    all_of,
+    consistency,
+    correlation,
+    entries,
+    given,
+    lagged,
+    of,
+    over_time,
+    ratio,
+    rmse,
+    settling,
+    tiers,
+)
 from celnav.study.parameters import Parameters, Timed, param
 from celnav.study.problem import Problem
 from celnav.study.study import Part, Study, Unit, fly
@@ -149,7 +162,12 @@ def test_ratios_and_levels_are_those_of_the_runs(results):
     assert consistency("x", ("good", "kf"), at=slice(None))(results).value == pytest.approx(
         results.get("good", "kf/nees").mean()
     )
-    assert results.nees("good", "kf", -1, "nis").shape == (40,)
+    for what in ("nees", "nis"):
+        values = results.get("good", f"kf/{what}")
+        np.testing.assert_array_equal(results.nees("good", "kf", what=what), values[-1])
+        np.testing.assert_array_equal(results.nees("good", "kf", 2, what), values[2])
+        some = results.nees("good", "kf", slice(2, 5), what)
+        np.testing.assert_allclose(some, values[2:5].mean(0), rtol=1e-14)
 
 
 def test_a_table_is_in_its_band_or_of_its_level_or_neither(results):
@@ -159,6 +177,98 @@ def test_a_table_is_in_its_band_or_of_its_level_or_neither(results):
             [(("good", "kf"), factor * exact)], ("position", "velocity"), "reproduced", 1.5, 0
         )
         assert Row("statement", "t", "A table", decide).judged(results).verdict == verdict
+
+
+def test_a_correlation_is_the_cosine_of_two_columns():
+    """About zero, all components together, whatever their units."""
+    rng = np.random.default_rng(0)
+    a, b = rng.normal(0.3, 2.0, (2, 50, 3))
+    assert correlation(a, 7.0 * a) == pytest.approx(1.0)
+    assert correlation(3.0 * a, -0.1 * a) == pytest.approx(-1.0)
+    cosine = np.dot(a.ravel(), b.ravel()) / np.linalg.norm(a) / np.linalg.norm(b)
+    assert correlation(a, b) == pytest.approx(cosine)
+    assert correlation(100.0 * a, b) == pytest.approx(cosine)
+    assert correlation(np.array([1.0, -1.0]), np.array([1.0, 1.0])) == 0.0
+
+
+def test_a_column_and_itself_later():
+    values = np.arange(10.0).reshape(5, 2)
+    now, later = lagged(values, 2)
+    np.testing.assert_array_equal(now, values)
+    np.testing.assert_array_equal(later[:3], values[2:])
+    assert np.isnan(later[3:]).all()
+    np.testing.assert_array_equal(lagged(values)[1][:4], values[1:])
+
+
+def test_a_statistic_over_time_leaves_out_what_is_not_known(results):
+    """AR(1) noise of two components: the correlation after some epochs, from the 100th epoch on."""
+    rng, phi = np.random.default_rng(1), 0.8
+    x = rng.normal(size=(3100, 2))
+    for k in range(1, len(x)):
+        x[k] = phi * x[k - 1] + np.sqrt(1.0 - phi**2) * x[k]
+    x[:100] = 1e3
+    x[500, 0] = x[2000:2010, 1] = np.nan
+    for lag in (1, 3):
+        found = over_time(
+            "x", correlation, lambda _, lag=lag: lagged(x, lag), (0.0, 1.0), start=100, block=50
+        )(results)
+        a, b = x[100:-lag], x[100 + lag :]
+        known = np.isfinite(a).all(1) & np.isfinite(b).all(1)
+        a, b = a[known], b[known]
+        assert found.value == pytest.approx((a * b).sum() / np.sqrt((a * a).sum() * (b * b).sum()))
+        # Bartlett: the standard deviation is below sqrt((1 + phi^2) / (1 - phi^2) / T).
+        assert abs(found.value - phi**lag) < 4.0 * np.sqrt(4.6 / 6000)
+        low, high = found.ci
+        assert low < found.value < high
+        assert high - low < 8.0 * np.sqrt(4.6 / 6000)
+        assert found.accept == (0.0, 1.0)
+
+
+def test_when_an_error_settles(results):
+    """From the epoch after the last one at which the RMSE of the runs is above the level."""
+    rmse_kf, rmse_blind = (
+        np.sqrt(np.square(results.error("good", name, "position")).mean((1, 2)))
+        for name in ("kf", "blind")
+    )
+    level = float(np.sort(rmse_kf)[3])
+    after = float(np.flatnonzero(rmse_kf >= level)[-1] + 1)
+    kf, blind = ("good", "kf"), ("good", "blind")
+    assert settling("x", kf, "position", level)(results).value == after
+    assert 0.0 < after < 6.0
+    assert settling("x", kf, "position", 0.0)(results).value == 6.0  # never, in six epochs
+    assert settling("x", kf, "position", 1e9)(results).value == 0.0
+    assert rmse_blind[-1] > level
+    sooner = settling("x", kf, "position", level, sooner=blind)(results)
+    assert sooner.value == after - 6.0
+    start = settling("x", kf, "position", 1e9, window=slice(2, 5))(results)
+    assert start.value == 2.0
+    assert settling("x", kf, "position", 0.0, window=slice(2, 5))(results).value == 5.0
+
+
+def test_medians_and_components(results):
+    kf, blind = (
+        np.square(results.error("good", name, "position")[-1, :, 0]) for name in ("kf", "blind")
+    )
+    found = ratio("x", ("good", "kf"), ("good", "blind"), "position", median=True)(results)
+    assert found.value == pytest.approx(np.sqrt(np.median(kf) / np.median(blind)))
+    both = Group("both", "m", slice(0, 2))
+    error = np.random.default_rng(4).normal(size=(6, 40, 2))
+
+    class Two:
+        """Results of one group of two components."""
+
+        def squares(self, part, name, group, at):
+            assert (part, name, group) == ("good", "kf", both.name)
+            return np.square(error[at])
+
+    one = rmse("x", ("good", "kf"), "both")(Two())
+    assert one.value == pytest.approx(np.sqrt(np.square(error[-1]).sum(-1).mean()))
+    each = rmse("x", ("good", "kf"), "both", each=True)(Two())
+    assert each.value == pytest.approx(np.sqrt(np.square(error[-1]).mean()))
+    second = ratio("x", ("good", "kf"), ("good", "kf"), "both", at=2, to=3, axes=slice(1, 2))(Two())
+    assert second.value == pytest.approx(
+        np.linalg.norm(error[2, :, 1]) / np.linalg.norm(error[3, :, 1])
+    )
 
 
 def test_numbers_go_together(results):
