@@ -55,9 +55,9 @@ def run(
         function("also", also, "(epoch, state, infos)")
     if reduce is not None:
         function("reduce", reduce, "(accumulated, epoch, state, infos)")
-    if (engine := choice("engine", engine or ENGINE.get(), ENGINES)) != "numpy" or hasattr(
-        filter, "run"
-    ):  # a compiled filter
+    if (
+        engine := choice("engine", ENGINE.get() if engine is None else engine, ENGINES)
+    ) != "numpy" or hasattr(filter, "run"):  # a compiled filter
         from celnav.filters.compiled import run_by
 
         given = as_epochs(times, z, u)
@@ -102,7 +102,7 @@ def run(
 def as_epochs(times: Any, z: Any, u: Any) -> Iterable[Epoch]:
     """Epochs of numbers, or what are epochs already; of a stream nothing is taken."""
     listed = isinstance(times, list | tuple) and not any(hasattr(one, "dt") for one in times[:1])
-    if listed or isinstance(times, np.ndarray) or np.isscalar(times):
+    if listed or hasattr(times, "__array__") or np.isscalar(times):
         return epochs(times, z, u)
     if z is not None or u is not None:
         raise ValueError("z: expected none beside epochs, which have their measurements and inputs")

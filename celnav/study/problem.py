@@ -18,7 +18,7 @@ from celnav.analysis.metrics import bootstrap, rms
 from celnav.filters.colored import colored
 from celnav.filters.joint import evaluate
 from celnav.filters.model import Motion, Sensor
-from celnav.filters.records import Epoch, Filter, epochs
+from celnav.filters.records import Epoch, Filter, as_seconds, epochs
 from celnav.filters.run import steps
 from celnav.filters.sequential import sigma_point
 from celnav.gaussian.belief import Gaussian
@@ -85,7 +85,7 @@ class Problem:
             )
         for name in ("phi", "outliers"):
             number(name, getattr(self, name), 0.0, below=1.0)
-        object.__setattr__(self, "times", finite("times", self.times))
+        object.__setattr__(self, "times", finite("times", as_seconds(self.times)))
         if self.times.ndim != 1 or len(self.times) < 2 or not (np.diff(self.times) > 0.0).all():
             raise ValueError(
                 f"times: expected two or more increasing numbers, got shape {self.times.shape}"
