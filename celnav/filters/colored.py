@@ -425,31 +425,35 @@ def augmented(
     if sensor.m is None:
         raise ValueError("R: expected a constant covariance of the noise, got a function")
     m, h, phi, zeta = sensor.m, sensor.h, coloring(Phi, sensor.m), zeta_of(sensor, Phi, increments)
-
-    def f(x: Array, epoch: Any) -> Array:
-        moved, Phi = (
-            evaluate(motion, x[..., :-m].copy(order="K"), epoch),
-            phi(epoch) if callable(phi) else phi,
-        )
-        if Phi.ndim > 2:
-            together(points=x.shape[1:-1], Phi=Phi.shape[:-2])
-        return side_by_side([moved, matvec(Phi, x[..., -m:])])
-
-    def noise(mean: Array, epoch: Any) -> Array:
-        return block([[at(motion.noise, mean[..., :-m], epoch), 0], [0, at(zeta, mean, epoch)]])
-
-    def seen(x: Array, epoch: Any) -> Array:
-        return np.asanyarray(sensor.space.plus(h(x[..., :-m], epoch), x[..., -m:]))
-
     measured = (
-        seen
+        partial(_augmented_h, sensor)
         if callable(h)
         else np.concatenate([h, np.broadcast_to(np.eye(m), (*h.shape[:-2], m, m))], -1)
     )
-    both = Sensor(measured, sqrt_R=np.zeros((m, 0)), space=sensor.space)
-    made = sigma_point(Motion(f, sqrt_Q=noise), both, rule=rule, **options)
+    both = Motion(
+        partial(_augmented_f, motion, phi, m), sqrt_Q=partial(_augmented_noise, motion, zeta, m)
+    )
+    seen = Sensor(measured, sqrt_R=np.zeros((m, 0)), space=sensor.space)
+    made = sigma_point(both, seen, rule=rule, **options)
     return Augmented(
         **vars(made),
         sqrt_V=tria(np.asanyarray(sensor.noise)),
         runs=() if callable(Phi) else np.shape(Phi)[:-2],
     )
+
+
+def _augmented_f(motion: Motion, phi: Any, m: int, x: Array, epoch: Any) -> Array:
+    moved = evaluate(motion, x[..., :-m].copy(order="K"), epoch)
+    Phi = phi(epoch) if callable(phi) else phi
+    if Phi.ndim > 2:
+        together(points=x.shape[1:-1], Phi=Phi.shape[:-2])
+    return side_by_side([moved, matvec(Phi, x[..., -m:])])
+
+
+def _augmented_noise(motion: Motion, zeta: Noise, m: int, mean: Array, epoch: Any) -> Array:
+    return block([[at(motion.noise, mean[..., :-m], epoch), 0], [0, at(zeta, mean, epoch)]])
+
+
+def _augmented_h(sensor: Sensor, x: Array, epoch: Any) -> Array:
+    m: int = sensor.m or 0
+    return np.asanyarray(sensor.space.plus(sensor.h(x[..., :-m], epoch), x[..., -m:]))

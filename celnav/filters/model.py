@@ -218,9 +218,14 @@ def check_roots(name: str, roots: Any) -> Sequence[Array]:
     return roots
 
 
-def check_matrices(n: int, *models: Motion | Sensor) -> None:
-    """Matrices among models of a state go with its ``n`` deviations; ValueError names one that does not."""
+def check_matrices(N: int, n: int, *models: Motion | Sensor) -> None:
+    """Matrices among models go with a state of N components and n deviations; ValueError names one that does not."""
     for name, matrix in ((model.name, getattr(model, model.name)) for model in models):
+        if n != N and is_linear(matrix):
+            raise ValueError(
+                f"{name}: expected a function where states have {N} components and {n} deviations, "
+                "such as lambda x, epoch: x[..., -3:], got a matrix"
+            )
         if not callable(matrix) and matrix.shape[-1] != n:
             raise ValueError(
                 f"{name}: expected a matrix ({'n' if name == 'f' else 'm'}, {n}), got {matrix.shape[-2:]}"

@@ -167,19 +167,22 @@ def explain(filter: Any, before: Any, after: Any, epoch: Epoch) -> str:
             filter.step(before, epoch)
     finally:
         WATCH.reset(token)
-    if found:
+    predicted = (
+        filter.predict(before, epoch)
+        if getattr(type(filter), "step", None) is Sequential.step
+        else before
+    )
+    unpredicted = (predicted.belief.lost() & lost).any()
+    if found and not (
+        unpredicted and found[0].startswith("h ")
+    ):  # h is not to blame for its points
         return found[0]
     within = (
         filter if hasattr(filter, "sensors") else getattr(filter, "first", filter)
     )  # of two filters, or of two stages
     if not hasattr(getattr(within, "filter", within), "sensors"):
         return "the estimate is not finite"
-    predicted = (
-        filter.predict(before, epoch)
-        if getattr(type(filter), "step", None) is Sequential.step
-        else before
-    )
-    if epoch.z is None or (predicted.belief.lost() & lost).any():
+    if epoch.z is None or unpredicted:
         return "the covariance lost positive definiteness"
     why = "the innovation covariance is not positive definite"
     for sensor in getattr(filter, "sensors", ()):

@@ -65,7 +65,8 @@ class LeastSquares:
     def start(self, prior: Gaussian) -> State:
         """State before the first epoch."""
         check_prior(prior)
-        check_matrices(prior.mean.shape[-1], self.sensor)
+        n = prior.mean.shape[-1]
+        check_matrices(n, n, self.sensor)
         return State(Covariance.of(prior), (prior.mean,))
 
     def step(self, state: State, epoch: Epoch) -> tuple[State, tuple[Info, ...]]:

@@ -52,7 +52,7 @@ def simulate(
         raise ValueError(
             f"prior: expected one mean (N,) and covariance (n, n), got {prior.mean.shape} and {prior.cov.shape}"
         )
-    check_matrices(len(prior.cov), motion, *sensors)
+    check_matrices(len(prior.mean), len(prior.cov), motion, *sensors)
     if (
         isinstance(runs, list | tuple)
         and runs
