@@ -232,8 +232,8 @@ def test_h_is_not_blamed_for_the_points_of_a_prediction_that_failed():
         kappa=-1.9,
         form="covariance",
     )
-    with pytest.raises(FilterError, match="step 1, t = 1.0: the covariance lost positive defin"):
+    with pytest.raises(FilterError, match=r"step 1, t = 1\.0: the covariance lost positive defin"):
         run(filter, Gaussian([0.0, 0.0], EYE), TIMES, np.full((3, 1), np.nan))
     z = np.array([[np.nan], [100.0], [100.0]])
-    with pytest.raises(FilterError, match="step 1, t = 1.0: the covariance lost positive defin"):
+    with pytest.raises(FilterError, match=r"step 1, t = 1\.0: the covariance lost positive defin"):
         run(filter, Gaussian([0.0, 0.0], EYE), TIMES, z)
