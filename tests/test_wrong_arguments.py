@@ -51,7 +51,7 @@ trial: check_groups squares Noiseless.standard_normal
 """
 """What a filter calls at every step takes arrays as they are: a look at each would cost more than the product it makes."""
 INSIDE = """
-checks: numbers finite number integer integers whole choice function sequence together beside instance kind unmasked takes
+checks: as_matrix numbers finite number integer integers whole choice function sequence together beside instance kind unmasked takes
 drawing: Drawing.set render styled
 rules: few AnyDimension
 sparse_grid: check_orders univariate

@@ -38,6 +38,7 @@ from celnav.filters.sequential import Sequential, checked, missing, sigma_point,
 from celnav.gaussian.belief import Gaussian, symmetric
 from celnav.gaussian.checks import (
     Shape,
+    as_matrix,
     choice,
     finite,
     function,
@@ -77,7 +78,7 @@ def colored(
     motion, sensor: what is believed; ``sensor.R`` is the covariance ``(m, m)`` of the colored noise itself. States and measurements
         are vectors: the difference of two measurements knows nothing of a seam. Where an angle is measured, use `augmented`.
     Phi: ``(..., m, m)``, or a function of the epoch: what carries the noise from one measurement to the next; its spectral radius
-        is at most 1.
+        is at most 1. A number is that multiple of the identity, where R or h is a matrix.
     increments: covariance ``(..., m, m)`` of ``V' - Phi V``, or a function ``(mean, epoch)`` of it; None: that of stationary noise,
         ``R - Phi R Phi'``. Where V is not stationary (``Phi = I`` is a random walk) R is the covariance of its first sample.
     first: whether the first measurement updates the prior. Otherwise it only anchors the first difference, as in the paper, which
@@ -124,7 +125,12 @@ def coloring(Phi: Coloring, m: int | None = None) -> Array | Callable[[Any], Arr
     shape = (..., m or "m", m or "m")
     if callable(Phi):
         return partial(_coloring_at, function("Phi", Phi, "(epoch)"), shape)
-    matrix = finite("Phi", Phi, shape)
+    matrix = as_matrix("Phi", Phi, m)
+    if not matrix.ndim:
+        raise ValueError(
+            f"Phi: expected a matrix (m, m) where neither R nor h is one, got the number {matrix}"
+        )
+    matrix = finite("Phi", matrix, shape)
     radius = np.abs(np.linalg.eigvals(matrix)).max()
     if radius > 1.0 + 1e-9:
         raise ValueError(f"Phi: expected a spectral radius of at most 1, got {radius:.6g}")
@@ -132,13 +138,16 @@ def coloring(Phi: Coloring, m: int | None = None) -> Array | Callable[[Any], Arr
 
 
 def _coloring_at(Phi: Callable[[Any], Array], shape: Shape, epoch: Any) -> Array:
-    return numbers("Phi", unmasked("Phi", Phi(epoch)), shape)
+    matrix = numbers("Phi", unmasked("Phi", Phi(epoch)))
+    if not matrix.ndim and isinstance(shape[-1], int):
+        matrix = np.asanyarray(matrix * np.eye(shape[-1]))
+    return numbers("Phi", matrix, shape)
 
 
 def zeta_of(sensor: Sensor, Phi: Coloring, increments: Any) -> Noise:
     """Columns of the increments, given, or of a stationary noise of covariance R; or a function ``(mean, epoch)`` of them."""
     if increments is not None:
-        given = noise_of("increments", increments, None)
+        given = noise_of("increments", increments, None, sensor.m)
         if isinstance(given, np.ndarray) and sensor.m not in (None, given.shape[-2]):
             raise ValueError(
                 f"increments: expected {sensor.m} rows to go with the sensor's R, got {given.shape[-2]}"
@@ -151,9 +160,12 @@ def zeta_of(sensor: Sensor, Phi: Coloring, increments: Any) -> Noise:
 
 def _stationary(noise: Noise, Phi: Any, mean: Array, epoch: Any) -> Array:
     """Columns of the increments of a stationary noise."""
-    V = at(noise, mean, epoch)
-    carried = (Phi(epoch) if callable(Phi) else Phi) @ V
-    return symmetric(V @ V.mT - carried @ carried.mT, "R - Phi R Phi'")[1]
+    V, phi = at(noise, mean, epoch), Phi(epoch) if callable(Phi) else Phi
+    V = V if V.ndim else V * np.eye(phi.shape[-1])
+    carried = phi @ V
+    return symmetric(
+        V @ V.mT - carried @ carried.mT, "Phi, R: covariance R - Phi R Phi' of the increments"
+    )[1]
 
 
 def difference(Phi: Array, z: Array, z_next: Array) -> Array:
@@ -423,7 +435,8 @@ def augmented(
     if motion.space != EUCLIDEAN or motion.augment or sensor.augment:
         raise ValueError("motion: expected one of vectors, with no noise through the points")
     if sensor.m is None:
-        raise ValueError("R: expected a constant covariance of the noise, got a function")
+        got = "a function" if callable(sensor.noise) else "a number"
+        raise ValueError(f"R: expected a constant covariance (m, m) of the noise, got {got}")
     m, h, phi, zeta = sensor.m, sensor.h, coloring(Phi, sensor.m), zeta_of(sensor, Phi, increments)
     measured = (
         partial(_augmented_h, sensor)

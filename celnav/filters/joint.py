@@ -220,6 +220,8 @@ def joint(
                     )
                 )
     state = images[-1]
+    if V is not None and not V.ndim:  # a standard deviation alone
+        V = V * np.eye(images[0].columns.shape[-2])
     for name, columns, image in (
         ("Q", W and W[1], state),
         ("Q" if isinstance(first, Motion) else "R", V, images[0]),

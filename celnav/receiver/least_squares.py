@@ -45,6 +45,7 @@ def least_squares(sensor: Sensor, *, rounds: int = 10) -> LeastSquares:
             "R: expected variances of independent components, got noise through the points"
         )
     if isinstance(columns, np.ndarray):
+        columns = np.atleast_2d(columns)  # a standard deviation may stand for all
         R = columns @ columns.mT
         variances = R.diagonal(0, -2, -1)
         beside = np.abs(R - variances[..., None] * np.eye(R.shape[-1])).max(initial=0.0)

@@ -67,8 +67,10 @@ def simulate(
     def draw(columns: Array) -> Array:
         return matvec(columns, np.stack([rng.standard_normal(columns.shape[-1]) for rng in rngs]))
 
-    def white(model: Motion | Sensor, x: Array, epoch: Epoch) -> Any:
+    def white(model: Motion | Sensor, x: Array, epoch: Epoch, rows: int) -> Any:
         columns = at(model.noise, x, epoch)
+        if columns is not None and not columns.ndim:  # a standard deviation alone
+            columns = columns * np.eye(rows)
         return None if columns is None else draw(columns)
 
     def image(
@@ -77,10 +79,10 @@ def simulate(
         """What a model makes of states ``(runs, N)``, with the noise through the points and the one beside them, of that name."""
         augment = [draw(root)[None] for root in model.augment]
         y: Array = evaluate(model, x[None].copy(), epoch, augment)[0]
-        added = noise(model, x, epoch)
+        rows = model.space.minus(y, y).shape[-1]
+        added = noise(model, x, epoch, rows)
         if added is None:
             return y
-        rows = model.space.minus(y, y).shape[-1]
         if added.shape[-1] != rows:
             raise ValueError(
                 f"{name}: expected {rows} rows to go with the model, got {added.shape[-1]}"
@@ -91,10 +93,10 @@ def simulate(
     if Phi is not None:
         phi, zeta = coloring(Phi, sensors[0].m), zeta_of(sensors[0], Phi, None)
 
-        def seen(model: Motion | Sensor, x: Array, epoch: Epoch) -> Any:
+        def seen(model: Motion | Sensor, x: Array, epoch: Epoch, rows: int) -> Any:
             nonlocal V
             V = (
-                white(model, x, epoch)
+                white(model, x, epoch, rows)
                 if V is None
                 else matvec(phi(epoch) if callable(phi) else phi, V) + draw(at(zeta, x, epoch))
             )
