@@ -97,8 +97,6 @@ def colored(
             "space: expected states and measurements that are vectors; carry the noise in the state: celnav.augmented"
         )
     phi, once = coloring(Phi, sensor.m), bool(choice("first", first, (False, True)))
-    if callable(sensor.h) and (callable(motion.Q) or callable(motion.sqrt_Q)):
-        raise ValueError("Q: expected a constant where the measurement is a function")
     return Colored(**vars(plain), Phi=phi, zeta=zeta_of(sensor, Phi, increments), first_sample=once)
 
 

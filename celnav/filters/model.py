@@ -119,6 +119,11 @@ class _Model:
             rows = model.shape[-2]
         return noise_of(name, getattr(self, name), getattr(self, f"sqrt_{name}"), rows)
 
+    def columns(self, mean: Array, epoch: Any, rows: int) -> Any:
+        """Columns ``(..., rows, r)`` of the noise at an epoch; None: all of it goes through the points."""
+        columns = self.noise(mean, epoch) if callable(self.noise) else self.noise
+        return None if columns is None else _widened(columns, rows)
+
 
 @dataclass(frozen=True, eq=False)
 class Motion(_Model):

@@ -25,6 +25,7 @@ __all__ = [
     "check_interval",
     "epochs",
     "still",
+    "without_input",
 ]
 
 _LOG_2PI = float(np.log(2.0 * np.pi))
@@ -309,6 +310,19 @@ def _measurements(z: ArrayLike, length: int) -> Array:
         k = int(np.argwhere(np.isinf(measured))[0, 0])
         raise ValueError(f"z: expected finite numbers or nan, got an infinite one at index {k}")
     return measured
+
+
+def without_input(error: Exception, epoch: Any) -> Exception:
+    """The error of a model; where it comes from an input that an epoch does not have, one that says so."""
+    raw = isinstance(error, AttributeError | TypeError) and "NoneType" in str(error)
+    if not raw or getattr(epoch, "u", None) is not None:
+        return error
+    if np.any(epoch.dt):
+        return ValueError(f"u: expected an input at t = {epoch.t}, where a model uses it, got None")
+    return ValueError(
+        f"u: expected models that need no input at t = {epoch.t}: no interval leads up to the first epoch. "
+        "Make that measurement nan, or let the model use a value of its own where epoch.u is None"
+    )
 
 
 def check_interval(filter: Any, epoch: Any, before: Any) -> None:

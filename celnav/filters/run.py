@@ -11,7 +11,15 @@ from numpy.typing import ArrayLike
 
 from celnav.filters.joint import at
 from celnav.filters.mixing import LOOKED_AT, WATCH
-from celnav.filters.records import Epoch, Filter, FilterError, Info, check_interval, epochs
+from celnav.filters.records import (
+    Epoch,
+    Filter,
+    FilterError,
+    Info,
+    check_interval,
+    epochs,
+    without_input,
+)
 from celnav.filters.sequential import Sequential
 from celnav.filters.track import Collector, Track
 from celnav.gaussian.belief import settled
@@ -135,8 +143,11 @@ def steps(
         try:
             state, infos = filter.step(state, epoch)
         except Exception as error:
-            error.add_note(f"in step {epoch.k}, t = {epoch.t}")
-            raise
+            cause = without_input(error, epoch)
+            cause.add_note(f"in step {epoch.k}, t = {epoch.t}")
+            if cause is error:
+                raise
+            raise cause from error
         finally:
             LOOKED_AT.reset(token)
         if "belief" in getattr(state, "_fields", ()):

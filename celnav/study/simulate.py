@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from celnav.filters.colored import coloring, zeta_of
 from celnav.filters.joint import at, evaluate
 from celnav.filters.model import Motion, Sensor, check_matrices
-from celnav.filters.records import Epoch, epochs
+from celnav.filters.records import Epoch, epochs, without_input
 from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.checks import instance, integer, sequence
 from celnav.gaussian.linalg import Array, matvec
@@ -68,9 +68,7 @@ def simulate(
         return matvec(columns, np.stack([rng.standard_normal(columns.shape[-1]) for rng in rngs]))
 
     def white(model: Motion | Sensor, x: Array, epoch: Epoch, rows: int) -> Any:
-        columns = at(model.noise, x, epoch)
-        if columns is not None and not columns.ndim:  # a standard deviation alone
-            columns = columns * np.eye(rows)
+        columns = model.columns(x, epoch, rows)
         return None if columns is None else draw(columns)
 
     def image(
@@ -105,9 +103,12 @@ def simulate(
     x = motion.space.plus(np.tile(prior.mean, (len(rngs), 1)), draw(prior.sqrt_cov))
     truth, z = [], []
     for epoch in epochs(times, u=u):
-        if epoch.dt:
-            x = image("Q", motion, x, epoch)
+        try:
+            if epoch.dt:
+                x = image("Q", motion, x, epoch)
+            z.append([image("R", each, x, epoch, seen) for each in sensors])
+        except (AttributeError, TypeError) as error:
+            raise without_input(error, epoch) from error
         truth.append(x)
-        z.append([image("R", each, x, epoch, seen) for each in sensors])
     measured = tuple(np.stack(column) for column in zip(*z, strict=True))
     return np.stack(truth), measured[0] if isinstance(sensor, Sensor) else measured

@@ -96,7 +96,7 @@ def test_a_rule_that_is_none(given, told):
         (lambda: celnav.ukf(MOTION, MOTION), "sensors: expected celnav.Sensor(h, R), got Motion"),
         (lambda: celnav.ukf(MOTION, [SENSOR]), "sensors: expected celnav.Sensor(h, R), got list"),
         (lambda: celnav.decorrelated(MOTION, celnav.Sensor(f, EYE), 0.5 * EYE), "sensor: expected a measurement matrix (m, n)"),
-        (lambda: celnav.augmented(MOTION, celnav.Sensor(EYE, f), 0.5), "R: expected a constant covariance (m, m) of the noise, got a"),
+        (lambda: celnav.augmented(MOTION, celnav.Sensor(EYE, f), 0.5), "R: expected a constant covariance (m, m) of the noise"),
         (lambda: celnav.run(FILTER, PRIOR, np.zeros((3, 2))), "times: expected shape (T,) with T > 0, got (3, 2)"),
         (lambda: list(celnav.steps(FILTER, PRIOR, np.zeros(3))), "epochs: expected celnav.epochs(times, z), or records like"),
         (lambda: celnav.run(FILTER, PRIOR, celnav.epochs([0.0]), [[0.0, 0.0]]), "z: expected none beside epochs, which have"),

@@ -213,3 +213,66 @@ def test_a_table_of_words_is_no_input():
         celnav.epochs(TIMES, u=pd.DataFrame({"gear": ["first"] * 7}))
     with pytest.raises(ValueError, match=r"^z: expected numbers, got "):
         celnav.epochs(TIMES, pd.DataFrame({"z": ["near"] * 8}))
+
+
+TURN = [0.1, 0.2, 0.3]
+
+
+def turned(x, epoch):
+    return x[..., :1] * epoch.u
+
+
+def held(x, epoch):
+    return x[..., :1] * (0.0 if epoch.u is None else epoch.u)
+
+
+PLACES = {
+    "h": celnav.Sensor(turned, [[1.0]]),
+    "h of components": celnav.Sensor(lambda x, e: x[..., :1] + e.u[..., 0], [[1.0]]),
+    "h that copies": celnav.Sensor(lambda x, e: x[..., :1] + e.u.copy(), [[1.0]]),
+    "R": celnav.Sensor([[1.0]], R=lambda mean, e: [[1.0 + e.u**2]]),
+    "matrix": celnav.Sensor(celnav.Linear(lambda e: np.eye(1) * e.u), [[1.0]]),
+}
+
+
+@pytest.mark.parametrize("engine", ["numpy", "compiled"])
+@pytest.mark.parametrize("place", PLACES)
+def test_a_sensor_that_uses_the_input_has_none_at_the_first_epoch(place, engine):
+    """No interval leads up to it; the cures that the message names work."""
+    motion, times, z = celnav.Motion(lambda x, e: x, [[0.1]]), np.arange(4.0), np.ones((4, 1))
+    filter, u = celnav.ukf(motion, PLACES[place]), np.array(TURN)
+    u = u[:, None] if place == "h of components" else u
+    message = (
+        r"^u: expected models that need no input at t = 0.0: no interval leads up to the first epoch. "
+        r"Make that measurement nan, or let the model use a value of its own where epoch.u is None"
+    )
+    with pytest.raises(ValueError, match=message) as error:
+        celnav.run(filter, START, times, z, u, engine=engine)
+    assert error.value.__notes__ == ["in step 0, t = 0.0"]
+    with pytest.raises(ValueError, match=message):
+        celnav.simulate(motion, PLACES[place], START, times, u=u, runs=2)
+    z[0] = np.nan
+    late = celnav.run(filter, START, times, z, u, engine="auto")
+    assert np.isfinite(late.std).all()
+    if place == "h":
+        free = celnav.ukf(motion, celnav.Sensor(held, [[1.0]]))
+        own = celnav.run(free, START, times, np.ones((4, 1)), u, engine=engine)
+        np.testing.assert_allclose(own.mean, late.mean, atol=1e-12)  # 0 x says nothing
+
+
+@pytest.mark.parametrize("engine", ["numpy", "compiled"])
+def test_inputs_that_were_forgotten_are_asked_for(engine):
+    with pytest.raises(
+        ValueError, match=r"^u: expected an input at t = 1.0, where a model uses it"
+    ):
+        celnav.run(LINE, START, TIMES, np.ones((8, 1)), engine=engine)
+
+
+def test_another_fault_of_a_model_is_its_own():
+    broken = celnav.ukf(celnav.Motion(lambda x, e: x + {}["u"], [[1.0]]))
+    with pytest.raises(KeyError, match="u"):
+        celnav.run(broken, START, TIMES)
+    with pytest.raises(TypeError, match="NoneType"):
+        celnav.run(
+            celnav.ukf(celnav.Motion(lambda x, e: x + e.about[0], [[1.0]])), START, TIMES, u=TIMES
+        )

@@ -28,6 +28,7 @@ from celnav.gaussian.attitude import attitude, rotate
 from celnav.gaussian.linalg import FORMS, side_by_side
 from celnav.gaussian.spaces import EUCLIDEAN
 from celnav.models.gyro import Gyro
+from celnav.models.motion import constant_velocity, coordinated_turn
 from celnav.study.montecarlo import generator
 from celnav.study.problem import WILD, Problem, compare
 from celnav.study.trial import Group, Noiseless
@@ -290,6 +291,55 @@ def test_what_does_not_go_together_is_left_out():
     assert np.isnan(row.efficiency)
 
 
+@pytest.mark.parametrize("phi", [0.0, 0.6])
+def test_motions_of_the_package_are_problems(phi):
+    """Their noise belongs to the interval; here intervals are of 1 s and of 3 s."""
+    problem = Problem(
+        constant_velocity(1, q=0.02),
+        Sensor(lambda x, epoch: x[..., :1], R=lambda mean, epoch: 0.25),
+        PRIOR,
+        np.cumsum([0.0, *[1.0, 3.0] * 10]),
+        phi=phi,
+        groups=[Group("position", "m", slice(0, 1))],
+    )
+    truth, z = problem.draw([generator(3, 0, r) for r in range(4000)])
+    for k, T in ((1, 1.0), (2, 3.0)):
+        w = truth[k] - truth[k - 1] @ np.array([[1.0, T], [0.0, 1.0]]).T
+        Q = 0.02 * np.array([[T**3 / 3.0, T**2 / 2.0], [T**2 / 2.0, T]])
+        np.testing.assert_allclose(np.cov(w.T), Q, rtol=0.1)
+    V = (z - truth[..., :1])[..., 0]
+    np.testing.assert_allclose(V.std(1), 0.5, rtol=0.06)
+    assert np.corrcoef(V[9], V[10])[0, 1] == pytest.approx(phi, abs=0.05)
+    (row,) = compare(
+        {"walk": problem},
+        {"one": lambda p: colored(p.motion, p.sensor, phi * np.eye(1))},
+        runs=2000,
+    )
+    assert row.low < 1.0 < row.high
+    assert row.efficiency == pytest.approx(1.0, abs=0.05)
+
+
+def test_a_noise_of_the_state_is_drawn_where_the_state_is():
+    """A turn that is pushed along its own heading, and a range whose noise grows with it."""
+    turn = coordinated_turn(q=1e-2, q_rate=1e-6)
+    problem = Problem(
+        turn,
+        Sensor(
+            lambda x, epoch: x[..., :2],
+            R=lambda mean, epoch: (0.1 + mean[..., :1, None] ** 2) * np.eye(2),
+        ),
+        Gaussian([0.0, 0.0, 1.0, 0.0, 0.5], 1e-6 * np.eye(5)),
+        np.arange(3.0),
+    )
+    truth, z = problem.draw([generator(4, 0, r) for r in range(4000)])
+    W = turn.columns(problem.prior.mean, problem.epochs[1], 5)
+    np.testing.assert_allclose(np.cov(truth[1].T)[:2, :2], (W @ W.T)[:2, :2], rtol=0.1, atol=2e-4)
+    near = np.abs(truth[2, :, 0]) < np.median(np.abs(truth[2, :, 0]))
+    noise = z[2] - truth[2, :, :2]
+    expected = [np.sqrt(0.1 + (truth[2, part, 0] ** 2).mean()) for part in (near, ~near)]
+    np.testing.assert_allclose([noise[near].std(), noise[~near].std()], expected, rtol=0.05)
+
+
 def test_a_row_does_not_depend_on_the_others():
     both, one = (
         chosen("Taylor · square root", "unscented · square root · gate"),
@@ -311,17 +361,20 @@ def test_a_row_does_not_depend_on_the_others():
         ({"sensor": None}, r"^sensor: expected celnav.Sensor\(h, R\), got NoneType"),
         ({"prior": [1.0, 2.0]}, r"^prior: expected celnav.Gaussian\(mean, cov\), got list"),
         (
-            {"motion": Motion(f, lambda mean, epoch: np.eye(2))},
-            r"^Q: expected one constant covariance",
+            {"motion": Motion(f, lambda mean, epoch: np.eye(3))},
+            r"^prior, Q: expected a covariance \(2, 2\) that all runs share, got \(3, 3\)",
         ),
         (
-            {"sensor": Sensor(h, lambda mean, epoch: np.eye(1))},
-            r"^R: expected one constant covariance",
+            {"sensor": Sensor(h, lambda mean, epoch: np.eye(2))},
+            r"^R: expected a covariance \(1, 1\) that all runs share, got \(2, 2\)",
         ),
-        ({"sensor": Sensor(h, np.ones((3, 1, 1)))}, r"^R: expected one constant covariance"),
+        (
+            {"sensor": Sensor(h, np.ones((3, 1, 1)))},
+            r"^R: expected a covariance \(1, 1\) that all runs share, got \(3, 1, 1\)",
+        ),
         (
             {"motion": Motion(f, np.eye(3))},
-            r"^prior: expected a covariance to go with the motion's Q, got \(2, 2\)",
+            r"^prior, Q: expected a covariance \(2, 2\) that all runs share, got \(3, 3\)",
         ),
         (
             {"prior": Gaussian(np.zeros(3), np.eye(2))},
@@ -329,7 +382,7 @@ def test_a_row_does_not_depend_on_the_others():
         ),
         (
             {"motion": Motion(f, np.eye(2), augment=(np.eye(1),))},
-            r"^Q: expected one constant covariance of a noise beside",
+            r"^augment: expected noise beside the models, got some through the points",
         ),
         (
             {"prior": Gaussian(np.zeros((3, 2)), np.eye(2))},
