@@ -101,6 +101,8 @@ def innovation_window(M: int, gaps: str = "restart") -> Hook:
     ``C = S0 + A R`` gives the factor ``A = max(1, (C - S0) / R)`` of R; it is 1 until there are M. The noise is only ever inflated,
     and a maneuver inflates it too: it needs a process noise that covers those.
 
+    ``Track.extra["R"]`` has the variances that it used.
+
     ``gaps``: "restart": a missing sample restarts its component's window. "skip": the last M there were, for sensors that are
     slower than the epochs.
 
@@ -221,7 +223,8 @@ def sage_husa(forgetting: float = 0.95, least: float = 0.25, smallest: float = 0
     """Estimate the noise's variances from innovations with fading memory [Sage1969].
 
     ``R_k+1 = (1 - d) R_k + d max(e^2 - S0, smallest R)`` where measured, with ``d = (1 - b) / (1 - b^(k+1))`` and b the
-    ``forgetting``, between 0 and 1. What is used is at least ``least R``, with R the nominal variance, and may lie below that.
+    ``forgetting``, between 0 and 1. What is used is at least ``least R``, with R the nominal variance, and may lie below that:
+    ``Track.extra["R"]``.
 
     >>> filter = celnav.ukf(motion, sensor, hooks=[celnav.filters.adaptive.sage_husa(0.98)])
     """
@@ -261,9 +264,10 @@ def variational_bayes(forgetting: float = 0.95, samples: float = 2.0, rounds: in
     given the innovation e, ``E[v^2] = (R S^-1 e)^2 + R - R S^-1 R``, in ``rounds`` of a fixed-point iteration. (Of a linear h these
     are the paper's terms, ``z - h`` and the variance of h after the update; of others its integral, with h linearized
     statistically as it was for the update.) At first the nominal variances are worth ``samples``. What was not measured forgets
-    nothing.
+    nothing. The estimates are in the track of the numpy engine, ``Track.extra["R"]``.
 
     >>> filter = celnav.ukf(motion, sensor, hooks=[celnav.filters.adaptive.variational_bayes(0.98)])
+    >>> sigma = np.sqrt(celnav.run(filter, prior, times, z).extra["R"])  # (T, ..., m)
     """
     b, first = (
         number("forgetting", forgetting, above=0.0, most=1.0),

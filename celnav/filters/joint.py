@@ -415,7 +415,8 @@ def condition(
     def optimal() -> Array:
         return solve_right(S, U) if K is None else K
 
-    info = Info(given, whitened, used, S, optimal, measured.jacobian)
+    R = None if not hooks else joint.variances()[1]
+    info = Info(given, whitened, used, S, optimal, measured.jacobian, R=R)
     mean = space.plus(state.center, step)
     together = spread.ndim == 2 or spread.shape[:-2] == mean.shape[:-1]
     return form(mean, spread) if together else whole(form, mean, spread), info, memory

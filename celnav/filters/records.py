@@ -71,6 +71,7 @@ class Info(NamedTuple):
     gain, jacobian: ``() -> (..., n, m)`` and ``() -> (..., m, n)``, the measurement's (statistical) Jacobian.
     redone: ``(...)`` bool, the runs that a `celnav.filters.fallback.Fallback` did again; None if there was none.
     silent: whether there was no measurement at all, not even nan.
+    R: ``(..., m)`` variances of the measurement noise as the hooks left them; None without hooks.
     mixture: ``(...)``, the log-likelihood where ``sqrt_S`` does not say it: after a compiled step, and where the density is no
         Gaussian, of which ``whitened`` then has the moments; else None.
 
@@ -87,6 +88,7 @@ class Info(NamedTuple):
     redone: Array | None = None
     silent: bool = False
     mixture: Array | None = None
+    R: Array | None = None
 
     @property
     def nis(self) -> Array | None:
