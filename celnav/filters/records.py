@@ -304,7 +304,8 @@ def _rows(name: str, values: Any, times: int) -> Any:
 def _measurements(z: ArrayLike, length: int) -> Array:
     measured = numbers("z", z)
     if measured.ndim < 2 or len(measured) != length:
-        hint = "; one component is z[:, None]" if measured.shape == (length,) else ""
+        column = "z.to_frame()" if hasattr(z, "to_frame") else "z[:, None]"
+        hint = f"; one component is {column}" if measured.shape == (length,) else ""
         raise ValueError(
             f"z: expected shape ({length}, ..., m) to go with the times, got {measured.shape}{hint}"
         )

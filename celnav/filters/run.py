@@ -43,8 +43,9 @@ def run(
     """Run a filter over epochs and collect a `Track`.
 
     filter: any filter. prior: a `celnav.Gaussian` of any batch shape.
-    times: ``(T,)`` s, with measurements ``z (T, ..., m)`` (nan where missing; a tuple for several sensors) and inputs ``u``; or,
-        instead of the three, epochs that are made already (`celnav.epochs`), or any iterable of `Epoch`.
+    times: ``(T,)`` s, or dates, with measurements ``z (T, ..., m)`` (nan where missing; a tuple for
+        several sensors) and inputs ``u``, as `celnav.epochs` takes them; or, instead of the three,
+        epochs that are made already, or any iterable of `Epoch`.
     every: store each ``every``-th epoch (sums, likelihood and reduction take all of them).
     keep: what to store: "std" (mean and standard deviations), "cov" (also covariances, for smoothing), "mean", or "nothing" (sums
         and the reduction only).

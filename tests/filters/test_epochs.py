@@ -208,6 +208,13 @@ def test_tables_count_by_their_rows(engine):
         assert [e.u[0] for e in columns[1:]] == push.tolist()
 
 
+def test_a_column_of_measurements_is_made_a_table():
+    z = pd.Series(np.zeros(8))
+    with pytest.raises(ValueError, match=r"got \(8,\); one component is z.to_frame\(\)$"):
+        celnav.epochs(TIMES, z)
+    assert celnav.epochs(TIMES, z.to_frame())[3].z.tolist() == [0.0]
+
+
 def test_a_table_of_words_is_no_input():
     with pytest.raises(ValueError, match=r"^u: expected numbers, got "):
         celnav.epochs(TIMES, u=pd.DataFrame({"gear": ["first"] * 7}))
