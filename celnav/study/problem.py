@@ -83,7 +83,7 @@ class Problem:
             raise ValueError(
                 "augment: expected noise beside the models, got some through the points"
             )
-        noise = zip(("prior, Q", "R"), self.noise(), (self.n, self.m), strict=True)
+        noise = zip(("prior, Q", "R"), self._noise(), (self.n, self.m), strict=True)
         for name, columns, rows in noise:
             if columns.ndim != 2 or len(columns) != rows:
                 raise ValueError(
@@ -109,14 +109,14 @@ class Problem:
         """Epochs with their inputs, and without measurements."""
         return epochs(self.times, u=self.u)
 
-    def noise(self) -> tuple[Any, Any]:
+    def _noise(self) -> tuple[Any, Any]:
         """Columns ``(n, r)`` of the process noise and ``(m, s)`` of the measurement's after the first interval."""
         mean, epoch = self.prior.mean, self.epochs[1]
         return self.motion.columns(mean, epoch, self.n), self.sensor.columns(mean, epoch, self.m)
 
     def draw(self, rngs: Sequence[np.random.Generator]) -> tuple[Array, Array]:
         """Truth ``(T, runs, N)`` and measurements ``(T, runs, M)`` of one run with each generator."""
-        T, space, (W, V) = len(self.times), self.motion.space, self.noise()
+        T, space, (W, V) = len(self.times), self.motion.space, self._noise()
         start, walk, noise, lot = normals(
             rngs, (self.n,), (T, W.shape[1]), (T, V.shape[1]), (T, self.m)
         )
