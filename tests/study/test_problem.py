@@ -189,6 +189,13 @@ def test_outliers_are_as_many_and_as_large_as_they_are_said_to_be():
     np.testing.assert_allclose(V[wild], WILD * plain[wild])
 
 
+def test_a_problem_may_have_dates():
+    dated = line(times=np.datetime64("2026-01-01", "ns") + np.timedelta64(1, "s") * np.arange(21))
+    (truth, z), (same, alike) = (p.draw([generator(1, 0, 0)]) for p in (dated, line()))
+    np.testing.assert_array_equal(truth, same)
+    np.testing.assert_array_equal(z, alike)
+
+
 def test_an_outlier_of_colored_noise_leaves_the_next_sample_alone():
     rngs = [[generator(1, 0, r) for r in range(300)] for _ in range(2)]
     z, clean = line(outliers=0.1, phi=0.8).draw(rngs[0])[1], line(phi=0.8).draw(rngs[1])[1]
