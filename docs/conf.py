@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
+from inspect import signature
 from typing import Any
 
 from docutils.nodes import SkipNode, Text, document, field_name
@@ -43,15 +45,37 @@ html_math_renderer = "mathml"  # the browser's own: no script, no net
 CITED = re.compile(r"\[([A-Z][A-Za-z]+\d{4}\b[^\]]*)\]")
 KEY = re.compile(r"\b([A-Z][A-Za-z]+\d{4})\b")
 ARGUMENT = re.compile(r"^(\w+(?:, \w+)*): (?=\S)")
+ANOTHER = re.compile(r"(?:^ +|(?<=[.)`]) )(?=(\w+(?:, \w+)*): \S)")
 SMALL = "\u2060"  # before a field's name, whose first letter Sphinx would make a capital
 
 
-def written(
-    _app: Sphinx, _what: str, _name: str, _thing: Any, _options: Any, lines: list[str]
-) -> None:
-    """Docstrings, in which a line ``name: what it is`` speaks of an argument, as fields of reStructuredText."""
-    made: list[str] = []
+def parameters(thing: Any) -> set[str]:
+    """Names of what a function takes, or of the fields of a class."""
+    try:
+        taken = set(signature(thing).parameters)
+    except (TypeError, ValueError):
+        taken = set()
+    return taken | set(getattr(thing, "__annotations__", ()))
+
+
+def each_begins(names: set[str], lines: list[str]) -> Iterator[str]:
+    """The lines, parted where one goes on to the next of some ``names``: each begins a line of its own."""
     for line in lines:
+        start = 0
+        for found in ANOTHER.finditer(line):
+            if names.issuperset(found[1].split(", ")):
+                if found.start():
+                    yield line[start : found.start()]
+                start = found.end()
+        yield line[start:]
+
+
+def written(
+    _app: Sphinx, _what: str, _name: str, thing: Any, _options: Any, lines: list[str]
+) -> None:
+    """Docstrings, in which ``name: what it is`` speaks of an argument, as fields of reStructuredText."""
+    made: list[str] = []
+    for line in each_begins(parameters(thing), lines):
         if made and line and not line.strip("-"):  # a heading of a docstring, such as Raises
             made[-1], line = f"**{made[-1]}**", ""
         line = CITED.sub(lambda cited: "[" + KEY.sub(r":ref:`\1 <\1>`", cited[1]) + "]", line)

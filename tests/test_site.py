@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import inspect
 import re
 from pathlib import Path
 
 import pytest
 
+import celnav
+from celnav.filters.track import Track
 from celnav.papers import PAPERS, load
+from docs.conf import SMALL, parameters, written
 from docs.pages import errata, sources
 
 ROOT = Path(__file__).parents[1]
@@ -56,3 +60,60 @@ def test_what_is_in_the_pages_is_in_the_house():
     for path in DOCS.rglob("*.md"):
         text = path.read_text(encoding="utf-8")
         assert all((ROOT / name).exists() for name in re.findall(r"`(tests/[\w./]+)`", text)), path
+
+
+def described(thing):
+    """Fields of what the reference makes of a docstring: text by name."""
+    lines = inspect.getdoc(thing).splitlines()
+    written(None, "", "", thing, None, lines)
+    fields = re.split(rf"^:{SMALL}([\w, ]+): ", "\n".join(lines), flags=re.MULTILINE)
+    return dict(zip(fields[1::2], fields[2::2], strict=True))
+
+
+def test_each_parameter_on_a_line_of_a_docstring_has_its_entry():
+    found = described(celnav.run)
+    assert set(found) == set(inspect.signature(celnav.run).parameters) - {"z", "u"}
+    assert found["filter"] == "any filter.\n"
+    assert found["prior"].startswith("a `celnav.Gaussian`")
+    found = described(Track)
+    assert found["mean"] == "``(T, ..., N)``.\n"
+    assert found["std"].startswith("``(T, ..., n)``. None: not kept.")
+    assert {
+        "times",
+        "belief",
+        "innovation, whitened, used",
+        "events",
+        "engine",
+        "filter, epochs",
+    } <= set(found)
+
+
+PUBLIC = [
+    thing
+    for name in dir(celnav)
+    if not name.startswith("_")
+    if inspect.isclass(thing := getattr(celnav, name)) or inspect.isfunction(thing)
+]
+
+
+@pytest.mark.parametrize("thing", PUBLIC, ids=lambda thing: thing.__name__)
+def test_what_a_docstring_says_of_a_parameter_is_not_within_that_of_another(thing):
+    names = parameters(thing)
+    for text in described(thing).values():
+        inner = re.findall(r"(?:^|[.)`]\s+)(\w+(?:, \w+)*): \S", text)
+        assert [found for found in inner if names.issuperset(found.split(", "))] == []
+
+
+def test_words_with_a_colon_that_are_no_parameters_stay_where_they_are():
+    def thing(a, b):
+        """Do it.
+
+        a: one of two. None: the first. b: another,
+            which is long. Note: it is. a, b: of both.
+        """
+
+    assert described(thing) == {
+        "a": "one of two. None: the first.\n",
+        "b": "another,\n    which is long. Note: it is.\n",
+        "a, b": "of both.",
+    }

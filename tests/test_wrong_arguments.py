@@ -55,7 +55,7 @@ trial: check_groups squares Noiseless.standard_normal
 """
 """What a filter calls at every step takes arrays as they are: a look at each would cost more than the product it makes."""
 INSIDE = """
-checks: numbers finite number integer integers whole choice function sequence together beside instance kind unmasked takes
+checks: as_matrix numbers finite number integer integers whole choice function sequence together beside instance kind unmasked takes
 drawing: Drawing.set render styled
 rules: few AnyDimension
 sparse_grid: check_orders univariate
@@ -288,6 +288,8 @@ CALLS = {
 GAPS = """curve.values bounds.sigma bounds.center trail.points strips.strips arrow.origins arrow.vectors
 pose.origins pose.quaternions points.points ellipsoids.centers ellipsoids.covariance exact.a"""
 MEANT = {
+    "simulate.simulate times": "dates",
+    "trial.drawn times": "dates",
     "attitude.from_euler angles": "nan, infinite",
     "belief.Gaussian mean": "deep",
     "belief.Gaussian.sample size": "empty",

@@ -8,7 +8,7 @@ of an innovation to be given by the measurement's (statistical) Jacobian.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import cache
+from functools import cache, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -47,14 +47,14 @@ def gate(gamma: float) -> Hook:
     """
     if not np.array_equal(gamma, np.inf):
         number("gamma", gamma, above=0.0)
+    return partial(_gate, gamma)
 
-    def hook(memory: Any, joint: Joint, _epoch: Any) -> tuple[Any, Joint]:
-        prior, noise = joint.variances()
-        return memory, joint.leaving_out(
-            np.asanyarray(joint.innovation) ** 2 > gamma**2 * (prior + noise)
-        )
 
-    return hook
+def _gate(gamma: float, memory: Any, joint: Joint, _epoch: Any) -> tuple[Any, Joint]:
+    prior, noise = joint.variances()
+    return memory, joint.leaving_out(
+        np.asanyarray(joint.innovation) ** 2 > gamma**2 * (prior + noise)
+    )
 
 
 def chi_square_gate(probability: float = 0.999) -> Hook:
@@ -65,23 +65,26 @@ def chi_square_gate(probability: float = 0.999) -> Hook:
 
     >>> filter = celnav.ukf(motion, sensor, hooks=[celnav.filters.adaptive.chi_square_gate(0.999)])
     """
-    number("probability", probability, above=0.0, below=1.0)
+    return partial(_chi_square_gate, number("probability", probability, above=0.0, below=1.0))
 
-    @cache
-    def bounds(m: int) -> Array:
-        return np.concatenate([[np.inf], 2.0 * gammaincinv(0.5 * np.arange(1, m + 1), probability)])
 
-    def hook(memory: Any, joint: Joint, _epoch: Any) -> tuple[Any, Joint]:
-        e, V = np.asanyarray(joint.innovation), joint.measurement_noise
-        used, S = present(e), joint.covariances()[0]
-        S = S if V is None else S + V @ V.mT
-        S = np.where(used[..., None] & used[..., None, :], S, np.eye(e.shape[-1]))
-        white = whiten(cholesky(S), np.where(used, e, 0.0))
-        count = np.arange(e.shape[-1] + 1)
-        most = np.where(used.sum(-1)[..., None] == count, bounds(e.shape[-1]), 0.0).sum(-1)
-        return memory, joint.leaving_out((np.vecdot(white, white) > most)[..., None])
+def _chi_square_gate(
+    probability: float, memory: Any, joint: Joint, _epoch: Any
+) -> tuple[Any, Joint]:
+    e, V = np.asanyarray(joint.innovation), joint.measurement_noise
+    used, S = present(e), joint.covariances()[0]
+    S = S if V is None else S + V @ V.mT
+    S = np.where(used[..., None] & used[..., None, :], S, np.eye(e.shape[-1]))
+    white = whiten(cholesky(S), np.where(used, e, 0.0))
+    count, bounds = np.arange(e.shape[-1] + 1), _chi_square_bounds(probability, e.shape[-1])
+    most = np.where(used.sum(-1)[..., None] == count, bounds, 0.0).sum(-1)
+    return memory, joint.leaving_out((np.vecdot(white, white) > most)[..., None])
 
-    return hook
+
+@cache
+def _chi_square_bounds(probability: float, m: int) -> Array:
+    """Quantiles ``(m + 1,)`` of 0 to m degrees of freedom."""
+    return np.concatenate([[np.inf], 2.0 * gammaincinv(0.5 * np.arange(1, m + 1), probability)])
 
 
 # -- windows -------------------------------------------------------------------------------------------------------------
@@ -99,21 +102,24 @@ def innovation_window(M: int, gaps: str = "restart") -> Hook:
     ``C = S0 + A R`` gives the factor ``A = max(1, (C - S0) / R)`` of R; it is 1 until there are M. The noise is only ever inflated,
     and a maneuver inflates it too: it needs a process noise that covers those.
 
+    ``Track.extra["R"]`` has the variances that it used.
+
     ``gaps``: "restart": a missing sample restarts its component's window. "skip": the last M there were, for sensors that are
     slower than the epochs.
 
     >>> filter = celnav.ukf(motion, sensor, hooks=[celnav.filters.adaptive.innovation_window(10)])
     """
-    size = integer("M", M)
     choice("gaps", gaps, ("restart", "skip"))
+    return partial(_innovation_window, integer("M", M), gaps)
 
-    def hook(memory: Window | None, joint: Joint, epoch: Any) -> tuple[Window, Joint]:
-        window = _moved(memory, np.asanyarray(joint.innovation), epoch, size, gaps)
-        prior, noise = joint.variances()
-        A = (np.square(window.samples).mean(0) - prior) / np.where(noise > 0.0, noise, np.inf)
-        return window, joint.inflated(np.sqrt(np.fmax(1.0, A)))  # A is nan until the window is full
 
-    return hook
+def _innovation_window(
+    size: int, gaps: str, memory: Window | None, joint: Joint, epoch: Any
+) -> tuple[Window, Joint]:
+    window = _moved(memory, np.asanyarray(joint.innovation), epoch, size, gaps)
+    prior, noise = joint.variances()
+    A = (np.square(window.samples).mean(0) - prior) / np.where(noise > 0.0, noise, np.inf)
+    return window, joint.inflated(np.sqrt(np.fmax(1.0, A)))  # A is nan until the window is full
 
 
 def _moved(
@@ -148,8 +154,11 @@ def huber(threshold: float = 1.345, rounds: int = 6) -> Hook:
 
     >>> filter = celnav.ukf(motion, sensor, hooks=[celnav.filters.adaptive.huber()])
     """
-    bound = number("threshold", threshold, above=0.0)
-    return _reweighted(lambda u: bound / np.maximum(u, bound), rounds)
+    return _reweighted(partial(_huber, number("threshold", threshold, above=0.0)), rounds)
+
+
+def _huber(bound: float, u: Array) -> Array:
+    return np.asanyarray(bound / np.maximum(u, bound))
 
 
 def student_t(dof: float = 4.0, rounds: int = 6) -> Hook:
@@ -157,8 +166,11 @@ def student_t(dof: float = 4.0, rounds: int = 6) -> Hook:
 
     >>> filter = celnav.ukf(motion, sensor, hooks=[celnav.filters.adaptive.student_t(4.0)])
     """
-    nu = number("dof", dof, above=0.0)
-    return _reweighted(lambda u: (nu + 1.0) / (nu + u * u), rounds)
+    return _reweighted(partial(_student_t, number("dof", dof, above=0.0)), rounds)
+
+
+def _student_t(nu: float, u: Array) -> Array:
+    return np.asanyarray((nu + 1.0) / (nu + u * u))
 
 
 def correntropy(bandwidth: float = 2.0, rounds: int = 6) -> Hook:
@@ -168,26 +180,30 @@ def correntropy(bandwidth: float = 2.0, rounds: int = 6) -> Hook:
 
     >>> filter = celnav.ukf(motion, sensor, hooks=[celnav.filters.adaptive.correntropy()])
     """
-    sigma = number("bandwidth", bandwidth, above=0.0)
-    return _reweighted(lambda u: np.maximum(np.exp(-0.5 * (u / sigma) ** 2), 1e-9), rounds)
+    return _reweighted(partial(_correntropy, number("bandwidth", bandwidth, above=0.0)), rounds)
+
+
+def _correntropy(sigma: float, u: Array) -> Array:
+    return np.maximum(np.exp(-0.5 * (u / sigma) ** 2), 1e-9)
 
 
 def _reweighted(weight: Callable[[Array], Array], rounds: int) -> Hook:
-    most = integer("rounds", rounds, 1, 10_000)
+    return partial(_reweight, weight, integer("rounds", rounds, 1, 10_000))
 
-    def hook(memory: Any, joint: Joint, _epoch: Any) -> tuple[Any, Joint]:
-        e, R, used = _noisy(joint)
-        S0, cross = joint.covariances()
-        S0 = np.where(used[..., None] & used[..., None, :], S0, 0.0)
-        explained = np.where(used[..., None], joint.measurement.jacobian() @ cross, 0.0)
-        W = np.ones_like(R)
-        for _ in range(most):
-            S = S0 + (R / W)[..., None] * np.eye(e.shape[-1])
-            fitted = matvec(explained, np.linalg.solve(S, e[..., None])[..., 0])
-            W = np.where(used, weight(np.abs(e - fitted) / np.sqrt(R)), 1.0)
-        return memory, joint.inflated(1.0 / np.sqrt(W))
 
-    return hook
+def _reweight(
+    weight: Callable[[Array], Array], rounds: int, memory: Any, joint: Joint, _epoch: Any
+) -> tuple[Any, Joint]:
+    e, R, used = _noisy(joint)
+    S0, cross = joint.covariances()
+    S0 = np.where(used[..., None] & used[..., None, :], S0, 0.0)
+    explained = np.where(used[..., None], joint.measurement.jacobian() @ cross, 0.0)
+    W = np.ones_like(R)
+    for _ in range(rounds):
+        S = S0 + (R / W)[..., None] * np.eye(e.shape[-1])
+        fitted = matvec(explained, np.linalg.solve(S, e[..., None])[..., 0])
+        W = np.where(used, weight(np.abs(e - fitted) / np.sqrt(R)), 1.0)
+    return memory, joint.inflated(1.0 / np.sqrt(W))
 
 
 def _noisy(joint: Joint) -> tuple[Array, Array, Array]:
@@ -208,30 +224,30 @@ def sage_husa(forgetting: float = 0.95, least: float = 0.25, smallest: float = 0
     """Estimate the noise's variances from innovations with fading memory [Sage1969].
 
     ``R_k+1 = (1 - d) R_k + d max(e^2 - S0, smallest R)`` where measured, with ``d = (1 - b) / (1 - b^(k+1))`` and b the
-    ``forgetting``, between 0 and 1. What is used is at least ``least R``, with R the nominal variance, and may lie below that.
+    ``forgetting``, between 0 and 1. What is used is at least ``least R``, with R the nominal variance, and may lie below that:
+    ``Track.extra["R"]``.
 
     >>> filter = celnav.ukf(motion, sensor, hooks=[celnav.filters.adaptive.sage_husa(0.98)])
     """
-    number("forgetting", forgetting, above=0.0, below=1.0)
+    b = number("forgetting", forgetting, above=0.0, below=1.0)
     floor, bottom = number("least", least, above=0.0), number("smallest", smallest, above=0.0)
+    return partial(_sage_husa, b, floor, bottom)
 
-    def hook(memory: Estimated | None, joint: Joint, _epoch: Any) -> tuple[Estimated, Joint]:
-        e = np.asanyarray(joint.innovation)
-        prior, nominal = joint.variances()
-        shape = np.broadcast_shapes(e.shape, nominal.shape)
-        noise, count = (
-            (np.broadcast_to(nominal, shape), np.zeros(shape)) if memory is None else memory
-        )
-        used = np.broadcast_to(present(e), shape)
-        d = (1.0 - forgetting) / (1.0 - forgetting ** (count + 1.0))
-        seen = np.maximum(np.where(used, e, 0.0) ** 2 - prior, bottom * nominal)
-        noise = np.where(used, (1.0 - d) * noise + d * seen, noise)
-        ratio = np.maximum(noise, floor * nominal) / np.where(
-            nominal > 0.0, nominal, 1.0
-        )  # of what has no noise 0 stays 0
-        return Estimated(noise, count + used), joint.inflated(np.sqrt(ratio))
 
-    return hook
+def _sage_husa(
+    b: float, floor: float, bottom: float, memory: Estimated | None, joint: Joint, _epoch: Any
+) -> tuple[Estimated, Joint]:
+    e = np.asanyarray(joint.innovation)
+    prior, nominal = joint.variances()
+    shape = np.broadcast_shapes(e.shape, nominal.shape)
+    noise, count = (np.broadcast_to(nominal, shape), np.zeros(shape)) if memory is None else memory
+    used = np.broadcast_to(present(e), shape)
+    d = (1.0 - b) / (1.0 - b ** (count + 1.0))
+    seen = np.maximum(np.where(used, e, 0.0) ** 2 - prior, bottom * nominal)
+    noise = np.where(used, (1.0 - d) * noise + d * seen, noise)
+    # The variance of a component without noise stays 0.
+    ratio = np.maximum(noise, floor * nominal) / np.where(nominal > 0.0, nominal, 1.0)
+    return Estimated(noise, count + used), joint.inflated(np.sqrt(ratio))
 
 
 class InverseGamma(NamedTuple):
@@ -249,35 +265,35 @@ def variational_bayes(forgetting: float = 0.95, samples: float = 2.0, rounds: in
     given the innovation e, ``E[v^2] = (R S^-1 e)^2 + R - R S^-1 R``, in ``rounds`` of a fixed-point iteration. (Of a linear h these
     are the paper's terms, ``z - h`` and the variance of h after the update; of others its integral, with h linearized
     statistically as it was for the update.) At first the nominal variances are worth ``samples``. What was not measured forgets
-    nothing.
+    nothing. The estimates are in the track of the numpy engine, ``Track.extra["R"]``.
 
     >>> filter = celnav.ukf(motion, sensor, hooks=[celnav.filters.adaptive.variational_bayes(0.98)])
+    >>> sigma = np.sqrt(celnav.run(filter, prior, times, z).extra["R"])  # (T, ..., m)
     """
     b, first = (
         number("forgetting", forgetting, above=0.0, most=1.0),
         0.5 * number("samples", samples, above=0.0),
     )
-    most = integer("rounds", rounds, 1, 10_000)
+    return partial(_variational_bayes, b, first, integer("rounds", rounds, 1, 10_000))
 
-    def hook(memory: InverseGamma | None, joint: Joint, _epoch: Any) -> tuple[InverseGamma, Joint]:
-        e, nominal, used = _noisy(joint)
-        S0 = np.where(used[..., None] & used[..., None, :], joint.covariances()[0], 0.0)
-        eye, start = np.eye(e.shape[-1]), np.full(e.shape, first)
-        alpha, beta = (start, start) if memory is None else memory
-        alpha, before = np.where(used, b * alpha + 0.5, alpha), np.where(used, b * beta, beta)
-        beta = before
-        for _ in range(most):
-            factor = beta / alpha
-            R = factor * nominal
-            white = solve_lower(cholesky(S0 + R[..., None] * eye), eye)  # S^-1 = white' white
-            v, variance = (
-                R * matvec(white.mT, matvec(white, e)),
-                R - R**2 * np.square(white).sum(-2),
-            )
-            beta = np.where(used, before + 0.5 * (v**2 + variance) / nominal, beta)
-        return InverseGamma(alpha, beta), joint.inflated(np.sqrt(factor))
 
-    return hook
+def _variational_bayes(
+    b: float, first: float, rounds: int, memory: InverseGamma | None, joint: Joint, _epoch: Any
+) -> tuple[InverseGamma, Joint]:
+    e, nominal, used = _noisy(joint)
+    S0 = np.where(used[..., None] & used[..., None, :], joint.covariances()[0], 0.0)
+    eye, start = np.eye(e.shape[-1]), np.full(e.shape, first)
+    alpha, beta = (start, start) if memory is None else memory
+    alpha, before = np.where(used, b * alpha + 0.5, alpha), np.where(used, b * beta, beta)
+    beta = before
+    for _ in range(rounds):
+        factor = beta / alpha
+        R = factor * nominal
+        white = solve_lower(cholesky(S0 + R[..., None] * eye), eye)  # S^-1 = white' white
+        v = R * matvec(white.mT, matvec(white, e))
+        variance = R - R**2 * np.square(white).sum(-2)
+        beta = np.where(used, before + 0.5 * (v**2 + variance) / nominal, beta)
+    return InverseGamma(alpha, beta), joint.inflated(np.sqrt(factor))
 
 
 # -- underweighting ------------------------------------------------------------------------------------------------------
@@ -291,22 +307,21 @@ def underweighting(beta: float = 0.2, share: float = 0.5) -> Hook:
     >>> filter = celnav.ukf(motion, sensor, hooks=[celnav.filters.adaptive.underweighting()])
     """
     factor, least = number("beta", beta, above=0.0), number("share", share, 0.0, below=1.0)
+    return partial(_underweight, factor, least)
 
-    def hook(memory: Any, joint: Joint, _epoch: Any) -> tuple[Any, Joint]:
-        prior, noise = joint.variances()
-        poor = (present(np.asanyarray(joint.innovation)) & (prior > least * (prior + noise))).any(
-            -1
-        )
-        S0, V = joint.covariances()[0], joint.measurement_noise
-        root = semidefinite_root(
-            factor * np.where(np.abs(S0) < np.inf, S0, 0.0)
-        )  # of a lost run it is all the same
-        extra = np.where(poor[..., None, None], root, 0.0)
-        return memory, joint._replace(
-            measurement_noise=extra if V is None else side_by_side([V, extra])
-        )
 
-    return hook
+def _underweight(
+    factor: float, least: float, memory: Any, joint: Joint, _epoch: Any
+) -> tuple[Any, Joint]:
+    prior, noise = joint.variances()
+    measured = present(np.asanyarray(joint.innovation))
+    poor = (measured & (prior > least * (prior + noise))).any(-1)
+    S0, V = joint.covariances()[0], joint.measurement_noise
+    S0 = np.where(np.abs(S0) < np.inf, S0, 0.0)  # of a run that has failed already
+    extra = np.where(poor[..., None, None], semidefinite_root(factor * S0), 0.0)
+    return memory, joint._replace(
+        measurement_noise=extra if V is None else side_by_side([V, extra])
+    )
 
 
 # -- parity --------------------------------------------------------------------------------------------------------------
@@ -353,29 +368,35 @@ def group_parity(groups: Sequence[ArrayLike], unknowns: int, *, deviations: floa
     >>> hook = celnav.filters.adaptive.group_parity([[0, 1, 2, 3, 4, 5]], unknowns=4)  # six pseudoranges
     """
     members = [
-        np.array(integers("groups", group))
-        for group in sequence("groups", groups, "[[0, 1], [2, 3]]")
+        list(integers("groups", group))
+        for group in sequence("groups", groups, "[[0, 1], [2, 3]]", least=1)
     ]
-    every = [i for group in members for i in group.tolist()]
-    if not every or any(not group.size for group in members) or len(set(every)) != len(every):
+    every = [i for group in members for i in group]
+    if not all(members) or len(set(every)) != len(every):
         raise ValueError("groups: expected groups of components that do not overlap")
     unknowns = min(integer("unknowns", unknowns), 10**9)  # no group is as large
-    number("deviations", deviations, 0.0)
+    return partial(_group_parity, members, unknowns, number("deviations", deviations, 0.0))
 
-    def hook(memory: Any, joint: Joint, _epoch: Any) -> tuple[Any, Joint]:
-        r, _, R, used = _residual(joint)
-        if max(every) >= r.shape[-1]:
-            raise ValueError(f"groups: expected components below {r.shape[-1]}, got {max(every)}")
-        factor, squares = np.ones(r.shape), r**2 / R
-        for group in members:
-            spare = used[..., group].sum(-1) - unknowns
-            enough, spare = spare >= 2, np.maximum(spare, 1)
-            s = squares[..., group].sum(-1) / spare
-            bound = 1.0 + deviations * np.sqrt(2.0 / spare)
-            factor[..., group] = np.where(enough & (s > bound), s, 1.0)[..., None]
-        return memory, joint.inflated(np.sqrt(factor))
 
-    return hook
+def _group_parity(
+    groups: Sequence[list[int]],
+    unknowns: int,
+    deviations: float,
+    memory: Any,
+    joint: Joint,
+    _epoch: Any,
+) -> tuple[Any, Joint]:
+    r, _, R, used = _residual(joint)
+    if (last := max(map(max, groups))) >= r.shape[-1]:
+        raise ValueError(f"groups: expected components below {r.shape[-1]}, got {last}")
+    factor, squares = np.ones(r.shape), r**2 / R
+    for group in groups:
+        spare = used[..., group].sum(-1) - unknowns
+        enough, spare = spare >= 2, np.maximum(spare, 1)
+        s = squares[..., group].sum(-1) / spare
+        bound = 1.0 + deviations * np.sqrt(2.0 / spare)
+        factor[..., group] = np.where(enough & (s > bound), s, 1.0)[..., None]
+    return memory, joint.inflated(np.sqrt(factor))
 
 
 def channel_parity(M: int) -> Hook:
@@ -385,17 +406,17 @@ def channel_parity(M: int) -> Hook:
 
     >>> filter = celnav.ukf(motion, sensor, hooks=[celnav.filters.adaptive.channel_parity(10)])
     """
-    size = integer("M", M)
+    return partial(_channel_parity, integer("M", M))
 
-    def hook(memory: Window | None, joint: Joint, epoch: Any) -> tuple[Window, Joint]:
-        r, variances, R, _ = _residual(joint)
-        spare = variances > 1e-6 * R  # a component that the fit cannot do without has no residual
-        window = _moved(
-            memory, np.where(spare, r**2 / np.where(spare, variances, 1.0), np.nan), epoch, size
-        )
-        return window, joint.inflated(np.sqrt(np.fmax(1.0, window.samples.mean(0))))
 
-    return hook
+def _channel_parity(
+    size: int, memory: Window | None, joint: Joint, epoch: Any
+) -> tuple[Window, Joint]:
+    r, variances, R, _ = _residual(joint)
+    spare = variances > 1e-6 * R  # a component that the fit cannot do without has no residual
+    ratio = np.where(spare, r**2 / np.where(spare, variances, 1.0), np.nan)
+    window = _moved(memory, ratio, epoch, size)
+    return window, joint.inflated(np.sqrt(np.fmax(1.0, window.samples.mean(0))))
 
 
 # -- a gain --------------------------------------------------------------------------------------------------------------
@@ -409,16 +430,15 @@ def consider(n: int, k: int) -> Gain:
     >>> filter = celnav.ukf(motion, sensor, gain=consider(6, 3))
     >>> steady = celnav.ukf(motion, sensor, gain=np.array([[0.4], [0.1]]))  # an alpha-beta filter that knows its own errors
     """
-    integer("n", n), integer("k", k, 0)
+    return partial(_consider, integer("n", n), integer("k", k, 0))
 
-    def gain(A: Array, sign: Array, m: int) -> Array:
-        if A.shape[-2] - m != n + k:
-            raise ValueError(
-                f"consider: expected a state of {n} + {k} components, got {A.shape[-2] - m}"
-            )
-        C = weighted(A[..., : m + n, :], sign) @ A[..., :m, :].mT
-        S = cholesky(C[..., :m, :])
-        K = solve_right(S, solve_lower(S, C[..., m:, :].mT).mT)
-        return np.concatenate([K, np.zeros((*K.shape[:-2], k, m))], -2)
 
-    return gain
+def _consider(n: int, k: int, A: Array, sign: Array, m: int) -> Array:
+    if A.shape[-2] - m != n + k:
+        raise ValueError(
+            f"consider: expected a state of {n} + {k} components, got {A.shape[-2] - m}"
+        )
+    C = weighted(A[..., : m + n, :], sign) @ A[..., :m, :].mT
+    S = cholesky(C[..., :m, :])
+    K = solve_right(S, solve_lower(S, C[..., m:, :].mT).mT)
+    return np.concatenate([K, np.zeros((*K.shape[:-2], k, m))], -2)

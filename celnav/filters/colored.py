@@ -38,6 +38,7 @@ from celnav.filters.sequential import Sequential, checked, missing, sigma_point,
 from celnav.gaussian.belief import Gaussian, symmetric
 from celnav.gaussian.checks import (
     Shape,
+    as_matrix,
     choice,
     finite,
     function,
@@ -78,7 +79,7 @@ def colored(
     motion, sensor: what is believed; ``sensor.R`` is the covariance ``(m, m)`` of the colored noise itself. States and measurements
         are vectors: the difference of two measurements knows nothing of a seam. Where an angle is measured, use `augmented`.
     Phi: ``(..., m, m)``, or a function of the epoch: what carries the noise from one measurement to the next; its spectral radius
-        is at most 1.
+        is at most 1. A number is that multiple of the identity, where R or h is a matrix.
     increments: covariance ``(..., m, m)`` of ``V' - Phi V``, or a function ``(mean, epoch)`` of it; None: that of stationary noise,
         ``R - Phi R Phi'``. Where V is not stationary (``Phi = I`` is a random walk) R is the covariance of its first sample.
     first: whether the first measurement updates the prior. Otherwise it only anchors the first difference, as in the paper, which
@@ -97,8 +98,6 @@ def colored(
             "space: expected states and measurements that are vectors; carry the noise in the state: celnav.augmented"
         )
     phi, once = coloring(Phi, sensor.m), bool(choice("first", first, (False, True)))
-    if callable(sensor.h) and (callable(motion.Q) or callable(motion.sqrt_Q)):
-        raise ValueError("Q: expected a constant where the measurement is a function")
     return Colored(**vars(plain), Phi=phi, zeta=zeta_of(sensor, Phi, increments), first_sample=once)
 
 
@@ -125,7 +124,12 @@ def coloring(Phi: Coloring, m: int | None = None) -> Array | Callable[[Any], Arr
     shape = (..., m or "m", m or "m")
     if callable(Phi):
         return partial(_coloring_at, function("Phi", Phi, "(epoch)"), shape)
-    matrix = finite("Phi", Phi, shape)
+    matrix = as_matrix("Phi", Phi, m)
+    if not matrix.ndim:
+        raise ValueError(
+            f"Phi: expected a matrix (m, m) where neither R nor h is one, got the number {matrix}"
+        )
+    matrix = finite("Phi", matrix, shape)
     radius = np.abs(np.linalg.eigvals(matrix)).max()
     if radius > 1.0 + 1e-9:
         raise ValueError(f"Phi: expected a spectral radius of at most 1, got {radius:.6g}")
@@ -133,13 +137,16 @@ def coloring(Phi: Coloring, m: int | None = None) -> Array | Callable[[Any], Arr
 
 
 def _coloring_at(Phi: Callable[[Any], Array], shape: Shape, epoch: Any) -> Array:
-    return numbers("Phi", unmasked("Phi", Phi(epoch)), shape)
+    matrix = numbers("Phi", unmasked("Phi", Phi(epoch)))
+    if not matrix.ndim and isinstance(shape[-1], int):
+        matrix = np.asanyarray(matrix * np.eye(shape[-1]))
+    return numbers("Phi", matrix, shape)
 
 
 def zeta_of(sensor: Sensor, Phi: Coloring, increments: Any) -> Noise:
     """Columns of the increments, given, or of a stationary noise of covariance R; or a function ``(mean, epoch)`` of them."""
     if increments is not None:
-        given = noise_of("increments", increments, None)
+        given = noise_of("increments", increments, None, sensor.m)
         if isinstance(given, np.ndarray) and sensor.m not in (None, given.shape[-2]):
             raise ValueError(
                 f"increments: expected {sensor.m} rows to go with the sensor's R, got {given.shape[-2]}"
@@ -152,9 +159,12 @@ def zeta_of(sensor: Sensor, Phi: Coloring, increments: Any) -> Noise:
 
 def _stationary(noise: Noise, Phi: Any, mean: Array, epoch: Any) -> Array:
     """Columns of the increments of a stationary noise."""
-    V = at(noise, mean, epoch)
-    carried = (Phi(epoch) if callable(Phi) else Phi) @ V
-    return symmetric(V @ V.mT - carried @ carried.mT, "R - Phi R Phi'")[1]
+    V, phi = at(noise, mean, epoch), Phi(epoch) if callable(Phi) else Phi
+    V = V if V.ndim else V * np.eye(phi.shape[-1])
+    carried = phi @ V
+    return symmetric(
+        V @ V.mT - carried @ carried.mT, "Phi, R: covariance R - Phi R Phi' of the increments"
+    )[1]
 
 
 def difference(Phi: Array, z: Array, z_next: Array) -> Array:
@@ -424,33 +434,38 @@ def augmented(
     if motion.space != EUCLIDEAN or motion.augment or sensor.augment:
         raise ValueError("motion: expected one of vectors, with no noise through the points")
     if sensor.m is None:
-        raise ValueError("R: expected a constant covariance of the noise, got a function")
+        got = "a function" if callable(sensor.noise) else "a number"
+        raise ValueError(f"R: expected a constant covariance (m, m) of the noise, got {got}")
     m, h, phi, zeta = sensor.m, sensor.h, coloring(Phi, sensor.m), zeta_of(sensor, Phi, increments)
-
-    def f(x: Array, epoch: Any) -> Array:
-        moved, Phi = (
-            evaluate(motion, x[..., :-m].copy(order="K"), epoch),
-            phi(epoch) if callable(phi) else phi,
-        )
-        if Phi.ndim > 2:
-            together(points=x.shape[1:-1], Phi=Phi.shape[:-2])
-        return side_by_side([moved, matvec(Phi, x[..., -m:])])
-
-    def noise(mean: Array, epoch: Any) -> Array:
-        return block([[at(motion.noise, mean[..., :-m], epoch), 0], [0, at(zeta, mean, epoch)]])
-
-    def seen(x: Array, epoch: Any) -> Array:
-        return np.asanyarray(sensor.space.plus(h(x[..., :-m], epoch), x[..., -m:]))
-
     measured = (
-        seen
+        partial(_augmented_h, sensor)
         if callable(h)
         else np.concatenate([h, np.broadcast_to(np.eye(m), (*h.shape[:-2], m, m))], -1)
     )
-    both = Sensor(measured, sqrt_R=np.zeros((m, 0)), space=sensor.space)
-    made = sigma_point(Motion(f, sqrt_Q=noise), both, rule=rule, **options)
+    both = Motion(
+        partial(_augmented_f, motion, phi, m), sqrt_Q=partial(_augmented_noise, motion, zeta, m)
+    )
+    seen = Sensor(measured, sqrt_R=np.zeros((m, 0)), space=sensor.space)
+    made = sigma_point(both, seen, rule=rule, **options)
     return Augmented(
         **vars(made),
         sqrt_V=tria(np.asanyarray(sensor.noise)),
         runs=() if callable(Phi) else np.shape(Phi)[:-2],
     )
+
+
+def _augmented_f(motion: Motion, phi: Any, m: int, x: Array, epoch: Any) -> Array:
+    moved = evaluate(motion, x[..., :-m].copy(order="K"), epoch)
+    Phi = phi(epoch) if callable(phi) else phi
+    if Phi.ndim > 2:
+        together(points=x.shape[1:-1], Phi=Phi.shape[:-2])
+    return side_by_side([moved, matvec(Phi, x[..., -m:])])
+
+
+def _augmented_noise(motion: Motion, zeta: Noise, m: int, mean: Array, epoch: Any) -> Array:
+    return block([[at(motion.noise, mean[..., :-m], epoch), 0], [0, at(zeta, mean, epoch)]])
+
+
+def _augmented_h(sensor: Sensor, x: Array, epoch: Any) -> Array:
+    m: int = sensor.m or 0
+    return np.asanyarray(sensor.space.plus(sensor.h(x[..., :-m], epoch), x[..., -m:]))

@@ -52,6 +52,9 @@ class Compiled:
     def __repr__(self) -> str:
         return f"Compiled({self.filter!r})"
 
+    def __getstate__(self) -> dict[str, Any]:
+        return self.__dict__ | {"_kept": {}}  # addresses of machine code are of this process
+
     def run(
         self,
         prior: Any,

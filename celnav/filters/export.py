@@ -12,6 +12,7 @@ import numpy as np
 from celnav.files import write_text
 from celnav.filters.engine import PART, TALLY, Engine, Kind, Shape, entries
 from celnav.filters.flight import as_data, sensors
+from celnav.filters.model import check_prior
 from celnav.filters.records import Epoch
 from celnav.gaussian.checks import integers, number
 from celnav.tape import c
@@ -39,6 +40,7 @@ def export_c(
     """
     if not re.fullmatch(r"[A-Za-z_]\w*", name):
         raise ValueError(f"name: expected an identifier of C, got {name!r:.80}")
+    check_prior(prior)
     if np.ndim(prior.mean) != 1:
         raise ValueError(
             f"prior: expected that of one run, a mean (N,), got {np.shape(prior.mean)}"

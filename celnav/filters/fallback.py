@@ -114,6 +114,6 @@ def merged(lost: Array, info: Info, other: Info) -> Info:
     return info._replace(
         **{
             name: one(name)
-            for name in ("innovation", "whitened", "used", "sqrt_S", "gain", "jacobian")
+            for name in ("innovation", "whitened", "used", "sqrt_S", "gain", "jacobian", "R")
         }
     )

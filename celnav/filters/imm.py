@@ -16,7 +16,7 @@ from celnav.gaussian.checks import finite, kind, sequence
 from celnav.gaussian.linalg import Array, Belief, SquareRoot, whiten
 from celnav.gaussian.spaces import EUCLIDEAN, Space
 
-__all__ = ["imm", "mixed"]
+__all__ = ["InteractingModels", "imm", "mixed"]
 LEAST = -float(np.finfo(float).max)  # what can be taken off minus infinity
 
 

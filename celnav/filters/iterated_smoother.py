@@ -47,7 +47,7 @@ def iterated_smoother(
     """
     plain("filter", filter)
     count = integer("iterations", iterations, 1, MOST_ITERATIONS)
-    by, why = choice("engine", engine or ENGINE.get(), ENGINES), ""
+    by, why = choice("engine", ENGINE.get() if engine is None else engine, ENGINES), ""
     epochs, relinearized = list(as_epochs(times, z, u)), Relinearized.of(filter)
     flown: Any = filter
     again: Any = relinearized

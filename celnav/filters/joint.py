@@ -230,6 +230,8 @@ def joint(
                     )
                 )
     state = images[-1]
+    if V is not None and not V.ndim:  # a standard deviation alone
+        V = V * np.eye(images[0].columns.shape[-2])
     for name, columns, image in (
         ("Q", W and W[1], state),
         ("Q" if isinstance(first, Motion) else "R", V, images[0]),
@@ -428,7 +430,8 @@ def condition(
     def optimal() -> Array:
         return solve_right(S, U) if K is None else K
 
-    info = Info(given, whitened, used, S, optimal, measured.jacobian)
+    R = None if not hooks else joint.variances()[1]
+    info = Info(given, whitened, used, S, optimal, measured.jacobian, R=R)
     mean = space.plus(state.center, step)
     together = spread.ndim == 2 or spread.shape[:-2] == mean.shape[:-1]
     return form(mean, spread) if together else whole(form, mean, spread), info, memory

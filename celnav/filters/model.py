@@ -72,7 +72,7 @@ class _Model:
 
     def __post_init__(self) -> None:
         name, noise = self.name, self.noise_name
-        model, columns = getattr(self, name), self.noise
+        model = getattr(self, name)
         if not callable(model):
             matrix = finite(name, model)
             if matrix.ndim < 2 or (name == "f" and matrix.shape[-1] != matrix.shape[-2]):
@@ -80,11 +80,12 @@ class _Model:
                 raise ValueError(
                     f"{name}: expected a function (points, epoch) or a matrix {shape}, got shape {matrix.shape}"
                 )
+            object.__setattr__(self, name, matrix)
+            columns = self.noise
             if isinstance(columns, np.ndarray) and columns.shape[-2] != matrix.shape[-2]:
                 raise ValueError(
                     f"{noise}: expected {matrix.shape[-2]} rows to go with {name}, got {columns.shape[-2]}"
                 )
-            object.__setattr__(self, name, matrix)
         elif not any(
             takes(model, count) for count in range(2, 10)
         ):  # how many noises go through it only the filter knows
@@ -104,7 +105,7 @@ class _Model:
             raise ValueError(
                 f"augment: expected a function {name}(points, epoch, *noise) with it, got a matrix; {noise} is its noise"
             )
-        if columns is None and not len(roots):
+        if self.noise is None and not len(roots):
             raise ValueError(
                 f"{noise}: expected the noise's covariance, {noise} or sqrt_{noise}; without noise it is np.zeros((k, k))"
             )
@@ -112,11 +113,18 @@ class _Model:
     @cached_property
     def noise(self) -> Noise:
         """Columns ``(..., k, r)`` of the noise, or a function ``(mean, epoch)`` of them."""
-        return noise_of(
-            self.noise_name,
-            getattr(self, self.noise_name),
-            getattr(self, f"sqrt_{self.noise_name}"),
-        )
+        model, name = getattr(self, self.name), self.noise_name
+        rows: Rows = (
+            self.space if self.name == "f" else None
+        )  # of a measurement its values have them
+        if not callable(model):
+            rows = model.shape[-2]
+        return noise_of(name, getattr(self, name), getattr(self, f"sqrt_{name}"), rows)
+
+    def columns(self, mean: Array, epoch: Any, rows: int) -> Any:
+        """Columns ``(..., rows, r)`` of the noise at an epoch; None: all of it goes through the points."""
+        columns = self.noise(mean, epoch) if callable(self.noise) else self.noise
+        return None if columns is None else _widened(columns, rows)
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,8 +134,9 @@ class Motion(_Model):
     f: function ``(points (p, ..., N), epoch) -> (p, ..., N)``, or a matrix ``(..., n, n)``, or a `Linear` one of the epoch.
         ``epoch.dt`` is the interval, ``epoch.u`` the input.
     Q: covariance ``(..., n, n)`` of the process noise of an interval, or a function ``(mean, epoch)`` of it. Without noise it is
-        ``np.zeros((n, n))``.
-    sqrt_Q: columns ``(..., n, r)`` of the noise instead of ``Q``, or a function of them.
+        ``np.zeros((n, n))``. A number is that multiple of the identity.
+    sqrt_Q: columns ``(..., n, r)`` of the noise instead of ``Q``, or a function of them; a number is a
+        standard deviation.
     space: what a difference of states is, where they are no vectors: `celnav.angles`, `celnav.gaussian.attitude`.
     jacobian: ``(mean, epoch) -> (..., n, n)``, which an extended filter uses instead of differences.
     augment: roots ``(k, k)`` of noises that go *through* the points: ``f(x, epoch, *noise)``.
@@ -174,7 +183,8 @@ class Sensor(_Model):
     @cached_property
     def m(self) -> int | None:
         """How many components the noise says there are; None if it does not say."""
-        return self.noise.shape[-2] if isinstance(self.noise, np.ndarray) else None
+        columns = self.noise
+        return columns.shape[-2] if isinstance(columns, np.ndarray) and columns.ndim else None
 
     @cached_property
     def noisy(self) -> bool:
@@ -185,29 +195,50 @@ class Sensor(_Model):
 
 
 Noise = Array | Callable[[Array, Any], Array] | None
-"""Columns ``(..., k, r)`` of a noise, or a function ``(mean, epoch)`` of them; None: without."""
+"""Columns ``(..., k, r)`` of a noise, or a function ``(mean, epoch)`` of them; None: without.
+
+A standard deviation alone, ``()``, is that multiple of the identity, with the rows that the model has."""
+Rows = int | Space | None
 
 
-def noise_of(name: str, cov: Any, sqrt: Any) -> Noise:
-    """Columns of a noise, from a covariance or a root, a constant (checked once) or a function."""
+def noise_of(name: str, cov: Any, sqrt: Any, rows: Rows = None) -> Noise:
+    """Columns of a noise, from a covariance or a root, a constant (checked once) or a function.
+
+    rows: of the columns that a number stands for, or the space of the mean; None: it stays a number.
+    """
     if cov is not None and sqrt is not None:
         raise ValueError(f"{name}: expected one of {name} and sqrt_{name}, got both")
-    if callable(sqrt):
-        return partial(_columns_at, function(f"sqrt_{name}", sqrt, "(mean, epoch)"), f"sqrt_{name}")
-    if callable(cov):
-        return partial(_root_at, function(name, cov, "(mean, epoch)"), name)
-    if sqrt is not None:
-        return finite(f"sqrt_{name}", sqrt, (..., "n", None))
-    return None if cov is None else symmetric(cov, name)[1]
+    if cov is None and sqrt is None:
+        return None
+    value, name, columns = (sqrt, f"sqrt_{name}", _root) if cov is None else (cov, name, _cov)
+    if callable(value):
+        return partial(_noise_at, function(name, value, "(mean, epoch)"), columns, name, rows)
+    constant = columns(name, finite(name, value))
+    if constant.ndim or not isinstance(rows, Space):
+        return _widened(constant, rows)
+    return partial(_widened, constant, rows)
 
 
-def _columns_at(function: Any, name: str, mean: Array, epoch: Any) -> Array:
-    columns = matrices_of(name, function, mean, epoch)
-    return numbers(name, columns, (..., "n", None))
+def _root(name: str, value: Any) -> Array:
+    root = numbers(name, value)
+    return numbers(name, root, (..., "n", None)) if root.ndim else root
 
 
-def _root_at(function: Any, name: str, mean: Array, epoch: Any) -> Array:
-    return symmetric(matrices_of(name, function, mean, epoch), name)[1]
+def _cov(name: str, value: Any) -> Array:
+    P = numbers(name, value)
+    return symmetric(P, name)[1] if P.ndim else symmetric(P.reshape(1, 1), name)[1][..., 0, 0]
+
+
+def _noise_at(model: Any, columns: Any, name: str, rows: Rows, mean: Array, epoch: Any) -> Array:
+    return _widened(columns(name, matrices_of(name, model, mean, epoch)), rows, mean)
+
+
+def _widened(columns: Array, rows: Rows, mean: Any = None, _epoch: Any = None) -> Array:
+    """The columns; of a standard deviation alone those of its multiple of the identity."""
+    if columns.ndim or rows is None:
+        return columns
+    count = rows.minus(mean, mean).shape[-1] if isinstance(rows, Space) else rows
+    return np.asanyarray(columns * np.eye(count))
 
 
 def matrices_of(name: str, function: Any, mean: Array, epoch: Any) -> Array:
@@ -229,9 +260,14 @@ def check_roots(name: str, roots: Any) -> Sequence[Array]:
     return roots
 
 
-def check_matrices(n: int, *models: Motion | Sensor) -> None:
-    """Matrices among models of a state go with its ``n`` deviations; ValueError names one that does not."""
+def check_matrices(N: int, n: int, *models: Motion | Sensor) -> None:
+    """Matrices among models go with a state of N components and n deviations; ValueError names one that does not."""
     for name, matrix in ((model.name, getattr(model, model.name)) for model in models):
+        if n != N and is_linear(matrix):
+            raise ValueError(
+                f"{name}: expected a function where states have {N} components and {n} deviations, "
+                "such as lambda x, epoch: x[..., -3:], got a matrix"
+            )
         if not callable(matrix) and matrix.shape[-1] != n:
             raise ValueError(
                 f"{name}: expected a matrix ({'n' if name == 'f' else 'm'}, {n}), got {matrix.shape[-2:]}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from datetime import UTC, date, timedelta
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -20,9 +21,11 @@ __all__ = [
     "FromFunctions",
     "Info",
     "State",
+    "as_seconds",
     "check_interval",
     "epochs",
     "still",
+    "without_input",
 ]
 
 _LOG_2PI = float(np.log(2.0 * np.pi))
@@ -68,6 +71,7 @@ class Info(NamedTuple):
     gain, jacobian: ``() -> (..., n, m)`` and ``() -> (..., m, n)``, the measurement's (statistical) Jacobian.
     redone: ``(...)`` bool, the runs that a `celnav.filters.fallback.Fallback` did again; None if there was none.
     silent: whether there was no measurement at all, not even nan.
+    R: ``(..., m)`` variances of the measurement noise as the hooks left them; None without hooks.
     mixture: ``(...)``, the log-likelihood where ``sqrt_S`` does not say it: after a compiled step, and where the density is no
         Gaussian, of which ``whitened`` then has the moments; else None.
 
@@ -84,6 +88,7 @@ class Info(NamedTuple):
     redone: Array | None = None
     silent: bool = False
     mixture: Array | None = None
+    R: Array | None = None
 
     @property
     def nis(self) -> Array | None:
@@ -221,14 +226,19 @@ def _at(values: Any, k: int) -> Any:
 def epochs(times: ArrayLike, z: Any = None, u: Any = None, truth: Any = None) -> Epochs:
     """Epochs at ``times (T,)``, which may be irregular.
 
-    times: s, not decreasing. The first epoch has ``dt = 0``: it updates the prior.
-    z: measurements ``(T, ..., m)``, time-major, nan where missing; a tuple of such arrays for several sensors.
-    u: inputs; ``u[k]`` acts from ``times[k]`` to ``times[k + 1]``. A tuple is taken apart.
-    truth: anything indexed by the epoch.
+    times: s, not decreasing; of dates, in any time zone, seconds since the first. The first epoch has
+        ``dt = 0``: it updates the prior.
+    z: measurements ``(T, ..., m)``, time-major, nan where missing; a tuple of such arrays for
+        several sensors.
+    u: inputs; ``u[k]`` acts from ``times[k]`` to ``times[k + 1]``, so that there are T - 1, or T of
+        which the last is not used. A tuple is taken apart.
+    truth: T of anything indexed by the epoch.
+
+    Each may be a table or a column of pandas, of which the rows count in their order.
 
     >>> track = celnav.run(filter, prior, celnav.epochs(times, z)[:100])
     """
-    t = finite("times", times)
+    t = finite("times", as_seconds(times))
     if t.ndim != 1 or len(t) == 0:
         raise ValueError(f"times: expected shape (T,) with T > 0, got {t.shape}")
     back = np.flatnonzero(np.diff(t) < 0.0)
@@ -243,39 +253,86 @@ def epochs(times: ArrayLike, z: Any = None, u: Any = None, truth: Any = None) ->
             if isinstance(z, tuple)
             else _measurements(z, len(t))
         )
-    for name, values, least in (("u", u, len(t) - 1), ("truth", truth, len(t))):
-        for part in values if isinstance(values, tuple) else (values,):
-            if part is not None and _rows(name, part) < least:
-                raise ValueError(
-                    f"{name}: expected at least {least} rows for {len(t)} times, got {len(part)}"
-                )
+    u, truth = _rows("u", u, len(t)), _rows("truth", truth, len(t))
     return Epochs(t, z, u, truth)
 
 
-def _rows(name: str, values: Any) -> int:
-    """How many rows there are."""
+def as_seconds(times: Any) -> Any:
+    """Times as numbers: dates, of any time zone, as seconds since the first, durations as seconds."""
     try:
-        if not isinstance(values, str):
-            count = len(values)
-            if count:
-                values[0]  # a set or a table has none
-            return count
+        array = np.asarray(times)
+        if array.dtype.kind == "M":
+            return (array - array[:1]) / np.timedelta64(1, "s")
+        if array.dtype.kind == "m":
+            return array / np.timedelta64(1, "s")
+        if array.dtype.kind == "O" and isinstance(array[0], date):
+            # Of one time zone Python subtracts the clocks, whatever daylight saving does to them.
+            utc = [t.astimezone(UTC) if getattr(t, "tzinfo", None) else t for t in array]
+            return [(t - utc[0]) / timedelta(seconds=1) for t in utc]
+    except (AttributeError, IndexError, TypeError, ValueError):
+        pass  # what cannot be dates is refused as numbers
+    return times
+
+
+def _rows(name: str, values: Any, times: int) -> Any:
+    """Values of which ``values[k]`` is a row; ValueError names them if rows do not go with the times."""
+    if isinstance(values, tuple):
+        return tuple(_rows(name, part, times) for part in values)
+    if values is None:
+        return None
+    if hasattr(values, "__array__") and not isinstance(values, np.ndarray):
+        array = np.asarray(values)  # a table of pandas has its rows elsewhere
+        values = array if array.dtype.kind in "biuf" else numbers(name, array)
+    try:
+        count = -1 if isinstance(values, str) else len(values)
+        if count > 0:
+            values[0]  # a set or a dict has none
     except (TypeError, KeyError, IndexError):
-        pass
-    raise ValueError(f"{name}: expected a sequence with a row for each time, got {kind(values)}")
+        count = -1
+    if count < 0:
+        raise ValueError(
+            f"{name}: expected a sequence with a row for each time, got {kind(values)}"
+        )
+    if count != times and (name != "u" or count != times - 1):
+        acts = " (row k acts from times[k] to times[k + 1])" if name == "u" else ""
+        raise ValueError(
+            f"{name}: expected {times - (name == 'u')} rows for {times} times{acts}, got {count}"
+        )
+    return _locked(values) if isinstance(values, np.ndarray) else values
+
+
+def _locked(values: Array) -> Array:
+    """A view of values that a model cannot write into: it is called more than once in an epoch."""
+    view = values.view()
+    view.flags.writeable = False
+    return view
 
 
 def _measurements(z: ArrayLike, length: int) -> Array:
     measured = numbers("z", z)
     if measured.ndim < 2 or len(measured) != length:
-        hint = "; one component is z[:, None]" if measured.shape == (length,) else ""
+        column = "z.to_frame()" if hasattr(z, "to_frame") else "z[:, None]"
+        hint = f"; one component is {column}" if measured.shape == (length,) else ""
         raise ValueError(
             f"z: expected shape ({length}, ..., m) to go with the times, got {measured.shape}{hint}"
         )
     if np.isinf(measured).any():
         k = int(np.argwhere(np.isinf(measured))[0, 0])
         raise ValueError(f"z: expected finite numbers or nan, got an infinite one at index {k}")
-    return measured
+    return _locked(measured)
+
+
+def without_input(error: Exception, epoch: Any) -> Exception:
+    """The error of a model; where it comes from an input that an epoch does not have, one that says so."""
+    raw = isinstance(error, AttributeError | TypeError) and "NoneType" in str(error)
+    if not raw or getattr(epoch, "u", None) is not None:
+        return error
+    if np.any(epoch.dt):
+        return ValueError(f"u: expected an input at t = {epoch.t}, where a model uses it, got None")
+    return ValueError(
+        f"u: expected models that need no input at t = {epoch.t}: no interval leads up to the first epoch. "
+        "Make that measurement nan, or let the model use a value of its own where epoch.u is None"
+    )
 
 
 def check_interval(filter: Any, epoch: Any, before: Any) -> None:

@@ -11,7 +11,15 @@ from numpy.typing import ArrayLike
 
 from celnav.filters.joint import at
 from celnav.filters.mixing import LOOKED_AT, WATCH
-from celnav.filters.records import Epoch, Filter, FilterError, Info, check_interval, epochs
+from celnav.filters.records import (
+    Epoch,
+    Filter,
+    FilterError,
+    Info,
+    check_interval,
+    epochs,
+    without_input,
+)
 from celnav.filters.sequential import Sequential
 from celnav.filters.track import Collector, Track
 from celnav.gaussian.belief import settled
@@ -35,8 +43,9 @@ def run(
     """Run a filter over epochs and collect a `Track`.
 
     filter: any filter. prior: a `celnav.Gaussian` of any batch shape.
-    times: ``(T,)`` s, with measurements ``z (T, ..., m)`` (nan where missing; a tuple for several sensors) and inputs ``u``; or,
-        instead of the three, epochs that are made already (`celnav.epochs`), or any iterable of `Epoch`.
+    times: ``(T,)`` s, or dates, with measurements ``z (T, ..., m)`` (nan where missing; a tuple for
+        several sensors) and inputs ``u``, as `celnav.epochs` takes them; or, instead of the three,
+        epochs that are made already, or any iterable of `Epoch`.
     every: store each ``every``-th epoch (sums, likelihood and reduction take all of them).
     keep: what to store: "std" (mean and standard deviations), "cov" (also covariances, for smoothing), "mean", or "nothing" (sums
         and the reduction only).
@@ -55,9 +64,9 @@ def run(
         function("also", also, "(epoch, state, infos)")
     if reduce is not None:
         function("reduce", reduce, "(accumulated, epoch, state, infos)")
-    if (engine := choice("engine", engine or ENGINE.get(), ENGINES)) != "numpy" or hasattr(
-        filter, "run"
-    ):  # a compiled filter
+    if (
+        engine := choice("engine", ENGINE.get() if engine is None else engine, ENGINES)
+    ) != "numpy" or hasattr(filter, "run"):  # a compiled filter
         from celnav.filters.compiled import run_by
 
         given = as_epochs(times, z, u)
@@ -102,7 +111,7 @@ def run(
 def as_epochs(times: Any, z: Any, u: Any) -> Iterable[Epoch]:
     """Epochs of numbers, or what are epochs already; of a stream nothing is taken."""
     listed = isinstance(times, list | tuple) and not any(hasattr(one, "dt") for one in times[:1])
-    if listed or isinstance(times, np.ndarray) or np.isscalar(times):
+    if listed or hasattr(times, "__array__") or np.isscalar(times):
         return epochs(times, z, u)
     if z is not None or u is not None:
         raise ValueError("z: expected none beside epochs, which have their measurements and inputs")
@@ -135,8 +144,11 @@ def steps(
         try:
             state, infos = filter.step(state, epoch)
         except Exception as error:
-            error.add_note(f"in step {epoch.k}, t = {epoch.t}")
-            raise
+            cause = without_input(error, epoch)
+            cause.add_note(f"in step {epoch.k}, t = {epoch.t}")
+            if cause is error:
+                raise
+            raise cause from error
         finally:
             LOOKED_AT.reset(token)
         if "belief" in getattr(state, "_fields", ()):
@@ -167,19 +179,22 @@ def explain(filter: Any, before: Any, after: Any, epoch: Epoch) -> str:
             filter.step(before, epoch)
     finally:
         WATCH.reset(token)
-    if found:
+    predicted = (
+        filter.predict(before, epoch)
+        if getattr(type(filter), "step", None) is Sequential.step
+        else before
+    )
+    unpredicted = (predicted.belief.lost() & lost).any()
+    if found and not (
+        unpredicted and found[0].startswith("h ")
+    ):  # h is not to blame for its points
         return found[0]
     within = (
         filter if hasattr(filter, "sensors") else getattr(filter, "first", filter)
     )  # of two filters, or of two stages
     if not hasattr(getattr(within, "filter", within), "sensors"):
         return "the estimate is not finite"
-    predicted = (
-        filter.predict(before, epoch)
-        if getattr(type(filter), "step", None) is Sequential.step
-        else before
-    )
-    if epoch.z is None or (predicted.belief.lost() & lost).any():
+    if epoch.z is None or unpredicted:
         return "the covariance lost positive definiteness"
     why = "the innovation covariance is not positive definite"
     for sensor in getattr(filter, "sensors", ()):

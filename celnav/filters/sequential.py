@@ -79,11 +79,15 @@ class Sequential:
             raise ValueError(
                 f"space: expected one for states of {N} components with {n} deviations, got vectors"
             )
-        check_matrices(n, self.motion, *self.sensors)
-        if n != N and not all(callable(sensor.h) for sensor in self.sensors):
+        space = self.motion.space
+        if space.check is not None:
+            space.check(belief.mean, "prior")
+        if (tangent := space.minus(belief.mean, belief.mean).shape[-1]) != n:
             raise ValueError(
-                f"h: expected a function where states have {N} components and {n} deviations, got a matrix"
+                f"prior: expected a covariance ({tangent}, {tangent}) of the deviations of states "
+                f"of {N} components, got ({n}, {n})"
             )
+        check_matrices(N, n, self.motion, *self.sensors)
         if not all(by_matrix(model, self.rule) for model in (self.motion, *self.sensors)):
             belief = whole(
                 self.form, *belief

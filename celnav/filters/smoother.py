@@ -17,15 +17,31 @@ import numpy as np
 
 from celnav.filters.colored import Colored
 from celnav.filters.fallback import Fallback
+from celnav.filters.fixed_lag import FixedLag
+from celnav.filters.imm import InteractingModels
 from celnav.filters.joint import condition
 from celnav.filters.records import Epoch, FilterError
 from celnav.filters.regression import pseudo_gain
 from celnav.filters.sequential import Sequential, SingleDraw
 from celnav.filters.track import Track
+from celnav.filters.two_stage import TwoStage
 from celnav.gaussian.checks import choice, instance, kind
 from celnav.gaussian.linalg import NEGLIGIBLE, Array, Belief
 
 __all__ = ["back", "smooth"]
+
+FORWARD_ONLY: dict[type, str] = {
+    Colored: "whose differences of measurements share their noise with the motion; smooth a track of "
+    "celnav.augmented(motion, sensor, Phi), which has the colored noise as states",
+    TwoStage: "whose stages have no joint model of state and bias to go back by; smooth a track of celnav.ukf "
+    "with the bias as a state",
+    InteractingModels: "whose estimate is a mixture, which none of its models leads back from; smooth the track "
+    "of one of its filters alone",
+    SingleDraw: "which draws the noise of motion and sensor together; smooth a track of the filter that it was "
+    "made of",
+    FixedLag: "which smooths its last epochs by filter.track(state); smooth a track of its own filter",
+}
+"""Filters of which a track cannot be smoothed: why, and which one takes their place."""
 
 
 def smooth(
@@ -34,8 +50,9 @@ def smooth(
     """Estimates of all states given *all* measurements, from the track of a filter.
 
     track: of ``run(..., keep="cov")``, every epoch stored.
-    filter: the filter of the track, which has it unless it was pickled. Process and measurement noise must be independent: smooth
-        colored measurement noise with the track of `celnav.augmented`.
+    filter: the filter of the track, which has it unless it was pickled. It predicts, then updates, as
+        `celnav.ukf` and its siblings do. In place of `celnav.colored` smooth `celnav.augmented`, in place
+        of `celnav.two_stage` a filter with the bias as a state, in place of `celnav.imm` one of its models.
     gains: store the gains ``(T, ..., n, n)``, ``extra["gain"]``: the k-th acts from epoch k + 1 to k, the last is 0.
     on_failure: "raise" a `FilterError` if the smoother loses a run, or "flag" it (nan from there *back*, and ``failed_at``).
 
@@ -56,8 +73,12 @@ def smooth(
         )
     chosen = chosen.first if isinstance(chosen, Fallback) else chosen
     if not isinstance(chosen, Sequential) or isinstance(chosen, Colored | SingleDraw):
-        expected = "one whose process and measurement noise are independent, such as ukf"
-        raise ValueError(f"filter: expected {expected}, got {kind(chosen)}")
+        reason = next(
+            (f", {why}" for of, why in FORWARD_ONLY.items() if isinstance(chosen, of)), ""
+        )
+        raise ValueError(
+            f"filter: expected one that predicts, then updates, such as celnav.ukf, got {kind(chosen)}{reason}"
+        )
     epochs = track.epochs
     if any(b.k != a.k + 1 for a, b in pairwise(epochs)):
         raise ValueError("track: expected every epoch, got some of them; run with every=1")

@@ -41,7 +41,10 @@ class Track:
     events: counts ``(...)`` over all epochs: "missing" and "rejected" components, "redone" steps. Where ``z`` was None, as many are
         missing as that sensor has at other epochs.
     failed_at: ``(...)`` index of the first epoch at which a run is not finite, -1 for none.
-    extra, reduced: what ``run(also=...)`` gave, and what ``run(reduce=...)`` ended with.
+    extra: what ``run(also=...)`` gave; and "R" where the numpy engine ran a filter with hooks: ``(T, ..., m)``, the
+        variances of the measurement noise as they left them, such as those that `variational_bayes` estimates, of all
+        sensors with hooks side by side.
+    reduced: what ``run(reduce=...)`` ended with.
     engine: what flew it, "numpy", "compiled" or "cuda"; with ``run(engine="auto")`` also why it was not compiled.
     filter, epochs: for `celnav.smooth`; the epochs have lost their measurements, and a track that was pickled its filter.
 
@@ -176,7 +179,7 @@ def _stored(name: str, value: Any, what: str) -> Any:
 
 
 _KEPT = {"nothing": (), "mean": ("mean",), "std": ("mean", "std"), "cov": ("mean", "std", "cov")}
-_BLANK = {"innovation": np.nan, "whitened": 0.0, "used": False}
+_BLANK = {"innovation": np.nan, "whitened": 0.0, "used": False, "R": np.nan}
 """What stands for components that a sensor has at other epochs."""
 
 
@@ -276,7 +279,8 @@ class Collector:
         measured = sorted(key for key in self._rows if key[0] == "innovation")
         widths = tuple(max(row.shape[-1] for row in self._rows[key].values()) for key in measured)
         rows: dict[str, Any] = {name: self._stacked(name) for name in ("mean", "std", *_BLANK)}
-        cov = self._stacked("cov", axes=2)
+        cov, R = self._stacked("cov", axes=2), rows.pop("R")
+        extra = {} if R is None else {"R": R}
         return Track(
             times=times,
             **rows,
@@ -285,7 +289,7 @@ class Collector:
             events=sums,
             failed_at=self._failed_at,
             sensors=widths,
-            extra={name: np.stack(values) for name, values in self._extra.items()},
+            extra=extra | {name: np.stack(values) for name, values in self._extra.items()},
             reduced=reduced,
             filter=filter,
             epochs=tuple(self._epochs),

@@ -21,7 +21,7 @@ from celnav.filters.records import Epoch, Info, State, still
 from celnav.filters.regression import pseudo_gain
 from celnav.filters.sequential import Sequential, plain, sigma_point
 from celnav.gaussian.belief import Gaussian, symmetric
-from celnav.gaussian.checks import finite, function, instance, kind, numbers
+from celnav.gaussian.checks import as_matrix, finite, function, instance, kind, numbers
 from celnav.gaussian.linalg import (
     Array,
     SquareRoot,
@@ -201,7 +201,7 @@ class TwoStage:
             )
         if boost is not None:
             function("boost", boost, "(memory, seen)")
-        walk = None if Qb is None else symmetric(Qb, "Qb", p)[1]
+        walk = None if Qb is None else symmetric(as_matrix("Qb", Qb, p), "Qb", p)[1]
         return cls(first, slope, bias, walk=walk, boost=boost)
 
     def start(self, prior: Gaussian) -> TwoStageState:

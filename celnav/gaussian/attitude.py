@@ -8,6 +8,8 @@ fast as scipy's objects, and smooth at the identity. Only `unit`, `from_euler` a
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -213,18 +215,19 @@ def attitude(a: float = 1.0, b: float = 4.0, *, transported: bool = False) -> Sp
     >>> motion = celnav.Motion(f, Q, space=attitude())
     """
     a, b = number("a", a, 0.0, 1.0), number("b", b, above=0.0)
+    carry = partial(transport, a=a, b=b) if transported else None
+    return Space(partial(_turned, a, b), partial(_difference, a, b), carry, check=unit)
 
-    def plus(point: Array, tangent: Array) -> Array:
-        square = np.square(point).sum(-1, keepdims=True)
-        if surely(np.abs(square - 1.0).max(initial=0.0) > 2.0 * UNIT_TOLERANCE):
-            raise ValueError(
-                f"state: expected unit quaternions, got a norm of {np.sqrt(square.max()):.6g}"
-            )
-        return multiply(
-            from_rodrigues(tangent, a, b), point * (1.5 - 0.5 * square)
-        )  # round-off does not add up
 
-    def minus(later: Array, earlier: Array) -> Array:
-        return to_rodrigues(multiply(later, inverse(earlier)), a, b)
+def _turned(a: float, b: float, point: Array, tangent: Array) -> Array:
+    square = np.square(point).sum(-1, keepdims=True)
+    if surely(np.abs(square - 1.0).max(initial=0.0) > 2.0 * UNIT_TOLERANCE):
+        raise ValueError(
+            f"state: expected unit quaternions, got a norm of {np.sqrt(square.max()):.6g}"
+        )
+    # Round-off of the norm does not add up.
+    return multiply(from_rodrigues(tangent, a, b), point * (1.5 - 0.5 * square))
 
-    return Space(plus, minus, (lambda p: transport(p, a, b)) if transported else None, check=unit)
+
+def _difference(a: float, b: float, later: Array, earlier: Array) -> Array:
+    return to_rodrigues(multiply(later, inverse(earlier)), a, b)

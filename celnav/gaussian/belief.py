@@ -8,7 +8,7 @@ from math import isfinite
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.gaussian.checks import beside, finite, integers, kind
+from celnav.gaussian.checks import as_matrix, beside, finite, integers, kind
 from celnav.gaussian.linalg import (
     LEFT_OVER,
     Array,
@@ -30,7 +30,8 @@ class Gaussian:
     mean: ``(..., N)``; a run of a batch has a mean of its own.
     cov: covariance ``(..., n, n)``, which may be singular. It may be one ``(n, n)`` for many means: a filter whose matrices,
         constant or of the epoch, are the same for all runs then carries one, until these miss different measurements.
-    sqrt_cov: a lower triangular root of the covariance, instead of it.
+        A number is that multiple of the identity.
+    sqrt_cov: a lower triangular root of the covariance, or a standard deviation, instead of it.
 
     >>> Gaussian([7000.0, 0.0], np.diag([1.0, 1e-4])).std
     array([1.  , 0.01])
@@ -47,9 +48,10 @@ class Gaussian:
         if (cov is None) == (sqrt_cov is None):
             raise ValueError("Gaussian: expected exactly one of cov and sqrt_cov")
         if cov is not None:
-            P, root = symmetric(cov, "cov")
+            P, root = symmetric(as_matrix("cov", cov, x.shape[-1]), "cov")
         else:
-            root = finite("sqrt_cov", sqrt_cov, (..., "n", "n"))
+            root = as_matrix("sqrt_cov", sqrt_cov, x.shape[-1])
+            root = finite("sqrt_cov", root, (..., "n", "n"))
             if np.triu(root, 1).any():
                 raise ValueError(
                     "sqrt_cov: expected a lower triangular matrix (celnav.gaussian.linalg.tria makes one of any root)"

@@ -17,7 +17,8 @@ from celnav.gaussian.linalg import Array
 from celnav.tape.numbers import recorded
 
 __all__ = [
-    "LIMIT", "Shape", "beside", "choice", "finite", "function", "instance", "integer", "integers", "kind", "number", "numbers",
+    "LIMIT", "Shape", "as_matrix",
+    "beside", "choice", "finite", "function", "instance", "integer", "integers", "kind", "number", "numbers",
     "sequence", "takes", "together", "unmasked",
 ]  # fmt: skip
 
@@ -102,6 +103,12 @@ def finite(name: str, value: Any, shape: Shape | None = None) -> Array:
             f"{name}: expected finite numbers, got {np.count_nonzero(~np.isfinite(array))} that are not"
         )
     return array
+
+
+def as_matrix(name: str, value: Any, n: int | None) -> Array:
+    """A finite matrix; a number stands for that multiple of the identity ``(n, n)``, None: for itself."""
+    array = finite(name, value)
+    return array if array.ndim or n is None else array * np.eye(n)
 
 
 def unmasked(name: str, value: Any) -> Any:

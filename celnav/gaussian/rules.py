@@ -36,6 +36,7 @@ __all__ = [
 ]  # fmt: skip
 
 MAX_POINTS = 1_000_000
+ROUND_OFF = 1e-3  # part of a model's values that round-off may have in their weighted mean
 
 
 class Image(NamedTuple):
@@ -73,6 +74,11 @@ class Rule:
         if self.nodes[0].any():
             raise ValueError(f"nodes: expected the center first, got {self.nodes[0]}")
         rounding = 8.0 * EPS * np.abs(self.wm).sum()  # weights of size 1e8 come with a small alpha
+        if rounding > 8.0 * ROUND_OFF:
+            raise ValueError(
+                "alpha, kappa, wm: expected weights that leave three digits of a mean, got "
+                f"{np.abs(self.wm).max():.3g} times the round-off of a model's values; alpha = 1e-3 is small"
+            )
         if abs(self.wm.sum() - 1.0) > max(1e-9, rounding):
             raise ValueError(f"wm: expected a sum of 1, got {self.wm.sum()!r}")
         if np.abs(self.wm @ self.nodes).max() > 1e-6:

@@ -19,7 +19,7 @@ __all__ = ["EUCLIDEAN", "Space", "angles", "components", "leading", "product", "
 
 
 class Space(NamedTuple):
-    """How points and differences relate. Every function broadcasts over leading axes.
+    """How points and differences relate. Every function broadcasts over leading axes, and gives nan for nan.
 
     plus: ``(point (..., N), tangent (..., n)) -> point``.
     minus: ``(b, a) -> tangent`` at ``a`` that leads to ``b``: ``plus(a, minus(b, a)) == b``.
@@ -96,54 +96,74 @@ def product(*factors: tuple[Space, int, int]) -> Space:
     factors = tuple(
         (space, integer("factors", N, 0), integer("factors", n, 0)) for space, N, n in factors
     )
-    points = np.cumsum([0, *(N for _, N, _ in factors)])
-    tangents = np.cumsum([0, *(n for _, _, n in factors)])
-    parts = [
-        (space, slice(points[i], points[i + 1]), slice(tangents[i], tangents[i + 1]))
-        for i, (space, _, _) in enumerate(factors)
-    ]
     if any(space.mean is not None for space, _, _ in factors):
         raise ValueError("factors: a space with its own mean cannot be part of a product")
-
-    def checked(vector: Array, length: int, what: str) -> Array:
-        if vector.shape[-1] != length:
+    for space, N, n in factors:
+        point = np.full(N, np.nan)
+        if space.check is not None:
+            space.check(point, f"factors: points of length {N}")
+        if (count := space.minus(point, point).shape[-1]) != n:
             raise ValueError(
-                f"{what}: expected {length} components of a product of spaces, got {vector.shape[-1]}"
+                f"factors: expected tangents of length {count} to go with points of length {N}, "
+                f"as in (space, {N}, {count}), got {n}"
             )
-        return vector
+    points = np.cumsum([0, *(N for _, N, _ in factors)]).tolist()
+    tangents = np.cumsum([0, *(n for _, _, n in factors)]).tolist()
+    spaces = [space for space, _, _ in factors]
+    places = map(slice, points, points[1:]), map(slice, tangents, tangents[1:])
+    joined = _Product(tuple(zip(spaces, *places, strict=True)), points[-1], tangents[-1])
+    curved = any(space.transport is not None for space in spaces)
+    particular = any(space.check is not None for space in spaces)
+    return Space(
+        joined.plus,
+        joined.minus,
+        joined.transport if curved else None,
+        check=joined.check if particular else None,
+    )
 
-    def plus(point: Array, tangent: Array) -> Array:
-        checked(point, points[-1], "point")
-        checked(tangent, tangents[-1], "deviations")
+
+class _Product(NamedTuple):
+    """Spaces with their places among the components of points, N, and of tangents, n."""
+
+    parts: tuple[tuple[Space, slice, slice], ...]
+    N: int
+    n: int
+
+    def plus(self, point: Array, tangent: Array) -> Array:
+        _check_length("point", point, self.N)
+        _check_length("deviations", tangent, self.n)
         return side_by_side(
-            [space.plus(point[..., at], tangent[..., by]) for space, at, by in parts]
+            [space.plus(point[..., at], tangent[..., by]) for space, at, by in self.parts]
         )
 
-    def minus(b: Array, a: Array) -> Array:
-        checked(b, points[-1], "point")
-        return side_by_side([space.minus(b[..., at], a[..., at]) for space, at, _ in parts])
+    def minus(self, b: Array, a: Array) -> Array:
+        _check_length("point", b, self.N)
+        return side_by_side([space.minus(b[..., at], a[..., at]) for space, at, _ in self.parts])
 
-    def transport(tangent: Array) -> Array:
-        n = tangents[-1]
-        matrix = np.zeros((*tangent.shape[:-1], n, n), like=tangent)
-        for space, _, by in parts:
-            width = by.stop - by.start
+    def transport(self, tangent: Array) -> Array:
+        matrix = np.zeros((*tangent.shape[:-1], self.n, self.n), like=tangent)
+        for space, _, by in self.parts:
             matrix[..., by, by] = (
-                np.eye(width) if space.transport is None else space.transport(tangent[..., by])
+                np.eye(by.stop - by.start)
+                if space.transport is None
+                else space.transport(tangent[..., by])
             )
         return matrix
 
-    def check(point: Array, name: str) -> Array:
+    def check(self, point: Array, name: str) -> Array:
         return side_by_side(
             [
                 point[..., at] if space.check is None else space.check(point[..., at], name)
-                for space, at, _ in parts
+                for space, at, _ in self.parts
             ]
         )
 
-    particular = any(space.check is not None for space, _, _ in factors)
-    curved = any(space.transport is not None for space, _, _ in factors)
-    return Space(plus, minus, transport if curved else None, check=check if particular else None)
+
+def _check_length(name: str, vector: Array, length: int) -> None:
+    if vector.shape[-1] != length:
+        raise ValueError(
+            f"{name}: expected {length} components of a product of spaces, got {vector.shape[-1]}"
+        )
 
 
 def leading(x: Array) -> Array:

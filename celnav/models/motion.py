@@ -52,13 +52,17 @@ def known_turn(rate: float, q: float) -> Motion:
     >>> motion = celnav.models.motion.known_turn(rate=np.radians(3.0), q=0.1)
     """
     given, amplitude = np.array(number("rate", rate)), np.sqrt(number("q", q, 0.0))
-
-    def matrix(epoch: Any) -> Array:
-        return _turned(given, _interval(epoch))
-
     return Motion(
-        Linear(matrix), sqrt_Q=lambda _, epoch: amplitude * _pushed(given, _interval(epoch))
+        Linear(partial(_known_turn, given)), sqrt_Q=partial(_known_turn_noise, given, amplitude)
     )
+
+
+def _known_turn(rate: Array, epoch: Any) -> Array:
+    return _turned(rate, _interval(epoch))
+
+
+def _known_turn_noise(rate: Array, amplitude: Array, _mean: Array, epoch: Any) -> Array:
+    return np.asanyarray(amplitude * _pushed(rate, _interval(epoch)))
 
 
 def coordinated_turn(q: float, q_rate: float) -> Motion:
@@ -70,36 +74,41 @@ def coordinated_turn(q: float, q_rate: float) -> Motion:
     >>> motion = celnav.models.motion.coordinated_turn(q=0.1, q_rate=1e-5)
     """
     amplitude, change = np.sqrt(number("q", q, 0.0)), np.sqrt(number("q_rate", q_rate, 0.0))
+    return Motion(_turn, sqrt_Q=partial(_turn_noise, amplitude, change), jacobian=_turn_jacobian)
 
-    def f(x: Array, epoch: Any) -> Array:
-        a, b, c, s, _, _ = _angles(x[..., 4], epoch.dt)
-        vx, vy = x[..., 2], x[..., 3]
-        parts = (
-            x[..., 0] + a * vx - b * vy,
-            x[..., 1] + b * vx + a * vy,
-            c * vx - s * vy,
-            s * vx + c * vy,
-            x[..., 4],
-        )
-        return np.stack(parts, -1)
 
-    def jacobian(mean: Array, epoch: Any) -> Array:
-        a, b, c, s, da, db = _angles(mean[..., 4], epoch.dt)
-        vx, vy, T = mean[..., 2], mean[..., 3], epoch.dt
-        zero = 0.0 * a
-        one = zero + 1.0
-        rows = (
-            (one, zero, a, -b, da * vx - db * vy), (zero, one, b, a, db * vx + da * vy),
-            (zero, zero, c, -s, -T * (s * vx + c * vy)), (zero, zero, s, c, T * (c * vx - s * vy)), (zero, zero, zero, zero, one),
-        )  # fmt: skip
-        return np.stack([np.stack(row, -1) for row in rows], -2)
+def _turn(x: Array, epoch: Any) -> Array:
+    a, b, c, s, _, _ = _angles(x[..., 4], epoch.dt)
+    vx, vy = x[..., 2], x[..., 3]
+    parts = (
+        x[..., 0] + a * vx - b * vy,
+        x[..., 1] + b * vx + a * vy,
+        c * vx - s * vy,
+        s * vx + c * vy,
+        x[..., 4],
+    )
+    return np.stack(parts, -1)
 
-    def root(mean: Array, epoch: Any) -> Array:
-        T = _interval(epoch)
-        pushed = _WIDER @ _pushed(mean[..., 4], T) @ _WIDER.T
-        return np.asanyarray(amplitude * pushed + change * np.sqrt(T) * _LAST)
 
-    return Motion(f, sqrt_Q=root, jacobian=jacobian)
+def _turn_jacobian(mean: Array, epoch: Any) -> Array:
+    a, b, c, s, da, db = _angles(mean[..., 4], epoch.dt)
+    vx, vy, T = mean[..., 2], mean[..., 3], epoch.dt
+    zero = 0.0 * a
+    one = zero + 1.0
+    rows = (
+        (one, zero, a, -b, da * vx - db * vy),
+        (zero, one, b, a, db * vx + da * vy),
+        (zero, zero, c, -s, -T * (s * vx + c * vy)),
+        (zero, zero, s, c, T * (c * vx - s * vy)),
+        (zero, zero, zero, zero, one),
+    )
+    return np.stack([np.stack(row, -1) for row in rows], -2)
+
+
+def _turn_noise(amplitude: Array, change: Array, mean: Array, epoch: Any) -> Array:
+    T = _interval(epoch)
+    pushed = _WIDER @ _pushed(mean[..., 4], T) @ _WIDER.T
+    return np.asanyarray(amplitude * pushed + change * np.sqrt(T) * _LAST)
 
 
 _WIDER, _LAST = np.eye(5, 4), np.diag([0.0, 0.0, 0.0, 0.0, 1.0])
@@ -144,15 +153,18 @@ def _chain(dim: int, order: int, q: ArrayLike) -> Motion:
     columns = [
         np.kron(np.where((a == k)[:, None], root, 0.0), np.diag(amplitude)) for k in range(order)
     ]
-    matrix, noise = partial(_polynomial, terms), partial(_polynomial, columns)
     return Motion(
-        Linear(lambda epoch: matrix(_interval(epoch))),
-        sqrt_Q=lambda _, epoch: np.sqrt(T := _interval(epoch)) * noise(T),
+        Linear(partial(_polynomial, tuple(terms))), sqrt_Q=partial(_chain_noise, tuple(columns))
     )
 
 
-def _polynomial(terms: list[Array], T: Array) -> Array:
-    total: Array = terms[-1]
+def _chain_noise(columns: tuple[Array, ...], _mean: Array, epoch: Any) -> Array:
+    return np.asanyarray(np.sqrt(_interval(epoch)) * _polynomial(columns, epoch))
+
+
+def _polynomial(terms: tuple[Array, ...], epoch: Any) -> Array:
+    """The sum of ``terms[k] T^k`` over an interval of T."""
+    total, T = terms[-1], _interval(epoch)
     for term in terms[-2::-1]:
         total = term + T * total
     return total

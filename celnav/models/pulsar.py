@@ -9,7 +9,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -140,7 +140,7 @@ class Timing:
     def uncounted(self) -> Space:
         """Measurement space (``Sensor(..., space=)``) of pulses that nobody counted: innovations fold into half a period."""
         periods = LIGHT_KM_S * np.array([p.period_s for p in self.pulsars])
-        return Space(minus=lambda b, a: b - a - periods * np.round((b - a) / periods))
+        return Space(minus=partial(_within_half_a_period, periods))
 
     def delay(self, position: Array, sun: Array) -> Array:
         """Delays ``(..., m)`` km of positions ``(..., 3)``; ``sun (..., 3)`` is the Sun's position. See `shapiro`."""
@@ -180,3 +180,7 @@ class Timing:
         unit = position[..., None, :] / radius
         shapiro = 2.0 * GM_SUN / LIGHT_KM_S**2 * (n + unit) / (along + radius + of_b + far)
         return np.asanyarray(n + parallax + shapiro)
+
+
+def _within_half_a_period(periods: Array, b: Array, a: Array) -> Array:
+    return np.asanyarray(b - a - periods * np.round((b - a) / periods))

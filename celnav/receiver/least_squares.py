@@ -45,6 +45,7 @@ def least_squares(sensor: Sensor, *, rounds: int = 10) -> LeastSquares:
             "R: expected variances of independent components, got noise through the points"
         )
     if isinstance(columns, np.ndarray):
+        columns = np.atleast_2d(columns)  # a standard deviation may stand for all
         R = columns @ columns.mT
         variances = R.diagonal(0, -2, -1)
         beside = np.abs(R - variances[..., None] * np.eye(R.shape[-1])).max(initial=0.0)
@@ -65,7 +66,8 @@ class LeastSquares:
     def start(self, prior: Gaussian) -> State:
         """State before the first epoch."""
         check_prior(prior)
-        check_matrices(prior.mean.shape[-1], self.sensor)
+        n = prior.mean.shape[-1]
+        check_matrices(n, n, self.sensor)
         return State(Covariance.of(prior), (prior.mean,))
 
     def step(self, state: State, epoch: Epoch) -> tuple[State, tuple[Info, ...]]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass
+from functools import cached_property
 from time import process_time
 from typing import Any, NamedTuple
 
@@ -18,12 +19,12 @@ from celnav.analysis.metrics import bootstrap, rms
 from celnav.filters.colored import colored
 from celnav.filters.joint import evaluate
 from celnav.filters.model import Motion, Sensor
-from celnav.filters.records import Epoch, Filter, epochs
+from celnav.filters.records import Epoch, Epochs, Filter, as_seconds, epochs
 from celnav.filters.run import steps
 from celnav.filters.sequential import sigma_point
 from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.checks import finite, function, instance, integer, number
-from celnav.gaussian.linalg import Array
+from celnav.gaussian.linalg import Array, matvec
 from celnav.gaussian.rules import Taylor
 from celnav.gaussian.spaces import EUCLIDEAN
 from celnav.lazy import Late
@@ -41,7 +42,8 @@ PASSES = 3
 class Problem:
     """What a filter believes, as what happens: a motion, a sensor and a start, whose noise may be colored or wild.
 
-    motion, sensor: with constant noise beside the models. prior: belief about the start, mean ``(N,)`` and covariance ``(n, n)``.
+    motion, sensor: with noise beside the models, constant or a function of mean and epoch.
+    prior: belief about the start, mean ``(N,)`` and covariance ``(n, n)``.
     times: ``(T,)`` s, increasing. u: inputs, ``epoch.u``: ``u[k]`` acts from ``times[k]`` to ``times[k + 1]``.
     phi: correlation of the measurement's noise with the last one, in [0, 1): an AR(1) process.
     outliers: part of the components, in [0, 1), whose noise is `WILD` times as large; filters are not told.
@@ -64,66 +66,75 @@ class Problem:
         instance("motion", self.motion, Motion, "celnav.Motion(f, Q)")
         instance("sensor", self.sensor, Sensor, "celnav.Sensor(h, R)")
         prior = instance("prior", self.prior, Gaussian, "celnav.Gaussian(mean, cov)")
-        for name, noise in (("Q", self.motion.noise), ("R", self.sensor.noise)):
-            if (
-                not isinstance(noise, np.ndarray)
-                or noise.ndim != 2
-                or self.motion.augment
-                or self.sensor.augment
-            ):
-                raise ValueError(
-                    f"{name}: expected one constant covariance of a noise beside the model, got another"
-                )
         vectors = self.motion.space == EUCLIDEAN
         if prior.mean.ndim != 1 or prior.cov.ndim != 2 or (vectors and len(prior.mean) != self.n):
             raise ValueError(
                 f"prior: expected one mean (N,) and covariance (n, n), got {prior.mean.shape} and {prior.cov.shape}"
             )
-        if self.motion.noise.shape[-2] != self.n:  # type: ignore[union-attr]
-            raise ValueError(
-                f"prior: expected a covariance to go with the motion's Q, got {prior.cov.shape}"
-            )
         for name in ("phi", "outliers"):
             number(name, getattr(self, name), 0.0, below=1.0)
-        object.__setattr__(self, "times", finite("times", self.times))
+        object.__setattr__(self, "times", finite("times", as_seconds(self.times)))
         if self.times.ndim != 1 or len(self.times) < 2 or not (np.diff(self.times) > 0.0).all():
             raise ValueError(
                 f"times: expected two or more increasing numbers, got shape {self.times.shape}"
             )
-        epochs(self.times, u=self.u)
         check_groups(self.groups, self.n)
+        if self.motion.augment or self.sensor.augment:
+            raise ValueError(
+                "augment: expected noise beside the models, got some through the points"
+            )
+        noise = zip(("prior, Q", "R"), self._noise(), (self.n, self.m), strict=True)
+        for name, columns, rows in noise:
+            if columns.ndim != 2 or len(columns) != rows:
+                raise ValueError(
+                    f"{name}: expected a covariance ({rows}, {rows}) that all runs share, got "
+                    f"{(*columns.shape[:-1], columns.shape[-2])}"
+                )
 
     @property
     def n(self) -> int:
         """Dimension n of the state's differences."""
         return len(self.prior.cov)
 
+    @cached_property
+    def m(self) -> int:
+        """Dimension m of the measurement's differences."""
+        if self.sensor.m is not None:
+            return self.sensor.m
+        z = _image(self.sensor, self.prior.mean[None], self.epochs[1])
+        return int(self.sensor.space.minus(z, z).shape[-1])
+
+    @property
+    def epochs(self) -> Epochs:
+        """Epochs with their inputs, and without measurements."""
+        return epochs(self.times, u=self.u)
+
+    def _noise(self) -> tuple[Any, Any]:
+        """Columns ``(n, r)`` of the process noise and ``(m, s)`` of the measurement's after the first interval."""
+        mean, epoch = self.prior.mean, self.epochs[1]
+        return self.motion.columns(mean, epoch, self.n), self.sensor.columns(mean, epoch, self.m)
+
     def draw(self, rngs: Sequence[np.random.Generator]) -> tuple[Array, Array]:
         """Truth ``(T, runs, N)`` and measurements ``(T, runs, M)`` of one run with each generator."""
-        W, V = np.asarray(self.motion.noise), np.asarray(self.sensor.noise)
-        T, space = len(self.times), self.motion.space
+        T, space, (W, V) = len(self.times), self.motion.space, self._noise()
         start, walk, noise, lot = normals(
-            rngs, (self.n,), (T, W.shape[1]), (T, V.shape[1]), (T, len(V))
+            rngs, (self.n,), (T, W.shape[1]), (T, V.shape[1]), (T, self.m)
         )
-        walk, noise = walk @ W.T, noise @ V.T
         factor = np.where(
             np.abs(lot) > (special.ndtri(1.0 - 0.5 * self.outliers) if self.outliers else np.inf),
             WILD,
             1.0,
         )
-        x, v = (
-            space.plus(np.tile(self.prior.mean, (len(start), 1)), start @ self.prior.sqrt_cov.T),
-            noise[0],
-        )
-        truth, z = [], []
-        for epoch in epochs(self.times, u=self.u):
-            if epoch.k:
-                x = space.plus(_image(self.motion, x, epoch), walk[epoch.k])
-                v = self.phi * v + np.sqrt(1.0 - self.phi**2) * noise[epoch.k]
+        x = space.plus(np.tile(self.prior.mean, (len(start), 1)), start @ self.prior.sqrt_cov.T)
+        truth, z, v = [], [], np.zeros(self.m)
+        for k, epoch in enumerate(self.epochs):
+            if k:
+                W = self.motion.columns(x, epoch, self.n)
+                x = space.plus(_image(self.motion, x, epoch), matvec(W, walk[k]))
+            fresh = matvec(self.sensor.columns(x, epoch, self.m), noise[k])
+            v = self.phi * v + np.sqrt(1.0 - self.phi**2) * fresh if k else fresh
             truth.append(x)
-            z.append(
-                self.sensor.space.plus(_image(self.sensor, x, epoch, len(V)), factor[epoch.k] * v)
-            )
+            z.append(self.sensor.space.plus(_image(self.sensor, x, epoch, self.m), factor[k] * v))
         return np.stack(truth), np.stack(z)
 
     def trial(
@@ -240,7 +251,7 @@ def _bound(problem: Problem) -> Array | None:
         best = colored(
             problem.motion,
             problem.sensor,
-            problem.phi * np.eye(problem.sensor.m or 0),
+            problem.phi * np.eye(problem.m),
             rule=Taylor(),
         )
     else:

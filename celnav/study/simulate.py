@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from celnav.filters.colored import coloring, zeta_of
 from celnav.filters.joint import at, evaluate
 from celnav.filters.model import Motion, Sensor, check_matrices
-from celnav.filters.records import Epoch, epochs
+from celnav.filters.records import Epoch, epochs, without_input
 from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.checks import instance, integer, sequence
 from celnav.gaussian.linalg import Array, matvec
@@ -52,7 +52,7 @@ def simulate(
         raise ValueError(
             f"prior: expected one mean (N,) and covariance (n, n), got {prior.mean.shape} and {prior.cov.shape}"
         )
-    check_matrices(len(prior.cov), motion, *sensors)
+    check_matrices(len(prior.mean), len(prior.cov), motion, *sensors)
     if (
         isinstance(runs, list | tuple)
         and runs
@@ -67,8 +67,8 @@ def simulate(
     def draw(columns: Array) -> Array:
         return matvec(columns, np.stack([rng.standard_normal(columns.shape[-1]) for rng in rngs]))
 
-    def white(model: Motion | Sensor, x: Array, epoch: Epoch) -> Any:
-        columns = at(model.noise, x, epoch)
+    def white(model: Motion | Sensor, x: Array, epoch: Epoch, rows: int) -> Any:
+        columns = model.columns(x, epoch, rows)
         return None if columns is None else draw(columns)
 
     def image(
@@ -77,10 +77,10 @@ def simulate(
         """What a model makes of states ``(runs, N)``, with the noise through the points and the one beside them, of that name."""
         augment = [draw(root)[None] for root in model.augment]
         y: Array = evaluate(model, x[None].copy(), epoch, augment)[0]
-        added = noise(model, x, epoch)
+        rows = model.space.minus(y, y).shape[-1]
+        added = noise(model, x, epoch, rows)
         if added is None:
             return y
-        rows = model.space.minus(y, y).shape[-1]
         if added.shape[-1] != rows:
             raise ValueError(
                 f"{name}: expected {rows} rows to go with the model, got {added.shape[-1]}"
@@ -91,10 +91,10 @@ def simulate(
     if Phi is not None:
         phi, zeta = coloring(Phi, sensors[0].m), zeta_of(sensors[0], Phi, None)
 
-        def seen(model: Motion | Sensor, x: Array, epoch: Epoch) -> Any:
+        def seen(model: Motion | Sensor, x: Array, epoch: Epoch, rows: int) -> Any:
             nonlocal V
             V = (
-                white(model, x, epoch)
+                white(model, x, epoch, rows)
                 if V is None
                 else matvec(phi(epoch) if callable(phi) else phi, V) + draw(at(zeta, x, epoch))
             )
@@ -103,9 +103,12 @@ def simulate(
     x = motion.space.plus(np.tile(prior.mean, (len(rngs), 1)), draw(prior.sqrt_cov))
     truth, z = [], []
     for epoch in epochs(times, u=u):
-        if epoch.dt:
-            x = image("Q", motion, x, epoch)
+        try:
+            if epoch.dt:
+                x = image("Q", motion, x, epoch)
+            z.append([image("R", each, x, epoch, seen) for each in sensors])
+        except (AttributeError, TypeError) as error:
+            raise without_input(error, epoch) from error
         truth.append(x)
-        z.append([image("R", each, x, epoch, seen) for each in sensors])
     measured = tuple(np.stack(column) for column in zip(*z, strict=True))
     return np.stack(truth), measured[0] if isinstance(sensor, Sensor) else measured

@@ -10,7 +10,9 @@ from celnav.filters.adaptive import (
     consider,
     gate,
     innovation_window,
+    sage_husa,
     underweighting,
+    variational_bayes,
 )
 from celnav.gaussian.rules import Taylor, unscented
 
@@ -455,3 +457,71 @@ def test_a_hook_may_write_into_the_joint(how, h):
         np.testing.assert_allclose(belief.cov, expected.cov, atol=1e-14)
         np.testing.assert_array_equal(info.innovation, [2.0])
         np.testing.assert_array_equal(prior.cov, P)
+
+
+def test_the_track_has_the_variances_that_each_update_used():
+    """Three components, four runs: of each hook by its own definition."""
+    z, T = simulate(np.random.default_rng(9), 12, 4), 12
+    z[5, 2, 0], z[7, :, 1], z[9] = np.nan, np.nan, np.nan
+    nominal, times = np.diag(R), np.arange(12.0)
+    runs = prior(4)
+
+    def states(hook):
+        return [(state, info) for _, state, (info,) in steps(make([hook]), runs, epochs(times, z))]
+
+    track = run(make([variational_bayes(0.9)]), runs, times, z)
+    assert track.extra["R"].shape == (T, 4, 3)
+    assert np.isnan(track.extra["R"][9]).all()  # nothing was measured
+    # R = beta / alpha, before the last of the rounds brings the next one.
+    once = run(make([variational_bayes(0.9, rounds=1)]), runs, times, z).extra["R"]
+    memories = [state.memory[0][0] for state, _ in states(variational_bayes(0.9, rounds=1))]
+    before = (np.full((4, 3), 1.0), np.full((4, 3), 1.0))
+    for k in [k for k in range(T) if k != 9]:
+        used = ~np.isnan(z[k])
+        alpha = np.where(used, 0.9 * before[0] + 0.5, before[0])
+        beta = np.where(used, 0.9 * before[1], before[1])
+        np.testing.assert_allclose(once[k], beta / alpha * nominal)
+        before = memories[k]
+
+    found = run(make([sage_husa(0.9)]), runs, times, z).extra["R"]
+    for k, (state, info) in enumerate(states(sage_husa(0.9))):
+        if info.R is not None:
+            estimate = np.maximum(state.memory[0][0].noise, 0.25 * nominal)
+            np.testing.assert_allclose(found[k], estimate)
+
+    found = run(make([innovation_window(3)]), runs, times, z).extra["R"]
+    for k, (state, info) in enumerate(states(innovation_window(3))):
+        if info.R is not None:
+            C = np.square(state.memory[0][0].samples).mean(0)
+            S = info.sqrt_S @ info.sqrt_S.mT
+            S0 = np.where(info.used, S.diagonal(0, -2, -1) - info.R, np.nan)
+            expected = np.where(nominal < C - S0, C - S0, nominal)
+            np.testing.assert_allclose(found[k][info.used], expected[info.used])
+    assert (found > nominal + 1e-9).any()
+
+
+def test_variances_of_sensors_stand_side_by_side():
+    z = simulate(np.random.default_rng(10), 6, 2)
+    motion, first, second = (
+        Motion(A, Q),
+        Sensor(H[:1], R[:1, :1]),
+        Sensor(lambda x, e: x @ H[1:].T, R[1:, 1:]),
+    )
+    both, times = (z[..., :1], z[..., 1:]), np.arange(6.0)
+
+    def track(hooks, **options):
+        filter = sigma_point(motion, first, second, rule=unscented, hooks=hooks)
+        return run(filter, prior(2), times, both, **options)
+
+    np.testing.assert_allclose(
+        track([gate(9.0)]).extra["R"], np.broadcast_to(np.diag(R), (6, 2, 3))
+    )
+    lists = track([[], [gate(9.0)]])
+    np.testing.assert_allclose(lists.extra["R"], np.broadcast_to(np.diag(R)[1:], (6, 2, 2)))
+    assert track([]).extra == {}
+    assert track([gate(9.0)], keep="nothing").extra == {}
+    mine = track([gate(9.0)], also=lambda epoch, state, infos: {"R": np.zeros(1)})
+    assert not mine.extra["R"].any()
+    np.testing.assert_array_equal(
+        track([gate(9.0)], every=2).extra["R"], track([gate(9.0)]).extra["R"][::2]
+    )

@@ -147,15 +147,42 @@ def test_covariances_of_a_linear_filter_stay_definite_or_are_told():
     assert np.isfinite(track.sqrt_cov).all()
 
 
-def test_a_matrix_cannot_measure_an_attitude():
-    prior = Gaussian([0.0, 0.0, 0.0, 1.0], 0.01 * np.eye(3))
-    filter = celnav.ukf(
-        Motion(lambda x, e: x, np.eye(3), space=celnav.attitude()), Sensor(np.eye(3), np.eye(3))
+BODY = celnav.product((celnav.attitude(), 4, 3), (celnav.EUCLIDEAN, 3, 3))
+TURNED = Motion(lambda x, e: x, np.eye(6), space=BODY)
+MIDDLE = np.append([0.0, 0.0, 0.0, 1.0], np.zeros(3))
+
+
+@pytest.mark.parametrize("columns", [6, 7])
+@pytest.mark.parametrize("kind", [np.asarray, lambda H: celnav.Linear(lambda epoch: H)])
+def test_a_matrix_cannot_measure_where_states_are_no_vectors(kind, columns):
+    """One message, whatever its shape, and a cure that works."""
+    prior, z = Gaussian(MIDDLE, np.eye(6)), np.ones((3, 3))
+    sensor = Sensor(kind(np.eye(3, columns)), np.eye(3))
+    message = (
+        r"^h: expected a function where states have 7 components and 6 deviations, "
+        r"such as lambda x, epoch: x\[..., -3:\], got a matrix$"
     )
-    with pytest.raises(
-        ValueError, match=r"^h: expected a function where states have 4 components and 3 deviations"
-    ):
-        run(filter, prior, TIMES, np.ones((3, 3)))
+    with pytest.raises(ValueError, match=message):
+        run(celnav.ukf(TURNED, sensor), prior, TIMES, z)
+    with pytest.raises(ValueError, match=message):
+        celnav.simulate(TURNED, sensor, prior, TIMES, runs=2)
+    cured = celnav.ukf(TURNED, Sensor(lambda x, epoch: x[..., -3:], np.eye(3)))
+    # Of the last three states alone: prior variance 1, process noise 1, measurement noise 1.
+    assert run(cured, prior, TIMES[:1], z[:1]).mean[0, 4:].tolist() == pytest.approx([0.5] * 3)
+
+
+@pytest.mark.parametrize(
+    ("mean", "n", "message"),
+    [
+        (MIDDLE, 7, r"prior: expected a covariance \(6, 6\) of the deviations of states of 7 comp"),
+        (MIDDLE[:6], 6, "point: expected 7 components of a product of spaces, got 6"),
+        (2.0 * MIDDLE, 6, "prior: expected unit quaternions, got a norm of 2"),
+    ],
+)
+def test_a_prior_goes_with_its_space(mean, n, message):
+    filter = celnav.ukf(TURNED, Sensor(lambda x, epoch: x[..., -3:], np.eye(3)))
+    with pytest.raises(ValueError, match="^" + message):
+        filter.start(Gaussian(mean, np.eye(n)))
 
 
 def test_a_function_of_the_wrong_width_is_told_where_noise_is_colored():
@@ -195,3 +222,18 @@ def test_a_search_stays_within_its_range():
     )  # differences may look over the edge
     assert not found.converged
     assert found.message == "parameter 0 ran to the end of its range, 0.001"
+
+
+def test_h_is_not_blamed_for_the_points_of_a_prediction_that_failed():
+    """Of x^2 at 0 a weight of -19 in the center makes a negative variance, before anything is measured."""
+    filter = celnav.ukf(
+        Motion(lambda x, e: np.stack([x[..., 0] ** 2, x[..., 1]], -1), 0.01 * EYE),
+        Sensor(lambda x, e: np.hypot(x[..., :1], 100.0), [[1.0]]),
+        kappa=-1.9,
+        form="covariance",
+    )
+    with pytest.raises(FilterError, match=r"step 1, t = 1\.0: the covariance lost positive defin"):
+        run(filter, Gaussian([0.0, 0.0], EYE), TIMES, np.full((3, 1), np.nan))
+    z = np.array([[np.nan], [100.0], [100.0]])
+    with pytest.raises(FilterError, match=r"step 1, t = 1\.0: the covariance lost positive defin"):
+        run(filter, Gaussian([0.0, 0.0], EYE), TIMES, z)

@@ -330,7 +330,7 @@ def test_colored_filters_name_a_measurement_that_cannot_be(name, z, told):
         (np.eye(3), 0.5 * EYE, EYE, r"^R: expected .*2.*got .*3"),
         (EYE, 0.5 * EYE, np.eye(3), r"^increments: expected .*2.*got .*3"),
         (EYE, 0.5 * np.eye(3), EYE, r"^Phi: expected shape \(\.\.\., 2, 2\), got \(3, 3\)"),
-        (EYE, lambda e: 0.5, EYE, r"^Phi: expected shape \(\.\.\., 2, 2\), got \(\)"),
+        (EYE, lambda e: [0.5], EYE, r"^Phi: expected shape \(\.\.\., 2, 2\), got \(1,\)"),
     ],
     ids=["R", "increments", "Phi", "Phi of the epoch"],
 )

@@ -1,8 +1,11 @@
 """Epochs made of arrays: their intervals, whatever part of them is taken, and what they hold in memory."""
 
 import tracemalloc
+from datetime import UTC, datetime, timedelta
+from zoneinfo import ZoneInfo
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import celnav
@@ -29,6 +32,10 @@ def last(track):
     return type(track.belief)(track.belief[0][-1], track.belief[1][-1])
 
 
+LINE = celnav.ukf(
+    celnav.Motion(lambda x, e: x + e.u * e.dt, [[0.1]]), celnav.Sensor([[1.0]], [[1.0]])
+)
+START = celnav.Gaussian([0.0], [[1.0]])
 TIMES = np.array([0.0, 1.0, 2.5, 3.0, 4.0, 6.0, 7.0, 8.5])
 WHOLE = celnav.epochs(TIMES, SLOPE * TIMES[:, None], truth=TIMES)
 
@@ -94,3 +101,186 @@ def test_epochs_are_made_one_at_a_time():
     finally:
         tracemalloc.stop()
     assert peak < 100_000
+
+
+def stepped(u, times=TIMES, engine="numpy"):
+    """Where the sum of the inputs leads to."""
+    filter = celnav.ukf(
+        celnav.Motion(lambda x, e: x + e.u * e.dt, sqrt_Q=np.zeros((1, 0))),
+        celnav.Sensor([[1.0]], [[1.0]]),
+    )
+    return celnav.run(filter, celnav.Gaussian([0.0], [[1.0]]), times, u=u, engine=engine).mean
+
+
+@pytest.mark.parametrize("engine", ["numpy", "compiled"])
+def test_inputs_that_are_too_many_are_not_cut_off(engine):
+    """4 Hz times with rows of an inertial unit at 100 Hz: of 1,000 rows the first 20 would be used."""
+    times, rate = np.arange(21) / 4.0, np.linspace(0.0, 2.0, 1000)
+    message = (
+        r"^u: expected 20 rows for 21 times \(row k acts from times\[k\] to times\[k \+ 1\]\), "
+        r"got 1000$"
+    )
+    with pytest.raises(ValueError, match=message):
+        stepped(rate, times, engine)
+    with pytest.raises(ValueError, match=message):
+        stepped((rate[:20], rate), times, engine)
+    for rows in (20, 21):
+        assert stepped(np.ones(rows), times, engine)[-1, 0] == 5.0
+
+
+def test_rows_go_with_the_times():
+    for count in (6, 9):
+        with pytest.raises(ValueError, match=rf"^u: expected 7 rows for 8 times .*, got {count}$"):
+            celnav.epochs(TIMES, u=[0.0] * count)
+    for count in (7, 9):
+        with pytest.raises(ValueError, match=rf"^truth: expected 8 rows for 8 times, got {count}$"):
+            celnav.epochs(TIMES, truth=np.zeros((count, 2)))
+    for u in ({0, 1}, "of a column", 3.0, dict.fromkeys("abcdefg", 0.0)):
+        with pytest.raises(ValueError, match=r"^u: expected a sequence with a row for each time"):
+            celnav.epochs(TIMES, u=u)
+    assert [e.u for e in celnav.epochs([0.0], u=[])] == [None]
+
+
+ZONE = ZoneInfo("Europe/Berlin")
+NIGHT = [datetime(2024, 3, 30, 23, 0, tzinfo=ZONE) + timedelta(hours=k) for k in (0, 1)] + [
+    datetime(2024, 3, 31, hour, 0, tzinfo=ZONE) for hour in (1, 3)
+]
+"""At one hour each: clocks go from two to three."""
+DATED = {
+    "datetime64": np.datetime64("2024-03-30T22", "ms") + 3_600_000 * np.arange(4),
+    "durations": np.timedelta64(1, "h") * np.arange(4),
+    "datetimes of a zone": NIGHT,
+    "datetimes": [t.astimezone(UTC).replace(tzinfo=None) for t in NIGHT],
+    "index": pd.DatetimeIndex(NIGHT),
+    "index without a zone": pd.date_range("2024-03-30T22", periods=4, freq="h"),
+    "series of a zone": pd.Series(pd.DatetimeIndex(NIGHT), index=[3, 2, 1, 0]),
+    "timestamps": list(pd.DatetimeIndex(NIGHT)),
+    "durations of pandas": pd.timedelta_range("0h", periods=4, freq="h"),
+    "series of numbers": pd.Series(3600.0 * np.arange(4), index=[3, 2, 1, 0]),
+}
+
+
+@pytest.mark.parametrize("times", DATED.values(), ids=DATED)
+def test_dates_are_seconds_since_the_first(times):
+    seconds = 3600.0 * np.arange(4)
+    assert [e.t for e in celnav.epochs(times)] == seconds.tolist()
+    np.testing.assert_array_equal(stepped(np.ones(3), times), stepped(np.ones(3), seconds))
+
+
+def test_dates_keep_their_nanoseconds():
+    start = pd.Timestamp("2024-01-01T00:00:00.123456789")
+    times = [start, start + pd.Timedelta(1, "ns"), start + pd.Timedelta(3, "ns")]
+    for form in (times, pd.DatetimeIndex(times), pd.DatetimeIndex(times, tz="UTC")):
+        assert [e.t for e in celnav.epochs(form)] == [0.0, 1e-9, 3e-9]
+
+
+@pytest.mark.parametrize(
+    ("times", "message"),
+    [
+        (pd.DatetimeIndex(["2024-01-01", None]), "times: expected finite numbers, got 1 that"),
+        ([NIGHT[0], DATED["datetimes"][1]], "times: expected numbers, got "),
+        (["2024-01-01", "2024-01-02"], "times: expected numbers, got "),
+        (pd.Series(["a", "b"]), "times: expected numbers, got "),
+        (pd.DataFrame({"t": [0.0, 1.0]}), r"times: expected shape \(T,\) with T > 0, got \(2, 1\)"),
+        (pd.DatetimeIndex(NIGHT[::-1]), "times: expected them not to decrease, got -3600.0 after"),
+        (np.array(["2024-01", "2024-02"], "M8[M]"), "times: expected numbers, got dates or"),
+    ],
+)
+def test_what_are_no_times_is_said_of_the_times(times, message):
+    with pytest.raises(ValueError, match="^" + message):
+        stepped(None, times)
+
+
+@pytest.mark.parametrize("engine", ["numpy", "compiled"])
+def test_tables_count_by_their_rows(engine):
+    """Not by their labels: a part of a table keeps those of the whole, and 0 may be the name of a column."""
+    push, z = np.arange(7.0), np.linspace(0.0, 1.0, 8)
+    expected = celnav.run(LINE, START, TIMES, z[:, None], push[:, None], engine=engine)
+    for column in ("rate", 0):
+        table = pd.DataFrame({column: push}, index=np.arange(7)[::-1] + 3)
+        seen = pd.DataFrame({"z": z}, index=np.arange(8) + 5)
+        seconds = pd.Series(TIMES, index=np.arange(8)[::-1])
+        for truth in (None, seen):
+            given = celnav.epochs(seconds, seen, table, truth)
+            found = celnav.run(LINE, START, given, engine=engine)
+            np.testing.assert_array_equal(found.mean, expected.mean)
+        assert [e.truth.tolist() for e in given] == z[:, None].tolist()
+        columns = celnav.epochs(TIMES, u=(table[column], table))
+        assert [e.u[0] for e in columns[1:]] == push.tolist()
+
+
+def test_a_column_of_measurements_is_made_a_table():
+    z = pd.Series(np.zeros(8))
+    with pytest.raises(ValueError, match=r"got \(8,\); one component is z.to_frame\(\)$"):
+        celnav.epochs(TIMES, z)
+    assert celnav.epochs(TIMES, z.to_frame())[3].z.tolist() == [0.0]
+
+
+def test_a_table_of_words_is_no_input():
+    with pytest.raises(ValueError, match=r"^u: expected numbers, got "):
+        celnav.epochs(TIMES, u=pd.DataFrame({"gear": ["first"] * 7}))
+    with pytest.raises(ValueError, match=r"^z: expected numbers, got "):
+        celnav.epochs(TIMES, pd.DataFrame({"z": ["near"] * 8}))
+
+
+TURN = [0.1, 0.2, 0.3]
+
+
+def turned(x, epoch):
+    return x[..., :1] * epoch.u
+
+
+def held(x, epoch):
+    return x[..., :1] * (0.0 if epoch.u is None else epoch.u)
+
+
+PLACES = {
+    "h": celnav.Sensor(turned, [[1.0]]),
+    "h of components": celnav.Sensor(lambda x, e: x[..., :1] + e.u[..., 0], [[1.0]]),
+    "h that copies": celnav.Sensor(lambda x, e: x[..., :1] + e.u.copy(), [[1.0]]),
+    "R": celnav.Sensor([[1.0]], R=lambda mean, e: [[1.0 + e.u**2]]),
+    "matrix": celnav.Sensor(celnav.Linear(lambda e: np.eye(1) * e.u), [[1.0]]),
+}
+
+
+@pytest.mark.parametrize("engine", ["numpy", "compiled"])
+@pytest.mark.parametrize("place", PLACES)
+def test_a_sensor_that_uses_the_input_has_none_at_the_first_epoch(place, engine):
+    """No interval leads up to it; the cures that the message names work."""
+    motion, times, z = celnav.Motion(lambda x, e: x, [[0.1]]), np.arange(4.0), np.ones((4, 1))
+    filter, u = celnav.ukf(motion, PLACES[place]), np.array(TURN)
+    u = u[:, None] if place == "h of components" else u
+    message = (
+        r"^u: expected models that need no input at t = 0.0: no interval leads up to the first epoch. "
+        r"Make that measurement nan, or let the model use a value of its own where epoch.u is None"
+    )
+    with pytest.raises(ValueError, match=message) as error:
+        celnav.run(filter, START, times, z, u, engine=engine)
+    assert error.value.__notes__ == ["in step 0, t = 0.0"]
+    with pytest.raises(ValueError, match=message):
+        celnav.simulate(motion, PLACES[place], START, times, u=u, runs=2)
+    z[0] = np.nan
+    late = celnav.run(filter, START, times, z, u, engine="auto")
+    assert np.isfinite(late.std).all()
+    if place == "h":
+        free = celnav.ukf(motion, celnav.Sensor(held, [[1.0]]))
+        own = celnav.run(free, START, times, np.ones((4, 1)), u, engine=engine)
+        np.testing.assert_allclose(own.mean, late.mean, atol=1e-12)  # 0 x says nothing
+
+
+@pytest.mark.parametrize("engine", ["numpy", "compiled"])
+def test_inputs_that_were_forgotten_are_asked_for(engine):
+    with pytest.raises(
+        ValueError, match=r"^u: expected an input at t = 1.0, where a model uses it"
+    ):
+        celnav.run(LINE, START, TIMES, np.ones((8, 1)), engine=engine)
+
+
+def test_another_fault_of_a_model_is_its_own():
+    broken = celnav.ukf(celnav.Motion(lambda x, e: x + {}["u"], [[1.0]]))
+    with pytest.raises(KeyError, match="u"):
+        celnav.run(broken, START, TIMES)
+    with pytest.raises(TypeError, match="NoneType"):
+        celnav.run(
+            celnav.ukf(celnav.Motion(lambda x, e: x + e.about[0], [[1.0]])), START, TIMES, u=TIMES
+        )

@@ -394,7 +394,7 @@ def test_a_belief_may_be_the_prior():
 
 
 def test_smoothing_is_refused():
-    with pytest.raises(ValueError, match="filter: expected one whose process"):
+    with pytest.raises(ValueError, match="got InteractingModels, whose estimate is a mixture"):
         celnav.smooth(celnav.run(bank(), PRIOR, TIMES, Z, keep="cov"))
 
 

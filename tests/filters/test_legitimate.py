@@ -401,3 +401,18 @@ def test_runs_that_only_the_coefficients_of_colored_noise_have(form):
                 run(make(MOVED, SEEN, Phi[i], form=form), X0[0], z=Z[:, 0]).mean,
                 atol=1e-8,
             )
+
+
+@pytest.mark.parametrize("engine", ["numpy", "compiled"])
+@FORMS
+def test_colored_noise_of_a_function_goes_with_a_noise_of_the_interval(form, engine):
+    """A motion of the package; that the measurement is linear nobody says: the filter with the noise as states is exact."""
+    motion = celnav.models.motion.constant_velocity(1, q=0.3)
+    sensor, times = celnav.Sensor(lambda x, epoch: x @ H.T, R), np.cumsum(DT)
+    prior = celnav.Gaussian(X0, P0)
+    found, known = (
+        celnav.run(make(motion, sensor, 0.7, form=form), prior, times, Z, keep="cov", engine=engine)
+        for make in (celnav.colored, celnav.augmented)
+    )
+    np.testing.assert_allclose(found.mean, known.mean[..., :2], atol=1e-9)
+    np.testing.assert_allclose(found.cov, known.cov[..., :2, :2], atol=1e-9)

@@ -2,6 +2,7 @@
 
 import copy
 import pickle
+import re
 from dataclasses import replace
 from functools import partial
 
@@ -15,16 +16,21 @@ from celnav import (
     Motion,
     Sensor,
     colored,
+    decorrelated,
     ekf,
     epochs,
+    imm,
     run,
     sigma_point,
     simulate,
     smooth,
+    two_stage,
 )
 from celnav.filters.colored import augmented
 from celnav.filters.fallback import Fallback
+from celnav.filters.fixed_lag import FixedLag
 from celnav.filters.records import FilterError
+from celnav.filters.sequential import SingleDraw
 from celnav.gaussian.attitude import IDENTITY, attitude, exp
 from celnav.gaussian.belief import nees
 from celnav.gaussian.linalg import block
@@ -383,6 +389,66 @@ def test_colored_noise():
     np.testing.assert_allclose(smoothed.cov, cov, rtol=0, atol=1e-9)
 
 
+def walked(x, epoch, *noise):
+    return sum(noise, linear(x, epoch))
+
+
+KNOWN, THROUGH = (
+    Motion(A_, np.eye(3)),
+    sigma_point(Motion(walked, augment=[np.eye(3)]), SEEN, rule=unscented),
+)
+MODELS = [sigma_point(KNOWN, SEEN, rule=unscented)] * 2
+BIASED = Motion(block([[A_, 0], [0, np.eye(2)]]), np.eye(5)), Sensor(np.hstack([H_, np.eye(2)]), R)
+FORWARD_ONLY = {
+    "colored": (
+        colored(KNOWN, SEEN, 0.5 * np.eye(2)),
+        "whose differences of measurements share their noise with the motion; smooth a track of "
+        "celnav.augmented(motion, sensor, Phi), which has the colored noise as states",
+        augmented(KNOWN, SEEN, 0.5 * np.eye(2)),
+    ),
+    "decorrelated": (
+        decorrelated(KNOWN, SEEN, 0.5 * np.eye(2)),
+        "whose differences of measurements share their noise with the motion; smooth a track of "
+        "celnav.augmented(motion, sensor, Phi), which has the colored noise as states",
+        augmented(KNOWN, SEEN, 0.5 * np.eye(2)),
+    ),
+    "two stages": (
+        two_stage(KNOWN, SEEN, np.eye(2), Gaussian(np.zeros(2), np.eye(2))),
+        "whose stages have no joint model of state and bias to go back by; smooth a track of "
+        "celnav.ukf with the bias as a state",
+        sigma_point(*BIASED, rule=unscented),
+    ),
+    "models": (
+        imm(MODELS, np.full((2, 2), 0.5)),
+        "whose estimate is a mixture, which none of its models leads back from; smooth the track "
+        "of one of its filters alone",
+        MODELS[0],
+    ),
+    "single draw": (
+        SingleDraw.of(THROUGH),
+        "which draws the noise of motion and sensor together; smooth a track of the filter that "
+        "it was made of",
+        THROUGH,
+    ),
+    "lag": (
+        FixedLag(MODELS[0], 3),
+        "which smooths its last epochs by filter.track(state); smooth a track of its own filter",
+        MODELS[0],
+    ),
+}
+
+
+@pytest.mark.parametrize("name", FORWARD_ONLY)
+def test_what_cannot_be_smoothed_says_why_and_what_can(name):
+    filter, reason, instead = FORWARD_ONLY[name]
+    z = measurements(np.random.default_rng(14))
+    expected = "filter: expected one that predicts, then updates, such as celnav.ukf, got "
+    with pytest.raises(ValueError, match="^" + re.escape(expected) + r"\w+, " + re.escape(reason)):
+        smooth(run(filter, PRIOR, np.arange(T), z, keep="cov"))
+    prior = Gaussian(np.zeros(5), np.eye(5)) if name == "two stages" else PRIOR
+    assert np.isfinite(smooth(run(instead, prior, np.arange(T), z, keep="cov")).std).all()
+
+
 @FORMS
 def test_known_directions(form):
     """A known constant, and a known combination of two states: as if they were not part of the state."""
@@ -503,11 +569,12 @@ TWO, THREE = np.eye(2), 0.01 * np.eye(3)
         ),
         (
             lambda: smooth(track_of(PLAIN), MOTION),
-            r"^filter: expected one whose process and measurement noise are independent",
+            r"^filter: expected one that predicts, then updates, such as celnav.ukf, got Motion$",
         ),
         (
             lambda: smooth(track_of(colored(Motion(linear, THREE), SEEN, 0.5 * TWO))),
-            r"^filter: expected one whose process and",
+            r"^filter: expected one that predicts, .*, got Colored, whose differences of measurements "
+            r"share their noise with the motion; smooth a track of celnav.augmented\(motion",
         ),
         (
             lambda: smooth(track_of(PLAIN), sigma_point(Motion(linear, TWO), SEEN, rule=unscented)),

@@ -394,7 +394,7 @@ def hooked(hook):
         ),
         (
             lambda: celnav.smooth(TRACK, MOTION),
-            "filter: expected one whose process and measurement noise are independent",
+            "filter: expected one that predicts, then updates, such as celnav.ukf, got Motion",
         ),
         (lambda: TRACK.to_dataframe("xy"), "names: expected 2 words, such as ['x', 'y'], got 'xy'"),
         (

@@ -183,7 +183,7 @@ def test_a_filter_refuses_what_is_no_attitude(bad):
     with pytest.raises(ValueError, match=r"^z: expected"):
         seen(at.IDENTITY, np.array(bad))
     if np.isfinite(bad).all():
-        with pytest.raises(ValueError, match=r"^state: expected unit quaternions"):
+        with pytest.raises(ValueError, match=r"^prior: expected unit quaternions"):
             seen(np.array(bad), at.IDENTITY)
 
 

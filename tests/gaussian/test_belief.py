@@ -214,7 +214,7 @@ def test_a_gaussian_refuses_and_says_what(mean, cov, words):
         ({}, "exactly one"),
         ({"cov": np.eye(1), "sqrt_cov": np.eye(1)}, "exactly one"),
         ({"sqrt_cov": [[1.0, 0.5], [0.0, 1.0]]}, "sqrt_cov: expected a lower triangular matrix"),
-        ({"sqrt_cov": 1.0}, r"sqrt_cov: expected shape \(..., n, n\), got \(\)"),
+        ({"sqrt_cov": [1.0]}, r"sqrt_cov: expected shape \(..., n, n\), got \(1,\)"),
         ({"sqrt_cov": np.ones((2, 1))}, r"sqrt_cov: expected shape \(..., n, n\), got \(2, 1\)"),
         ({"sqrt_cov": [[np.nan]]}, "sqrt_cov: expected finite"),
     ],

@@ -121,7 +121,7 @@ def test_small_alpha_keeps_the_mean_of_a_constant_and_its_digits():
     assert not image.columns.any()
 
 
-@pytest.mark.parametrize("alpha", [1e-2, 1e-3, 1e-4, 1e-5])
+@pytest.mark.parametrize("alpha", [1e-2, 1e-3, 1e-4, 1e-5, 1e-6])
 def test_unscented_rules_of_small_alpha_are_accepted(alpha):
     assert unscented(6, alpha, 2.0, 0.0).num_sigmas() == 13
 
@@ -371,6 +371,18 @@ def test_rules_cannot_be_changed():
         (lambda: unscented(2, 0.0), "alpha"),
         (lambda: unscented(2, -1.0), "alpha"),
         (lambda: unscented(2, float("nan")), "alpha"),
+        (
+            lambda: unscented(2, 1e-7, 2.0),
+            "^alpha, kappa, wm: expected weights that leave three digits",
+        ),
+        (
+            lambda: unscented(2, 1.0, 2.0, 1e-13 - 2.0),
+            "^alpha, kappa, wm: expected weights that leave",
+        ),
+        (
+            lambda: from_filterpy(MerweScaledSigmaPoints(2, 1e-8, 2.0, 0.0)),
+            "^alpha, kappa, wm: expected weights that leave three digits of a mean, got 9.01e.15 times",
+        ),
         (lambda: unscented(2, 1.0, float("inf")), "beta"),
         (lambda: unscented(2, 1.0, 0.0, -2.0), "kappa: expected a number above -2, got -2"),
         (lambda: unscented(2, 1.0, 0.0, -3.0), "kappa"),

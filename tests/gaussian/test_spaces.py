@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import celnav
+from celnav.gaussian.attitude import attitude
 from celnav.gaussian.spaces import EUCLIDEAN, Space, angles, product, wrap
 
 reals = st.floats(-50.0, 50.0)
@@ -134,3 +135,26 @@ def test_angles_may_come_as_integers():
         np.testing.assert_allclose(
             celnav.angles().minus(np.asarray(make([6, 7])), make([1, 9])), [5.0 - 2.0 * np.pi, -2.0]
         )
+
+
+@pytest.mark.parametrize(
+    ("factor", "message"),
+    [
+        ((attitude(), 3, 3), r"factors: points of length 3: expected shape \(..., 4\), got \(3,\)"),
+        (
+            (attitude(), 4, 4),
+            r"factors: expected tangents of length 3 to go with points of length 4, "
+            r"as in \(space, 4, 3\), got 4",
+        ),
+        ((EUCLIDEAN, 4, 3), r"factors: expected tangents of length 4 .*, as in \(space, 4, 4\)"),
+        ((circle(), 2, 2), r"factors: expected tangents of length 1 .*, as in \(space, 2, 1\)"),
+        (
+            (angles([5]), 3, 3),
+            "angles: expected components below 3, the length of the vector, got 5",
+        ),
+    ],
+)
+def test_lengths_that_a_space_does_not_have_are_refused_where_they_are_given(factor, message):
+    """Not in the first run."""
+    with pytest.raises(ValueError, match="^" + message):
+        product(factor, (EUCLIDEAN, 12, 12))

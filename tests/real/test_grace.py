@@ -13,7 +13,7 @@ from scipy.optimize import brentq
 
 from celnav.files import InputError
 from celnav.filters.colored import colored
-from celnav.filters.records import Epoch
+from celnav.filters.records import Epoch, epochs
 from celnav.filters.run import run
 from celnav.filters.sequential import ukf
 from celnav.gaussian.belief import Gaussian
@@ -330,18 +330,17 @@ def test_the_density_of_an_innovation_is_that_of_students_t(folder, data):
     field = gravity.read(folder / "made.gfc", 2)
     M, S, Phi = settings.linear(settings.believed(field, settings.SETTINGS["robust"]))
     start = Gaussian(data.prior.mean[0], data.prior.cov)
-    one = (start, data.times[:9], data.z[:9, 0], tuple(part[:, 0] for part in data.u))
+    when = epochs(data.times, data.z[:, 0], tuple(part[:, 0] for part in data.u))
+    one = start, when[:9]
     many = run(settings.Weighed(colored(M, S, Phi, hooks=settings.weighing(1e9))), *one)
     assert many.log_likelihood == pytest.approx(
         run(colored(M, S, Phi), *one).log_likelihood, abs=1e-4
     )
     plain = colored(M, S, Phi)
-    flown = run(
-        plain, *one[:1], *(part[:8] if isinstance(part, np.ndarray) else part for part in one[1:])
-    )
+    flown = run(plain, start, when[:8])
     info = run(plain, *one)
-    weighed = [run(settings.Weighed(colored(M, S, Phi, hooks=[settings.weighing(4.0)[0]])), one[0], one[1][:n], one[2][:n], one[3])
-               for n in (8, 9)]  # fmt: skip
+    hooked = settings.Weighed(colored(M, S, Phi, hooks=[settings.weighing(4.0)[0]]))
+    weighed = [run(hooked, start, when[:n]) for n in (8, 9)]
     u, normal = info.whitened[-1], info.log_likelihood - flown.log_likelihood
     expected = normal - stats.norm.logpdf(u).sum() + stats.t(4.0).logpdf(u).sum()
     assert weighed[1].log_likelihood - weighed[0].log_likelihood == pytest.approx(

@@ -28,6 +28,7 @@ from celnav.gaussian.attitude import attitude, rotate
 from celnav.gaussian.linalg import FORMS, side_by_side
 from celnav.gaussian.spaces import EUCLIDEAN
 from celnav.models.gyro import Gyro
+from celnav.models.motion import constant_velocity, coordinated_turn
 from celnav.study.montecarlo import generator
 from celnav.study.problem import WILD, Problem, compare
 from celnav.study.trial import Group, Noiseless
@@ -104,6 +105,9 @@ def line(**changes):
     return replace(problem, **changes)
 
 
+RATES = np.tile([0.0, 1e-3, 0.0], (30, 1))
+
+
 def satellite(**changes):
     gyro = Gyro(1e-5, 1e-6)
     problem = Problem(
@@ -118,7 +122,7 @@ def satellite(**changes):
         ),
         Gaussian([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], np.diag([0.02] * 3 + [1e-4] * 3) ** 2),
         times=np.arange(31.0),
-        u=np.tile([0.0, 1e-3, 0.0], (30, 1)),
+        u=RATES,
         groups=[Group("attitude", "arcsec", slice(0, 3), 206265.0)],
     )
     return replace(problem, **changes)
@@ -188,6 +192,13 @@ def test_outliers_are_as_many_and_as_large_as_they_are_said_to_be():
     wild = np.abs(V / plain) > 0.5 * WILD
     assert wild.mean() == pytest.approx(0.1, abs=0.01)
     np.testing.assert_allclose(V[wild], WILD * plain[wild])
+
+
+def test_a_problem_may_have_dates():
+    dated = line(times=np.datetime64("2026-01-01", "ns") + np.timedelta64(1, "s") * np.arange(21))
+    (truth, z), (same, alike) = (p.draw([generator(1, 0, 0)]) for p in (dated, line()))
+    np.testing.assert_array_equal(truth, same)
+    np.testing.assert_array_equal(z, alike)
 
 
 def test_an_outlier_of_colored_noise_leaves_the_next_sample_alone():
@@ -275,7 +286,9 @@ def test_adaptive_square_root_attitude_is_consistent_and_survives_outliers():
 
 def test_what_does_not_go_together_is_left_out():
     assert COMPOSITIONS["unscented · square root · colored"](satellite()) is None
-    rows = compare({"satellite": satellite(times=np.arange(4.0))}, COMPOSITIONS, runs=2)
+    rows = compare(
+        {"satellite": satellite(times=np.arange(4.0), u=RATES[:3])}, COMPOSITIONS, runs=2
+    )
     left = [
         name for name in COMPOSITIONS if "colored" not in name and "Gauss-Hermite" not in name
     ]  # of 729 points
@@ -283,11 +296,60 @@ def test_what_does_not_go_together_is_left_out():
     assert all(np.isfinite([row.rms, row.efficiency, row.anees]).all() for row in rows)
     # Without a filter that knows the color there is no bound.
     (row,) = compare(
-        {"satellite": satellite(times=np.arange(4.0), phi=0.5)},
+        {"satellite": satellite(times=np.arange(4.0), u=RATES[:3], phi=0.5)},
         chosen("unscented · square root"),
         runs=2,
     )
     assert np.isnan(row.efficiency)
+
+
+@pytest.mark.parametrize("phi", [0.0, 0.6])
+def test_motions_of_the_package_are_problems(phi):
+    """Their noise belongs to the interval; here intervals are of 1 s and of 3 s."""
+    problem = Problem(
+        constant_velocity(1, q=0.02),
+        Sensor(lambda x, epoch: x[..., :1], R=lambda mean, epoch: 0.25),
+        PRIOR,
+        np.cumsum([0.0, *[1.0, 3.0] * 10]),
+        phi=phi,
+        groups=[Group("position", "m", slice(0, 1))],
+    )
+    truth, z = problem.draw([generator(3, 0, r) for r in range(4000)])
+    for k, T in ((1, 1.0), (2, 3.0)):
+        w = truth[k] - truth[k - 1] @ np.array([[1.0, T], [0.0, 1.0]]).T
+        Q = 0.02 * np.array([[T**3 / 3.0, T**2 / 2.0], [T**2 / 2.0, T]])
+        np.testing.assert_allclose(np.cov(w.T), Q, rtol=0.1)
+    V = (z - truth[..., :1])[..., 0]
+    np.testing.assert_allclose(V.std(1), 0.5, rtol=0.06)
+    assert np.corrcoef(V[9], V[10])[0, 1] == pytest.approx(phi, abs=0.05)
+    (row,) = compare(
+        {"walk": problem},
+        {"one": lambda p: colored(p.motion, p.sensor, phi * np.eye(1))},
+        runs=2000,
+    )
+    assert row.low < 1.0 < row.high
+    assert row.efficiency == pytest.approx(1.0, abs=0.05)
+
+
+def test_a_noise_of_the_state_is_drawn_where_the_state_is():
+    """A turn that is pushed along its own heading, and a range whose noise grows with it."""
+    turn = coordinated_turn(q=1e-2, q_rate=1e-6)
+    problem = Problem(
+        turn,
+        Sensor(
+            lambda x, epoch: x[..., :2],
+            R=lambda mean, epoch: (0.1 + mean[..., :1, None] ** 2) * np.eye(2),
+        ),
+        Gaussian([0.0, 0.0, 1.0, 0.0, 0.5], 1e-6 * np.eye(5)),
+        np.arange(3.0),
+    )
+    truth, z = problem.draw([generator(4, 0, r) for r in range(4000)])
+    W = turn.columns(problem.prior.mean, problem.epochs[1], 5)
+    np.testing.assert_allclose(np.cov(truth[1].T)[:2, :2], (W @ W.T)[:2, :2], rtol=0.1, atol=2e-4)
+    near = np.abs(truth[2, :, 0]) < np.median(np.abs(truth[2, :, 0]))
+    noise = z[2] - truth[2, :, :2]
+    expected = [np.sqrt(0.1 + (truth[2, part, 0] ** 2).mean()) for part in (near, ~near)]
+    np.testing.assert_allclose([noise[near].std(), noise[~near].std()], expected, rtol=0.05)
 
 
 def test_a_row_does_not_depend_on_the_others():
@@ -311,17 +373,20 @@ def test_a_row_does_not_depend_on_the_others():
         ({"sensor": None}, r"^sensor: expected celnav.Sensor\(h, R\), got NoneType"),
         ({"prior": [1.0, 2.0]}, r"^prior: expected celnav.Gaussian\(mean, cov\), got list"),
         (
-            {"motion": Motion(f, lambda mean, epoch: np.eye(2))},
-            r"^Q: expected one constant covariance",
+            {"motion": Motion(f, lambda mean, epoch: np.eye(3))},
+            r"^prior, Q: expected a covariance \(2, 2\) that all runs share, got \(3, 3\)",
         ),
         (
-            {"sensor": Sensor(h, lambda mean, epoch: np.eye(1))},
-            r"^R: expected one constant covariance",
+            {"sensor": Sensor(h, lambda mean, epoch: np.eye(2))},
+            r"^R: expected a covariance \(1, 1\) that all runs share, got \(2, 2\)",
         ),
-        ({"sensor": Sensor(h, np.ones((3, 1, 1)))}, r"^R: expected one constant covariance"),
+        (
+            {"sensor": Sensor(h, np.ones((3, 1, 1)))},
+            r"^R: expected a covariance \(1, 1\) that all runs share, got \(3, 1, 1\)",
+        ),
         (
             {"motion": Motion(f, np.eye(3))},
-            r"^prior: expected a covariance to go with the motion's Q, got \(2, 2\)",
+            r"^prior, Q: expected a covariance \(2, 2\) that all runs share, got \(3, 3\)",
         ),
         (
             {"prior": Gaussian(np.zeros(3), np.eye(2))},
@@ -329,7 +394,7 @@ def test_a_row_does_not_depend_on_the_others():
         ),
         (
             {"motion": Motion(f, np.eye(2), augment=(np.eye(1),))},
-            r"^Q: expected one constant covariance of a noise beside",
+            r"^augment: expected noise beside the models, got some through the points",
         ),
         (
             {"prior": Gaussian(np.zeros((3, 2)), np.eye(2))},
@@ -338,7 +403,7 @@ def test_a_row_does_not_depend_on_the_others():
         ({"phi": "much"}, "^phi: expected a number of at least 0 and below 1, got 'much'"),
         ({"times": [0.0, 1.0, 1.0]}, r"^times: expected two or more increasing numbers"),
         ({"times": []}, r"^times: expected two or more increasing numbers"),
-        ({"u": np.zeros((3, 1))}, r"^u: expected at least 20 rows for 21 times, got 3"),
+        ({"u": np.zeros((3, 1))}, r"^u: expected 20 rows for 21 times .*, got 3"),
         (
             {"groups": [Group("x", "m", slice(5, 6))]},
             r"^groups: expected a slice of 2 components for x",

@@ -342,7 +342,7 @@ def seen(x, _epoch):
         ({"runs": 0}, r"^runs: expected a positive integer, got 0"),
         ({"runs": 2.5}, r"^runs: expected a positive integer, got 2.5"),
         ({"times": [1.0, 0.0]}, r"^times: expected them not to decrease"),
-        ({"u": np.zeros((3, 1))}, r"^u: expected at least 11 rows for 12 times, got 3"),
+        ({"u": np.zeros((3, 1))}, r"^u: expected 11 rows for 12 times .*, got 3"),
         (
             {"motion": Motion(lambda x, _epoch: x[..., :1], Q)},
             r"^f returned shape \(1, 2, 1\), expected \(1, 2, 2\)",
