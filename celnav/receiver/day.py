@@ -61,8 +61,8 @@ def found(folder: Path | None) -> Files | None:
 def _read(files: Files) -> tuple[Observations, Navigation, Array]:
     """The first half day of BeiDou's satellites, broadcast elements, and the position ``(3,)`` m in the header."""
     observations, navigation = (
-        read_observations(files.observations).of("C"),
-        read_navigation(files.navigation),
+        read_observations(files.observations, strict=True).of("C"),
+        read_navigation(files.navigation, strict=True),
     )
     reference = observations.reference()
     if reference is None:

@@ -56,7 +56,8 @@ class Log:
     noise: of ranges and of rates. jumps: ``(T,)`` m, what the receiver has set its clock by since the start, which was taken off
         ranges and fixes. dilution: of each epoch ``(T,)``. ionosphere: whether the broadcast model's coefficients were there to
         correct it by. left_out: why measurements are not used, and how many. others: systems in the files that are not used.
-    files: names of what was read.
+    files: names of what was read. damaged: messages with the line, one for each epoch or broadcast
+        set that was left out because it is damaged.
     """
 
     times: Array
@@ -80,6 +81,7 @@ class Log:
     left_out: dict[str, int]
     others: tuple[str, ...] = ()
     files: tuple[str, ...] = ()
+    damaged: tuple[str, ...] = ()
 
     @property
     def used(self) -> Array:
@@ -231,6 +233,7 @@ def prepare(
         np.stack([kind.unusable for kind in found.kinds], -1), np.stack([kind.tested for kind in found.kinds], -1), noise, jumps,
         dilution(seen.q, position, _axes(position), ranged, second), navigation.klobuchar is not None, left_out, others,
         (str(observations.path), *str(navigation.path).split(", ")),
+        observations.damaged + navigation.damaged,
     )  # fmt: skip
     last = int(np.flatnonzero(ranged.any(-1))[-1]) + 1
     return log.part(slice(first, last))

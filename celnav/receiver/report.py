@@ -20,7 +20,7 @@ from celnav.receiver.geodesy import ELLIPSOID, ecef2geodetic
 from celnav.receiver.position import Log
 from celnav.receiver.rinex import SYSTEMS
 from celnav.receiver.sky import GROUND_M, local_axes, on_earth
-from celnav.receiver.tracks import civil, table
+from celnav.receiver.tracks import DOUBTS, civil, table
 from celnav.show import colors
 from celnav.show.figures import Panel, components, curve, figure, panels
 
@@ -45,6 +45,10 @@ KIND_COLORS = {
     "MEO": colors.COMPARISON,
     "GPS": colors.TRUTH,
 }
+HEIGHTS_M = (-1e3, 5e4, 1.6e5)
+"""Above the ellipsoid: receivers are between the first two, or in orbit above the third."""
+MOST_LINES = 5
+"""Damaged lines that a summary names."""
 IGSO_NUMBERS = frozenset({*range(6, 11), 13, 16, 31, 38, 39, 40, 56})
 """Inclined geosynchronous satellites of BeiDou-2 and -3."""
 
@@ -109,6 +113,36 @@ class Positioned:
     def local(self, positions: Array) -> Array:
         """East, north, up ``(..., 3)`` m of positions ``(..., 3 or more)``."""
         return np.asarray((positions[..., :3] - self.origin) @ self.axes.T)
+
+    @cached_property
+    def integrity(self) -> Array:
+        """What the ranges of each epoch tell of its position, a word ``(T,)``.
+
+        "tested" (the ranges agree), "excluded" (they agree without those excluded), "contradiction"
+        (they disagree, none is used), "no ranges", "untested" (no redundancy, or the test is off),
+        "implausible height" (`HEIGHTS_M`).
+        """
+        log, there = self.log, np.isfinite(self.mean[:, :1])
+        height = np.ravel(
+            ecef2geodetic(*np.where(there, self.mean[:, :3], self.origin).T, ell=ELLIPSOID)[2]
+        )
+        low, high, orbit = HEIGHTS_M
+        return np.select(
+            [
+                log.unusable[:, 0],
+                ~log.used.any(1),
+                (height < low) | ((height > high) & (height < orbit)),
+                log.excluded[:, : len(log.names)].any(1),
+                log.tested[:, 0],
+            ],
+            ["contradiction", "no ranges", "implausible height", "excluded", "tested"],
+            "untested",
+        )
+
+    @property
+    def doubtful(self) -> Array:
+        """Positions ``(T,)`` that may be far off although no residual shows it; see `DOUBTS`."""
+        return self.measured & np.isin(self.integrity, list(DOUBTS))
 
     @property
     def minutes(self) -> Array:
@@ -179,6 +213,8 @@ def summary(found: Positioned) -> str:
     lines = [
         f"epochs       {len(log.times)}, {civil(log.times[0])} to {civil(log.times[-1])} BDT; {measured.sum()} with a position, "
         f"{(there & ~measured).sum()} more predicted without a range, {(~there).sum()} without a position",
+        f"doubtful     {_doubtful(found)}",
+        *([f"damaged      {_damaged(log.damaged)}"] if log.damaged else []),
         f"systems      {_systems(found)}",
         f"satellites   {len(names)} ({', '.join(names)}); {count.min()} to {count.max()} at a time, mean {count.mean():.1f}",
         f"alone        {(fixed & (log.spare == 0)).sum()} epochs with no more than a fix needs; {(~fixed).sum()} without a fix",
@@ -206,6 +242,21 @@ def summary(found: Positioned) -> str:
             "deviations are right, which are of noise alone: what all satellites share shows in no residual",
         ]
     return "\n".join(lines)
+
+
+def _doubtful(found: Positioned) -> str:
+    """How many positions are marked, and why."""
+    counts = {word: int((found.integrity[found.doubtful] == word).sum()) for word in DOUBTS}
+    reasons = [f"{n} {word} ({DOUBTS[word]})" for word, n in counts.items() if n]
+    every = f"{sum(counts.values())} of {found.measured.sum()} positions"
+    return f"{every}: {', '.join(reasons)}" if reasons else every
+
+
+def _damaged(messages: tuple[str, ...]) -> str:
+    """How many epochs and broadcast sets were left out, and in which lines."""
+    lines = "; ".join(messages[:MOST_LINES])
+    rest = f"; and {len(messages) - MOST_LINES} more" if len(messages) > MOST_LINES else ""
+    return f"{len(messages)} epochs or broadcast sets left out: {lines}{rest}"
 
 
 def _systems(found: Positioned) -> str:
@@ -264,6 +315,10 @@ def _track(found: Positioned) -> Figure:
     )
     both = [curve(alone[:, 0], alone[:, 1], color=colors.MEASUREMENT, label="each epoch by itself", **dots),
             curve(local[:, 0], local[:, 1], color=colors.ESTIMATE, label=found.filter, **dots)]  # fmt: skip
+    if found.doubtful.any():
+        east, north, _ = local[found.doubtful].T
+        doubtful = dots | {"marker": "x", "markersize": 5.0}
+        both.append(curve(east, north, color=colors.PAPER, label="doubtful", **doubtful))
     shades = (colors.COMPARISON, colors.TRUTH, colors.ESTIMATE)
     moved = components(found.minutes, local, ("east", "north", "up"), shades, linewidth=0.9)
     title = f"from the {'known' if found.reference is not None else 'mean'} position"
@@ -339,7 +394,7 @@ def record_positioned(found: Positioned, path: Any) -> None:
     times = log.times - log.times[0]
     middle = local[found.measured].mean(0)
     spread = 3.0 * max(_rms(local[found.measured] - middle), 0.1)
-    growing = {"track/alone": np.inf, "track/filter": np.inf}
+    growing = dict.fromkeys(("track/alone", "track/filter", "track/doubtful"), np.inf)
     eye = middle + np.array([0.0, -spread, 4.0 * spread])
     scatter = views.space("track", "east, north, up, m", eye=eye, target=middle, growing=growing)
     sky = views.space("sky", "sky over the receiver", eye=(0.0, -2.2, 1.6), growing={})
@@ -355,6 +410,8 @@ def record_positioned(found: Positioned, path: Any) -> None:
         out.text("info", "```\n" + summary(found) + "\n```")
         out.points("track/alone", alone, colors.MEASUREMENT, radius=1.2)
         out.points("track/filter", local, colors.ESTIMATE, radius=1.6)
+        doubtful = np.where(found.doubtful[:, None], local, np.nan)
+        out.points("track/doubtful", doubtful, colors.PAPER, radius=3.0)
         out.points("track/here", local, colors.TRUTH, radius=5.0, label=found.filter)
         if np.isfinite(found.cov).any():
             out.ellipsoids(
