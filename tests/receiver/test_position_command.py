@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -339,5 +340,9 @@ def test_damage_is_an_error_of_input_or_is_told_in_the_summary(tmp_path, which, 
 
 
 def test_the_nearest_epoch_with_a_fix():
-    there = np.array([False, False, True, False, False, True, True, False])
-    np.testing.assert_array_equal(positioning._nearest(there), [2, 2, 2, 2, 5, 5, 6, 6])
+    """The earlier of two that are as near, for all ways in which nine epochs have fixes."""
+    for there in product([False, True], repeat=9):
+        fixes = [k for k, fix in enumerate(there) if fix]
+        if fixes:
+            nearest = [min(fixes, key=lambda k: (abs(k - own), k)) for own in range(9)]
+            np.testing.assert_array_equal(positioning._nearest(np.array(there)), nearest)
