@@ -237,15 +237,13 @@ def left_out(tmp_path, b, name, number, value):
 
 @pytest.mark.parametrize("name", HOLDS)
 @pytest.mark.parametrize("system", [0, 1])
-def test_a_set_may_have_what_its_message_can_hold_and_not_three_times_as_much(
-    tmp_path, name, system
-):
+def test_a_set_may_have_what_its_message_can_hold_and_not_twice_as_much(tmp_path, name, system):
     b = both()
     number, largest = b.names.index(("C21", "G07")[system]), HOLDS[name][system]
-    factor = 6.0 if system and name in ("crs", "crc") else 3.0  # there BeiDou's limit is for both
+    factor = 4.0 if system and name in ("crs", "crc") else 2.0  # there BeiDou's limit is for both
     for sign in (-1.0, 1.0):
-        assert not left_out(tmp_path, b, name, number, sign * largest)
-        assert left_out(tmp_path, b, name, number, sign * factor * largest)
+        assert not left_out(tmp_path, b, name, number, sign * 0.9999 * factor * largest)
+        assert left_out(tmp_path, b, name, number, sign * 1.0001 * factor * largest)
 
 
 @pytest.mark.parametrize(
@@ -253,7 +251,7 @@ def test_a_set_may_have_what_its_message_can_hold_and_not_three_times_as_much(
     [
         ("e", (0.0, 0.5), (0.501, 0.9)),
         ("sqrt_a", (4096.0, 8191.0), (4095.0, 8193.0)),
-        *((name, (-600.0, 600.0), (-2000.0, 2000.0)) for name in ("M0", "Omega0", "omega", "i0")),
+        *((name, (-1256.0, 1256.0), (-1257.0, 1257.0)) for name in ("M0", "Omega0", "omega", "i0")),
     ],
 )
 def test_an_orbit_is_an_ellipse_and_its_angles_are_no_more_than_many_turns(
@@ -266,7 +264,7 @@ def test_an_orbit_is_an_ellipse_and_its_angles_are_no_more_than_many_turns(
 
 def test_a_time_of_the_week_is_within_it(texts, tmp_path):
     time = re.search(r"\nC21.*\n.*\n.*\n    (.{19})", texts[1])[1]
-    for value, outside in ((604_800.0, False), (604_801.0, True), (-1.0, True)):
+    for value, outside in ((0.0, False), (604_800.0, False), (604_801.0, True), (-1.0, True)):
         text = re.sub(r"(\nC21.*\n.*\n.*\n    ).{19}", rf"\g<1>{value:19.12E}", texts[1], count=1)
         found = read_navigation(written(tmp_path, text))
         assert found.left_out == ({"C21": 1} if outside else {})
