@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -114,6 +115,16 @@ class Positioned:
         """East, north, up ``(..., 3)`` m of positions ``(..., 3 or more)``."""
         return np.asarray((positions[..., :3] - self.origin) @ self.axes.T)
 
+    @property
+    def local_cov(self) -> Array:
+        """Covariance ``(T, 3, 3)`` m^2 of east, north and up."""
+        return np.asarray(self.axes @ self.cov @ self.axes.T)
+
+    @property
+    def local_std(self) -> Array:
+        """Standard deviations ``(T, 3)`` m of east, north and up."""
+        return np.sqrt(self.local_cov.diagonal(0, -2, -1))
+
     @cached_property
     def integrity(self) -> Array:
         """What the ranges of each epoch tell of its position, a word ``(T,)``.
@@ -164,38 +175,23 @@ def position(
     known = filters(len(log.names), second=log.second, acceleration=acceleration)
     if reference is not None:
         on_earth("reference", reference)
-    if filter == "ls":
-        spare = np.where(np.isfinite(log.misfit), np.maximum(log.spare, 0), 0).sum()
-        return Positioned(
-            log,
-            filter,
-            log.fixes,
-            log.fix_cov,
-            reference,
-            of,
-            float(np.nansum(log.misfit) / max(spare, 1)),
-        )
-    if filter not in known:
+    if filter not in ("ls", *known):
         raise ValueError(f"filter: expected one of ls, {', '.join(known)}, got {filter!r}")
-    track = run(known[filter], log.prior(), log.epochs(), keep="cov")
-    assert track.mean is not None
-    size = np.linalg.norm(track.mean[:, :3], axis=-1)
-    there = (size > GROUND_M[0]) & (size < GROUND_M[1])
-    mean, cov = (
-        np.where(there[:, None], track.mean, np.nan),
-        np.where(there[:, None, None], track.cov[:, :3, :3], np.nan),
-    )
-    if not (there & log.used.any(-1)).any():
-        raise FilterError("its positions are far from the Earth")
-    return Positioned(
-        log,
-        filter,
-        mean,
-        cov,
-        reference,
-        of,
-        float(np.nansum(track.nis) / max(int(track.dof.sum()), 1)),
-    )
+    if filter == "ls":
+        mean, cov, nis = log.fixes, log.fix_cov, log.misfit
+        dof = np.where(np.isfinite(nis), np.maximum(log.spare, 0), 0)
+    else:
+        track = run(known[filter], log.prior(), log.epochs(), keep="cov")
+        assert track.mean is not None
+        size = np.linalg.norm(track.mean[:, :3], axis=-1)
+        there = (size > GROUND_M[0]) & (size < GROUND_M[1])
+        if not (there & log.used.any(-1)).any():
+            raise FilterError("its positions are far from the Earth")
+        mean = np.where(there[:, None], track.mean, np.nan)
+        cov = np.where(there[:, None, None], track.cov[:, :3, :3], np.nan)
+        nis, dof = track.nis, track.dof
+    nis_per_degree = float(np.nansum(nis) / max(int(dof.sum()), 1))
+    return Positioned(log, filter, mean, cov, reference, of, nis_per_degree)
 
 
 def _rms(vectors: Array) -> float:
@@ -232,8 +228,7 @@ def summary(found: Positioned) -> str:
     ]
     if found.reference is not None:
         parts = np.sqrt(np.square(local[measured]).mean(0))
-        std = np.sqrt((found.axes @ found.cov @ found.axes.T).diagonal(0, -2, -1))[measured]
-        ratio = np.square(local[measured] / std).mean(0)
+        ratio = np.square(local[measured] / found.local_std[measured]).mean(0)
         lines += [
             f"reference    {' '.join(f'{v:.3f}' for v in found.reference)} m, of the antenna: {found.of}",
             f"error        {_rms(local[measured]):.3f} m RMS in 3-D: east {parts[0]:.3f}, north {parts[1]:.3f}, up {parts[2]:.3f}; "
@@ -246,10 +241,10 @@ def summary(found: Positioned) -> str:
 
 def _doubtful(found: Positioned) -> str:
     """How many positions are marked, and why."""
-    counts = {word: int((found.integrity[found.doubtful] == word).sum()) for word in DOUBTS}
-    reasons = [f"{n} {word} ({DOUBTS[word]})" for word, n in counts.items() if n]
-    every = f"{sum(counts.values())} of {found.measured.sum()} positions"
-    return f"{every}: {', '.join(reasons)}" if reasons else every
+    counts = Counter(found.integrity[found.doubtful].tolist())
+    reasons = ", ".join(f"{n} {word} ({DOUBTS[word]})" for word, n in counts.items())
+    every = f"{counts.total()} of {found.measured.sum()} positions"
+    return f"{every}: {reasons}" if reasons else every
 
 
 def _damaged(messages: tuple[str, ...]) -> str:
@@ -308,11 +303,8 @@ def figures(found: Positioned) -> dict[str, Figure]:
 
 
 def _track(found: Positioned) -> Figure:
-    alone, local, dots = (
-        found.local(found.log.fixes),
-        found.local(found.mean),
-        dict[str, Any](linestyle="", marker=".", markersize=2.0),
-    )
+    alone, local = found.local(found.log.fixes), found.local(found.mean)
+    dots = dict[str, Any](linestyle="", marker=".", markersize=2.0)
     both = [curve(alone[:, 0], alone[:, 1], color=colors.MEASUREMENT, label="each epoch by itself", **dots),
             curve(local[:, 0], local[:, 1], color=colors.ESTIMATE, label=found.filter, **dots)]  # fmt: skip
     if found.doubtful.any():
@@ -414,14 +406,8 @@ def record_positioned(found: Positioned, path: Any) -> None:
         out.points("track/doubtful", doubtful, colors.PAPER, radius=3.0)
         out.points("track/here", local, colors.TRUTH, radius=5.0, label=found.filter)
         if np.isfinite(found.cov).any():
-            out.ellipsoids(
-                "track/ellipsoid",
-                local,
-                found.axes @ found.cov @ found.axes.T,
-                colors.ESTIMATE,
-                sigmas=1.0,
-            )
-        std = np.sqrt((found.axes @ found.cov @ found.axes.T).diagonal(0, -2, -1))
+            out.ellipsoids("track/ellipsoid", local, found.local_cov, colors.ESTIMATE, sigmas=1.0)
+        std = found.local_std
         for i, name in enumerate(("east", "north", "up")):
             out.curve(
                 f"{name}/alone", alone[:, i], colors.MEASUREMENT, "each epoch by itself", width=1.0

@@ -26,7 +26,7 @@ with needed_by("positioning a receiver", "rinex"):
 if TYPE_CHECKING:
     from celnav.receiver.report import Positioned
 
-__all__ = ["FORMATS", "civil", "geojson", "nmea", "pos", "table", "utc"]
+__all__ = ["DOUBTS", "FORMATS", "civil", "geojson", "nmea", "pos", "table", "utc"]
 
 GPS_WEEK = 1356
 """In which BDT began, by the count of GPS."""
@@ -55,10 +55,11 @@ def table(found: Positioned) -> str:
     was; with "rate", whose rate alone was.
     """
     local, log = found.local(found.mean), found.log
-    std = np.sqrt((found.axes @ found.cov @ found.axes.T).diagonal(0, -2, -1))
     mean = found.mean[:, :8].copy()
     mean[:, 6] += log.jumps
-    numbers = np.column_stack([log.times, mean, local, std, log.used.sum(1), log.dilution.position])
+    numbers = np.column_stack(
+        [log.times, mean, local, found.local_std, log.used.sum(1), log.dilution.position]
+    )
     ranges, rates = np.split(log.excluded, 2, -1)
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
@@ -93,7 +94,7 @@ def places(found: Positioned) -> list[Place]:
     )
     axes = local_axes(np.radians(latitude), np.radians(longitude))
     velocity, cov = (axes @ found.mean[k, 3:6, None])[..., 0], axes @ found.cov[k] @ axes.mT
-    columns = (
+    rows = zip(
         log.times[k],
         latitude,
         longitude,
@@ -103,8 +104,9 @@ def places(found: Positioned) -> list[Place]:
         log.used[k].sum(1),
         log.dilution.horizontal[k],
         found.integrity[k].tolist(),
+        strict=True,
     )
-    return [Place(*row) for row in zip(*columns, strict=True)]
+    return [Place(*row) for row in rows]
 
 
 def pos(found: Positioned) -> str:

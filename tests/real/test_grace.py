@@ -396,7 +396,7 @@ def test_shares_inside_of_an_interval_say_of_which_errors_they_are(results):
     (claim,) = [claim for claim in results.claims() if claim.id == "typical"]
     assert claim.numbers[3].label == "components within the predicted 95 % intervals, white"
     (row,) = [row for row in grace.STUDY.rows if row.id == "typical"]
-    assert "of the components (radial, along and across the track)" in row.found
+    assert "components (radial, along and across the track)" in row.found
     titles = [axes.get_title() for axes in grace.FIGURES["figure_01"][1](results).axes]
     assert len(titles) == 3
     assert all(

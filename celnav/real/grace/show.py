@@ -168,7 +168,7 @@ def table_1(r: Results) -> Rows:
 
 FIGURES = {
     "figure_01": (
-        "Radial errors of a real satellite's estimated position, and the 95 % that filters predict.",
+        "Radial errors of a real satellite's estimated position, and the 95 % that is predicted.",
         day,
     ),
     "figure_02": (

@@ -329,8 +329,8 @@ FINDINGS = [
     finding("typical", "In a typical epoch the filter that is told of the correlation is honest, the other is not.",
         all_of(typical("colored", HONEST), typical("white", (2.0, None)), inside("colored"), inside("white")), figure="figure_01",
         why="the median of NEES within a factor 2 of that of a consistent filter; beyond twice that", expected="not shown",
-        found="Median NEES {0} and {1} times a consistent filter's. {2:.0%} and {3:.0%} of the components "
-        "(radial, along and across the track) lie within the predicted 95 % intervals."),
+        found="Median NEES {0} and {1} times a consistent filter's. {2:.0%} and {3:.0%} of the "
+        "components (radial, along and across the track) lie within the predicted 95 % intervals."),
     finding("inflated", "An R as large as the correlation costs makes an honest filter of the white one, and one as good.",
         all_of(honest("white, inflated", HONEST), against("white, inflated", "colored", (0.95, 1.05))), figure="figure_04",
         why="as for the colored one; within 5 %", expected="not shown",
