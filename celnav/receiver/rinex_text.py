@@ -91,7 +91,7 @@ def _decompressed(path: Path, raw: bytes, most: int) -> bytes:
         told.seek(0)
         said = told.read().decode("ascii", "replace").strip()
     if process.returncode not in (0, 2):  # 2 is a warning
-        line = said.splitlines()[-1].strip() if said else f"exit status {process.returncode}"
+        line = " ".join(said.split())[:200] or f"exit status {process.returncode}"
         raise InputError(f"{path}: expected a whole file in Hatanaka's compression ({line})")
     return out
 

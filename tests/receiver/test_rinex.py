@@ -412,6 +412,9 @@ def test_hatanakas_compression_is_read_and_is_no_way_around_the_limit(tmp_path, 
     assert len(long) > 25e6
     with pytest.raises(ValueError, match=r"expected at most 10,000,000 bytes when unpacked"):
         read_observations(path)
+    path.write_bytes(gzip.compress(packed[:-3]))
+    with pytest.raises(ValueError, match=r"a whole file in Hatanaka's .*seems to be truncated"):
+        read_observations(path)
     path.write_bytes(gzip.compress(packed[: len(packed) // 2] + b"\n&garbage\n"))
     with pytest.raises(
         ValueError, match=r"expected a whole file in Hatanaka's compression|cut off"
