@@ -322,6 +322,11 @@ def _parser() -> tuple[_Parser, dict[str, _Parser]]:
         help="probability that a sound epoch fails the test for faulty satellites; 0: no test (default: 1e-5)",
     )
     position.add_argument(
+        "--strict",
+        action="store_true",
+        help="refuse files with damaged lines; exit 1 if a position is untested or implausible",
+    )
+    position.add_argument(
         "--out",
         default="out/position",
         metavar="DIR",

@@ -33,6 +33,13 @@ MANIFEST = ".celnav.json"
 LOCK = ".celnav.lock"
 TEMPORARY = ".celnav-"
 """How names of temporary folders begin; see `_temporary_name`."""
+CURES = {
+    errno.ENOSPC: "no space left to write the file; free some, or choose another disk",
+    errno.EDQUOT: "the disk quota is used up; free some space, or choose another disk",
+    errno.EFBIG: "larger than the limit of file sizes; raise the limit (ulimit -f), or choose "
+    "another file system",
+}
+"""Of errors of writing."""
 MOST_UNPACKED = 100
 """Times the size of a file: no honest archive of numbers unpacks to more."""
 
@@ -49,30 +56,29 @@ class InputError(ValueError):
 def replacing(path: str | Path) -> Iterator[Path]:
     """A path of the same name in a temporary folder beside ``path``; it takes the place of ``path`` at the end, or is removed.
 
-    A device or a pipe, such as /dev/null, stays and is written to. OSError names ``path`` when the disk is full.
+    A device or a pipe, such as /dev/null, stays and is written to. OSError names ``path``, and the
+    cure where the disk is full.
     """
     target = Path(path)
     target.parent.mkdir(parents=True, exist_ok=True)
-    if target.exists() and not (target.is_file() or target.is_dir()):
-        with tempfile.TemporaryDirectory() as folder:
-            yield (aside := Path(folder) / target.name)
-            target.write_bytes(aside.read_bytes())
-        return
+    device = target.exists() and not (target.is_file() or target.is_dir())
+    beside, prefix = None if device else target.parent, _temporary_name(secrets.token_hex(8))
     try:
-        with tempfile.TemporaryDirectory(
-            prefix=_temporary_name(secrets.token_hex(8)), dir=target.parent
-        ) as folder:
+        with tempfile.TemporaryDirectory(prefix=prefix, dir=beside) as folder:
             temporary = Path(folder) / target.name
             yield temporary
+            if device:
+                target.write_bytes(temporary.read_bytes())
+                return
             with temporary.open("rb+") as file:
                 os.fsync(file.fileno())
             os.replace(temporary, target)
     except OSError as error:
-        if error.errno == errno.ENOSPC:
-            raise OSError(error.errno, "no space left to write the file", str(target)) from None
-        if TEMPORARY in str(error.filename):  # nobody knows the temporary folder
-            raise OSError(error.errno, error.strerror, str(target)) from None
-        raise
+        of_another = error.filename is not None and TEMPORARY not in str(error.filename)
+        if error.errno is None or of_another:
+            raise
+        words = CURES.get(error.errno, error.strerror)
+        raise OSError(error.errno, words, str(target)) from None
 
 
 def write_bytes(path: str | Path, content: bytes) -> None:

@@ -6,6 +6,7 @@ import json
 import re
 import subprocess
 import sys
+import tomllib
 from dataclasses import asdict, replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -382,6 +383,46 @@ def test_list_says_what_each_parameter_means_and_its_unit(paper, capsys):
     }
     for name, unit in (units | {"burst_sigma": "m/s", "days": "days"}).items():
         assert name not in said or unit in said[name]
+
+
+def value_after(text, key):
+    """The value that stands after a name, as TOML; None where it is left out."""
+    rest = re.split(rf"(?m)^  {re.escape(key)} +|\b{re.escape(key)} = ", text, maxsplit=1)[1]
+    ends = [n for n in range(1, len(rest) + 1) if rest[:n].count("[") == rest[:n].count("]")]
+    simple = re.match(r'"[^"]*"|\(left out\)|[^\s,]+', rest)
+    word = rest[: ends[0]] if rest[0] == "[" else simple[0]
+    return None if word == "(left out)" else tomllib.loads(f"value = {word}")["value"]
+
+
+def values_of(preset):
+    return json.loads(json.dumps(flat(asdict(preset))))
+
+
+@pytest.mark.parametrize("paper", papers.PAPERS)
+def test_list_prints_the_values_of_each_preset(paper, capsys):
+    assert cli.main(["list", paper]) == 0
+    top, _, config = capsys.readouterr().out.partition("\n[config] of a mission")
+    heading, values, *others = config.split("\n\n")
+    (first, preset), *presets = load(paper).PRESETS.items()
+    assert heading == f", with the values of preset {first}:"
+    runs = re.search(r"of each configuration \((\d+)\)", top)[1]
+    values = f"  runs {runs}\n{values}"
+    printed = {key: value_after(values, key) for key in values_of(preset)}
+    assert printed == values_of(preset)
+    for text, (name, preset) in zip(others, presets, strict=False):
+        other = {k: v for k, v in values_of(preset).items() if v != printed[k]}
+        changes = text.removeprefix(f"preset {name}: ")
+        assert changes != text
+        assert {key: value_after(changes, key) for key in other} == other
+        assert changes.count(" = ") == len(other)
+
+
+def test_list_says_what_missions_begin_with_instead(capsys):
+    assert cli.main(["list", "csrukf"]) == 0
+    text = capsys.readouterr().out
+    assert '\na mission has instead, whatever its preset: noise_level = "stationary"\n' in text
+    assert cli.main(["list", "aukf"]) == 0
+    assert "whatever its preset" not in capsys.readouterr().out
 
 
 def test_bare_celnav_shows_the_help(capsys):

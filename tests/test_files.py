@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
+from contextlib import contextmanager
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from celnav import cli
-from celnav.files import ForeignFileError, InputError, Outputs, read_npz, write_text
+from celnav.files import ForeignFileError, InputError, Outputs, read_npz, replacing, write_text
 from celnav.show.claims import Ledger, dumps, read_claims
 from celnav.study.ledger import Number, Row
 
@@ -178,6 +181,68 @@ def test_an_archive_that_unpacks_to_very_much_is_refused(tmp_path):
         ValueError, match=r"bomb\.npz: .*unpacks to 80000\d+ bytes, more than 100 times its size"
     ):
         read_npz(path)
+
+
+@contextmanager
+def limited(size):
+    """Files of this process may not be larger, as by ``ulimit -f``."""
+    resource = pytest.importorskip("resource")
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+@pytest.mark.parametrize("name", ["a.txt", "a.npz"])
+def test_a_file_beyond_the_limit_of_size_is_named_and_the_old_one_stays(tmp_path, name):
+    outputs = Outputs(tmp_path)
+    large = np.zeros(100_000)
+    outputs.text(name, "old")
+    with (
+        limited(50_000),
+        pytest.raises(OSError, match=r"larger than the limit of file sizes.*ulimit -f") as caught,
+    ):
+        outputs.npz(name, {"a": large}) if name == "a.npz" else outputs.text(name, "a" * 100_000)
+    assert caught.value.filename == str(tmp_path / name)
+    assert {path.name for path in tmp_path.iterdir()} == {name, ".celnav.json"}
+    assert (tmp_path / name).read_text() == "old"
+    Outputs(tmp_path).check([name])
+
+
+def test_a_manifest_that_cannot_be_written_is_named_itself(tmp_path):
+    outputs = Outputs(tmp_path)
+    for k in range(60):
+        outputs.text(f"{k}.txt", "")
+    with limited(1000), pytest.raises(OSError, match="limit of file sizes") as caught:
+        outputs.text("new.txt", "")
+    assert caught.value.filename == str(tmp_path / ".celnav.json")
+    assert not (tmp_path / "new.txt").exists()
+
+
+@pytest.mark.parametrize(
+    ("number", "words"),
+    [
+        (errno.ENOSPC, "no space left to write the file; free some, or choose another disk"),
+        (errno.EDQUOT, "the disk quota is used up; free some space, or choose another disk"),
+        (errno.EIO, os.strerror(errno.EIO)),
+    ],
+)
+def test_what_hinders_a_write_is_said_of_the_file(tmp_path, number, words):
+    with pytest.raises(OSError) as caught, replacing(tmp_path / "a.txt"):
+        raise OSError(number, os.strerror(number))
+    assert (caught.value.strerror, caught.value.filename) == (words, str(tmp_path / "a.txt"))
+    with pytest.raises(OSError, match="No such file") as caught, replacing(tmp_path / "a.txt"):
+        (tmp_path / "other").read_text()
+    assert caught.value.filename == str(tmp_path / "other")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
+def test_a_device_that_is_full_is_named():
+    with pytest.raises(OSError, match="no space left to write the file") as caught:
+        write_text("/dev/full", "text")
+    assert caught.value.filename == "/dev/full"
 
 
 def test_two_that_write_into_a_folder_know_of_each_other(tmp_path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import importlib
 import re
 import subprocess
 import sys
@@ -226,6 +227,18 @@ def brought(extra):
         name, others = re.match(r"([\w-]+)(?:\[(.*?)\])?", line).groups()
         out |= {name.lower()} if name != "celnav" else set().union(*map(brought, others.split(",")))
     return out
+
+
+def test_recordings_are_made_by_versions_of_rerun_that_were_tested():
+    """Pictures need its experimental client, which changes with each minor version."""
+    (line,) = [one for one in PROJECT["optional-dependencies"]["record"] if "rerun" in one]
+    least, beyond = re.fullmatch(r"rerun-sdk>=([\d.]+),<([\d.]+)", line).groups()
+    pinned = re.search(r"^rerun-sdk==([\d.]+)$", (ROOT / "constraints.txt").read_text(), re.M)[1]
+    first, tested, end = ([int(n) for n in v.split(".")] for v in (least, pinned, beyond))
+    assert first <= tested < end
+    assert end[:2] == [tested[0], tested[1] + 1]
+    client = importlib.import_module("rerun.experimental").ViewerClient
+    assert all(hasattr(client, name) for name in ("open", "set_time", "take_screenshot"))
 
 
 def asked_for():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import textwrap
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from types import ModuleType
 from typing import Any
 
@@ -66,10 +66,7 @@ def _parameters(paper: str) -> None:
     from celnav.campaign.typed import described, unit_of
 
     study = own.load(paper, mission=True) if own.is_own(paper) else module(paper)
-    start: dict[str, Any] = getattr(study, "MISSION", {})
-    presets: dict[str, dict[str, Any]] = {
-        name: flat(asdict(replace(c, **start))) for name, c in study.PRESETS.items()
-    }
+    presets = {name: flat(asdict(config)) for name, config in study.PRESETS.items()}
     first, *others = presets.items()
     print(
         f"{paper}: {study.TITLE}\n\nAt the top of a mission:\n\n{_TOP.format(runs=first[1]['runs'])}"
@@ -99,10 +96,10 @@ def _parameters(paper: str) -> None:
                 )
             )
     for name, values in others:
-        changed = [
-            f"{key} = {_written(value)}" for key, value in values.items() if value != first[1][key]
-        ]
-        print(f"\npreset {name}: {', '.join(changed) or 'the same'}")
+        changed = {key: value for key, value in values.items() if value != first[1][key]}
+        print(f"\npreset {name}: {_assigned(changed) or 'the same'}")
+    if instead := getattr(study, "MISSION", {}):
+        print(f"\na mission has instead, whatever its preset: {_assigned(instead)}")
     print(f"\nfilters: {', '.join(study.filters(study.PRESETS[first[0]]))}")
 
 
@@ -116,6 +113,10 @@ _TOP = """\
   every                            judge one epoch in so many, and the last (1)
   settle_s                         where means over time begin; none: in the middle of the run
   limits                           a table of largest errors at the end; a run beyond one has failed"""
+
+
+def _assigned(values: dict[str, Any]) -> str:
+    return ", ".join(f"{key} = {_written(value)}" for key, value in values.items())
 
 
 def _written(value: Any) -> str:

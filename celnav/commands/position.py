@@ -72,8 +72,8 @@ def run(options: argparse.Namespace) -> int:
     )
     ionosphere = None if options.ion is None else _ionosphere(options.ion)
     navigation, observations = (
-        rinex.read_navigation(*options.navigation),
-        rinex.read_observations(options.observations),
+        rinex.read_navigation(*options.navigation, strict=options.strict),
+        rinex.read_observations(options.observations, strict=options.strict),
     )
     if ionosphere is not None:
         navigation = replace(navigation, klobuchar=ionosphere)
@@ -92,10 +92,11 @@ def run(options: argparse.Namespace) -> int:
             f"{options.filter} is lost on {options.observations}: {str(error).partition(' (on_failure')[0]}"
         ) from None
     print(positioning_report.summary(found))
+    status = int(options.strict and bool(found.doubtful.any()))
     if track is not None:
         outputs.text(out.name, track(found))
         print(f"wrote {out}")
-        return 0
+        return status
     positioning_report.write(found, outputs)
     try:
         with outputs.path_for(positioning_report.RECORDING) as path:
@@ -103,7 +104,7 @@ def run(options: argparse.Namespace) -> int:
     except (ImportError, OSError, RuntimeError, ValueError) as error:  # of one epoch there is none
         print(f"celnav: no recording ({error}); everything else is written", file=sys.stderr)
     print(f"wrote {outputs.directory}")
-    return 0
+    return status
 
 
 def _ionosphere(given: str) -> tuple[Array, Array]:

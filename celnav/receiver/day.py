@@ -60,20 +60,15 @@ def found(folder: Path | None) -> Files | None:
 
 def _read(files: Files) -> tuple[Observations, Navigation, Array]:
     """The first half day of BeiDou's satellites, broadcast elements, and the position ``(3,)`` m in the header."""
-    observations, navigation = (
-        read_observations(files.observations).of("C"),
-        read_navigation(files.navigation),
-    )
+    observations = read_observations(files.observations, strict=True).of("C")
+    navigation = read_navigation(files.navigation, strict=True)
     reference = observations.reference()
     if reference is None:
         raise InputError(
             f"{files.observations}: expected the receiver's position in the header to compare with, got none"
         )
-    return (
-        observations.part(observations.times < observations.times[0] + HALF_DAY_S),
-        navigation,
-        reference,
-    )
+    half = observations.part(observations.times < observations.times[0] + HALF_DAY_S)
+    return half, navigation, reference
 
 
 def _prepared(half: Observations, navigation: Navigation, mask_deg: float) -> Log:
@@ -119,10 +114,8 @@ def flown(
     )
     for label, part in (("", half), ("burst/", replace(half, code=half.code + noise))):
         log = _prepared(part, navigation, mask_deg)
-        known, frame = (
-            filters(len(log.names)),
-            Positioned(log, "ls", log.fixes, log.fix_cov, reference),
-        )
+        known = filters(len(log.names))
+        frame = Positioned(log, "ls", log.fixes, log.fix_cov, reference)
         tracks = {name: run(known[name], log.prior(), log.epochs(), keep="mean") for name in names}
         out |= {
             label + name: frame.local(mean)
@@ -228,14 +221,10 @@ def judged(found: Mapping[str, Array]) -> dict[str, Array]:
 def drawn(found: Mapping[str, Array], lines: Mapping[str, Line], sigma: float) -> Figure:
     """The half day, and the burst; ``lines``: looks of the filters."""
     hours, late = (found["times"] - found["times"][0]) / 3600.0, np.flatnonzero(found["during"])
-    shown, known = (
-        slice(max(late[0] - 10, 0), late[-1] + 20),
-        {name: line for name, line in lines.items() if name in found},
-    )
-    two, dots = (
-        {name: lines[name] for name in ("ls", "aukf")},
-        dict[str, Any](linestyle="", marker=".", ms=3, label=None),
-    )
+    shown = slice(max(late[0] - 10, 0), late[-1] + 20)
+    known = {name: line for name, line in lines.items() if name in found}
+    two = {name: lines[name] for name in ("ls", "aukf")}
+    dots = dict[str, Any](linestyle="", marker=".", ms=3, label=None)
     return panels([
         Panel("position from the header's",
               [curve(found[name][:, 0], found[name][:, 1], line, **dots) for name, line in two.items()],

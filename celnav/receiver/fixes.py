@@ -221,14 +221,8 @@ def estimated(seen: Seen, false_alarm: float) -> tuple[Noise, Noise]:
     It is first taken for small, and for twice as large as long as most fixes contradict themselves.
     """
     some = slice(None, None, -(-len(seen.z) // MOST_EPOCHS))
-    seen = Seen(
-        seen.z[some],
-        seen.q[some],
-        seen.w[some],
-        seen.elevation[some],
-        seen.position[some],
-        seen.second,
-    )
+    z, q, w, elevation, position = (values[some] for values in seen[:5])
+    seen = Seen(z, q, w, elevation, position, seen.second)
     usual = (Noise(0.0, GIVEN[0]), Noise(0.0, GIVEN[1]))
     noise = (Noise(0.0, QUIETEST * GIVEN[0]), Noise(0.0, QUIETEST * GIVEN[1]))
     found = fixed(seen, noise, false_alarm)

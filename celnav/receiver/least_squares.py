@@ -102,10 +102,8 @@ class LeastSquares:
             step = np.where(determined[..., None], matvec(Q.mT, weight * left), 0.0)
             # A run that has come to rest stays as it is while others of its block still move.
             x = np.where(moving[..., None], x + matvec(inverse, step), x)
-            root, known = (
-                np.where(moving[..., None, None], inverse, root),
-                np.where(moving, determined, known),
-            )
+            root = np.where(moving[..., None, None], inverse, root)
+            known = np.where(moving, determined, known)
             moving = moving & (np.abs(step).max(-1) > AT_REST)
             if not moving.any():
                 break

@@ -56,7 +56,8 @@ class Log:
     noise: of ranges and of rates. jumps: ``(T,)`` m, what the receiver has set its clock by since the start, which was taken off
         ranges and fixes. dilution: of each epoch ``(T,)``. ionosphere: whether the broadcast model's coefficients were there to
         correct it by. left_out: why measurements are not used, and how many. others: systems in the files that are not used.
-    files: names of what was read.
+    files: names of what was read. damaged: messages with the line, one for each epoch or broadcast
+        set that was left out because it is damaged.
     """
 
     times: Array
@@ -80,6 +81,7 @@ class Log:
     left_out: dict[str, int]
     others: tuple[str, ...] = ()
     files: tuple[str, ...] = ()
+    damaged: tuple[str, ...] = ()
 
     @property
     def used(self) -> Array:
@@ -152,10 +154,8 @@ def prepare(
     files = f"{observations.path}, {navigation.path}"
     observations, others = _of_systems(observations, navigation, systems, files)
     times, code = observations.times, observations.code
-    hz, second = (
-        np.array([SYSTEMS[name[0]].hz for name in observations.names]),
-        _second(observations.names),
-    )
+    hz = np.array([SYSTEMS[name[0]].hz for name in observations.names])
+    second = _second(observations.names)
     rows = np.stack([navigation.nearest(name, times) for name in observations.names], -1)
     there = np.isfinite(code)
     credible = (np.nan_to_num(code) > CREDIBLE_M[0]) & (np.nan_to_num(code) < CREDIBLE_M[1])
@@ -177,21 +177,14 @@ def prepare(
     )
     if usable.sum(-1).max(initial=0) < 4:
         raise refusal
-    position, velocity, clock = (
-        np.zeros((len(times), 3)),
-        np.zeros((len(times), 3)),
-        np.zeros(len(times)),
-    )
+    position, velocity = np.zeros((2, len(times), 3))
+    clock = np.zeros(len(times))
     noise = (Noise(COARSE[0], 0.0), Noise(COARSE[1], 0.0))
     for known in (False, True, True):
         sources = _sources(navigation, rows, times, code, usable, position, velocity)
         ranges, rates = code + sources.clock, np.where(wild, np.nan, measured) + sources.drift
-        used, elevation, azimuth, delay = (
-            usable,
-            np.full(code.shape, np.pi / 2.0),
-            np.zeros(code.shape),
-            np.zeros(code.shape),
-        )
+        used, elevation = usable, np.full(code.shape, np.pi / 2.0)
+        azimuth, delay = np.zeros((2, *code.shape))
         if known:
             elevation, azimuth, delay = _sky(
                 navigation, times - clock / LIGHT, sources.q, position, hz
@@ -216,11 +209,8 @@ def prepare(
     ]
     left_out["the only range of a system, which nothing tests"] = int(lone.sum())
     z = np.where(kept, z, np.nan)
-    first = (
-        int(np.argmax(there & found.kinds[0].tested))
-        if (there & found.kinds[0].tested).any()
-        else int(np.argmax(there))
-    )
+    tested = there & found.kinds[0].tested
+    first = int(np.argmax(tested if tested.any() else there))
     z, states, jumps = _without_jumps(z, found.states, times)
     ranged = np.isfinite(z[:, : len(observations.names)])
     left_out["before the first consistent fix"] = int(ranged[:first].sum())
@@ -231,6 +221,7 @@ def prepare(
         np.stack([kind.unusable for kind in found.kinds], -1), np.stack([kind.tested for kind in found.kinds], -1), noise, jumps,
         dilution(seen.q, position, _axes(position), ranged, second), navigation.klobuchar is not None, left_out, others,
         (str(observations.path), *str(navigation.path).split(", ")),
+        observations.damaged + navigation.damaged,
     )  # fmt: skip
     last = int(np.flatnonzero(ranged.any(-1))[-1]) + 1
     return log.part(slice(first, last))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -20,7 +21,7 @@ from celnav.receiver.geodesy import ELLIPSOID, ecef2geodetic
 from celnav.receiver.position import Log
 from celnav.receiver.rinex import SYSTEMS
 from celnav.receiver.sky import GROUND_M, local_axes, on_earth
-from celnav.receiver.tracks import civil, table
+from celnav.receiver.tracks import DOUBTS, civil, table
 from celnav.show import colors
 from celnav.show.figures import Panel, components, curve, figure, panels
 
@@ -45,6 +46,10 @@ KIND_COLORS = {
     "MEO": colors.COMPARISON,
     "GPS": colors.TRUTH,
 }
+HEIGHTS_M = (-1e3, 5e4, 1.6e5)
+"""Above the ellipsoid: receivers are between the first two, or in orbit above the third."""
+MOST_LINES = 5
+"""Damaged lines that a summary names."""
 IGSO_NUMBERS = frozenset({*range(6, 11), 13, 16, 31, 38, 39, 40, 56})
 """Inclined geosynchronous satellites of BeiDou-2 and -3."""
 
@@ -111,6 +116,46 @@ class Positioned:
         return np.asarray((positions[..., :3] - self.origin) @ self.axes.T)
 
     @property
+    def local_cov(self) -> Array:
+        """Covariance ``(T, 3, 3)`` m^2 of east, north and up."""
+        return np.asarray(self.axes @ self.cov @ self.axes.T)
+
+    @property
+    def local_std(self) -> Array:
+        """Standard deviations ``(T, 3)`` m of east, north and up."""
+        return np.sqrt(self.local_cov.diagonal(0, -2, -1))
+
+    @cached_property
+    def integrity(self) -> Array:
+        """What the ranges of each epoch tell of its position, a word ``(T,)``.
+
+        "tested" (the ranges agree), "excluded" (they agree without those excluded), "contradiction"
+        (they disagree, none is used), "no ranges", "untested" (no redundancy, or the test is off),
+        "implausible height" (`HEIGHTS_M`).
+        """
+        log, there = self.log, np.isfinite(self.mean[:, :1])
+        height = np.ravel(
+            ecef2geodetic(*np.where(there, self.mean[:, :3], self.origin).T, ell=ELLIPSOID)[2]
+        )
+        low, high, orbit = HEIGHTS_M
+        return np.select(
+            [
+                log.unusable[:, 0],
+                ~log.used.any(1),
+                (height < low) | ((height > high) & (height < orbit)),
+                log.excluded[:, : len(log.names)].any(1),
+                log.tested[:, 0],
+            ],
+            ["contradiction", "no ranges", "implausible height", "excluded", "tested"],
+            "untested",
+        )
+
+    @property
+    def doubtful(self) -> Array:
+        """Positions ``(T,)`` that may be far off although no residual shows it; see `DOUBTS`."""
+        return self.measured & np.isin(self.integrity, list(DOUBTS))
+
+    @property
     def minutes(self) -> Array:
         """Since the first fix, ``(T,)``."""
         return np.asarray((self.log.times - self.log.times[0]) / 60.0)
@@ -130,38 +175,23 @@ def position(
     known = filters(len(log.names), second=log.second, acceleration=acceleration)
     if reference is not None:
         on_earth("reference", reference)
-    if filter == "ls":
-        spare = np.where(np.isfinite(log.misfit), np.maximum(log.spare, 0), 0).sum()
-        return Positioned(
-            log,
-            filter,
-            log.fixes,
-            log.fix_cov,
-            reference,
-            of,
-            float(np.nansum(log.misfit) / max(spare, 1)),
-        )
-    if filter not in known:
+    if filter not in ("ls", *known):
         raise ValueError(f"filter: expected one of ls, {', '.join(known)}, got {filter!r}")
-    track = run(known[filter], log.prior(), log.epochs(), keep="cov")
-    assert track.mean is not None
-    size = np.linalg.norm(track.mean[:, :3], axis=-1)
-    there = (size > GROUND_M[0]) & (size < GROUND_M[1])
-    mean, cov = (
-        np.where(there[:, None], track.mean, np.nan),
-        np.where(there[:, None, None], track.cov[:, :3, :3], np.nan),
-    )
-    if not (there & log.used.any(-1)).any():
-        raise FilterError("its positions are far from the Earth")
-    return Positioned(
-        log,
-        filter,
-        mean,
-        cov,
-        reference,
-        of,
-        float(np.nansum(track.nis) / max(int(track.dof.sum()), 1)),
-    )
+    if filter == "ls":
+        mean, cov, nis = log.fixes, log.fix_cov, log.misfit
+        dof = np.where(np.isfinite(nis), np.maximum(log.spare, 0), 0)
+    else:
+        track = run(known[filter], log.prior(), log.epochs(), keep="cov")
+        assert track.mean is not None
+        size = np.linalg.norm(track.mean[:, :3], axis=-1)
+        there = (size > GROUND_M[0]) & (size < GROUND_M[1])
+        if not (there & log.used.any(-1)).any():
+            raise FilterError("its positions are far from the Earth")
+        mean = np.where(there[:, None], track.mean, np.nan)
+        cov = np.where(there[:, None, None], track.cov[:, :3, :3], np.nan)
+        nis, dof = track.nis, track.dof
+    nis_per_degree = float(np.nansum(nis) / max(int(dof.sum()), 1))
+    return Positioned(log, filter, mean, cov, reference, of, nis_per_degree)
 
 
 def _rms(vectors: Array) -> float:
@@ -179,6 +209,8 @@ def summary(found: Positioned) -> str:
     lines = [
         f"epochs       {len(log.times)}, {civil(log.times[0])} to {civil(log.times[-1])} BDT; {measured.sum()} with a position, "
         f"{(there & ~measured).sum()} more predicted without a range, {(~there).sum()} without a position",
+        f"doubtful     {_doubtful(found)}",
+        *([f"damaged      {_damaged(log.damaged)}"] if log.damaged else []),
         f"systems      {_systems(found)}",
         f"satellites   {len(names)} ({', '.join(names)}); {count.min()} to {count.max()} at a time, mean {count.mean():.1f}",
         f"alone        {(fixed & (log.spare == 0)).sum()} epochs with no more than a fix needs; {(~fixed).sum()} without a fix",
@@ -196,8 +228,7 @@ def summary(found: Positioned) -> str:
     ]
     if found.reference is not None:
         parts = np.sqrt(np.square(local[measured]).mean(0))
-        std = np.sqrt((found.axes @ found.cov @ found.axes.T).diagonal(0, -2, -1))[measured]
-        ratio = np.square(local[measured] / std).mean(0)
+        ratio = np.square(local[measured] / found.local_std[measured]).mean(0)
         lines += [
             f"reference    {' '.join(f'{v:.3f}' for v in found.reference)} m, of the antenna: {found.of}",
             f"error        {_rms(local[measured]):.3f} m RMS in 3-D: east {parts[0]:.3f}, north {parts[1]:.3f}, up {parts[2]:.3f}; "
@@ -206,6 +237,21 @@ def summary(found: Positioned) -> str:
             "deviations are right, which are of noise alone: what all satellites share shows in no residual",
         ]
     return "\n".join(lines)
+
+
+def _doubtful(found: Positioned) -> str:
+    """How many positions are marked, and why."""
+    counts = Counter(found.integrity[found.doubtful].tolist())
+    reasons = ", ".join(f"{n} {word} ({DOUBTS[word]})" for word, n in counts.items())
+    every = f"{counts.total()} of {found.measured.sum()} positions"
+    return f"{every}: {reasons}" if reasons else every
+
+
+def _damaged(messages: tuple[str, ...]) -> str:
+    """How many epochs and broadcast sets were left out, and in which lines."""
+    lines = "; ".join(messages[:MOST_LINES])
+    rest = f"; and {len(messages) - MOST_LINES} more" if len(messages) > MOST_LINES else ""
+    return f"{len(messages)} epochs or broadcast sets left out: {lines}{rest}"
 
 
 def _systems(found: Positioned) -> str:
@@ -257,13 +303,14 @@ def figures(found: Positioned) -> dict[str, Figure]:
 
 
 def _track(found: Positioned) -> Figure:
-    alone, local, dots = (
-        found.local(found.log.fixes),
-        found.local(found.mean),
-        dict[str, Any](linestyle="", marker=".", markersize=2.0),
-    )
+    alone, local = found.local(found.log.fixes), found.local(found.mean)
+    dots = dict[str, Any](linestyle="", marker=".", markersize=2.0)
     both = [curve(alone[:, 0], alone[:, 1], color=colors.MEASUREMENT, label="each epoch by itself", **dots),
             curve(local[:, 0], local[:, 1], color=colors.ESTIMATE, label=found.filter, **dots)]  # fmt: skip
+    if found.doubtful.any():
+        east, north, _ = local[found.doubtful].T
+        doubtful = dots | {"marker": "x", "markersize": 5.0}
+        both.append(curve(east, north, color=colors.PAPER, label="doubtful", **doubtful))
     shades = (colors.COMPARISON, colors.TRUTH, colors.ESTIMATE)
     moved = components(found.minutes, local, ("east", "north", "up"), shades, linewidth=0.9)
     title = f"from the {'known' if found.reference is not None else 'mean'} position"
@@ -339,7 +386,7 @@ def record_positioned(found: Positioned, path: Any) -> None:
     times = log.times - log.times[0]
     middle = local[found.measured].mean(0)
     spread = 3.0 * max(_rms(local[found.measured] - middle), 0.1)
-    growing = {"track/alone": np.inf, "track/filter": np.inf}
+    growing = dict.fromkeys(("track/alone", "track/filter", "track/doubtful"), np.inf)
     eye = middle + np.array([0.0, -spread, 4.0 * spread])
     scatter = views.space("track", "east, north, up, m", eye=eye, target=middle, growing=growing)
     sky = views.space("sky", "sky over the receiver", eye=(0.0, -2.2, 1.6), growing={})
@@ -355,16 +402,12 @@ def record_positioned(found: Positioned, path: Any) -> None:
         out.text("info", "```\n" + summary(found) + "\n```")
         out.points("track/alone", alone, colors.MEASUREMENT, radius=1.2)
         out.points("track/filter", local, colors.ESTIMATE, radius=1.6)
+        doubtful = np.where(found.doubtful[:, None], local, np.nan)
+        out.points("track/doubtful", doubtful, colors.PAPER, radius=3.0)
         out.points("track/here", local, colors.TRUTH, radius=5.0, label=found.filter)
         if np.isfinite(found.cov).any():
-            out.ellipsoids(
-                "track/ellipsoid",
-                local,
-                found.axes @ found.cov @ found.axes.T,
-                colors.ESTIMATE,
-                sigmas=1.0,
-            )
-        std = np.sqrt((found.axes @ found.cov @ found.axes.T).diagonal(0, -2, -1))
+            out.ellipsoids("track/ellipsoid", local, found.local_cov, colors.ESTIMATE, sigmas=1.0)
+        std = found.local_std
         for i, name in enumerate(("east", "north", "up")):
             out.curve(
                 f"{name}/alone", alone[:, i], colors.MEASUREMENT, "each epoch by itself", width=1.0

@@ -71,6 +71,7 @@ class Observations:
         doppler: ``(T, S)`` Hz; nan where nothing was measured. antenna: ``(3,)`` m east, north and up of the marker.
         out_of_order: how many epochs were left out, as their time lies before or after those of both their neighbors.
         others: letters of systems in the file that are none of `SYSTEMS`.
+        damaged: messages with the line, one for each epoch that was left out because it is damaged.
     """
 
     path: Path
@@ -83,6 +84,7 @@ class Observations:
     antenna: Array = field(default_factory=lambda: np.zeros(3))
     out_of_order: int = 0
     others: str = ""
+    damaged: tuple[str, ...] = ()
 
     def part(self, which: Array | slice) -> Observations:
         """Some of the epochs."""
@@ -117,12 +119,14 @@ class Navigation:
     """Broadcast sets, several of each satellite, by their reference times; Klobuchar's coefficients, None if absent.
 
     ``path``: of the file, or of several. ``left_out``: how many sets of a satellite are not whole, or hold what no message can.
+    ``damaged``: messages with the line, one for each set that was left out because it is damaged.
     """
 
     path: Path | str
     sets: Broadcast
     klobuchar: tuple[Array, Array] | None
     left_out: dict[str, int] = field(default_factory=dict)
+    damaged: tuple[str, ...] = ()
 
     def nearest(self, name: str, times: ArrayLike) -> Array:
         """Rows ``(...)`` of a satellite's sets of the nearest reference times; -1: not well, or not within an hour (GEO) or two."""
@@ -139,14 +143,17 @@ class Navigation:
         return np.where(good, best, -1)
 
 
-def read_observations(path: str | Path) -> Observations:
+def read_observations(path: str | Path, *, strict: bool = False) -> Observations:
     """Code and Doppler of B1I and L1 C/A of an observation file, plain, gzipped or in Hatanaka's compression.
 
     Where a satellite has several codes of a carrier, the first of its `System` that is there is taken.
+    A damaged epoch is left out as a whole, and named in ``damaged``.
 
     Raises
     ------
-    InputError: naming file and line, if it is no whole RINEX 3 observation file with one of these. OSError: if it cannot be read.
+    InputError: naming file and line, if it is not a RINEX 3 observation file with one of these, if
+    its header is damaged, or most of its epochs are; with ``strict`` if one is.
+    OSError: if it cannot be read.
     """
     file = Path(path)
     text, called = unpacked(file)
@@ -187,9 +194,8 @@ def read_observations(path: str | Path) -> Observations:
     system = header.get("TIME OF FIRST OBS", [""])[0][48:51].strip() or default
     if system not in AHEAD_S:
         raise InputError(f"{file}: expected times in GPS, GAL or BDT, got {system!r}")
-    names, seconds, ranges, rates = _measured(
-        list(epochs(called, text, start, "".join(places))), places
-    )
+    log, damaged = epochs(called, text, start, "".join(places), strict)
+    names, seconds, ranges, rates = _measured(log, places)
     if not np.isfinite(ranges).any():
         raise InputError(f"{file}: expected pseudoranges of BeiDou or GPS satellites, got none")
     between = np.ones(len(seconds), bool)
@@ -203,6 +209,7 @@ def read_observations(path: str | Path) -> Observations:
         file, header.get("MARKER NAME", [""])[0].strip(), _place(file, header), seconds[kept] - AHEAD_S[system], names,
         ranges[kept], rates[kept], three_numbers(file, header, "ANTENNA: DELTA H/E/N")[[1, 2, 0]], int((~between).sum()),
         "".join(dict.fromkeys(line[0] for line in given if line[0].strip() and line[0] not in SYSTEMS)),
+        damaged,
     )  # fmt: skip
 
 
@@ -259,22 +266,27 @@ MOST_ALPHA, MOST_BETA = (
 """Likewise of the ionosphere's coefficients, twice what their eight bits hold [IS-GPS-200]."""
 
 
-def read_navigation(path: str | Path, *more: str | Path) -> Navigation:
+def read_navigation(path: str | Path, *more: str | Path, strict: bool = False) -> Navigation:
     """Broadcast sets of BeiDou's and GPS's satellites from a navigation file, or from several.
 
-    Sets that lack a number, or have one that no message can hold, are left out and counted. Of several headers the first that has
-    coefficients of the ionosphere gives them.
+    Sets that lack a number, or have one that no message can hold, are left out and counted; damaged
+    ones are left out and named in ``damaged``. Of several headers the first that has coefficients
+    of the ionosphere gives them.
 
     Raises
     ------
-    InputError: naming file and line, if one is no RINEX 3 navigation file, or none has orbits. OSError: if one cannot be read.
+    InputError: naming file and line, if one is not a RINEX 3 navigation file, if its header is
+    damaged, or most of its sets are (with ``strict`` if one is), or if none has orbits.
+    OSError: if one cannot be read.
     """
     read: list[Set] = []
+    damaged: tuple[str, ...] = ()
     coefficients = None
     for file in (path, *more):
         text, called = unpacked(Path(file))
         header, start = header_of(called, text, "N")
-        read += sets(called, text, start, "".join(SYSTEMS))
+        whole, lost = sets(called, text, start, "".join(SYSTEMS), strict)
+        read, damaged = read + whole, damaged + lost
         coefficients = coefficients or _klobuchar(file, header)
     files = Path(path) if not more else ", ".join(map(str, (path, *more)))
     if not read:
@@ -297,7 +309,7 @@ def read_navigation(path: str | Path, *more: str | Path) -> Navigation:
     order = np.flatnonzero(credible)[np.argsort(given["toe"][credible], kind="stable")]
     chosen = Broadcast(**{part.name: given[part.name][order] for part in fields(Broadcast)})
     refused = Counter(read[k].name for k in np.flatnonzero(~credible))
-    return Navigation(files, chosen, coefficients, dict(sorted(refused.items())))
+    return Navigation(files, chosen, coefficients, dict(sorted(refused.items())), damaged)
 
 
 def _columns(read: list[Set]) -> dict[str, Array]:

@@ -9,7 +9,6 @@ import os
 import subprocess
 import tempfile
 import zlib
-from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
 from importlib import import_module
 from importlib.resources import as_file, files
@@ -32,6 +31,8 @@ LARGEST_BYTES = 2_000_000_000
 """Of a file, unpacked: a day of a station at a second's rate is half of that."""
 SMALL_BYTES = 10_000_000
 """What a file may unpack to however small it is."""
+LETTERS = tuple("GRECJSI")
+"""Of all systems, used or not."""
 SET_LINES = 8
 """Of a broadcast set."""
 EPOCH_ZERO = datetime(2006, 1, 1, tzinfo=UTC)
@@ -90,9 +91,13 @@ def _decompressed(path: Path, raw: bytes, most: int) -> bytes:
         told.seek(0)
         said = told.read().decode("ascii", "replace").strip()
     if process.returncode not in (0, 2):  # 2 is a warning
-        line = said.splitlines()[-1].strip() if said else f"exit status {process.returncode}"
+        line = " ".join(said.split())[:200] or f"exit status {process.returncode}"
         raise InputError(f"{path}: expected a whole file in Hatanaka's compression ({line})")
     return out
+
+
+def _at_line(called: str, k: int, words: str) -> InputError:
+    return InputError(f"{called}, line {k + 1}: {words}")
 
 
 def header_of(
@@ -102,22 +107,20 @@ def header_of(
     lines = text.split("\n")
     words = {"O": "an observation file", "N": "a navigation file"}
     if len(lines[0]) < 60 or "RINEX VERSION" not in lines[0][60:]:
-        raise InputError(f"{called}, line 1: expected RINEX VERSION / TYPE, got {lines[0][:40]!r}")
+        raise _at_line(called, 0, f"expected RINEX VERSION / TYPE, got {lines[0][:40]!r}")
     try:
         version = float(lines[0][:9])
     except ValueError:
-        raise InputError(
-            f"{called}, line 1: expected a version number, got {lines[0][:9]!r}"
-        ) from None
+        raise _at_line(called, 0, f"expected a version number, got {lines[0][:9]!r}") from None
     if not oldest <= version < 4.0:
-        raise InputError(f"{called}, line 1: expected RINEX 3, got version {version:g}")
+        raise _at_line(called, 0, f"expected RINEX 3, got version {version:g}")
     if lines[0][20:21] != kind:
-        raise InputError(
-            f"{called}, line 1: expected {words[kind]}, got {lines[0][20:40].strip()!r}"
-        )
+        raise _at_line(called, 0, f"expected {words[kind]}, got {lines[0][20:40].strip()!r}")
     if lines[0][40:41] not in ("C", "G", "M", " ", ""):
-        raise InputError(
-            f"{called}, line 1: expected BeiDou (C), GPS (G) or mixed (M) data, got system {lines[0][40:41]!r}"
+        raise _at_line(
+            called,
+            0,
+            f"expected BeiDou (C), GPS (G) or mixed (M) data, got system {lines[0][40:41]!r}",
         )
     header: dict[str, list[str]] = {}
     for k, line in enumerate(lines):
@@ -125,9 +128,7 @@ def header_of(
         header.setdefault(label, []).append(line[:60])
         if label == "END OF HEADER":
             return header, k + 1
-    raise InputError(
-        f"{called}, line {len(lines) - 1}: expected END OF HEADER before the end of the file"
-    )
+    raise _at_line(called, len(lines) - 2, "expected END OF HEADER before the end of the file")
 
 
 def kinds_of(called: str, header: dict[str, list[str]], system: str) -> list[str]:
@@ -170,49 +171,67 @@ class Measured(NamedTuple):
     fields: dict[str, list[float]]
 
 
-def epochs(called: str, text: str, start: int, systems: str) -> Iterator[Measured]:
-    """Epochs with a satellite of ``systems``, every line of them checked; events are left out. ``start``: lines of the header."""
+def accept(damage: list[InputError], sound: int, strict: bool) -> tuple[str, ...]:
+    """Messages of what is damaged.
+
+    The first is raised if ``strict``, or if there are more of them than of what is ``sound``.
+    """
+    if damage and (strict or len(damage) > sound):
+        raise damage[0]
+    return tuple(map(str, damage))
+
+
+def epochs(
+    called: str, text: str, start: int, systems: str, strict: bool
+) -> tuple[list[Measured], tuple[str, ...]]:
+    """Epochs with a satellite of ``systems``, and what is damaged, which is left out; see `accept`.
+
+    Every line is checked. Events are passed over. ``start``: lines of the header.
+    """
     lines = text.rstrip("\n").split("\n")
-    k = start
-    while k < len(lines):
-        flag, count, time = _epoch(called, k, lines[k])
-        if k + count >= len(lines):
-            raise InputError(
-                f"{called}, line {len(lines)}: expected {count} more after line {k + 1}, the file is cut off"
-            )
-        rows = lines[k + 1 : k + count + 1]
-        if flag <= 1:
-            own: dict[str, list[float]] = {}
-            for i, row in enumerate(rows):
-                if row and row[0] in systems:
-                    name, values = _satellite(called, k + 1 + i, row)
-                    if name in own:
-                        raise InputError(
-                            f"{called}, line {k + 2 + i}: expected each satellite once in an epoch, got {name} again"
-                        )
-                    own[name] = values
-            if own:
-                yield Measured(time, own)
-        else:
-            for i, row in enumerate(rows):
-                if row[60:].strip() in ("SYS / # / OBS TYPES", "SYS / SCALE FACTOR"):
-                    raise InputError(
-                        f"{called}, line {k + 2 + i}: expected observations of one kind, got another {row[60:].strip()}"
-                    )
-        k += count + 1
-    if k == start:
-        raise InputError(
-            f"{called}, line {start}: expected observations after the header, got none"
-        )
+    if len(lines) <= start:
+        raise _at_line(called, start - 1, "expected observations after the header, got none")
+    for k in range(start, len(lines)):
+        if (label := lines[k][60:].strip()) in ("SYS / # / OBS TYPES", "SYS / SCALE FACTOR"):
+            raise _at_line(called, k, f"expected observations of one kind, got another {label}")
+    # The date tells the first line of an epoch too, where its ">" is damaged.
+    dated = [line[2:6].isdecimal() and line[6:7] == " " and not line[60:] for line in lines]
+    heads = [k for k in range(start, len(lines)) if dated[k] or lines[k].startswith(">")]
+    damage = [] if heads[:1] == [start] else [_no_epoch(called, start, lines[start])]
+    read, sound = list[Measured](), 0
+    for k, end in pairwise([*heads, len(lines)]):
+        try:
+            flag, count, time = _epoch(called, k, lines[k])
+            rows, surplus = lines[k + 1 : k + 1 + count], lines[k + 1 + count : end]
+            if k + 1 + count > end:
+                got = "the file is cut off" if end == len(lines) else f"got {end - k - 1}"
+                raise _at_line(called, end - 1, f"expected {count} more after line {k + 1}, {got}")
+            fields = _fields(called, k + 1, rows, systems) if flag <= 1 else {}
+            if surplus:
+                damage.append(_no_epoch(called, k + 1 + count, surplus[0]))
+                # Another satellite is of this epoch; a repeated one is of the next, headless one.
+                if surplus[0][:3] not in {row[:3] for row in rows}:
+                    continue
+        except InputError as error:
+            damage.append(error)
+            continue
+        sound += 1
+        if fields:
+            read.append(Measured(time, fields))
+    return read, accept(damage, sound, strict)
+
+
+def _no_epoch(called: str, k: int, line: str) -> InputError:
+    return _at_line(called, k, f"expected an epoch (>), got {line[:40]!r}")
 
 
 def _epoch(called: str, k: int, line: str) -> tuple[int, int, float]:
     """Flag, number of lines and time of an epoch; an event has no time."""
     if not line.startswith(">"):
-        raise InputError(f"{called}, line {k + 1}: expected an epoch (>), got {line[:40]!r}")
+        raise _no_epoch(called, k, line)
     try:
-        flag, count = int(line[31:32]), int(line[32:35])
-        if count < 0:
+        flag, count = _whole(line[31:32]), _whole(line[32:35])
+        if flag > 6:
             raise ValueError
         return (
             flag,
@@ -223,16 +242,23 @@ def _epoch(called: str, k: int, line: str) -> tuple[int, int, float]:
             ),
         )
     except ValueError:
-        raise InputError(
-            f"{called}, line {k + 1}: expected date, flag and number of an epoch, got {line[:35]!r}"
+        raise _at_line(
+            called, k, f"expected date, flag and number of an epoch, got {line[:35]!r}"
         ) from None
+
+
+def _whole(text: str) -> int:
+    """A number of digits alone: Python reads 1_0 too."""
+    if not text.strip().isdecimal():
+        raise ValueError
+    return int(text)
 
 
 def _seconds(date: list[str]) -> float:
     """Of BDT, of a date in six parts; nan of none, ValueError of what is no date."""
     if not date:
         return math.nan
-    year, month, day, hour, minute = (int(part) for part in date[:5])
+    year, month, day, hour, minute = map(_whole, date[:5])
     second = finite_number(date[5])
     if not 0.0 <= second <= 60.0:
         raise ValueError
@@ -241,20 +267,27 @@ def _seconds(date: list[str]) -> float:
     ) + second
 
 
-def _satellite(called: str, k: int, row: str) -> tuple[str, list[float]]:
-    """Name and fields of a satellite's line, whole to the end of a field."""
-    name = _name(called, k, row)
-    if (len(row) - 3) % 16 not in (0, 14, 15):
-        raise InputError(
-            f"{called}, line {k + 1}: expected fields of 16 columns, the last one is cut off"
-        )
-    return name, [_number(called, k, row[i : i + 14]) or math.nan for i in range(3, len(row), 16)]
+def _fields(called: str, first: int, rows: list[str], systems: str) -> dict[str, list[float]]:
+    """Fields of an epoch's satellites of ``systems`` by name; ``first``: index of its first row."""
+    fields = dict[str, list[float]]()
+    for k, row in enumerate(rows, first):
+        if row[:1] in systems or row[:1] not in LETTERS:
+            name = _name(called, k, row)
+            if name in fields:
+                raise _at_line(
+                    called, k, f"expected each satellite once in an epoch, got {name} again"
+                )
+            if (len(row) - 3) % 16 not in (0, 14, 15):
+                raise _at_line(called, k, "expected fields of 16 columns, the last one is cut off")
+            values = [_number(called, k, row[i : i + 14]) for i in range(3, len(row), 16)]
+            fields[name] = [value or math.nan for value in values]
+    return fields
 
 
 def _name(called: str, k: int, line: str) -> str:
     name = line[:3].replace(" ", "0")
-    if len(name) < 3 or not name[1:].isdigit() or name[1:] == "00":
-        raise InputError(f"{called}, line {k + 1}: expected a satellite (C01), got {line[:3]!r}")
+    if name[:1] not in LETTERS or not name[1:].isdecimal() or name[1:] == "00" or len(name) < 3:
+        raise _at_line(called, k, f"expected a satellite (C01), got {line[:3]!r}")
     return name
 
 
@@ -266,29 +299,52 @@ class Set(NamedTuple):
     numbers: list[float]
 
 
-def sets(called: str, text: str, start: int, systems: str) -> Iterator[Set]:
-    """Sets of ``systems``, checked that each has all its lines and that these are numbers. ``start``: lines of the header."""
+def sets(
+    called: str, text: str, start: int, systems: str, strict: bool
+) -> tuple[list[Set], tuple[str, ...]]:
+    """Sets of ``systems``, and what is damaged, which is left out; see `accept`.
+
+    Each has all its lines, of numbers alone. ``start``: lines of the header.
+    """
     lines = text.rstrip("\n").split("\n")
-    heads = [k for k in range(start, len(lines)) if lines[k][:1].strip()]
-    for k, end in pairwise([*heads, len(lines)]):
-        if lines[k][0] not in systems:
-            continue
-        name = _name(called, k, lines[k])
-        if end - k != SET_LINES:
-            raise InputError(
-                f"{called}, line {end}: expected {SET_LINES} lines of a broadcast set from line {k + 1}, got {end - k}"
+    # The date tells the first line of a set too, where its name is damaged.
+    dated = [line[4:8].isdecimal() and line[8:9] == " " for line in lines]
+    heads = [k for k in range(start, len(lines)) if dated[k] or lines[k][:1] in LETTERS]
+    read, damage = list[Set](), list[InputError]()
+    blocks = list(pairwise(dict.fromkeys([start, *heads, len(lines)])))
+    for k, end in blocks:
+        if lines[k][:1] in systems or lines[k][:1] not in LETTERS:
+            try:
+                read.append(_set(called, lines, k, end))
+            except InputError as error:
+                damage.append(error)
+    return read, accept(damage, len(blocks) - len(damage), strict)
+
+
+def _set(called: str, lines: list[str], k: int, end: int) -> Set:
+    """The set of the lines from k to before ``end``."""
+    name = _name(called, k, lines[k])
+    if end - k != SET_LINES:
+        raise _at_line(
+            called,
+            end - 1,
+            f"expected {SET_LINES} lines of a broadcast set from line {k + 1}, got {end - k}",
+        )
+    try:
+        toc = _seconds((lines[k][4:23].split() + [""] * 6)[:6])
+    except ValueError:
+        raise _at_line(called, k, f"expected a date, got {lines[k][4:23]!r}") from None
+    numbers = []
+    for i in range(k, end):
+        before = 23 if i == k else 4
+        if i > k and lines[i][:before].strip():
+            raise _at_line(
+                called, i, f"expected {before} blanks and numbers, got {lines[i][:40]!r}"
             )
-        try:
-            toc = _seconds((lines[k][4:23].split() + [""] * 6)[:6])
-        except ValueError:
-            raise InputError(
-                f"{called}, line {k + 1}: expected a date, got {lines[k][4:23]!r}"
-            ) from None
-        numbers = []
-        for i in range(k, end):
-            fields = range(23 if i == k else 4, 80, 19)
-            numbers += [_number(called, i, lines[i][at : at + 19]) for at in fields]
-        yield Set(name, toc, numbers)
+        if len(lines[i][before:]) % 19:
+            raise _at_line(called, i, "expected fields of 19 columns, the last one is cut off")
+        numbers += [_number(called, i, lines[i][at : at + 19]) for at in range(before, 80, 19)]
+    return Set(name, toc, numbers)
 
 
 def _number(called: str, k: int, field: str) -> float:
@@ -297,7 +353,7 @@ def _number(called: str, k: int, field: str) -> float:
     try:
         return finite_number(text) if text else math.nan
     except ValueError:
-        raise InputError(f"{called}, line {k + 1}: expected a number, got {text!r}") from None
+        raise _at_line(called, k, f"expected a number, got {text!r}") from None
 
 
 def finite_number(text: str) -> float:

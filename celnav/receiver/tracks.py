@@ -26,7 +26,7 @@ with needed_by("positioning a receiver", "rinex"):
 if TYPE_CHECKING:
     from celnav.receiver.report import Positioned
 
-__all__ = ["FORMATS", "civil", "geojson", "nmea", "pos", "table", "utc"]
+__all__ = ["DOUBTS", "FORMATS", "civil", "geojson", "nmea", "pos", "table", "utc"]
 
 GPS_WEEK = 1356
 """In which BDT began, by the count of GPS."""
@@ -36,6 +36,11 @@ KNOT = 1852.0 / 3600.0
 COLUMNS = ("time_bdt", "seconds_bdt", "x_m", "y_m", "z_m", "vx_m_per_s", "vy_m_per_s", "vz_m_per_s", "clock_m", "drift_m_per_s",
            "east_m", "north_m", "up_m", "std_east_m", "std_north_m", "std_up_m", "satellites", "pdop",
            "integrity", "excluded")  # fmt: skip
+DOUBTS = {
+    "untested": "no redundancy shows a faulty satellite",
+    "implausible height": "where no receiver is",
+}
+"""Values of `celnav.receiver.report.Positioned.integrity` whose positions are marked, and why."""
 
 
 def civil(t: float, form: str = "%Y-%m-%dT%H:%M:%S") -> str:
@@ -46,20 +51,16 @@ def civil(t: float, form: str = "%Y-%m-%dT%H:%M:%S") -> str:
 def table(found: Positioned) -> str:
     """All epochs as CSV; empty where there is nothing. ``clock_m`` is the receiver's clock with what it was set by.
 
-    ``integrity``, of the ranges: "tested", "excluded" (consistent without what ``excluded`` names), "contradiction" (none is used),
-    "untested" (no redundancy) or "no ranges". ``excluded``: satellites whose range was; with "rate", whose rate alone was.
+    ``integrity``: see `celnav.receiver.report.Positioned`. ``excluded``: satellites whose range
+    was; with "rate", whose rate alone was.
     """
     local, log = found.local(found.mean), found.log
-    std = np.sqrt((found.axes @ found.cov @ found.axes.T).diagonal(0, -2, -1))
     mean = found.mean[:, :8].copy()
     mean[:, 6] += log.jumps
-    numbers = np.column_stack([log.times, mean, local, std, log.used.sum(1), log.dilution.position])
-    ranges, rates = np.split(log.excluded, 2, -1)
-    states = np.select(
-        [log.unusable[:, 0], ranges.any(1), ~log.used.any(1), log.tested[:, 0]],
-        ["contradiction", "excluded", "no ranges", "tested"],
-        "untested",
+    numbers = np.column_stack(
+        [log.times, mean, local, found.local_std, log.used.sum(1), log.dilution.position]
     )
+    ranges, rates = np.split(log.excluded, 2, -1)
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(COLUMNS)
@@ -67,7 +68,7 @@ def table(found: Positioned) -> str:
         cells = [f"{v:.4f}".rstrip("0").rstrip(".") if np.isfinite(v) else "" for v in row]
         named = [n for n, out in zip(log.names, ranges[k], strict=True) if out]
         named += [f"{n} rate" for n, out in zip(log.names, rates[k], strict=True) if out]
-        writer.writerow([civil(log.times[k]), *cells, states[k], ", ".join(named)])
+        writer.writerow([civil(log.times[k]), *cells, found.integrity[k], ", ".join(named)])
     return text.getvalue()
 
 
@@ -82,6 +83,7 @@ class Place(NamedTuple):
     cov: Array
     satellites: int
     hdop: float
+    integrity: str
 
 
 def places(found: Positioned) -> list[Place]:
@@ -92,7 +94,7 @@ def places(found: Positioned) -> list[Place]:
     )
     axes = local_axes(np.radians(latitude), np.radians(longitude))
     velocity, cov = (axes @ found.mean[k, 3:6, None])[..., 0], axes @ found.cov[k] @ axes.mT
-    columns = (
+    rows = zip(
         log.times[k],
         latitude,
         longitude,
@@ -101,16 +103,23 @@ def places(found: Positioned) -> list[Place]:
         cov,
         log.used[k].sum(1),
         log.dilution.horizontal[k],
+        found.integrity[k].tolist(),
+        strict=True,
     )
-    return [Place(*row) for row in zip(*columns, strict=True)]
+    return [Place(*row) for row in rows]
 
 
 def pos(found: Positioned) -> str:
-    """RTKLIB's solution file, in GPS time: latitude, longitude and height with their deviations; every solution is a single one."""
+    """RTKLIB's solution file, in GPS time: latitude, longitude and height with their deviations.
+
+    Every solution is a single one. RTKLIB has no column for integrity: a comment line marks each
+    position of `DOUBTS`.
+    """
     rows, form = places(found), "%Y/%m/%d %H:%M:%S.%f"
     lines = [
         f"% program   : celnav {celnav.__version__} {found.filter}",
         *(f"% inp file  : {name}" for name in found.log.files),
+        *(f"% left out  : {damage}" for damage in found.log.damaged),
     ]
     for name, place in (("start", rows[0]), ("end  ", rows[-1])):
         week, second = divmod(place.time + GPS_AHEAD_S, WEEK_S)
@@ -129,6 +138,10 @@ def pos(found: Positioned) -> str:
         "   sdn(m)   sde(m)   sdu(m)  sdne(m)  sdeu(m)  sdun(m) age(s)  ratio",
     ]
     for place in rows:
+        if place.integrity in DOUBTS:
+            lines.append(
+                f"% integrity : {place.integrity}, {DOUBTS[place.integrity]}, in the next line"
+            )
         (ee, en, eu), (_, nn, nu), (_, _, uu) = place.cov
         deviations = "".join(
             f" {np.copysign(np.sqrt(abs(v)), v):8.4f}" for v in (nn, ee, uu, en, eu, nu)
@@ -152,7 +165,10 @@ def utc(times: Array) -> list[str]:
 
 
 def geojson(found: Positioned) -> str:
-    """A line of longitude, latitude (degrees) and height above the ellipsoid (m) [RFC 7946], with its times in UTC."""
+    """A line of longitude, latitude (degrees) and height above the ellipsoid (m) [RFC 7946].
+
+    Its properties have times in UTC and ``integrity`` of each point, and what was ``damaged``.
+    """
     rows = places(found)
     line = [[round(row.longitude, 9), round(row.latitude, 9), round(row.height, 4)] for row in rows]
     shape = (
@@ -160,13 +176,23 @@ def geojson(found: Positioned) -> str:
         if len(line) > 1
         else {"type": "Point", "coordinates": line[0]}
     )
-    about = {"filter": found.filter, "coordTimes": utc(np.array([row.time for row in rows]))}
+    about = {
+        "filter": found.filter,
+        "coordTimes": utc(np.array([row.time for row in rows])),
+        "integrity": [row.integrity for row in rows],
+        "damaged": found.log.damaged,
+    }
     feature = {"type": "Feature", "geometry": shape, "properties": about}
     return json.dumps({"type": "FeatureCollection", "features": [feature]}) + "\n"
 
 
 def nmea(found: Positioned) -> str:
-    """GGA and RMC of each epoch, in UTC. Heights are above the ellipsoid, with a separation of 0: no geoid is known here."""
+    """GGA and RMC of each epoch, in UTC.
+
+    Heights are above the ellipsoid, with a separation of 0: no geoid is known here. The status at
+    the end of RMC [NMEA 4.1] is C (caution) for untested positions, U (unsafe) for those at an
+    implausible height, and V (not provided) elsewhere.
+    """
     talker = {"C": "GB", "G": "GP"}.get(found.log.systems, "GN")
     rows, lines = places(found), []
     for row, when in zip(rows, utc(np.array([row.time for row in rows])), strict=True):
@@ -182,7 +208,8 @@ def nmea(found: Positioned) -> str:
         lines.append(
             f"{talker}GGA,{clock},{at},1,{row.satellites:02d},{hdop},{row.height:.3f},M,0.0,M,,"
         )
-        lines.append(f"{talker}RMC,{clock},A,{at},{moving},{date},,,A")
+        status = {"untested": "C", "implausible height": "U"}.get(row.integrity, "V")
+        lines.append(f"{talker}RMC,{clock},A,{at},{moving},{date},,,A,{status}")
     return "".join(
         f"${line}*{reduce(lambda a, b: a ^ b, line.encode('ascii')):02X}\r\n" for line in lines
     )

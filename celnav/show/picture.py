@@ -5,15 +5,17 @@ from __future__ import annotations
 import contextlib
 import io
 import os
+import re
 import signal
 import socket
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 from celnav.files import InputError, replacing
 from celnav.lazy import needed_by
@@ -26,12 +28,19 @@ with needed_by("a picture of a recording", "record"):
 
 __all__ = ["command", "end", "picture"]
 
+Ask = Callable[[Callable[[ViewerClient], Any]], Any]
+"""Gives the viewer's client to a function, again and again until it answers."""
+
 HOST = "127.0.0.1"
 """What the viewer listens to."""
-PATIENCE_S = 60.0
-"""How long the viewer may take to draw."""
+PATIENCE_S = 180.0
+"""How long the viewer may take to start, to load and to draw."""
 SETTLE_S = 8.0
 """How long the viewer shows notes about itself."""
+CHANGES = 40
+"""So often the window is looked at while it changes."""
+GRAPHICS = "vulkan|adapter|render context|wgpu|surface"
+"""In what a viewer says that finds no driver to draw with."""
 LEAST_BYTES = 20_000
 """Of a picture that shows more than an empty window."""
 BAR = 31 / 900
@@ -62,7 +71,8 @@ def end(recording: str | Path) -> float:
 def picture(recording: str | Path, path: str | Path, at: float, width: int = 1600) -> None:
     """Write a PNG of a recording at a time, without the viewer's own bar.
 
-    Needs a Vulkan driver; one in software will do (``mesa-vulkan-drivers`` of Debian).
+    Needs a Vulkan driver; one in software will do (``mesa-vulkan-drivers`` of Debian). On a busy
+    machine the viewer is asked again, for `PATIENCE_S` in all.
 
     Parameters
     ----------
@@ -70,20 +80,17 @@ def picture(recording: str | Path, path: str | Path, at: float, width: int = 160
 
     Raises
     ------
-    OSError: if the viewer cannot start or draws nothing, or the file cannot be written.
+    OSError: saying why, if the viewer ends or draws nothing in time; if the file cannot be written.
     """
+    try:
+        with _viewer() as ask:
+            ask(lambda viewer: viewer.open(str(Path(recording).resolve())))
+            ask(lambda viewer: viewer.set_time(TIMELINE, duration=at, play_state="paused"))
+            drawn = Image.open(io.BytesIO(_drawn(ask, width)))
+    except (RuntimeError, TimeoutError) as error:
+        raise OSError(f"{recording}: the viewer gave no picture {error}") from None
     with replacing(path) as target:
-        try:
-            with _viewer() as viewer:
-                viewer.open(str(Path(recording).resolve()))
-                viewer.set_time(TIMELINE, duration=at, play_state="paused")
-                drawn = Image.open(io.BytesIO(_drawn(viewer, width)))
-                drawn.crop((0, round(BAR * drawn.height), *drawn.size)).save(target, "PNG")
-        except (RuntimeError, ConnectionError, TimeoutError) as error:
-            said = " ".join(str(error).split())[:200]
-            raise OSError(
-                f"{recording}: the viewer gave no picture ({said}); it needs a Vulkan driver"
-            ) from None
+        drawn.crop((0, round(BAR * drawn.height), *drawn.size)).save(target, "PNG")
 
 
 def command(*arguments: str) -> list[str]:
@@ -92,11 +99,16 @@ def command(*arguments: str) -> list[str]:
 
 
 @contextmanager
-def _viewer() -> Iterator[ViewerClient]:
-    """A viewer without a window, which does not talk of itself, nor of a desktop that is not there; it ends with the block."""
+def _viewer() -> Iterator[Ask]:
+    """Ask a viewer without a window; it ends with the block.
+
+    It does not talk of itself, nor of a desktop that is not there. What fails is tried again while
+    it runs. RuntimeError if it has ended, with what it said; TimeoutError after `PATIENCE_S`.
+    """
     with socket.socket() as probe:
         probe.bind((HOST, 0))
         port = probe.getsockname()[1]
+    deadline = time.monotonic() + PATIENCE_S
     with TemporaryDirectory() as folder, Path(folder, "said").open("w+b") as said:
         words = command("--headless", "--hide-welcome-screen", "--port", str(port))
         env = {"RUST_LOG": "error", "XDG_RUNTIME_DIR": folder, **os.environ}
@@ -108,18 +120,36 @@ def _viewer() -> Iterator[ViewerClient]:
             env=env,
             start_new_session=True,
         )
-        try:
-            deadline = time.monotonic() + PATIENCE_S
-            while not _answers(port):
-                if process.poll() is not None or time.monotonic() > deadline:
+
+        def ask(request: Callable[[ViewerClient], Any]) -> Any:
+            why: object = "it does not start"
+            while time.monotonic() < deadline:
+                if process.poll() is not None:
                     said.seek(0)
-                    raise RuntimeError(
-                        said.read().decode(errors="replace").strip() or "it does not start"
-                    )
+                    raise RuntimeError(_ended(process.returncode, said.read()))
+                try:
+                    if _answers(port):
+                        return request(ViewerClient.connect(f"rerun+http://{HOST}:{port}/proxy"))
+                except (RuntimeError, ConnectionError, TimeoutError) as error:
+                    why = error
                 time.sleep(0.1)
-            yield ViewerClient.connect(f"rerun+http://{HOST}:{port}/proxy")
+            raise TimeoutError(f"in {PATIENCE_S:g} s ({_line(why)}); try again on an idle machine")
+
+        try:
+            yield ask
         finally:
             _end(process)
+
+
+def _ended(status: int, said: bytes) -> str:
+    """Why a viewer ended by itself, and the cure where it is known."""
+    words = _line(said.decode(errors="replace").partition("stack backtrace")[0])
+    hint = "; it needs a Vulkan driver" if re.search(GRAPHICS, words.lower()) else ""
+    return f"({words or f'it ended with exit status {status}'}){hint}"
+
+
+def _line(words: object) -> str:
+    return " ".join(str(words).split())[:200]
 
 
 def _answers(port: int) -> bool:
@@ -141,17 +171,16 @@ def _end(process: subprocess.Popen[bytes]) -> None:
     process.wait()
 
 
-def _drawn(viewer: ViewerClient, width: int) -> bytes:
-    """The window once it does not change any more."""
-    deadline = time.monotonic() + PATIENCE_S
+def _drawn(ask: Ask, width: int) -> bytes:
+    """The window once it does not change any more, or does not stop to."""
     time.sleep(SETTLE_S)
     last = b""
-    while time.monotonic() < deadline:
+    for _ in range(CHANGES):
         time.sleep(1.5)
-        content = bytes(viewer.take_screenshot(max_size=width))
+        content = bytes(ask(lambda viewer: viewer.take_screenshot(max_size=width)))
         if content == last and len(content) > LEAST_BYTES:
-            return content
+            break
         last = content
-    if len(last) > LEAST_BYTES:
-        return last
-    raise TimeoutError(f"nothing was drawn in {PATIENCE_S:g} s")
+    if len(last) < LEAST_BYTES:
+        raise TimeoutError(f"in {CHANGES} looks at its window, which is empty")
+    return last

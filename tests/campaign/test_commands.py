@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 import shutil
 
 import numpy as np
@@ -314,6 +315,26 @@ def test_a_full_disk_names_the_file_and_keeps_what_is_done(sweep, tmp_path, caps
     done = []
     campaign(read(sweep), tmp_path / "here", progress=lambda runs, total: done.append(runs))
     assert done == [36, 48, 60, 72]
+
+
+def test_a_limit_of_file_sizes_names_the_file_and_keeps_what_is_done(sweep, tmp_path, capsys):
+    resource = pytest.importorskip("resource")
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    words = ["campaign", str(sweep), "--out", "here", "--jobs", "1"]
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, hard))
+    try:
+        assert cli.main(words) == 1
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    error = capsys.readouterr().err
+    assert re.fullmatch(
+        r"celnav: here/units/\w+\.npz: larger than the limit of file sizes; raise the limit "
+        r"\(ulimit -f\), or choose another file system\n",
+        error.splitlines(keepends=True)[-1],
+    )
+    assert not list((tmp_path / "here").rglob(".celnav-*"))
+    assert not list((tmp_path / "here" / "units").iterdir())
+    assert cli.main(words) == 0
 
 
 def test_a_small_file_system_that_is_full_is_one_line(sweep, tmp_path, capsys):

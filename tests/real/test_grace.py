@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import gzip
+import re
 from pathlib import Path
 
+import nbformat
 import numpy as np
 import pytest
 from scipy import stats
@@ -390,3 +392,29 @@ def test_the_real_files_are_as_their_source_says():
     assert fixes.times[0] == truth.times[0] == START
     field = gravity.read(next(REAL.glob(study.FIELD)), 8)
     assert field.C[2, 0] == -0.484165143790815e-3
+
+
+def test_shares_inside_of_an_interval_say_of_which_errors_they_are(results):
+    """Of all components in the ledger and the README, of the radial errors in the figure."""
+    root = Path(__file__).parents[2]
+    readme = " ".join((root / "README.md").read_text(encoding="utf-8").split())
+    said = re.search(
+        r"(\d+) % \[(\d+), (\d+)\] of the components of its errors \(radial, along and across the",
+        readme,
+    )
+    cells = nbformat.read(root / "notebooks" / "07_real_data.ipynb", as_version=4).cells
+    pages = [
+        o.data.get("text/html", "") for c in cells for o in c.get("outputs", ()) if "data" in o
+    ]
+    row = re.search(r'<tr id="typical".*?</tr>', " ".join(pages), re.DOTALL)[0]
+    share = re.findall(r"<li>[^<]*, white: ([\d.]+) \[([\d.]+), ([\d.]+)\]", row)[-1]
+    assert [round(100 * float(v)) for v in share] == [int(v) for v in said.groups()]
+    (claim,) = [claim for claim in results.claims() if claim.id == "typical"]
+    assert claim.numbers[3].label == "components within the predicted 95 % intervals, white"
+    (row,) = [row for row in grace.STUDY.rows if row.id == "typical"]
+    assert "components (radial, along and across the track)" in row.found
+    titles = [axes.get_title() for axes in grace.FIGURES["figure_01"][1](results).axes]
+    assert len(titles) == 3
+    assert all(
+        re.search(r": \d+% of the radial errors within the predicted 95 %$", t) for t in titles
+    )

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import re
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -155,7 +157,7 @@ def test_damaged_observations_are_told(name, tmp_path):
     changed = damage(text)
     assert changed != text
     with pytest.raises(InputError, match=re.escape(words)):
-        read_observations(written(tmp_path, changed))
+        read_observations(written(tmp_path, changed), strict=True)
 
 
 def test_events_in_a_log_are_passed_over(tmp_path):
@@ -195,7 +197,7 @@ def test_damaged_orbits_are_told(name, tmp_path):
     changed = damage(text)
     assert changed != text
     with pytest.raises(InputError, match=re.escape(words)):
-        read_navigation(written(tmp_path, changed))
+        read_navigation(written(tmp_path, changed), strict=True)
 
 
 @pytest.mark.parametrize("which", [0, 1])
@@ -233,10 +235,33 @@ def test_damaged_files_are_one_line_and_nothing_is_written(
     assert not [p for p in out.iterdir() if not p.name.startswith(".")]
 
 
-def test_a_truncated_log_is_told_with_its_line(files, tmp_path, capsys):
+@pytest.mark.parametrize("to", ["", "/track.csv", "/track.pos", "/track.geojson", "/track.nmea"])
+def test_a_truncated_log_is_positioned_and_its_line_is_told(files, tmp_path, capsys, to):
+    """The last epoch, of which four satellites are missing, is left out as a whole."""
+    kept = Path(files[0]).read_text("ascii").splitlines()[:-4]
+    head = max(k for k, line in enumerate(kept) if line.startswith(">"))
+    Path(files[0]).write_text("\n".join(kept) + "\n", "ascii")
+    out = tmp_path / f"out{to}"
+    assert cli.main(["position", *files, "--out", str(out)]) == 0
+    line = f"{files[0]}, line {len(kept)}: expected {len(kept) - head + 3} more after line "
+    line += f"{head + 1}, the file is cut off"
+    printed = capsys.readouterr().out
+    assert f"damaged      1 epochs or broadcast sets left out: {line}\n" in printed
+    assert "epochs       2, " in printed
+    if not to:
+        assert line in (out / "summary.txt").read_text("utf-8")
+        assert (out / "track.csv").read_text("utf-8").count("\n") == 3
+    if to == "/track.pos":
+        assert f"% left out  : {line}\n" in out.read_text("utf-8")
+    if to == "/track.geojson":
+        (feature,) = json.loads(out.read_text("utf-8"))["features"]
+        assert feature["properties"]["damaged"] == [line]
+
+
+def test_a_truncated_log_is_refused_where_that_is_asked_for(files, tmp_path, capsys):
     kept = Path(files[0]).read_text("ascii").splitlines()[:-4]
     Path(files[0]).write_text("\n".join(kept) + "\n", "ascii")
-    assert cli.main(["position", *files, "--out", str(tmp_path / "out")]) == 2
+    assert cli.main(["position", *files, "--strict", "--out", str(tmp_path / "out")]) == 2
     assert f"obs.rnx, line {len(kept)}: expected" in capsys.readouterr().err
 
 
@@ -294,7 +319,7 @@ def test_damage_is_an_error_of_input_or_is_told_in_the_summary(tmp_path, which, 
     whole = {
         name: read[name](written(tmp_path, text, f"{name}.rnx")) for name, text in texts.items()
     }
-    refused = []
+    refused, told = [], 0
     for n in range(60):
         path = written(tmp_path, damaged(texts[which], np.random.default_rng(n)), f"{which}.rnx")
         try:
@@ -304,14 +329,20 @@ def test_damage_is_an_error_of_input_or_is_told_in_the_summary(tmp_path, which, 
         except InputError as error:
             refused.append(str(error))
         else:
-            positioning_report.summary(result)
+            summary = positioning_report.summary(result)
+            assert ("damaged  " in summary) == bool(result.log.damaged)
+            told += bool(result.log.damaged)
             for track in FORMATS.values():
                 track(result)
             assert np.nanmax(np.linalg.norm(result.mean[:, :3] - PLACE, axis=-1)) < 30.0, n
-    assert 10 < len(refused) < 60
+    assert told + len(refused) > 15
     assert all("rnx" in line for line in refused)
 
 
 def test_the_nearest_epoch_with_a_fix():
-    there = np.array([False, False, True, False, False, True, True, False])
-    np.testing.assert_array_equal(positioning._nearest(there), [2, 2, 2, 2, 5, 5, 6, 6])
+    """The earlier of two that are as near, for all ways in which nine epochs have fixes."""
+    for there in product([False, True], repeat=9):
+        fixes = [k for k, fix in enumerate(there) if fix]
+        if fixes:
+            nearest = [min(fixes, key=lambda k: (abs(k - own), k)) for own in range(9)]
+            np.testing.assert_array_equal(positioning._nearest(np.array(there)), nearest)

@@ -19,6 +19,7 @@ from rinex_pair import (
     PLACE,
     TIMES,
     TOE,
+    both,
     constellation,
     navigation,
     observations,
@@ -135,7 +136,7 @@ def test_what_is_damaged_is_refused_with_file_and_line(texts, tmp_path, kind, da
 )  # fmt: skip
 def test_observations_that_are_not_whole_are_refused(texts, tmp_path, change, message):
     with pytest.raises(ValueError, match=message):
-        read_observations(written(tmp_path, change(texts[2])))
+        read_observations(written(tmp_path, change(texts[2])), strict=True)
 
 
 def test_the_one_for_the_other_and_a_broken_archive_are_refused(texts, tmp_path):
@@ -181,6 +182,9 @@ WILD = {
     "a blank eccentricity": lambda t: blanked(t, 3, 24, 42),
     "blank health": lambda t: blanked(t, 7, 24, 42),
     "no ellipse": lambda t: re.sub(r"(\nC21.*\n.*\n.{23}).{19}", r"\g<1> 1.500000000000E+00", t),
+    "less than no ellipse": lambda t: re.sub(
+        r"(\nC21.*\n.*\n.{23}).{19}", r"\g<1>-1.000000000000E-09", t
+    ),
     "inside the Earth": lambda t: re.sub(
         r"(\nC21.*\n.*\n.{61}).{19}", r"\g<1> 1.000000000000E+03", t
     ),
@@ -196,6 +200,75 @@ def test_a_set_that_is_none_is_left_out_and_counted(texts, tmp_path, name):
     found = read_navigation(written(tmp_path, changed))
     assert found.left_out == {"C21": 1}
     assert sorted(found.sets.names) == sorted(set(texts[0].names) - {"C21"})
+
+
+def signed(bits, scale):
+    """The largest size of a signed number of the message, in the units of the file."""
+    return 2.0 ** (bits - 1) * scale
+
+
+CIRCLE = np.pi  # the message has semicircles, the file radians
+HOLDS = {
+    "a0": (signed(24, 2.0**-33), signed(22, 2.0**-31)),
+    "a1": (signed(22, 2.0**-50), signed(16, 2.0**-43)),
+    "a2": (signed(11, 2.0**-66), signed(8, 2.0**-55)),
+    "crs": (signed(18, 2.0**-6), signed(16, 2.0**-5)),
+    "crc": (signed(18, 2.0**-6), signed(16, 2.0**-5)),
+    "cuc": (signed(18, 2.0**-31), signed(16, 2.0**-29)),
+    "cus": (signed(18, 2.0**-31), signed(16, 2.0**-29)),
+    "cic": (signed(18, 2.0**-31), signed(16, 2.0**-29)),
+    "cis": (signed(18, 2.0**-31), signed(16, 2.0**-29)),
+    "delta_n": (signed(16, 2.0**-43) * CIRCLE, signed(16, 2.0**-43) * CIRCLE),
+    "Omega_dot": (signed(24, 2.0**-43) * CIRCLE, signed(24, 2.0**-43) * CIRCLE),
+    "i_dot": (signed(14, 2.0**-43) * CIRCLE, signed(14, 2.0**-43) * CIRCLE),
+    "tgd": (signed(10, 1e-10), signed(8, 2.0**-31)),
+}
+"""Largest size of what the messages of BeiDou and GPS hold, by the tables of their documents."""
+
+
+def left_out(tmp_path, b, name, number, value):
+    """Whether a set is left out whose number is ``value``."""
+    values = getattr(b, name).copy()
+    values[number] = value
+    found = read_navigation(written(tmp_path, navigation(replace(b, **{name: values}))))
+    assert found.left_out in ({}, {b.names[number]: 1})
+    return bool(found.left_out)
+
+
+@pytest.mark.parametrize("name", HOLDS)
+@pytest.mark.parametrize("system", [0, 1])
+def test_a_set_may_have_what_its_message_can_hold_and_not_twice_as_much(tmp_path, name, system):
+    b = both()
+    number, largest = b.names.index(("C21", "G07")[system]), HOLDS[name][system]
+    factor = 4.0 if system and name in ("crs", "crc") else 2.0  # there BeiDou's limit is for both
+    for sign in (-1.0, 1.0):
+        assert not left_out(tmp_path, b, name, number, sign * 0.9999 * factor * largest)
+        assert left_out(tmp_path, b, name, number, sign * 1.0001 * factor * largest)
+
+
+@pytest.mark.parametrize(
+    ("name", "good", "bad"),
+    [
+        ("e", (0.0, 0.5), (0.501, 0.9)),
+        ("sqrt_a", (4096.0, 8191.0), (4095.0, 8193.0)),
+        *((name, (-1256.0, 1256.0), (-1257.0, 1257.0)) for name in ("M0", "Omega0", "omega", "i0")),
+    ],
+)
+def test_an_orbit_is_an_ellipse_and_its_angles_are_no_more_than_many_turns(
+    tmp_path, name, good, bad
+):
+    for number in (both().names.index(satellite) for satellite in ("C21", "G07")):
+        assert [left_out(tmp_path, both(), name, number, value) for value in good] == [False, False]
+        assert [left_out(tmp_path, both(), name, number, value) for value in bad] == [True, True]
+
+
+def test_a_time_of_the_week_is_within_it(texts, tmp_path):
+    time = re.search(r"\nC21.*\n.*\n.*\n    (.{19})", texts[1])[1]
+    for value, outside in ((0.0, False), (604_800.0, False), (604_801.0, True), (-1.0, True)):
+        text = re.sub(r"(\nC21.*\n.*\n.*\n    ).{19}", rf"\g<1>{value:19.12E}", texts[1], count=1)
+        found = read_navigation(written(tmp_path, text))
+        assert found.left_out == ({"C21": 1} if outside else {})
+    assert float(time) == 345_600.0
 
 
 def test_sets_that_are_all_none_are_refused(texts, tmp_path):
@@ -278,7 +351,7 @@ def test_what_cannot_be_is_told_by_its_line(texts, tmp_path, old, new, words):
     changed = texts[2].replace(old, new, 1)
     assert changed != texts[2]
     with pytest.raises(ValueError, match=words):
-        read_observations(written(tmp_path, changed))
+        read_observations(written(tmp_path, changed), strict=True)
 
 
 def test_a_set_of_no_satellite_or_date_is_told_by_its_line(texts, tmp_path):
@@ -286,7 +359,7 @@ def test_a_set_of_no_satellite_or_date_is_told_by_its_line(texts, tmp_path):
                             ("C21 2020", "C21 20x0", r"line \d+: expected a date")):  # fmt: skip
         text = re.sub(r"C21 \d{4}", "C21 2020", texts[1])
         with pytest.raises(ValueError, match=words):
-            read_navigation(written(tmp_path, text.replace(old, new, 1)))
+            read_navigation(written(tmp_path, text.replace(old, new, 1)), strict=True)
 
 
 def test_an_epoch_out_of_order_is_left_out_and_counted(texts, tmp_path):
@@ -338,6 +411,9 @@ def test_hatanakas_compression_is_read_and_is_no_way_around_the_limit(tmp_path, 
     assert len(small) < 8e6
     assert len(long) > 25e6
     with pytest.raises(ValueError, match=r"expected at most 10,000,000 bytes when unpacked"):
+        read_observations(path)
+    path.write_bytes(gzip.compress(packed[:-3]))
+    with pytest.raises(ValueError, match=r"a whole file in Hatanaka's .*seems to be truncated"):
         read_observations(path)
     path.write_bytes(gzip.compress(packed[: len(packed) // 2] + b"\n&garbage\n"))
     with pytest.raises(

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+import rerun as rr
 from pymap3d import geodetic2ecef
 from rinex_pair import ALPHA, BETA, PLACE, TOE, both, navigation, observations, observed, written
 
@@ -131,6 +134,85 @@ def test_geojson_is_a_line_or_a_point(found):
     assert json.loads(tracks.geojson(one))["features"][0]["geometry"]["type"] == "Point"
 
 
+@pytest.fixture(scope="module")
+def doubtful():
+    """Four satellites are left in two epochs, and a range of one of them is 10 km too long."""
+    nav = Navigation(Path("nav.rnx"), both(), (np.array(ALPHA), np.array(BETA)))
+    obs = observed(both(), LONG, 3e4 + 30.0 * (LONG - LONG[0]))
+    obs, code = obs.of("C"), obs.of("C").code.copy()
+    four = [obs.names.index(name) for name in ("C01", "C02", "C05", "C38")]
+    code[2:4] = np.nan
+    code[2:4, four] = obs.code[2:4, four] + [1e4, 0.0, 0.0, 0.0]
+    return report.position(positioning.prepare(replace(obs, code=code), nav), "ls", PLACE)
+
+
+def test_a_position_that_nothing_tests_is_marked_in_every_track(doubtful):
+    off = np.linalg.norm(doubtful.mean[:, :3] - PLACE, axis=1)
+    np.testing.assert_array_equal(off > 1e4, [False, False, True, True, False, False])
+    np.testing.assert_array_equal(doubtful.doubtful, off > 1e4)
+    rows = list(csv.DictReader(tracks.table(doubtful).splitlines()))
+    words = ["tested", "tested", "untested", "untested", "tested", "tested"]
+    assert [row["integrity"] for row in rows] == words
+    (feature,) = json.loads(tracks.geojson(doubtful))["features"]
+    assert feature["properties"]["integrity"] == words
+    rows = tracks.nmea(doubtful).split("\r\n")[1:-1:2]
+    assert [row.partition("*")[0][-4:] for row in rows] == [
+        *(",A,V", ",A,V", ",A,C", ",A,C", ",A,V", ",A,V"),
+    ]
+    lines = tracks.pos(doubtful).splitlines()
+    first = next(k for k, line in enumerate(lines) if not line.startswith("%"))
+    mark = "% integrity : untested, no redundancy shows a faulty satellite, in the next line"
+    assert [line == mark for line in lines[first:]] == [0, 0, 1, 0, 1, 0, 0, 0]
+
+
+def test_a_position_that_nothing_tests_is_counted_at_the_top_and_drawn(doubtful, tmp_path):
+    second = report.summary(doubtful).splitlines()[1]
+    assert second == (
+        "doubtful     2 of 6 positions: 2 untested (no redundancy shows a faulty satellite)"
+    )
+    figure = report.figures(doubtful)["track"]
+    (drawn,) = [line for line in figure.axes[0].lines if line.get_label() == "doubtful"]
+    assert len(drawn.get_xdata()) == 2
+    report.record_positioned(doubtful, tmp_path / "a.rrd")
+    chunks = rr.chunk.RrdReader(str(tmp_path / "a.rrd")).stream().to_chunks()
+    points = [c for c in chunks if c.entity_path == "/track/doubtful" and c.timeline_names]
+    column = points[0].to_record_batch().column("Points3D:positions").to_pylist()
+    assert [len(at) for at in column] == [0, 0, 1, 1, 0, 0]
+
+
+def test_a_track_without_doubt_has_no_marks(found):
+    assert report.summary(found).splitlines()[1] == "doubtful     0 of 6 positions"
+    assert "integrity" not in tracks.pos(found)
+    assert not [
+        line
+        for line in report.figures(found)["track"].axes[0].lines
+        if line.get_label() == "doubtful"
+    ]
+
+
+@pytest.mark.parametrize(
+    ("height", "word"),
+    [
+        (-1500.0, "implausible height"),
+        (-400.0, "tested"),
+        (4e4, "tested"),
+        (1e5, "implausible height"),
+        (4e5, "tested"),
+    ],
+)
+def test_a_height_where_no_receiver_is_is_marked(found, height, word):
+    up = local_axes(*np.radians([32.0, 118.9]))[2]
+    place = np.array(geodetic2ecef(32.0, 118.9, 0.0, ell=ELLIPSOID)) + height * up
+    moved = found.mean.copy()
+    moved[1, :3] = place
+    result = replace(found, mean=moved)
+    assert result.integrity.tolist() == ["tested", word, *["tested"] * 4]
+    assert result.doubtful.tolist() == [k == 1 and word != "tested" for k in range(6)]
+    text = "doubtful     1 of 6 positions: 1 implausible height (where no receiver is)"
+    assert (text in report.summary(result)) == (word != "tested")
+    assert (",A,U*" in tracks.nmea(result)) == (word != "tested")
+
+
 @pytest.fixture
 def files(tmp_path):
     b = both()
@@ -150,6 +232,14 @@ def test_out_is_a_file_by_its_suffix_and_nobody_elses_is_replaced(files, tmp_pat
     out.write_text("mine", encoding="ascii")
     assert cli.main(["position", *files, "--filter", "ls", "--out", str(out)]) == 2
     assert out.read_text("ascii") == "mine"
+
+
+@pytest.mark.parametrize(("alarm", "status"), [("1e-5", 0), ("0", 1)])
+def test_strict_ends_with_1_where_a_position_is_doubtful(files, tmp_path, capsys, alarm, status):
+    words = ["position", *files, "--false-alarm", alarm, "--out", str(tmp_path / "track.csv")]
+    assert cli.main(words) == 0
+    assert cli.main([*words, "--strict"]) == status
+    assert f"doubtful     {6 * status} of 6 positions" in capsys.readouterr().out
 
 
 def test_systems_and_the_ionosphere_are_given_by_options(files, tmp_path, capsys):

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import rerun as rr
 from machine import children
+from PIL import Image
 
 from celnav import cli
 from celnav.show import colors, recording, views
@@ -389,16 +390,87 @@ def test_a_picture_is_of_the_recording_at_its_time_without_the_bar(tmp_path, mon
     )
 
 
-def test_a_viewer_that_does_not_start_is_one_line(tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    ("said", "words"),
+    [
+        ("no\nadapter", r"\(no adapter\); it needs a Vulkan driver"),
+        (
+            "panicked at 'Failed to get render context'\nstack backtrace:\n 6: core",
+            r"\(panicked at 'Failed to get render context'\); it needs a Vulkan driver",
+        ),
+        ("out of memory", r"\(out of memory\)"),
+        (3, r"\(it ended with exit status 3\)"),
+    ],
+)
+def test_a_viewer_that_ends_by_itself_is_one_line_with_what_it_said(
+    tmp_path, monkeypatch, said, words
+):
     from celnav.show import picture
 
-    script = "import sys; sys.exit('no\\nadapter')"
+    script = f"import sys; sys.exit({said!r})"
     monkeypatch.setattr(picture, "command", lambda *words: [sys.executable, "-c", script])
-    with pytest.raises(
-        OSError,
-        match=r"a\.rrd: the viewer gave no picture \(no adapter\); it needs a Vulkan driver",
-    ):
+    with pytest.raises(OSError, match=rf"a\.rrd: the viewer gave no picture {words}$"):
         picture.picture(tmp_path / "a.rrd", tmp_path / "a.png", 5.0)
+    assert not list(tmp_path.iterdir())
+
+
+class BusyViewer:
+    """A viewer that answers late, and then shows one picture after another."""
+
+    failures, asked = 3, 0
+
+    @classmethod
+    def connect(cls, url):
+        return cls()
+
+    def open(self, path):
+        BusyViewer.asked += 1
+        if BusyViewer.asked <= BusyViewer.failures:
+            raise RuntimeError("Deadline expired before operation could complete")
+
+    def set_time(self, timeline, duration, play_state):
+        assert (duration, play_state) == (5.0, "paused")
+
+    def take_screenshot(self, max_size):
+        shown, content = np.random.default_rng(0).integers(0, 255, (100, 100, 3)), io.BytesIO()
+        Image.fromarray(shown.astype(np.uint8)).save(content, "PNG")
+        return content.getvalue()
+
+
+LISTENS = """
+import socket, sys, time
+with socket.create_server(("127.0.0.1", int(sys.argv[-1]))):
+    time.sleep(60)
+"""
+
+
+@pytest.fixture
+def busy(monkeypatch):
+    from celnav.show import picture
+
+    monkeypatch.setattr(picture, "command", lambda *words: [sys.executable, "-c", LISTENS, *words])
+    monkeypatch.setattr(picture, "ViewerClient", BusyViewer)
+    monkeypatch.setattr(picture, "SETTLE_S", 0.0)
+    monkeypatch.setattr(BusyViewer, "asked", 0)
+    return picture
+
+
+def test_a_viewer_on_a_busy_machine_is_asked_again(busy, tmp_path):
+    busy.picture(tmp_path / "a.rrd", tmp_path / "a.png", 5.0)
+    assert BusyViewer.asked == 4
+    with Image.open(tmp_path / "a.png") as drawn:
+        assert drawn.size == (100, 97)
+
+
+def test_a_viewer_that_never_answers_is_not_blamed_on_vulkan(busy, tmp_path, monkeypatch):
+    monkeypatch.setattr(BusyViewer, "failures", 10_000)
+    monkeypatch.setattr(busy, "PATIENCE_S", 2.0)
+    words = (
+        r"in 2 s \(Deadline expired before operation could complete\); try again on an idle machine"
+    )
+    with pytest.raises(OSError, match=rf"a\.rrd: the viewer gave no picture {words}$"):
+        busy.picture(tmp_path / "a.rrd", tmp_path / "a.png", 5.0)
+    assert BusyViewer.asked > 2
     assert not list(tmp_path.iterdir())
 
 

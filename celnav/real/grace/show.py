@@ -47,9 +47,11 @@ def day(r: Results) -> Figure:
         inside = np.mean((np.abs(error) < BAND * std)[np.isfinite(error)])
 
         def claimed(ax: Any) -> None:
-            band(ax, hours, -BAND * std, BAND * std, color=LINES[name].color, label="95 % claimed")
+            band(
+                ax, hours, -BAND * std, BAND * std, color=LINES[name].color, label="95 % predicted"
+            )
 
-        title = f"{LINES[name].label}: {inside:.0%} of the errors inside the 95 % that are claimed"
+        title = f"{LINES[name].label}: {inside:.0%} of the radial errors within the predicted 95 %"
         return [Panel(title, [claimed, curve(hours, error, LINES[name]._replace(label="error", color="black", width=0.6))],
                       "hours of 1 August 2008", "radial (m)", more={"ylim": (-limit, limit), "xlim": (0.0, 24.0)})]  # fmt: skip
 
@@ -166,7 +168,7 @@ def table_1(r: Results) -> Rows:
 
 FIGURES = {
     "figure_01": (
-        "Radial errors of a real satellite's estimated position, beside the 95 % that each filter claims.",
+        "Radial errors of a real satellite's estimated position, and the 95 % that is predicted.",
         day,
     ),
     "figure_02": (

@@ -265,13 +265,13 @@ def typical(name: str, accept: Bounds) -> Decided:
 
 
 def inside(name: str) -> Decided:
-    """Share of the components that lie inside of what is claimed to have 95 % of them."""
+    """Share of the components, in all directions, within the predicted 95 % intervals."""
 
     def columns(r: Results) -> list[Array]:
         error, std = (r.get(BEST, f"{name}/{what}")[:, 0] for what in ("error", "std"))
         return [np.where(np.isfinite(error), np.abs(error) < 1.96 * std, np.nan)]
 
-    return over_day(f"inside of 95 % claimed, {name}", mean, columns)
+    return over_day(f"components within the predicted 95 % intervals, {name}", mean, columns)
 
 
 def against(a: str, b: str, accept: Bounds = (None, None), part: str = BEST) -> Decided:
@@ -329,7 +329,8 @@ FINDINGS = [
     finding("typical", "In a typical epoch the filter that is told of the correlation is honest, the other is not.",
         all_of(typical("colored", HONEST), typical("white", (2.0, None)), inside("colored"), inside("white")), figure="figure_01",
         why="the median of NEES within a factor 2 of that of a consistent filter; beyond twice that", expected="not shown",
-        found="Median NEES {0} and {1} times a consistent filter's. Of the components {2:.0%} and {3:.0%} lie inside of 95 %."),
+        found="Median NEES {0} and {1} times a consistent filter's. {2:.0%} and {3:.0%} of the "
+        "components (radial, along and across the track) lie within the predicted 95 % intervals."),
     finding("inflated", "An R as large as the correlation costs makes an honest filter of the white one, and one as good.",
         all_of(honest("white, inflated", HONEST), against("white, inflated", "colored", (0.95, 1.05))), figure="figure_04",
         why="as for the colored one; within 5 %", expected="not shown",
