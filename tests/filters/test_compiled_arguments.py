@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from itertools import product
 
@@ -12,6 +13,8 @@ import test_wrong_filter_arguments as doors
 from twice import told
 
 import celnav
+from celnav.filters.compiled import _place
+from celnav.tape.tape import CannotCompile
 
 pytest.importorskip("llvmlite")
 
@@ -168,3 +171,24 @@ def test_an_epoch_without_a_number_is_left_to_numpy():
     assert RUN(filter, prior, epochs, engine="auto").engine.startswith(
         "numpy: epochs: expected numbers k"
     )
+
+
+def test_a_model_of_the_package_is_named_where_it_asks():
+    """Where no line is the user's, the last one of the package's own is."""
+    motion = celnav.Motion(_asks_inside, np.eye(2))
+    with pytest.raises(CannotCompile, match=r" \(test_compiled_arguments\.py, line \d+: .*float"):
+        celnav.run(
+            celnav.ukf(motion),
+            celnav.Gaussian([0.0, 1.0], np.eye(2)),
+            np.arange(3.0),
+            engine="compiled",
+        )
+    try:
+        celnav.Gaussian([np.nan], [[1.0]])
+    except ValueError as error:
+        inside = error.with_traceback(error.__traceback__.tb_next)
+        assert re.search(r"^ \(checks\.py, line \d+: ", _place(inside))
+
+
+def _asks_inside(x, epoch):
+    return x * float(x[0, 0])

@@ -10,7 +10,7 @@ import pytest
 import celnav
 from celnav.analysis.metrics import chi_square_band
 from celnav.filters.joint import KEEP, condition, joint
-from celnav.filters.regression import regressed
+from celnav.filters.regression import pseudo_gain, regressed
 from celnav.filters.sequential import Iterated, SingleDraw
 from celnav.gaussian.belief import nees
 from celnav.gaussian.linalg import SquareRoot
@@ -213,3 +213,21 @@ def test_where_there_is_no_posterior_to_go_back_to():
         SingleDraw.of(
             celnav.ukf(through, celnav.Sensor(lambda x, epoch, *w: h(x), R), iterations=2)
         )
+
+
+@pytest.mark.parametrize("unit", [1e-6, 1.0, 1e6])
+@pytest.mark.parametrize("std", [1e-3, 1.0, 1e3])
+def test_what_is_below_the_round_off_of_where_it_lies_is_known(unit, std):
+    """Two components that differ by 1e-7 of their deviation, whatever the unit: where they lie 1e10
+    deviations away their difference is round-off, and near zero it is known well."""
+    x, y = np.array([[2.0, 3.0]]), std * unit * np.array([[1.0, 0.0], [1.0, 1e-7]])
+    A, sign = np.concatenate([y, x]), np.ones(2)
+    exact = x @ np.linalg.inv(y)
+    together = np.full((1, 2), 2.0 / (2.0 * std * unit))
+    for far, expected in ((0.0, exact), (1e5, exact), (1e10, together)):
+        center = np.full(2, far * std * unit)
+        np.testing.assert_allclose(pseudo_gain(A, sign, 2, center), expected, rtol=1e-6)
+        elsewhere = np.full(3, far * std * unit)  # of another length: the largest counts
+        np.testing.assert_allclose(pseudo_gain(A, sign, 2, elsewhere), expected, rtol=1e-6)
+    np.testing.assert_allclose(pseudo_gain(A, sign, 2), exact, rtol=1e-6)
+    np.testing.assert_allclose(pseudo_gain(A, sign, 2, least=1e-6), together, rtol=1e-6)
