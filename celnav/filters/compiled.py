@@ -18,7 +18,7 @@ from celnav.filters.engine import NONE, Data, Engine, each_run, entries
 from celnav.filters.flight import Flight, as_data, epoch_of, fly, part_of
 from celnav.filters.records import Epoch, Epochs, FilterError, Info, State
 from celnav.filters.run import as_epochs, run, steps
-from celnav.filters.sentinels import changed, difference, functions_of, held
+from celnav.filters.sentinels import changed, difference, functions_of, held, restorer
 from celnav.filters.sequential import Sequential, measurements, plain
 from celnav.filters.track import Track
 from celnav.gaussian.checks import choice, integer
@@ -81,23 +81,30 @@ class Compiled:
         holds = held(self.filter)
         if changed(self._holds, holds):
             self._kept.clear()
+        restore = restorer(self.filter)  # numpy is to find what the recording found
         try:
             data = as_data(self.filter, epochs)
             some = epochs[:CHECKED]
-            engine, flight = self._flown(prior, data, keep, every, compare)
+            engine, flight = self._flown(prior, data, some, keep, every, compare)
         except CannotCompile as error:
+            restore()
             if not error.somewhere:
                 raise
             raise CannotCompile(f"{error}{functions_of(holds)}") from error
         except (CudaError, ImportError):
             raise
         except Exception as error:
+            restore()
             run(self.filter, prior, some, engine="numpy", **options)  # what is wrong there too
+            restore()
             frames = reversed(traceback.extract_tb(error.__traceback__))
             place = place_of([(frame.filename, frame.lineno or 0) for frame in frames])
+            if not place and "expected" in str(error):
+                raise CannotCompile(str(error)) from error
             raise CannotCompile(
                 f"{type(error).__name__} where a step is recorded: its numbers are arrays for "
-                f"numpy's functions only; engine='numpy' runs it as it is{place or functions_of(holds)}"
+                "numpy's functions only; put a table into u, choose by numpy.where, or use "
+                f"engine='numpy'{place or functions_of(holds)}"
             ) from error
         stored = islice(epochs, 0, len(epochs) if keep == "cov" else 0, every)
         known = tuple(epoch._replace(z=None, truth=None) for epoch in stored)
@@ -118,7 +125,7 @@ class Compiled:
         return self._again(track, engine, prior, data, lost, **options)
 
     def _flown(
-        self, prior: Any, data: Data, keep: str, every: int, compare: bool
+        self, prior: Any, data: Data, some: Any, keep: str, every: int, compare: bool
     ) -> tuple[Engine, Flight]:
         """The flight, after numpy has taken the same steps at some epochs, or `CannotCompile`."""
         fresh = not self._kept
@@ -129,7 +136,10 @@ class Compiled:
         watched = sorted({0, count // 2, count - 1}) if on is None else list(range(min(count, 3)))
         if fresh:  # numpy goes first: what models keep of their first call is then made of floats
             few = _of(self.filter, prior, data, engine.batch, watched, CHECKED)
-            run(*few, on_failure="flag", engine="numpy")
+            try:
+                run(*few, on_failure="flag", engine="numpy")
+            except Exception:  # it may hold arrays of all runs
+                run(self.filter, prior, some, on_failure="flag", engine="numpy")
             self._holds = held(self.filter)
         flight = fly(engine, data, every, self.jobs, on, watched)
         if not (compare or engine.fresh):
@@ -147,7 +157,7 @@ class Compiled:
             return engine, flight
         self._kept.clear()
         if not fresh:  # what was recorded then may not hold now
-            return self._flown(prior, data, keep, every, compare)
+            return self._flown(prior, data, some, keep, every, compare)
         if path:
             raise CannotCompile(
                 f"the model has a memory: {path} changes when it is called; put what changes with "

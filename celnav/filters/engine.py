@@ -23,7 +23,7 @@ from celnav.gaussian.linalg import Array, Covariance, SquareRoot
 from celnav.tape import llvm
 from celnav.tape.kernel import Kernel
 from celnav.tape.numbers import Numbers, present
-from celnav.tape.tape import MOST, CannotCompile, Number, Tape, as_number, do, operands
+from celnav.tape.tape import MOST, CannotCompile, Number, Tape, as_number, do, operands, refused
 
 __all__ = [
     "FULL", "NONE", "PART", "SILENT", "TALLY", "Data", "Engine", "Kind", "Recorded", "Shape", "each_array", "each_run", "entries",
@@ -307,10 +307,7 @@ class Engine:
             tape.modeled[i] and not measured.isdisjoint(operands(op))
             for i, op in enumerate(tape.ops)
         ):
-            raise CannotCompile(
-                "a model looks at epoch.z, which numpy gives it of all runs; give it what it is to "
-                "know as the input u, or use engine='numpy'"
-            )
+            raise refused("a model looks at epoch.z, of all runs; put what it is to know into u")
         after = Shape.of(state)
         if "belief" in getattr(state, "_fields", ()):
             state = state._replace(belief=settled(state.belief))

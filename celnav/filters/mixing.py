@@ -86,7 +86,7 @@ def check_matrices_apart(
 
     if matrix.ndim == 2:  # one of all runs may not depend on any
         like = matrix.reshape(1, size)
-        for near, same in ((mean + 1e-3 * (1.0 + np.abs(mean)), False), (mean, True)):
+        for near, same in ((mean + 0.1 * (1.0 + np.abs(mean)), False), (mean, True)):
             found = _value(values, [near[None]], epoch, like)
             if isinstance(found, str) or _same(found, np.broadcast_to(like, found.shape)) != same:
                 return  # or it is random

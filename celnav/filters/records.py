@@ -324,8 +324,12 @@ def _measurements(z: ArrayLike, length: int) -> Array:
 
 def without_input(error: Exception, epoch: Any) -> Exception:
     """The error of a model; where it comes from an input that an epoch does not have, one that says so."""
+    names, trace = set[str](), error.__traceback__
+    while trace is not None:
+        names.update(trace.tb_frame.f_code.co_names)
+        trace = trace.tb_next
     raw = isinstance(error, AttributeError | TypeError) and "NoneType" in str(error)
-    if not raw or getattr(epoch, "u", None) is not None:
+    if not raw or getattr(epoch, "u", None) is not None or "truth" in names:
         return error
     if np.any(epoch.dt):
         return ValueError(f"u: expected an input at t = {epoch.t}, where a model uses it, got None")

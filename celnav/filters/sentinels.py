@@ -9,7 +9,8 @@ of a filter hold must be the same after they were called.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import fields, is_dataclass
 from functools import partial
 from pathlib import Path
@@ -46,7 +47,7 @@ from celnav.gaussian.rules import Taylor
 from celnav.tape.numbers import Numbers
 from celnav.tape.tape import Number
 
-__all__ = ["Function", "changed", "difference", "functions_of", "held"]
+__all__ = ["Function", "changed", "difference", "functions_of", "held", "restorer"]
 
 CLOSE = 1e-6  # of a standard deviation, or of the size of any other number
 DIFFERENCED = 1e-4  # likewise where numpy takes differences and machine code has derivatives
@@ -115,10 +116,10 @@ def _otherwise(filter: Any, state: Any, epoch: Any, after: Any, tally: list[Arra
         x, y = apart[i]
         least = np.max([np.abs(each[i] - x) for each in moved], 0)
         # Each run is one draw of the same round-off: the largest movement, in sizes, is that of all.
-        part = np.divide(least, sizes[i], out=np.zeros(x.shape), where=sizes[i] > 0.0)
-        if not _within(
-            close * sizes[i] + MOVES * np.maximum(least, np.nanmax(part) * sizes[i]), x, y
-        ):
+        there = (sizes[i] > 0.0) & np.isfinite(least)
+        part = np.divide(least, sizes[i], out=np.zeros(x.shape), where=there)
+        round_off = MOVES * np.maximum(least, part.max(initial=0.0) * sizes[i])
+        if not _within(close * sizes[i] + round_off, x, y):
             return found[i][0]
     return ""
 
@@ -228,6 +229,51 @@ def held(filter: Any) -> dict[str, Any]:
     return found
 
 
+def restorer(filter: Any) -> Callable[[], None]:
+    """What gives back to the things that functions hold what they hold now."""
+    things: dict[str, Any] = {}
+    _look(filter, "", {}, set(), DEEP, things)
+    undo = [step for thing in things.values() for step in _undoing(thing)]
+
+    def restore() -> None:
+        for step in undo:
+            step()
+
+    return restore
+
+
+def _undoing(thing: Any) -> Iterator[Callable[[], None]]:
+    """What sets a thing back, where it can be."""
+    if isinstance(thing, np.ndarray):
+        if thing.flags.writeable and thing.size <= SAMPLE:
+            yield partial(np.copyto, thing, thing.copy())
+    elif isinstance(thing, list | deque):
+        yield partial(_refill, thing, thing.extend, thing.copy())
+    elif isinstance(thing, dict | set):
+        yield partial(_refill, thing, thing.update, thing.copy())
+    elif isinstance(thing, FunctionType):
+        for cell in thing.__closure__ or ():
+            if cell != EMPTY:
+                yield partial(setattr, cell, "cell_contents", cell.cell_contents)
+        if not _is_ours(thing):
+            names = set(_names(thing.__code__)) & thing.__globals__.keys()
+            yield partial(thing.__globals__.update, {k: thing.__globals__[k] for k in names})
+    elif isinstance(thing, np.random.Generator):
+        generator = thing.bit_generator
+        yield partial(setattr, generator, "state", generator.state)
+    if (
+        hasattr(thing, "__dict__")
+        and not isinstance(thing, ModuleType | type)
+        and not _is_ours(thing)
+    ):
+        yield partial(_refill, vars(thing), vars(thing).update, dict(vars(thing)))
+
+
+def _refill(thing: Any, fill: Callable[[Any], None], contents: Any) -> None:
+    thing.clear()
+    fill(contents)
+
+
 def changed(before: dict[str, Any], after: dict[str, Any]) -> str:
     """The first path whose value is another one; empty: none."""
     return next((k for k in {**before, **after} if before.get(k) != after.get(k)), "")
@@ -249,8 +295,15 @@ def functions_of(holds: dict[str, Any], path: str = "") -> str:
     return f" ({'; '.join(places)})" if places else ""
 
 
-def _look(thing: Any, path: str, found: dict[str, Any], seen: set[int], deep: int) -> None:
-    """Set what a thing is known by, and what it holds."""
+def _look(
+    thing: Any,
+    path: str,
+    found: dict[str, Any],
+    seen: set[int],
+    deep: int,
+    things: dict[str, Any] | None = None,
+) -> None:
+    """Set what a thing is known by, and what it holds; ``things``: set the things themselves too."""
     if isinstance(thing, Number | Numbers):  # left by a recording
         found[path] = id(thing)
         return
@@ -260,6 +313,8 @@ def _look(thing: Any, path: str, found: dict[str, Any], seen: set[int], deep: in
     if id(thing) in seen or not deep:
         return
     seen.add(id(thing))
+    if things is not None:
+        things[path] = thing
     parts = _parts_of(thing)
     found[path] = _mark(thing) if parts is None else (type(thing), len(parts))
     if isinstance(thing, FunctionType) and not _is_ours(thing):
@@ -268,14 +323,14 @@ def _look(thing: Any, path: str, found: dict[str, Any], seen: set[int], deep: in
             f"{Path(code.co_filename).name}, line {code.co_firstlineno}", len(parts or ())
         )
     for name, part in (parts or {}).items():
-        _look(part, f"{path}.{name}" if path else name, found, seen, deep - 1)
+        _look(part, f"{path}.{name}" if path else name, found, seen, deep - 1, things)
 
 
 def _mark(thing: Any) -> Any:
     """What stands for a thing that holds nothing to be looked at."""
     if isinstance(thing, np.ndarray):
         if thing.dtype.hasobject:
-            return thing.shape, repr(thing.ravel()[:SAMPLE])
+            return thing.shape, tuple(map(id, thing.ravel()[:SAMPLE]))
         some = thing.ravel()[:: max(1, thing.size // SAMPLE)]
         return thing.shape, crc32(np.ascontiguousarray(some).tobytes())
     for name in ("bit_generator", "get_state", "getstate"):  # a generator of random numbers
@@ -292,8 +347,8 @@ def _parts_of(thing: Any) -> dict[str, Any] | None:
         return None
     if isinstance(thing, dict):
         return {repr(key): thing[key] for key in list(thing)[:SAMPLE]}
-    if isinstance(thing, list | tuple):
-        return {str(i): part for i, part in enumerate(thing[:SAMPLE])}
+    if isinstance(thing, list | tuple | deque):
+        return {str(i): part for i, part in zip(range(SAMPLE), thing, strict=False)}
     if isinstance(thing, partial):
         return {"func": thing.func, "args": thing.args, "keywords": thing.keywords}
     if isinstance(thing, MethodType):

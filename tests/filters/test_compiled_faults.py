@@ -73,10 +73,9 @@ def test_a_model_that_looks_at_its_argument_is_refused_every_time():
         with pytest.raises(CannotCompile, match="the model gives other values when it is recorded"):
             kept.run(PRIOR, TIMES, Z)
         track = celnav.run(filter, PRIOR, TIMES, Z, engine="auto")
-        assert (
-            track.engine
-            == "numpy: the model gives other values when it is recorded (step 0: another mean): "
-            "it depends on more than the numbers that it is given"
+        assert track.engine.startswith(
+            "numpy: the model gives other values when it is recorded (step 0: another mean): "
+            "it depends on more than the numbers that it is given; engine='numpy' runs it as it is"
         )
 
 
@@ -87,7 +86,7 @@ def test_a_model_that_looks_at_its_argument_is_refused_every_time():
             lambda x, _epoch: x.astype(np.float32) * 1.0,
             "numbers are recorded as float64, not as float32",
         ),
-        (lambda x, _epoch: x if x.dtype == np.float64 else 1 / 0, "division by zero"),
+        (lambda x, _epoch: x if x.dtype == np.float64 else 1 / 0, "ZeroDivisionError"),
     ],
 )
 def test_other_refusals_let_numpy_go_on(h, told):

@@ -232,7 +232,7 @@ def test_a_model_may_look_at_the_measurement():
 
     assert_same(*twice(filter_of(f), PRIOR, TIMES, Z[:, 0]))
     track = celnav.run(filter_of(f), PRIOR, TIMES, Z, engine="auto")
-    assert track.engine.startswith("numpy: a model looks at epoch.z, which numpy gives it of all")
+    assert track.engine.startswith("numpy: a model looks at epoch.z, of all runs; put")
 
 
 def test_a_model_that_looks_at_the_truth_is_told_so():

@@ -378,7 +378,8 @@ def test_a_picture_is_of_the_recording_at_its_time_without_the_bar(tmp_path, mon
             Image.fromarray(rows).save(out, "PNG")
             return out.getvalue()
 
-    monkeypatch.setattr(picture, "_viewer", lambda: contextlib.nullcontext(Viewer()))
+    viewer = contextlib.nullcontext(lambda action: action(Viewer()))
+    monkeypatch.setattr(picture, "_viewer", lambda: viewer)
     monkeypatch.setattr(picture.time, "sleep", lambda seconds: None)
     monkeypatch.chdir(tmp_path)
     picture.picture("a.rrd", tmp_path / "a.png", 2.5, width=300)
