@@ -242,17 +242,6 @@ def test_no_measurement_noise_works_where_the_prior_has_spread():
     np.testing.assert_allclose(track.mean, 1.0, atol=1e-12)
 
 
-def test_what_a_model_raises_says_in_which_step():
-    def f(x, epoch):
-        if epoch.k == 3:
-            raise KeyError("no such star")
-        return x
-
-    with pytest.raises(KeyError, match="no such star") as error:
-        run(np.zeros((6, 2)), f=f, times=0.5 * np.arange(6))
-    assert "in step 3, t = 1.5" in error.value.__notes__
-
-
 def test_a_zero_interval_does_not_predict():
     track = run(np.full((2, 2), np.nan), times=[1.0, 1.0])
     np.testing.assert_array_equal(track.std[1], track.std[0])

@@ -148,6 +148,26 @@ def test_chi_square_gate_sees_correlation():
         assert seen(filter, known, agreeing)[1].used.all()
 
 
+@FORMS
+@pytest.mark.parametrize("hook", [gate(2.0), chi_square_gate(0.9)], ids=["gate", "chi-square"])
+def test_gates_do_not_mind_how_the_noise_comes_in(hook, form):
+    """Through the points, or added: of a linear measurement the same is left out, and a good part."""
+    added = Sensor(lambda x, epoch: x @ H.T, R)
+    through = Sensor(lambda x, epoch, w: x @ H.T + w, augment=(np.linalg.cholesky(R),))
+    z = simulate(np.random.default_rng(4), 40, 3)
+    one, other = (
+        run(
+            sigma_point(Motion(A, Q), sensor, rule=unscented, form=form, hooks=[hook]),
+            prior(3),
+            epochs(np.arange(40), z),
+        )
+        for sensor in (added, through)
+    )
+    np.testing.assert_array_equal(other.used, one.used)
+    np.testing.assert_allclose(other.mean, one.mean, rtol=0, atol=1e-11)
+    assert 0.02 < (~one.used).mean() < 0.5
+
+
 def test_chi_square_gate_counts_what_was_measured():
     """Three standard deviations of one component are too much for it alone (0.99: 2.6), not among three (3.4)."""
     S = H @ P0 @ H.T + R
