@@ -399,15 +399,15 @@ def test_the_text_of_many_runs_with_all_that_can_happen():
         == """\
 5 runs, 6 epochs from 0 to 2.5 s
 
-component       RMSE              95 %  claimed  mean error  inside 95 %
-position (m)  0.3172  0.2004 to 0.4129   0.6633      0.0685      100.0 %
-speed (m/s)   0.1518  0.1179 to 0.1976   0.3498   -0.000421      100.0 %
+component       RMSE              95 %  predicted σ  mean error  inside 95 %
+position (m)  0.3172  0.2004 to 0.4129       0.6633      0.0685      100.0 %
+speed (m/s)   0.1518  0.1179 to 0.1976       0.3498   -0.000421      100.0 %
 
-NEES     over 2: 0.1844, claims too much (95 % of consistent ones: 0.6645 to 1.403), correlation of errors
+NEES     over 2: 0.1844, conservative (95 % of consistent ones: 0.6645 to 1.403), correlation of errors
          counted; in the band of the runs' mean at 17 % of the epochs
-NIS 0    z0: 0.2726, claims too much (95 % of consistent ones: 0.4992 to 1.672); of 22 components used, 1
+NIS 0    z0: 0.2726, conservative (95 % of consistent ones: 0.4992 to 1.672); of 22 components used, 1
          rejected
-NIS 1    z1: 0.3197, claims too much (95 % of consistent ones: 0.5325 to 1.612); of 26 components used, 1
+NIS 1    z1: 0.3197, conservative (95 % of consistent ones: 0.5325 to 1.612); of 26 components used, 1
          rejected
 events   10 components missing, 2 components rejected, 1 of 5 runs lost, the first (run 4) at 2 s; what was
          before counts"""
@@ -420,14 +420,14 @@ def test_the_text_of_runs_of_which_nothing_is_to_be_told():
         == """\
 4 runs, 6 epochs from 0 to 2.5 s
 
-component       RMSE               95 %  claimed  mean error  inside 95 %
-position (m)  0.4347   0.1713 to 0.7916   0.3878      0.0311       91.7 %
-speed (m/s)   0.3523  0.08347 to 0.8036   0.2261      -0.109       91.7 %
+component       RMSE               95 %  predicted σ  mean error  inside 95 %
+position (m)  0.4347   0.1713 to 0.7916       0.3878      0.0311       91.7 %
+speed (m/s)   0.3523  0.08347 to 0.8036       0.2261      -0.109       91.7 %
 
-NEES     over 2: 1.726, claims too little (95 % of consistent ones: 0.586 to 1.523), correlation of errors
+NEES     over 2: 1.726, overconfident (95 % of consistent ones: 0.586 to 1.523), correlation of errors
          counted; in the band of the runs' mean at 83 % of the epochs
-NIS 0    z0: 3.558, claims too little (95 % of consistent ones: 0.5167 to 1.64); of 24 components used
-NIS 1    z1: 2.081, claims too little (95 % of consistent ones: 0.5167 to 1.64); of 24 components used
+NIS 0    z0: 3.558, overconfident (95 % of consistent ones: 0.5167 to 1.64); of 24 components used
+NIS 1    z1: 2.081, overconfident (95 % of consistent ones: 0.5167 to 1.64); of 24 components used
 events   none: nothing missing, rejected or lost"""
     )
 
@@ -438,12 +438,12 @@ def test_the_text_of_one_run_that_claims_too_little():
         == """\
 one run, 6 epochs from 0 to 2.5 s
 
-component       RMSE  claimed  mean error  inside 95 %
-position (m)  0.2655  0.06686       0.189       33.3 %
-speed (m/s)   0.2573  0.04881      -0.122       33.3 %
+component       RMSE  predicted σ  mean error  inside 95 %
+position (m)  0.2655      0.06686       0.189       33.3 %
+speed (m/s)   0.2573      0.04881      -0.122       33.3 %
 
 NEES     no covariances are stored: run with keep='cov'
-NIS 0    z0: 29.68, claims too little (95 % of consistent ones: 0.2062 to 2.408); of 6 components used
+NIS 0    z0: 29.68, overconfident (95 % of consistent ones: 0.2062 to 2.408); of 6 components used
 NIS 1    z1: 2.228, consistent (95 % of consistent ones: 0.2062 to 2.408); of 6 components used
 events   none: nothing missing, rejected or lost"""
     )
