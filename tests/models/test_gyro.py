@@ -254,7 +254,15 @@ def test_a_half_turn_of_initial_error_is_finite_and_converges():
         (lambda: steady_state(0.0, WALK, 1.0), "sigma_n"),
         (lambda: steady_state(1.0, WALK, -1.0), "interval"),
         (lambda: steady_state(1.0, GYRO, 1.0), "gyro"),
-        (lambda: Body(-np.eye(3)), "inertia"),
+        (lambda: Body(-np.eye(3)), "inertia: expected a symmetric positive definite"),
+        (
+            lambda: Body(np.eye(3) + 0.1 * np.eye(3, k=1)),
+            "inertia: expected a symmetric positive definite",
+        ),
+        (
+            lambda: Body(np.diag([1.0, 2.0, 3.1])),
+            "inertia: expected principal moments none of which is larger .* got 1, 2 and 3.1",
+        ),
         (lambda: Body(np.eye(3), wheels=(1.0, 2.0)), "wheels"),
         (lambda: Body(np.eye(3), orbit_rate=np.inf), "orbit_rate"),
     ],
