@@ -272,6 +272,14 @@ def test_bad_input_is_refused_by_name(make, name):
         make()
 
 
+def test_an_interval_without_length_is_refused():
+    x = np.append(at.IDENTITY, np.zeros(3))
+    with pytest.raises(ValueError, match=r"^dt: expected an interval, got 0$"):
+        Body(J).propagate(x, 0.0, 3)
+    still = Body(J).propagate(x, -2.0, 3)  # back in time is an interval too
+    np.testing.assert_allclose(still, np.tile(x, (4, 1)), atol=1e-15)
+
+
 @FORMS
 @pytest.mark.parametrize("rule", [unscented(6), cubature(6, degree=5), Taylor()], ids=repr)
 def test_gates_and_windows_work_on_attitudes(form, rule):
