@@ -199,6 +199,17 @@ def test_the_house_keeps_its_size(limited):
     assert (size > LIMITS[limited]) == (limited in LARGER), size
 
 
+@pytest.mark.parametrize("path", MODULES, ids=lambda path: path.stem)
+def test_records_do_not_change(path):
+    """Every dataclass is frozen: what is changed is replaced."""
+    for node in nodes(path):
+        if isinstance(node, ast.ClassDef):
+            for decorator in map(ast.unparse, node.decorator_list):
+                assert not decorator.startswith("dataclass") or "frozen=True" in decorator, (
+                    node.name
+                )
+
+
 def test_rooms_are_few():
     """The root is a door."""
     assert len(list(ROOT.glob("*.py"))) <= 6

@@ -4,7 +4,18 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, norm
 
-from celnav import Epoch, Gaussian, Motion, Sensor, epochs, run, sigma_point, steps
+from celnav import (
+    Epoch,
+    Gaussian,
+    Motion,
+    Sensor,
+    colored,
+    decorrelated,
+    epochs,
+    run,
+    sigma_point,
+    steps,
+)
 from celnav.filters.adaptive import (
     chi_square_gate,
     consider,
@@ -545,3 +556,50 @@ def test_variances_of_sensors_stand_side_by_side():
     np.testing.assert_array_equal(
         track([gate(9.0)], every=2).extra["R"], track([gate(9.0)]).extra["R"][::2]
     )
+
+
+THREE = np.diag([0.9, 0.5, -0.3])
+SEEN_BY_HOOKS = {
+    "added": lambda hook, form: make([hook], form=form),
+    "negative weights": lambda hook, form: make(
+        [hook], rule=unscented(2, 0.5, 2.0, -1.0), form=form
+    ),
+    "colored": lambda hook, form: colored(
+        Motion(A, Q), Sensor(H, R), THREE, hooks=[hook], form=form
+    ),
+    "colored, one": lambda hook, form: colored(
+        Motion(A, Q), Sensor(H[:1], R[:1, :1]), THREE[:1, :1], hooks=[hook], form=form
+    ),
+    "decorrelated": lambda hook, form: decorrelated(
+        Motion(A, Q), Sensor(H, R), THREE, hooks=[hook], form=form
+    ),
+}
+
+
+@FORMS
+@pytest.mark.parametrize("name", SEEN_BY_HOOKS)
+def test_covariances_that_a_hook_sees_are_those_of_the_columns(name, form):
+    """Of the innovation without its noise, of state and innovation, and of each component's noise."""
+    seen = []
+
+    def look(memory, joint, _epoch):
+        seen.append(joint)
+        return memory, joint
+
+    z = simulate(np.random.default_rng(2), 4, 3)
+    z = z[..., :1] if name == "colored, one" else z
+    run(SEEN_BY_HOOKS[name](look, form), prior(3), epochs(np.arange(4), z))
+    assert len(seen) >= 3  # a colored filter has its first measurement in its start
+    for joint in seen:
+        columns, m = joint.columns(), joint.innovation.shape[-1]
+        signs = np.ones(columns.shape[-1])
+        if not joint.noise_first:
+            signs[: joint.sign.shape[-1]] = joint.sign
+        V = np.zeros((m, 1)) if joint.measurement_noise is None else joint.measurement_noise
+        whole = (columns * signs) @ columns.mT
+        S0, cross = joint.covariances()
+        np.testing.assert_allclose(S0 + V @ V.mT, whole[..., :m, :m], rtol=0, atol=1e-12)
+        np.testing.assert_allclose(cross, whole[..., m:, :m], rtol=0, atol=1e-12)
+        before, noise = joint.variances()
+        np.testing.assert_allclose(before, S0.diagonal(0, -2, -1), rtol=0, atol=1e-12)
+        np.testing.assert_allclose(noise, (V @ V.mT).diagonal(0, -2, -1), rtol=0, atol=1e-12)

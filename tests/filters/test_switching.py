@@ -9,6 +9,7 @@ from celnav.filters.records import State
 from celnav.filters.switching import Switching
 from celnav.gaussian.rules import Taylor, cubature
 from celnav.gaussian.sparse_grid import smolyak
+from celnav.tape.tape import CannotCompile
 
 FORMS = pytest.mark.parametrize("form", ["square root", "covariance"])
 PRIOR = Gaussian(
@@ -114,3 +115,17 @@ def test_bad_choices_are_refused_by_name():
     filter = Switching(hooked.__getitem__, lambda belief, epoch, chosen: np.zeros(3, int))
     with pytest.raises(ValueError, match=r"^filters: expected filters without hooks"):
         filter.step(filter.start(PRIOR), epoch)
+
+
+def test_what_is_known_only_when_it_runs_is_not_compiled():
+    pytest.importorskip("llvmlite")
+    turn = Switching(
+        filters().__getitem__, lambda belief, epoch, chosen: np.zeros(3, int) + epoch.k % 2
+    )
+    with pytest.raises(
+        CannotCompile, match=r"^which filter makes a step is known only when it runs"
+    ):
+        run(turn, PRIOR, TIMES, Z, engine="compiled")
+    track = run(turn, PRIOR, TIMES, Z, engine="auto")
+    assert track.engine.startswith("numpy: which filter makes a step is known only when it runs")
+    np.testing.assert_array_equal(track.mean, run(turn, PRIOR, TIMES, Z, engine="numpy").mean)

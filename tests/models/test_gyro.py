@@ -254,7 +254,15 @@ def test_a_half_turn_of_initial_error_is_finite_and_converges():
         (lambda: steady_state(0.0, WALK, 1.0), "sigma_n"),
         (lambda: steady_state(1.0, WALK, -1.0), "interval"),
         (lambda: steady_state(1.0, GYRO, 1.0), "gyro"),
-        (lambda: Body(-np.eye(3)), "inertia"),
+        (lambda: Body(-np.eye(3)), "inertia: expected a symmetric positive definite"),
+        (
+            lambda: Body(np.eye(3) + 0.1 * np.eye(3, k=1)),
+            "inertia: expected a symmetric positive definite",
+        ),
+        (
+            lambda: Body(np.diag([1.0, 2.0, 3.1])),
+            "inertia: expected principal moments none of which is larger .* got 1, 2 and 3.1",
+        ),
         (lambda: Body(np.eye(3), wheels=(1.0, 2.0)), "wheels"),
         (lambda: Body(np.eye(3), orbit_rate=np.inf), "orbit_rate"),
     ],
@@ -262,6 +270,14 @@ def test_a_half_turn_of_initial_error_is_finite_and_converges():
 def test_bad_input_is_refused_by_name(make, name):
     with pytest.raises(ValueError, match=f"^{name}"):
         make()
+
+
+def test_an_interval_without_length_is_refused():
+    x = np.append(at.IDENTITY, np.zeros(3))
+    with pytest.raises(ValueError, match=r"^dt: expected an interval, got 0$"):
+        Body(J).propagate(x, 0.0, 3)
+    still = Body(J).propagate(x, -2.0, 3)  # back in time is an interval too
+    np.testing.assert_allclose(still, np.tile(x, (4, 1)), atol=1e-15)
 
 
 @FORMS

@@ -1,6 +1,7 @@
 """Geometry of scenes, against what sensors measure."""
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from celnav.models.orbit import EARTH, from_elements, propagate
 from celnav.models.sightings import angles, star_directions
@@ -16,7 +17,8 @@ class Drawn:
         self.given = {}
 
     def __getattr__(self, name):
-        return lambda entity, *arrays, **rest: self.given.__setitem__(entity, arrays)
+        """The first of what is drawn of an entity."""
+        return lambda entity, *arrays, **rest: self.given.setdefault(entity, arrays)
 
 
 def test_sight_lines_touch_the_earth_at_the_measured_angles():
@@ -41,6 +43,20 @@ def test_sight_lines_touch_the_earth_at_the_measured_angles():
         np.testing.assert_allclose(
             vectors / np.linalg.norm(vectors, axis=1, keepdims=True), np.tile(star, (61, 1))
         )
+
+
+def test_axes_turn_as_much_as_the_error_but_no_further_than_can_be_seen():
+    """Ten times as far, where that is less than a right angle; the others stay with the truth's."""
+    out, axis = Drawn(), np.array([0.6, 0.0, 0.8])
+    angles = np.array([0.0, 0.01, 0.15, 0.158, 2.0])
+    error = angles[:, None] * axis
+    scenes.turning(out, "world/truth", {"own": (error, "#112233")}, 2.0, factor=10.0)
+    origins, quaternions = out.given["world/truth/own"]
+    np.testing.assert_array_equal(origins, np.zeros((5, 3)))
+    seen = np.array([0.0, 0.1, 1.5, 0.0, 0.0])
+    expected = Rotation.from_rotvec(seen[:, None] * axis)
+    turned = Rotation.from_quat(quaternions) * expected.inv()
+    np.testing.assert_allclose(turned.magnitude(), 0.0, atol=1e-12)
 
 
 def test_the_line_behind_is_as_long_as_there_is():

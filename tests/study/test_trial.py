@@ -138,6 +138,28 @@ def test_a_run_without_estimate_at_the_end_is_lost_and_one_that_comes_back_is_no
     )
 
 
+@pytest.mark.parametrize("back_at", [4, 99])
+def test_a_single_run_needs_no_axis(back_at):
+    """It is run 0, and is judged as the run of three that does the same."""
+    many = broken(2, back_at)
+
+    def alone(state, epoch):
+        after, infos = many.filters["f"].step(state, epoch)
+        return State(SquareRoot(after.belief.mean[1], np.eye(2))), infos
+
+    start = Gaussian(np.zeros(2), np.eye(2))
+    one = many._replace(
+        filters={"f": FromFunctions(lambda prior: State(SquareRoot.of(prior)), alone)},
+        prior=start,
+        epochs=lambda name: epochs(np.arange(6.0), truth=np.ones((6, 2))),
+    )
+    found, expected = follow(one, "f"), follow(many, "f")
+    for name in ("error", "std", "nees"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name)[:, 1])
+    assert found.lost == [(0, *what) for _, *what in expected.lost]
+    assert len(found.lost) == (back_at == 99)
+
+
 def test_epochs_without_a_truth_cannot_be_judged():
     trial = broken(9)._replace(epochs=lambda name: epochs(np.arange(3.0)))
     with pytest.raises(ValueError, match="truth"):
