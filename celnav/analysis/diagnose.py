@@ -21,7 +21,7 @@ from scipy.special import bdtrc, chdtrc, expit, ndtri, stdtr, stdtrit
 from celnav.analysis.metrics import chi_square_band
 from celnav.filters.colored import augmented, colored
 from celnav.filters.model import Motion, Sensor
-from celnav.filters.records import epochs
+from celnav.filters.records import as_seconds, epochs
 from celnav.filters.run import run
 from celnav.filters.sequential import Sequential
 from celnav.filters.track import Track
@@ -269,7 +269,7 @@ def diagnose(
         raw = x = numbers("residuals", residuals)
         if times is None:
             raise ValueError("times: expected them with an array of residuals, got None")
-        t = finite("times", times, ("T",))
+        t = finite("times", as_seconds(times), ("T",))
         if x.ndim < 2 or len(x) != len(t) or not x.size or np.isinf(x).any():
             raise ValueError(
                 f"residuals: expected shape ({len(t)}, ..., m) to go with the times, "
@@ -282,11 +282,9 @@ def diagnose(
         raise ValueError("times: expected them to increase")
     T, m = len(t), x.shape[-1]
     x, w, raw = (rows.reshape(T, -1, m) for rows in (x, w, raw))
-    called = (
-        [f"z{i}" for i in range(m)]
-        if names is None
-        else list(sequence("names", names, "['x', 'y']"))
-    )
+    if names is None:
+        names = residuals.measured if isinstance(residuals, Track) else [f"z{i}" for i in range(m)]
+    called = list(sequence("names", names, "['x', 'y']"))
     if len(called) != m or not all(isinstance(name, str) for name in called):
         raise ValueError(
             f"names: expected {m} words, one for each component, such as ['x', 'y'], "

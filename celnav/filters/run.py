@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from contextvars import ContextVar
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -70,18 +71,8 @@ def run(
         from celnav.filters.compiled import run_by
 
         given = as_epochs(times, z, u)
-        return run_by(
-            engine,
-            filter,
-            prior,
-            given,
-            jobs,
-            also,
-            reduce,
-            every=every,
-            keep=keep,
-            on_failure=on_failure,
-        )
+        options: Any = {"every": every, "keep": keep, "on_failure": on_failure}
+        return with_columns(run_by(engine, filter, prior, given, jobs, also, reduce, **options), z)
     collector = Collector(
         integer("every", every), choice("keep", keep, ("std", "cov", "mean", "nothing"))
     )
@@ -105,7 +96,15 @@ def run(
         if reduce is not None:
             reduced = reduce(reduced, epoch, state, infos)
         before = state
-    return collector.track(reduced, filter)
+    return with_columns(collector.track(reduced, filter), z)
+
+
+def with_columns(track: Track, z: Any) -> Track:
+    """The track with the names of the columns, where all measurements are tables."""
+    tables = z if isinstance(z, tuple) else (z,)
+    if not all(hasattr(table, "columns") for table in tables):
+        return track
+    return replace(track, columns=tuple(str(name) for table in tables for name in table.columns))
 
 
 def as_epochs(times: Any, z: Any, u: Any) -> Iterable[Epoch]:

@@ -37,6 +37,7 @@ class Track:
     innovation, whitened, used: ``(T, ..., m)`` of all sensors side by side, m the most that they had at an epoch: innovations, nan
         where not measured; whitened ones, 0 where not used; bool, which components took part.
     sensors: how many of these components each sensor has, in their order.
+    columns: names of the measurements' columns, where they came as a table of pandas.
     log_likelihood: ``(...)`` of all measurements, also of epochs not stored.
     events: counts ``(...)`` over all epochs: "missing" and "rejected" components, "redone" steps. Where ``z`` was None, as many are
         missing as that sensor has at other epochs.
@@ -63,6 +64,7 @@ class Track:
     events: dict[str, Array]
     failed_at: Array
     sensors: tuple[int, ...] = ()
+    columns: tuple[str, ...] = ()
     extra: dict[str, Array] = field(default_factory=dict)
     reduced: Any = None
     filter: Any = None
@@ -130,6 +132,12 @@ class Track:
         from celnav.show.report import report  # above this room, but here is where one looks for it
 
         return report(self, truth, names=names, start=start, space=space, level=level)
+
+    @property
+    def measured(self) -> list[str]:
+        """Names of the components of the innovation: columns of a table, or ``z0, z1, ...``."""
+        count = sum(self.sensors)
+        return [*self.columns] if len(self.columns) == count else [f"z{i}" for i in range(count)]
 
     def to_dataframe(self, names: list[str] | None = None) -> pd.DataFrame:
         """A row for each stored epoch and run (batch axes count as one): time, run, means, deviations, NIS. Needs pandas.

@@ -253,8 +253,7 @@ def report(
     wraps = forgotten_wraps(error, (n,), called, model="Motion")
     if track.sensors:
         innovation = track.innovation[from_here].reshape(len(times), -1, sum(track.sensors))
-        z_names = [f"z{i}" for i in range(innovation.shape[-1])]
-        wraps = forgotten_wraps(innovation, track.sensors, z_names) + wraps
+        wraps = forgotten_wraps(innovation, track.sensors, track.measured) + wraps
     lost = np.flatnonzero(track.failed_at.ravel() >= 0)
     gone = np.isnan(track.mean.reshape(len(track.times), -1, track.mean.shape[-1])[:, lost]).any(-1)
     since = np.where(
@@ -391,7 +390,7 @@ def _sensors(
         )
         total = int(dof.sum())
         band = chi_square_band(1.0, total, level) if total else (np.nan, np.nan)
-        names = tuple(f"z{i}" for i in range(first, first + width))
+        names = tuple(track.measured[first : first + width])
         found.append(
             SensorConsistency(
                 names, float(squares.sum() / total) if total else np.nan, band, squares, dof, 1.0

@@ -723,3 +723,9 @@ def test_a_track_without_innovations_is_refused():
     track = celnav.run(celnav.ukf(motion, gps), flown.prior, config.times, flown.z, keep="nothing")
     with pytest.raises(ValueError, match="residuals: expected a track with innovations"):
         diagnose(track)
+
+
+def test_residuals_may_have_dates():
+    x = np.random.default_rng(5).standard_normal((60, 1))
+    dates = np.datetime64("2026-03-01T00:00:00") + np.arange(60) * np.timedelta64(30, "s")
+    assert str(diagnose(x, dates)) == str(diagnose(x, 30.0 * np.arange(60)))

@@ -284,3 +284,24 @@ def test_another_fault_of_a_model_is_its_own():
         celnav.run(
             celnav.ukf(celnav.Motion(lambda x, e: x + e.about[0], [[1.0]])), START, TIMES, u=TIMES
         )
+
+
+@pytest.mark.parametrize("engine", ["numpy", "auto"])
+def test_columns_of_a_table_name_the_components(engine):
+    """In a diagnosis and a report; of several sensors one after the other."""
+    pd = pytest.importorskip("pandas")
+    rng = np.random.default_rng(2)
+    plane = pd.DataFrame(rng.standard_normal((60, 2)), columns=["east_m", "north_m"])
+    height = pd.DataFrame(rng.standard_normal((60, 1)), columns=["up_m"])
+    motion = celnav.Motion(0.9 * np.eye(3), 0.1 * np.eye(3))
+    sensors = [celnav.Sensor(rows, np.eye(len(rows))) for rows in (np.eye(2, 3), np.eye(3)[2:])]
+    prior, times = celnav.Gaussian(np.zeros(3), np.eye(3)), np.arange(60.0)
+    track = celnav.run(celnav.ukf(motion, *sensors), prior, times, (plane, height), engine=engine)
+    assert track.columns == ("east_m", "north_m", "up_m")
+    said = str(celnav.analysis.diagnose.diagnose(track))
+    assert all(f"\n{name} " in said for name in track.columns)
+    report = str(track.report(np.zeros((60, 3))))
+    assert "NIS 0    east_m, north_m" in report
+    assert "NIS 1    up_m" in report
+    mixed = celnav.run(celnav.ukf(motion, *sensors), prior, times, (plane, height.to_numpy()))
+    assert mixed.measured == ["z0", "z1", "z2"]
