@@ -115,7 +115,7 @@ class LeastSquares:
         return State(fix, (x,)), (Info(left, np.where(used, weight * left, 0.0), used),)
 
     def _value(self, x: Array, epoch: Epoch) -> Array:
-        return evaluate(self.sensor, x[None], epoch).squeeze(0)
+        return evaluate(self.sensor, x[None], epoch)[0, ...]
 
     def _jacobian(self, x: Array, epoch: Epoch, m: int) -> Array:
         J = self.sensor.jacobian(x, epoch) if self.sensor.jacobian is not None else self.sensor.h
