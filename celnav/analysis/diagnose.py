@@ -270,6 +270,8 @@ def diagnose(
         if times is None:
             raise ValueError("times: expected them with an array of residuals, got None")
         t = finite("times", as_seconds(times), ("T",))
+        if x.ndim and len(x) != len(t) == 1:
+            raise ValueError(f"times: expected one for each of {len(x)} residuals, got 1")
         if x.ndim < 2 or len(x) != len(t) or not x.size or np.isinf(x).any():
             raise ValueError(
                 f"residuals: expected shape ({len(t)}, ..., m) to go with the times, "
