@@ -177,6 +177,9 @@ def test_a_table_is_in_its_band_or_of_its_level_or_neither(results):
             [(("good", "kf"), factor * exact)], ("position", "velocity"), "reproduced", 1.5, 0
         )
         assert Row("statement", "t", "A table", decide).judged(results).verdict == verdict
+        (level,) = decide(results)["level only"]
+        assert level.value == pytest.approx(factor)
+        assert level.accept == (None, pytest.approx(np.sqrt(10.0), rel=0.02))  # half a decade
 
 
 def test_a_correlation_is_the_cosine_of_two_columns():
