@@ -20,7 +20,7 @@ from celnav.campaign.missions import flat
 from celnav.campaign.typed import described, unit_of
 from celnav.papers import load
 from celnav.show.figures import figure
-from celnav.study.ledger import Number, Row
+from celnav.study.ledger import Number, Row, Sentence
 from celnav.study.study import Part, Study
 
 
@@ -33,7 +33,10 @@ def numbers(size, rngs):
     }
 
 
-def tiny(failing=False, work=numbers, size=4, blocks=2):
+SAID = [Sentence("It is so.", {"one": "reproduced"})]
+
+
+def tiny(failing=False, undecided=False, work=numbers, size=4, blocks=2):
     """A paper that takes no time."""
 
     def draw(results):
@@ -45,9 +48,9 @@ def tiny(failing=False, work=numbers, size=4, blocks=2):
         with outputs.path_for("tiny.rrd") as path:
             path.write_bytes(b"RRF2")
 
-    value = 2.0 if failing else 1.0
+    value, ci = 2.0 if failing else 1.0, (0.5, 2.0) if undecided else None
     rows = [
-        Row("statement", "one", "It is so", lambda _: Number("x", value, (0.0, 1.5))),
+        Row("statement", "one", "It is so", lambda _: Number("x", value, (0.0, 1.5), ci)),
         Row("erratum", "two", "1 < 0"),
         Row(
             "check",
@@ -59,7 +62,7 @@ def tiny(failing=False, work=numbers, size=4, blocks=2):
     parts = {"all": Part(work, size, 0, 2 * blocks, 2, 1.0)}
     return SimpleNamespace(
         TITLE="Tiny <study>", CITATION="@tiny", PRESETS={"P": None}, RECORDINGS=["tiny.rrd"], record=record,
-        STUDY=Study("tiny", (), None, lambda effort: parts, rows, "It says so.", "It is so."),
+        STUDY=Study("tiny", (), None, lambda effort: parts, rows, "It says so.", SAID),
         FIGURES={"figure_01": ("A figure.", draw), "figure_02b": ("Another.", draw)},
         TABLES={"table_1": ("A table.", lambda results: [{"a": 1.0, "b": "x"}])}, filters=lambda config: {"kf": None},
     )  # fmt: skip
@@ -358,9 +361,25 @@ def test_view_takes_the_first_recording_of_the_paper_and_names_with_or_without_t
 
 def test_less_than_the_whole_effort_is_told(study, tmp_path, capsys):
     assert cli.main(["reproduce", "--out", str(tmp_path), "--jobs", "1", "--effort", "0.5"]) == 0
-    assert "celnav: only 0.5 of the runs: intervals are wide" in capsys.readouterr().err
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith("celnav: 0.5 of the runs: intervals are wide")
+    page = (tmp_path / "index.html").read_text()
+    assert "tiny: only 0.5 of the runs: intervals are wide" in page.split('<div class="grid">')[0]
     assert cli.main(["verdicts", "--out", str(tmp_path)]) == 0
-    assert "celnav: tiny: only 0.5 of the runs" in capsys.readouterr().err
+    assert capsys.readouterr().out.startswith("tiny: only 0.5 of the runs")
+
+
+@pytest.mark.parametrize(("effort", "status", "ending"), [
+    ("1", 1, "1 not as expected, see above"),
+    ("0.5", 0, "1 undecided with 0.5 of the runs"),
+])  # fmt: skip
+def test_what_is_undecided_is_a_surprise_with_all_runs_and_told_with_fewer(
+    study, tmp_path, capsys, effort, status, ending
+):
+    study(undecided=True)
+    command = ["reproduce", "tiny", "--out", str(tmp_path), "--jobs", "1", "--strict"]
+    assert cli.main([*command, "--effort", effort]) == status
+    assert capsys.readouterr().out.splitlines()[-1].endswith(f"index.html: {ending}")
 
 
 @pytest.mark.parametrize("paper", papers.PAPERS)

@@ -67,7 +67,7 @@ orbit: warn_of_degrees
 gnss: Broadcast Broadcast.chosen
 belief: symmetric
 montecarlo: blocks steps effort
-claims: answer Ledger accepted counted dumps plain read_claims row style surprise table tally written
+claims: answer Ledger accepted counted dumps plain read_claims row style table tally written
 gyro: Gyro.drift
 ledger: Claim Row Row.judged estimate order
 numbers: all_of consistency correlation entries given lagged of over_time ratio rmse settling tiers

@@ -20,10 +20,10 @@ from celnav.commands.arguments import module as module_of
 from celnav.files import InputError, read_json
 from celnav.papers import PAPERS
 from celnav.real import STUDIES
-from celnav.show.claims import answer, counted, read_claims, surprise, table, tally
+from celnav.show.claims import answer, counted, read_claims, table, tally
 from celnav.show.page import document, link, linked
 from celnav.show.page import table as plain_table
-from celnav.study.ledger import VERDICTS
+from celnav.study.ledger import VERDICTS, Sentence
 
 __all__ = [
     "OWN",
@@ -57,6 +57,7 @@ def index(out: Path) -> str:
     return document(
         "celnav: what holds",
         f"<h1>What {'papers say' if done else 'is said'}, and what holds</h1>",
+        *(f"<p><b>{html.escape(line)}</b></p>" for line in few(out, [*done, *own, *real])),
         '<div class="grid">',
         *(_opening(out, paper, claims) for paper, claims in (done | own).items()),
         "</div>",
@@ -107,8 +108,10 @@ def shown(out: Path, name: str) -> Any:
             kind: {stem: (caption,) for stem, caption in about.pop(kind).items()}
             for kind in ("FIGURES", "TABLES")
         }
-        return SimpleNamespace(**captions, STUDY=SimpleNamespace(**about.pop("STUDY")), **about)
-    except (AttributeError, KeyError, TypeError):
+        study = about.pop("STUDY")
+        study["found"] = [Sentence(text, dict(rests_on)) for text, rests_on in study["found"]]
+        return SimpleNamespace(**captions, STUDY=SimpleNamespace(**study), **about)
+    except (AttributeError, KeyError, TypeError, ValueError):
         raise InputError(f"{path}: not what celnav writes; reproduce the study again") from None
 
 
@@ -157,9 +160,15 @@ def words(
 ) -> str:
     """Paragraphs in Markdown: what papers, or studies under ``out``, say and what we find; ``found``: their claims, if at hand."""
     every = {paper: shown(out, paper) for paper in papers}
+    answers = {
+        paper: answer(one.STUDY.found, found[paper])
+        if paper in found
+        else " ".join(sentence.text for sentence in one.STUDY.found)
+        for paper, one in every.items()
+    }
     return "\n\n".join(
         f"**{one.TITLE}** (`{paper}`{': ' * bool(one.CITATION)}{cited(one.CITATION)}). {_whose(paper)}{one.STUDY.says}\n"
-        f"*We find:* {answer(one.STUDY, found[paper]) if paper in found else one.STUDY.found}"
+        f"*We find:* {answers[paper]}"
         for paper, one in every.items()
     )
 
@@ -203,7 +212,7 @@ def _of(claims: Claims, kind: str) -> list[Mapping[str, Any]]:
 def _opening(out: Path, paper: str, claims: Claims) -> str:
     """A card: what a paper says and what we find, in sentences, and the figure that decides with the recordings."""
     module = shown(out, paper)
-    odd = [claim for claim in claims if surprise(claim)]
+    odd = [claim for claim in claims if claim["surprise"]]
     told = f' <b class="bad">{len(odd)} not as expected.</b>' if odd else ""
     kind, stem = _kind(paper, claims), module.STUDY.figure
     rows, whose = _of(claims, kind), _whose(paper)
@@ -211,7 +220,7 @@ def _opening(out: Path, paper: str, claims: Claims) -> str:
     drawn = _drawing(picture, paper, module) if picture.exists() else ""
     return (
         f'<article class="card"><h3><a href="#{paper}">{html.escape(module.TITLE)}</a></h3>{drawn}'
-        f"<p>{whose}{html.escape(module.STUDY.says)}</p><p>We find: {html.escape(answer(module.STUDY, claims))}</p>"
+        f"<p>{whose}{html.escape(module.STUDY.says)}</p><p>We find: {html.escape(answer(module.STUDY.found, claims))}</p>"
         f"<p><small>{len(rows)} {kind}s: {counted(rows)}.{told}</small></p></article>"
     )
 
@@ -308,11 +317,16 @@ def effort_of(folder: Path) -> float | None:
         return None
 
 
-def few(part: float) -> str:
-    """What less than the whole effort means."""
-    return (
-        f"only {part:.3g} of the runs: intervals are wide, and what they do not decide is undecided"
-    )
+def few(out: Path, names: Iterable[str]) -> list[str]:
+    """A line for each part of the runs, less than all, with which papers or studies were reproduced."""
+    by = dict[float, list[str]]()
+    for name in names:
+        if (part := effort_of(out / name)) is not None and part < 1.0:
+            by.setdefault(part, []).append(name)
+    return [
+        f"{', '.join(some)}: only {part:.3g} of the runs: intervals are wide, and what they do not decide is undecided"
+        for part, some in by.items()
+    ]
 
 
 def _about(path: Path) -> str:

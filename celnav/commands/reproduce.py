@@ -29,6 +29,7 @@ from celnav.gaussian.linalg import Array
 from celnav.papers import own
 from celnav.show.progress import Progress
 from celnav.store import RESULTS, Store, resumed
+from celnav.study.ledger import Claim
 from celnav.study.study import Results, Unit
 from celnav.tape.cuda import device
 
@@ -42,7 +43,7 @@ WRITING_S = {"ledger": 1.0, "figures": 5.0, "recordings": 4.0}
 
 def run(options: argparse.Namespace) -> int:
     """Do the papers side by side where there are several processes, and write each as soon as it is done."""
-    from celnav.commands.index import OWN, described, few, index
+    from celnav.commands.index import OWN, described, index
 
     words = list(dict.fromkeys(options.papers)) or [
         *papers.PAPERS,
@@ -70,12 +71,16 @@ def run(options: argparse.Namespace) -> int:
             )
     if options.engine == "cuda":
         device()  # told at once, not by each unit
+    if part < 1.0:
+        print(
+            f"celnav: {part:.3g} of the runs: intervals are wide, and what they do not decide is undecided"
+        )
     out = Path(options.out)
     top, folders = Outputs(out), {paper: Outputs(out / paper) for paper in chosen}
     top.check(["index.html"])
     for paper, one in modules.items():
         _check(one, folders[paper])
-    surprises = 0
+    surprises = undecided = 0
     with locked(out):
         remove_leftovers(
             out, *(out / paper / below for paper in chosen for below in ("", "figures", "tables"))
@@ -97,10 +102,12 @@ def run(options: argparse.Namespace) -> int:
         progress = Progress("celnav", total + len(units) * sum(WRITING_S.values()), total - missing)
 
         def written(paper: str) -> None:
-            nonlocal surprises
+            nonlocal surprises, undecided
             done = units.pop(paper)
             results = modules[paper].STUDY.results(done, map(stores[paper].read, done), effort=part)
-            surprises += _write(paper, modules[paper], results, folders[paper], progress)
+            claims = _write(paper, modules[paper], results, folders[paper], progress)
+            surprises += sum(claim.surprise for claim in claims)
+            undecided += sum(claim.verdict == "undecided" != claim.expected for claim in claims)
             if paper in files:
                 folders[paper].text(OWN, described(modules[paper], files[paper]))
             stores[paper].forget_all_but(done)
@@ -130,11 +137,10 @@ def run(options: argparse.Namespace) -> int:
                     f"{error}; what is finished is kept: the same command goes on from there"
                 ) from None
         top.text("index.html", index(out))
-    print(
-        f"wrote {out / 'index.html'}: {f'{surprises} not as expected, see above' if surprises else 'all as expected'}"
-    )
-    if part < 1.0:
-        print(f"celnav: {few(part)}", file=sys.stderr)
+    told = [f"{surprises} not as expected, see above"] if surprises else []
+    if part < 1.0 and undecided:
+        told.append(f"{undecided} undecided with {part:.3g} of the runs")
+    print(f"wrote {out / 'index.html'}: {', '.join(told) or 'all as expected'}")
     return 1 if options.strict and surprises else 0
 
 
@@ -165,8 +171,8 @@ def _kept(store: Store, unit: Unit) -> bool:
 
 def _write(
     paper: str, one: ModuleType, results: Results, outputs: Outputs, progress: Progress
-) -> int:
-    """Write everything that a paper shows. Returns how many claims are not as expected."""
+) -> list[Claim]:
+    """Write everything that a paper shows. Returns its claims."""
     from celnav.show.claims import dumps
     from celnav.show.drawing import render
 
@@ -223,12 +229,12 @@ def _write(
             progress.say(
                 f"{paper}: {kind}s: {', '.join(f'{number} {verdict}' for verdict, number in sorted(count.items()))}"
             )
-    failures = [claim for claim in claims if claim.failure]
-    for claim in failures:
-        progress.say(
-            f"{paper}: not as expected: {claim.id}: {claim.verdict}, expected {claim.expected}: {claim.row.says}"
-        )
-    return len(failures)
+    for claim in claims:
+        if claim.surprise:
+            progress.say(
+                f"{paper}: not as expected: {claim.id}: {claim.verdict}, expected {claim.expected}: {claim.row.says}"
+            )
+    return list(claims)
 
 
 def _arrays(data: Mapping[str, Mapping[str, Array]]) -> dict[str, Array]:

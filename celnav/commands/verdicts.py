@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 
-from celnav.commands.index import effort_of, few, own_studies, reproduced, verdicts, words
+from celnav.commands.index import few, own_studies, reproduced, verdicts, words
 
 __all__ = ["run"]
 
@@ -19,8 +18,5 @@ def run(options: argparse.Namespace) -> int:
         raise FileNotFoundError(
             f"{options.out}: no paper was reproduced there; use: celnav reproduce --out {options.out}"
         )
-    print(verdicts(found), words(list(found), out, found), sep="\n\n")
-    for paper in found:
-        if (part := effort_of(out / paper)) is not None and part < 1.0:
-            print(f"celnav: {paper}: {few(part)}", file=sys.stderr)
+    print(*few(out, found), verdicts(found), words(list(found), out, found), sep="\n\n")
     return 0

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from celnav.files import InputError, read_json
-from celnav.study.ledger import BETWEEN, KINDS, OPEN, VERDICTS, WORDS, Claim, Number
+from celnav.study.ledger import BETWEEN, KINDS, OPEN, VERDICTS, WORDS, Claim, Sentence
 
 __all__ = [
     "TYPES",
@@ -23,13 +23,15 @@ __all__ = [
     "dumps",
     "plain",
     "read_claims",
-    "surprise",
     "table",
     "tally",
     "written",
 ]
 
 COLUMNS = ("place", "what is said", "printed", "ours", "verdict")
+WIDE = 10.0
+"""Ends of an interval that lie so many times apart are told to be those of few runs, or of a heavy tail."""
+FEW = "Only a part of the runs was done: intervals are wide, and what they do not decide is undecided."
 _GOOD = {words[0] for kind, words in WORDS.items() if kind in ("statement", "finding", "check")} | {
     BETWEEN[0]
 }
@@ -56,19 +58,16 @@ def row(claim: Mapping[str, Any]) -> tuple[str, ...]:
     return (
         claim["place"],
         claim["statement"],
-        _printed(claim["printed"]),
+        "" if claim["printed_value"] is None else f"{claim['printed_value']}",
         _ours(claim),
         claim["verdict"],
     )
 
 
 def _printed(value: Any) -> str:
+    """What the paper prints, as it does; of more than four numbers, how many."""
     flat = list(_flat(value))
-    return (
-        ", ".join(f"{v:g}" if isinstance(v, float | int) else str(v) for v in flat)
-        if len(flat) <= 4
-        else f"{len(flat)} numbers"
-    )
+    return ", ".join(map(str, flat)) if len(flat) <= 4 else f"{len(flat)} numbers"
 
 
 def _flat(value: Any) -> Iterable[Any]:
@@ -79,15 +78,17 @@ def _flat(value: Any) -> Iterable[Any]:
         yield value
 
 
-def _ours(claim: Mapping[str, Any]) -> str:
-    if claim["value"] is None:
+def _ours(number: Mapping[str, Any]) -> str:
+    """A number with its interval, with as many digits as the paper prints of it."""
+    value, ci = number["value"], number["ci"]
+    if value is None:
         return ""
-    interval = (
-        ""
-        if claim["ci"] is None or None in claim["ci"]
-        else f" [{claim['ci'][0]:.3g}, {claim['ci'][1]:.3g}]"
-    )
-    return f"{claim['value']:.4g}{interval}"
+    printed = str(number.get("printed_value", number.get("printed")))
+    digits = max(4, sum(map(str.isdigit, printed.lstrip("0."))))
+    if ci is None or None in ci:
+        return f"{value:.{digits}g}"
+    heavy = ", few runs or a heavy tail" if 0.0 < WIDE * ci[0] < ci[1] else ""
+    return f"{value:.{digits}g} [{ci[0]:.3g}, {ci[1]:.3g}]{heavy}"
 
 
 def accepted(number: Mapping[str, Any]) -> str:
@@ -109,15 +110,10 @@ def counted(claims: Iterable[Mapping[str, Any]]) -> str:
     return ", ".join(f"{number} {verdict}" for verdict, number in tally(claims).items())
 
 
-def surprise(claim: Mapping[str, Any]) -> bool:
-    """Whether the verdict is not the expected one, in either direction."""
-    return claim["verdict"] not in ("undecided", claim["expected"])
-
-
 def table(claims: Sequence[Mapping[str, Any]], link: str = "", cell: str = "") -> str:
     """Rows as HTML, every number behind a fold; ``link``: where figures lie, ``cell``: what is before an id where it is decided.
 
-    A column in which no row has anything, as "printed" of what nobody printed, is left out.
+    "printed" is the paper's value of the number under "ours". A column in which no row has anything is left out.
     """
     shown = [
         name
@@ -131,18 +127,25 @@ def table(claims: Sequence[Mapping[str, Any]], link: str = "", cell: str = "") -
 
 def _line(claim: Mapping[str, Any], link: str, cell: str, columns: Sequence[str]) -> str:
     place, says, printed, ours, verdict = (html.escape(text) for text in row(claim))
-    notes = claim["note"], claim["revised"] and f"Accepted range revised: {claim['revised']}"
+    verbatim = _printed(claim["printed"])
+    notes = (
+        claim["note"],
+        verbatim and verbatim != row(claim)[2] and f"The paper prints {verbatim}.",
+        claim["revised"] and f"Accepted range revised: {claim['revised']}",
+    )
     told = [f"<small>{html.escape(note)}</small>" for note in notes if note]
-    if len(claim["numbers"]) > 1 or claim["why"]:
+    if claim["numbers"]:
         listed = "".join(f"<li>{html.escape(_number(number))}</li>" for number in claim["numbers"])
-        why = f"<p>Accepted because: {html.escape(claim['why'])}</p>" if claim["why"] else ""
+        why = f"<p>The criterion: {html.escape(claim['why'])}</p>" if claim["why"] else ""
+        count = len(claim["numbers"])
         told.append(
-            f"<details class=numbers><summary>{len(claim['numbers'])} numbers</summary>{why}<ul>{listed}</ul></details>"
+            f"<details class=numbers><summary>{count} number{'s' * (count > 1)}</summary>"
+            f"{why}<ul>{listed}</ul></details>"
         )
     figure = (
         f' <a href="{link}{claim["figure"]}.svg">figure</a>' if claim["figure"] and link else ""
     )
-    odd = " <b>(not as expected)</b>" if surprise(claim) else ""
+    odd = " <b>(not as expected)</b>" if claim["surprise"] else ""
     cells = {
         "place": place,
         "what is said": "<br>".join([says, *told]),
@@ -163,17 +166,39 @@ def _line(claim: Mapping[str, Any], link: str, cell: str, columns: Sequence[str]
 
 
 def _number(number: Mapping[str, Any]) -> str:
-    return f"{number['label']}: {_ours(number)} ({accepted(number)})"
+    """A number, what is accepted, and whether it is."""
+    among = number["agreement"]
+    printed = (
+        f"; printed {number['printed']}, agrees within [{among[0]:.4g}, {among[1]:.4g}]"
+        if among
+        else ""
+    )
+    outcome = {True: "met", False: "not met", None: "undecided"}[number["holds"]]
+    return (
+        f"{number['tier']}: {number['label']}: {_ours(number)} "
+        f"({accepted(number)}{printed}): {outcome}"
+    )
 
 
 class Ledger:
-    """Claims as a table: for a notebook (HTML; a statement's verdict leads to the cell that decides it), Markdown or a terminal."""
+    """Claims as a table: for a notebook (HTML; a statement's verdict leads to the cell that decides it), Markdown or a terminal.
 
-    def __init__(self, claims: Sequence[Claim], kind: str = "statement"):
+    found: sentences that answer for all of them, see `answer`.
+
+    >>> Ledger(results.claims(), found=csrukf.STUDY.found)
+    """
+
+    def __init__(
+        self, claims: Sequence[Claim], kind: str = "statement", found: Sequence[Sentence] = ()
+    ):
         self._claims = [written(claim) for claim in claims if claim.kind == kind]
+        self._head = [] if all(claim.full for claim in claims) else [FEW]
+        if found:
+            self._head.append(f"We find: {answer(found, map(written, claims))}")
 
     def __str__(self) -> str:
-        return "\n".join(f"{c['verdict']:24} {_ours(c):26}  {c['statement']}" for c in self._claims)
+        lines = [f"{c['verdict']:24} {_ours(c):26}  {c['statement']}" for c in self._claims]
+        return "\n".join([*self._head, *lines])
 
     def _repr_markdown_(self) -> str:
         lines = [
@@ -181,51 +206,70 @@ class Ledger:
             " | ".join("---" for _ in COLUMNS),
             *(" | ".join(row(c)) for c in self._claims),
         ]
-        return "\n".join(f"| {line} |" for line in lines)
+        return "\n\n".join([*self._head, "\n".join(f"| {line} |" for line in lines)])
 
     def _repr_html_(self) -> str:
-        return table(self._claims, cell="#say-")
+        head = "".join(f"<p>{html.escape(line)}</p>" for line in self._head)
+        return head + table(self._claims, cell="#say-")
 
 
-def answer(study: Any, claims: Iterable[Mapping[str, Any]]) -> str:
-    """What a study finds, in sentences: "{axes[0]:.1f}" in them is the first number of the row "axes"."""
+def answer(found: Iterable[Sentence], claims: Iterable[Mapping[str, Any]]) -> str:
+    """What a study finds: the sentences whose rows have the verdicts that they rest on, and which rows have others."""
+    known = {claim["id"]: claim for claim in claims}
     numbers = {
-        c["id"]: [np.nan if n["value"] is None else n["value"] for n in c["numbers"]]
-        for c in claims
+        id: [np.nan if n["value"] is None else n["value"] for n in claim["numbers"]]
+        for id, claim in known.items()
     }
+    said, otherwise = list[str](), dict[str, str]()
+    for text, rests_on in found:
+        apart = {
+            id: known[id]["verdict"] if id in known else "not among these rows"
+            for id, verdict in rests_on.items()
+            if id not in known or known[id]["verdict"] != verdict
+        }
+        otherwise |= apart
+        if not apart:
+            said.append(_filled(text, numbers))
+    if otherwise:
+        listed = ", ".join(f"{id} ({verdict})" for id, verdict in otherwise.items())
+        said.append(f"Not said here, since rows that it rests on have other verdicts: {listed}.")
+    return " ".join(said)
+
+
+def _filled(text: str, numbers: Mapping[str, Sequence[float]]) -> str:
     try:
-        return str(study.found.format(**numbers))
+        return text.format(**numbers)
     except (AttributeError, IndexError, KeyError, ValueError) as error:
-        if (name := getattr(study, "name", None)) is None:  # one's own
-            return f"(what it finds cannot be said of its rows: {error!r})"
-        return f"(of another version; celnav reproduce {name})"  # claims that it has left there
+        return f"(a sentence that cannot be made of its rows: {error!r})"
 
 
 # -- files -------------------------------------------------------------------------------------------------------------------
 def written(claim: Claim) -> dict[str, Any]:
-    """As it stands in ``claims.json``: ``value``, ``ci`` and ``accept`` of the number that decides, all in ``numbers``."""
-    row, first = (
-        claim.row,
-        next((n for n in claim.numbers if not n.holds), (*claim.numbers, Number("", np.nan))[0]),
-    )
+    """As it stands in ``claims.json``: ``value`` and the like are the decisive number's; all are in ``numbers``, with outcomes."""
+    row, first = claim.row, claim.decisive
     return {
-        "id": row.id, "kind": row.kind, "place": row.place, "statement": row.says, "printed": plain(row.printed),
-        "value": plain(first.value), "ci": plain(first.ci), "accept": plain(first.accept), "why": row.why,
-        "revised": row.revised, "expected": claim.expected, "holds": claim.holds, "verdict": claim.verdict,
-        "note": claim.note, "figure": row.figure,
-        "numbers": [{key: plain(value) for key, value in n._asdict().items()} for n in claim.numbers],
+        "id": row.id, "kind": row.kind, "place": row.place, "statement": row.says, "printed": plain(row.printed, 17),
+        "value": plain(first and first.value), "ci": plain(first and first.ci),
+        "accept": plain(first.accept if first else (None, None)),
+        "printed_value": plain(first and first.printed, 17), "why": row.why, "revised": row.revised, "expected": claim.expected,
+        "holds": claim.holds, "verdict": claim.verdict, "surprise": claim.surprise, "note": claim.note, "figure": row.figure,
+        "numbers": [
+            {key: plain(value) for key, value in n._asdict().items()}
+            | {"tier": tier, "agreement": plain(n.agreement), "holds": holds}
+            for tier, n, holds in claim.outcomes
+        ],
     }  # fmt: skip
 
 
-def plain(value: Any) -> Any:
-    """As JSON has it: numbers of 6 significant digits, None for those that are not finite."""
+def plain(value: Any, digits: int = 6) -> Any:
+    """As JSON has it: numbers of so many significant digits, None for those that are not finite."""
     if isinstance(value, Mapping):
-        return {key: plain(part) for key, part in value.items()}
+        return {key: plain(part, digits) for key, part in value.items()}
     if isinstance(value, tuple | list | np.ndarray):
-        return [plain(part) for part in value]
-    if isinstance(value, bool | np.bool_ | str) or value is None:
+        return [plain(part, digits) for part in value]
+    if isinstance(value, bool | np.bool_ | str | int) or value is None:
         return bool(value) if isinstance(value, np.bool_) else value
-    return float(f"{float(value):.6g}") if np.isfinite(value) else None
+    return float(f"{float(value):.{digits}g}") if np.isfinite(value) else None
 
 
 def dumps(claims: Iterable[Claim]) -> str:
@@ -242,10 +286,13 @@ def dumps(claims: Iterable[Claim]) -> str:
 NUMBER = (int, float, NoneType)
 TYPES: dict[str, tuple[type, ...]] = {
     "id": (str,), "kind": (str,), "place": (str,), "statement": (str,), "printed": (str, bool, list, dict, *NUMBER),
-    "value": NUMBER, "ci": (list, NoneType), "accept": (list,), "why": (str,), "revised": (str, NoneType), "expected": (str,),
-    "holds": (bool, NoneType), "verdict": (str,), "note": (str,), "figure": (str,), "numbers": (list,),
+    "value": NUMBER, "ci": (list, NoneType), "accept": (list,), "printed_value": NUMBER, "why": (str,),
+    "revised": (str, NoneType), "expected": (str,), "holds": (bool, NoneType), "verdict": (str,), "surprise": (bool,),
+    "note": (str,), "figure": (str,), "numbers": (list,),
 }  # fmt: skip
 """What `written` writes, in its order."""
+PARTS = {"label", "value", "accept", "ci", "tier", "holds", "printed", "agreement"}
+"""What it writes of each number at least."""
 
 
 def read_claims(path: str | Path) -> list[dict[str, Any]]:
@@ -270,10 +317,7 @@ def _right(key: str, value: Any) -> bool:
     if type(value) not in TYPES[key] or value not in known:
         return False
     if key == "numbers":
-        return all(
-            isinstance(one, dict) and set(one) >= {"label", "value", "accept", "ci"} and _pairs(one)
-            for one in value
-        )
+        return all(isinstance(one, dict) and set(one) >= PARTS and _pairs(one) for one in value)
     return key not in ("ci", "accept") or value is None or _pair(value)
 
 

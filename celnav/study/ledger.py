@@ -19,8 +19,8 @@ from celnav.gaussian.checks import choice
 from celnav.gaussian.linalg import Array
 
 __all__ = [
-    "BETWEEN", "KINDS", "OPEN", "VERDICTS", "WORDS", "Bounds", "Claim", "Number", "Row", "Tiers", "check", "erratum", "estimate",
-    "finding", "order", "reconstruction", "remark", "statement",
+    "BETWEEN", "KINDS", "OPEN", "VERDICTS", "WORDS", "Bounds", "Claim", "Number", "Row", "Sentence", "Tiers", "check", "erratum",
+    "estimate", "finding", "order", "reconstruction", "remark", "statement",
 ]  # fmt: skip
 
 Bounds = tuple[float | None, float | None]
@@ -53,8 +53,9 @@ class Number(NamedTuple):
     ----------
     label: what it is, with its unit. value: nan where there is none. accept: ``(low, high)``, either may be None.
     ci: 95 % interval of ``value``; None for a number without sampling error.
-    printed: what the paper has for it: a statement is not reproduced by a number whose interval excludes that.
+    printed: the paper's value of the same quantity, in the same unit. A statement is not reproduced where `agreement` excludes it.
     strict: an interval that contains a bar is refused, not undecided.
+    runs, printed_runs: of how many runs ``value`` and ``printed`` are made, 0 where that is not known.
     """
 
     label: str
@@ -63,6 +64,8 @@ class Number(NamedTuple):
     ci: tuple[float, float] | None = None
     printed: float | None = None
     strict: bool = False
+    runs: int = 0
+    printed_runs: int = 0
 
     @property
     def holds(self) -> bool | None:
@@ -81,13 +84,22 @@ class Number(NamedTuple):
         )
 
     @property
+    def agreement(self) -> tuple[float, float] | None:
+        """Where the printed number lies in 95 % of all cases: ``ci``, wider by the sampling error of ``printed_runs`` runs.
+
+        A run of the paper varies as one of ours does, so the variance grows by ``runs / printed_runs``.
+        """
+        if self.printed is None or self.ci is None:
+            return None
+        wider = float(np.sqrt(1.0 + self.runs / self.printed_runs)) if self.printed_runs else 1.0
+        low, high = (self.value + wider * (end - self.value) for end in self.ci)
+        return low, high
+
+    @property
     def reproduces(self) -> bool | None:
-        """Whether it `holds` and its interval has the printed number in it."""
-        excluded = (
-            self.printed is not None
-            and self.ci is not None
-            and not self.ci[0] <= self.printed <= self.ci[1]
-        )
+        """Whether it `holds` and agrees with the printed number."""
+        among = self.agreement
+        excluded = among is not None and not among[0] <= (self.printed or 0.0) <= among[1]
         return False if excluded else self.holds
 
     def __format__(self, spec: str) -> str:
@@ -121,6 +133,7 @@ def estimate(
         float(statistic(*samples)),
         accept,
         bootstrap(statistic, *samples, block=block),
+        runs=len(samples[0]) if block == 1 else 0,
         **more,
     )
 
@@ -159,38 +172,44 @@ class Row:
         choice("kind", self.kind, KINDS)
         choice("expected", self.expected, ("", *VERDICTS))
 
-    def judged(self, results: Any) -> Claim:
-        """The verdict: that of the first tier whose numbers all hold; "undecided" if one before it is."""
+    def judged(self, results: Any, full: bool = True) -> Claim:
+        """The verdict: that of the first tier whose numbers all hold; "undecided" if one before it is.
+
+        full: whether all runs were done; with fewer, "undecided" is no surprise.
+        """
         good, bad = WORDS[self.kind]
         expected = self.expected or good
         if self.decide is None:
-            verdict = (
-                expected
-                if expected in OPEN or self.kind in ("erratum", "reconstruction", "remark")
-                else OPEN[1]
-            )
-            return Claim(self, (), verdict, expected)
+            known = expected in OPEN or self.kind in ("erratum", "reconstruction", "remark")
+            return Claim(self, (), expected if known else OPEN[1], expected, full)
         found = self.decide(results)
-        tiers = (
-            found
-            if isinstance(found, Mapping)
-            else {good: [found] if isinstance(found, Number) else found}
-        )
+        if not isinstance(found, Mapping):
+            found = {good: [found] if isinstance(found, Number) else found}
+        exact = (WORDS["statement"][0], BETWEEN[0])  # where a printed number has to agree
+        outcomes = [
+            Outcome(word, number, number.reproduces if word in exact else number.holds)
+            for word, numbers in found.items()
+            for number in numbers
+        ]
         verdict = bad
-        for word, numbers in tiers.items():
-            outcomes = [
-                n.reproduces if word in (WORDS["statement"][0], BETWEEN[0]) else n.holds
-                for n in numbers
-            ]
-            if any(not np.isfinite(n.value) for n in numbers):
+        for word in found:
+            own = [one for one in outcomes if one.tier == word]
+            if any(not np.isfinite(one.number.value) for one in own):
                 verdict = "no number"
-            elif False not in outcomes:
-                verdict = word if all(outcomes) else "undecided"
+            elif all(one.holds is not False for one in own):
+                verdict = word if all(one.holds for one in own) else "undecided"
             else:
                 continue
             break
-        told = list(dict.fromkeys(n for numbers in tiers.values() for n in numbers))
-        return Claim(self, tuple(told), choice("verdict", verdict, VERDICTS), expected)
+        return Claim(self, tuple(outcomes), choice("verdict", verdict, VERDICTS), expected, full)
+
+
+class Outcome(NamedTuple):
+    """What came of a number: whether it ``holds``, as the ``tier`` asks for it; None: undecided."""
+
+    tier: str
+    number: Number
+    holds: bool | None
 
 
 statement, erratum, reconstruction = (
@@ -203,12 +222,13 @@ remark, finding, check = partial(Row, "remark"), partial(Row, "finding"), partia
 
 @dataclass(frozen=True)
 class Claim:
-    """A row of the ledger with its numbers and verdict."""
+    """A row of the ledger with what came of its numbers, and its verdict. ``full``: see `Row.judged`."""
 
     row: Row
-    numbers: tuple[Number, ...]
+    outcomes: tuple[Outcome, ...]
     verdict: str
     expected: str
+    full: bool = True
 
     @property
     def id(self) -> str:
@@ -221,6 +241,18 @@ class Claim:
         return self.row.kind
 
     @property
+    def numbers(self) -> tuple[Number, ...]:
+        """All that were computed, each once."""
+        return tuple(dict.fromkeys(one.number for one in self.outcomes))
+
+    @property
+    def decisive(self) -> Number | None:
+        """The number that keeps the best tier from holding, else the first one; None where none was computed."""
+        return next(
+            (one.number for one in self.outcomes if not one.holds), (*self.numbers, None)[0]
+        )
+
+    @property
     def holds(self) -> bool | None:
         """Whether what is said is so, as it is said; None where that is open."""
         if self.verdict in OPEN:
@@ -228,19 +260,26 @@ class Claim:
         return self.verdict == WORDS[self.kind][0] or self.verdict == BETWEEN[0]
 
     @property
-    def failure(self) -> bool:
-        """Whether the outcome is not the expected one, in either direction."""
-        return self.verdict not in ("undecided", self.expected)
+    def surprise(self) -> bool:
+        """Whether the verdict is not the expected one; with few runs it may be undecided."""
+        return self.verdict != self.expected and (self.full or self.verdict != "undecided")
 
     @property
     def note(self) -> str:
-        """What we find, with the numbers at hand."""
-        known = np.isfinite([n.value for n in self.numbers]).all()
-        return (
-            self.row.found.format(*self.numbers)
-            if known and (self.numbers or "{" not in self.row.found)
-            else ""
-        )
+        """What we find, with the numbers at hand; empty where the verdict is not the one that it was written for."""
+        if self.verdict != self.expected or not np.isfinite([n.value for n in self.numbers]).all():
+            return ""
+        return self.row.found.format(*self.numbers)
+
+
+class Sentence(NamedTuple):
+    """A sentence of a study's answer. It is said only while each row that it rests on has the verdict given here.
+
+    text: "{row[0]:.2f}" in it is the first number of a row. rests_on: verdicts by the rows' ids.
+    """
+
+    text: str
+    rests_on: Mapping[str, str]
 
 
 def order(value: float) -> float:

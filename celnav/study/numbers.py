@@ -168,16 +168,20 @@ def entries(
     cells: Sequence[tuple[Flown, Sequence[float]]],
     groups: Sequence[str],
     best: str,
-    factor: float,
+    printed_runs: int,
     most: int,
     *,
     at: When = -1,
 ) -> Callable[[Results], Tiers]:
-    """A printed table of RMSE by component: ``best`` if at most so many entries leave a factor, else whether the level is right.
+    """A printed table of RMSE by component: ``best`` if at most so many entries leave a band, else whether the level is right.
 
+    The band is that of the paper's sampling error, 95 % of RMSEs of ``printed_runs`` runs over the right one; ours is in the
+    intervals of what is counted.
     ``cells``: part, filter and what is printed for the components of all groups.
     """
     printed = np.concatenate([row for _, row in cells])
+    # The logarithm of an RMSE of N normal errors has a variance of 1 / (2 N).
+    factor = float(np.exp(1.96 * np.sqrt(0.5 / printed_runs)))
 
     def decide(r: Results) -> Tiers:
         samples = [r.squares(*flown, group, at) for flown, _ in cells for group in groups]
@@ -193,17 +197,13 @@ def entries(
         def farthest(*parts: Array) -> float:
             return float(np.exp(logs(*parts).max()))
 
-        return {
-            best: [
-                estimate(
-                    f"entries of {len(printed)} beyond a factor {factor:g}",
-                    beyond,
-                    samples,
-                    (None, most),
-                )
-            ],
-            "level only": [estimate("largest factor", farthest, samples, (None, SAME_ORDER))],
-        }
+        label = f"entries of {len(printed)} beyond a factor {factor:.2f}"
+        outside = estimate(label, beyond, samples, (None, most))
+        if outside.ci is not None:  # of whole numbers
+            low, high = outside.ci
+            outside = outside._replace(ci=(float(np.ceil(low)), float(np.floor(high))))
+        level = estimate("largest factor", farthest, samples, (None, SAME_ORDER))
+        return {best: [outside], "level only": [level]}
 
     return decide
 

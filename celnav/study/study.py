@@ -23,7 +23,7 @@ from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.checks import choice
 from celnav.gaussian.linalg import Array
 from celnav.store import RESULTS, existing
-from celnav.study.ledger import Claim, Row
+from celnav.study.ledger import Claim, Row, Sentence
 from celnav.study.montecarlo import blocks, effort, generator, run_count
 from celnav.study.trial import Group, Trial, follow
 
@@ -114,7 +114,7 @@ class Study:
     name: of the paper. groups: what is judged. rows: the ledger.
     trial: ``(config, rngs) ->`` runs and their filters, see `celnav.study.trial`; None where nothing is drawn.
     parts: ``(effort) ->`` parts by name; ``effort``, in (0, 1], may shorten what is long. Runs are scaled by it elsewhere.
-    says, found: what the paper claims as a whole, and our answer, in sentences; "{row[0]:.2f}" in the second: see `claims.answer`.
+    says, found: what the paper claims as a whole, and our answer, each sentence with the verdicts that it rests on.
     figure: stem of the one that decides.
     windows: ``(config, times) ->`` parts of the time by name, as slices of the epochs that are judged.
     source: hash of the file that it comes from, where that is none of celnav's.
@@ -126,10 +126,17 @@ class Study:
     parts: Callable[..., Mapping[str, Part]]
     rows: Sequence[Row]
     says: str = ""
-    found: str = ""
+    found: Sequence[Sentence] = ()
     figure: str = ""
     windows: Callable[[Any, Array], Mapping[str, slice]] | None = None
     source: str = ""
+
+    def __post_init__(self) -> None:
+        if not all(isinstance(sentence, Sentence) for sentence in self.found):
+            raise ValueError(
+                "found: expected sentences, such as [celnav.study.ledger.Sentence('It is so.', "
+                f"{{'row': 'reproduced'}})], got {self.found!r:.80}"
+            )
 
     def units(
         self, *, effort: float = 1.0, seed: int = 0, only: Sequence[str] = (), **inputs: Any
@@ -320,7 +327,7 @@ class Results:
     def claims(self, rows: Sequence[Row] = ()) -> list[Claim]:
         """All rows of the ledger, or some, judged; those that need a part which is absent are left out."""
         return [
-            row.judged(self)
+            row.judged(self, self.full)
             for row in rows or self.study.rows
             if not row.needs or row.needs in self.data
         ]

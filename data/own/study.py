@@ -13,7 +13,7 @@ from celnav.models.motion import constant_velocity
 from celnav.show.colors import COMPARISON, ESTIMATE
 from celnav.show.figures import Line, Panel, consistency, panels, rmse
 from celnav.study import numbers
-from celnav.study.ledger import statement
+from celnav.study.ledger import Sentence, statement
 from celnav.study.parameters import Timed, param
 from celnav.study.study import Part, Study, fly
 from celnav.study.trial import drawn
@@ -78,6 +78,6 @@ LINES = {"ekf": Line("EKF", COMPARISON), "ukf": Line("UKF", ESTIMATE)}
 FIGURES = {"figure_01": ("Position error of the runs, and their mean NEES with the 95 % band of a consistent filter.", figure)}
 NEES = numbers.consistency("NEES", ("usual", "ekf"), accept=(4.0, None), at=slice(1, None))
 WHY = "that of a consistent filter with four states is 4"
-CLAIM = statement("claims", "An extended filter claims too much.", NEES, why=WHY, found="Its mean NEES is {0}.", figure="figure_01")
-SAYS = {"says": "An extended filter takes an arc for a line.", "found": "It does, until later bearings have settled the position."}
-STUDY = Study("study", GROUPS, trial, lambda effort: PARTS, [CLAIM], **SAYS, figure="figure_01")
+CLAIM = statement("claims", "An extended filter is overconfident.", NEES, why=WHY, found="Mean NEES {0}.", figure="figure_01")
+FOUND = [Sentence("It does, until later bearings have settled the position.", {"claims": "reproduced"})]
+STUDY = Study("study", GROUPS, trial, lambda effort: PARTS, [CLAIM], "An EKF takes an arc for a line.", FOUND, "figure_01")

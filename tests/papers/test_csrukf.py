@@ -88,7 +88,7 @@ def test_the_ledger_has_every_statement_of_the_paper_and_says_why(claims):
 
 def test_few_runs_leave_rows_undecided_rather_than_wrong(claims):
     assert sum(claim.verdict == "undecided" for claim in claims.values()) > 10
-    assert sum(claim.failure for claim in claims.values()) <= 0.1 * len(claims)  # 95 % intervals
+    assert sum(claim.surprise for claim in claims.values()) <= 0.1 * len(claims)  # 95 % intervals
 
 
 def test_only_statements_are_called_reproduced(claims):

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import pickle
 import re
+from functools import partial
 from pathlib import Path
 
 import pytest
 
 import celnav
+from celnav import real
 from celnav.papers import PAPERS, load
+from celnav.study.ledger import WORDS
 
 
 @pytest.mark.parametrize("paper", PAPERS)
@@ -17,6 +20,23 @@ def test_units_go_to_processes_and_are_told_apart(paper):
     units = load(paper).STUDY.units(effort=0.1)
     sent = {pickle.loads(pickle.dumps(unit)).key for unit in units}
     assert len(set(units)) == len(sent) == len(units)
+
+
+STUDIES = {name: partial(load, name) for name in PAPERS} | {
+    name: partial(real.load, name) for name in real.STUDIES
+}
+
+
+@pytest.mark.parametrize("name", STUDIES)
+def test_each_sentence_of_an_answer_rests_on_rows_that_are_expected_to_bear_it(name):
+    """A verdict that is expected to turn takes the sentence with it, and so does a number that it is made of."""
+    study = STUDIES[name]().STUDY
+    expected = {row.id: row.expected or WORDS[row.kind][0] for row in study.rows}
+    assert study.found
+    for text, rests_on in study.found:
+        assert rests_on, text
+        assert rests_on == {id: expected.get(id) for id in rests_on}, text
+        assert set(re.findall(r"\{([\w-]+)\[", text)) <= set(rests_on), text
 
 
 EQUATIONS = {

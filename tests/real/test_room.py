@@ -10,7 +10,7 @@ from test_cli import numbers, tiny
 
 from celnav import cli, papers, real
 from celnav.show.claims import answer
-from celnav.study.ledger import Number, Row
+from celnav.study.ledger import Number, Row, Sentence
 from celnav.study.study import Part, Study
 
 
@@ -37,7 +37,7 @@ def measured():
         parts,
         rows,
         "How well does it run?",
-        "It runs {one[0]:.1f} well.",
+        [Sentence("It runs {one[0]:.1f} well.", {"one": "shown"})],
         "figure_01",
     )
     plain = tiny()
@@ -90,10 +90,11 @@ def test_with_a_folder_papers_and_study_are_done(both, folder, tmp_path, capsys)
 
 
 def test_claims_of_another_version_leave_no_numbers():
-    study = measured().STUDY
-    assert answer(study, [{"id": "one", "numbers": [{"value": None}]}]) == "It runs nan well."
-    for other in ([], [{"id": "one", "numbers": []}]):
-        assert answer(study, other) == "(of another version; celnav reproduce clocks)"
+    found = measured().STUDY.found
+    claim = {"id": "one", "verdict": "shown", "numbers": [{"value": None}]}
+    assert answer(found, [claim]) == "It runs nan well."
+    assert answer(found, [claim | {"numbers": []}]).startswith("(a sentence that cannot be made")
+    assert answer(found, []).endswith("other verdicts: one (not among these rows).")
 
 
 def test_without_one_the_page_only_says_what_could_be_added(both, tmp_path):

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from celnav.show import page
-from celnav.show.claims import TYPES, dumps, plain, style, table, written
-from celnav.study.ledger import KINDS, VERDICTS, WORDS, Number, Row, estimate, order
+from celnav.show.claims import TYPES, Ledger, answer, dumps, plain, style, table, written
+from celnav.study.ledger import KINDS, VERDICTS, WORDS, Number, Row, Sentence, estimate, order
 
 
 def claim(*numbers, kind="finding", **more):
@@ -69,7 +70,9 @@ def test_the_verdict_is_that_of_the_first_tier_that_holds(value, verdict):
     found = Row("statement", "one", "It is so", lambda _: tiers).judged(None)
     assert found.verdict == verdict
     assert found.holds is {"reproduced": True, "undecided": None}.get(verdict, False)
-    assert found.failure is (verdict not in ("reproduced", "undecided"))
+    assert found.surprise is (verdict != "reproduced")
+    few = Row("statement", "one", "It is so", lambda _: tiers).judged(None, full=False)
+    assert few.surprise is (verdict not in ("reproduced", "undecided"))
 
 
 def test_a_statement_is_not_reproduced_by_an_interval_that_excludes_what_is_printed():
@@ -79,15 +82,116 @@ def test_a_statement_is_not_reproduced_by_an_interval_that_excludes_what_is_prin
     assert claim(number._replace(printed=0.7), kind="erratum").verdict == "paper in error"
 
 
+@pytest.mark.parametrize(("printed_runs", "agrees"), [(0, False), (1600, False), (100, True)])
+def test_a_printed_number_has_sampling_error_too(printed_runs, agrees):
+    """Two means of 1600 and 100 runs of one distribution differ by the errors of both."""
+    samples = np.random.default_rng(0).normal(5.0, 2.0, 1600)
+    error = 2.0 / np.sqrt(1600)
+    printed = samples.mean() + 2.9 * error
+    number = estimate("mean", np.mean, [samples], printed=printed, printed_runs=printed_runs)
+    assert number.reproduces is agrees
+    if printed_runs:
+        half = 1.96 * 2.0 * np.sqrt(1 / 1600 + 1 / printed_runs)
+        np.testing.assert_allclose(
+            number.agreement, [samples.mean() - half, samples.mean() + half], rtol=0.01
+        )
+    assert number._replace(printed=None).agreement is None
+
+
+def test_a_printed_number_of_as_many_runs_is_met_as_often_as_it_should():
+    """The paper's number and ours are drawn from one distribution: 95 % of the pairs agree."""
+    rng = np.random.default_rng(1)
+    agree = [
+        estimate("rms", lambda x: np.sqrt(x.mean()), [ours], printed=theirs, printed_runs=50)
+        for ours, theirs in zip(
+            rng.chisquare(3, (200, 400)), np.sqrt(rng.chisquare(3, (200, 50)).mean(1)), strict=True
+        )
+    ]
+    assert 0.9 <= np.mean([number.reproduces is True for number in agree]) <= 0.99
+
+
+def test_the_number_that_decides_is_the_one_that_keeps_the_best_tier_from_holding():
+    """Its printed value stands beside it, and the criterion that failed is told."""
+    good = Number("a", 0.5, (0.0, 1.0), (0.4, 0.6), printed=0.55)
+    bad = Number("b", 0.5, (0.0, 1.0), (0.4, 0.6), printed=0.9)
+    tiers = {"reproduced": [good, bad], "in part": [good, bad]}
+    found = Row("statement", "one", "It is so", lambda _: tiers, expected="in part").judged(None)
+    assert found.verdict == "in part"
+    assert found.decisive == bad
+    told = written(found)
+    assert (told["printed_value"], told["surprise"]) == (0.9, False)
+    assert [(n["tier"], n["holds"]) for n in told["numbers"]] == [
+        ("reproduced", True), ("reproduced", False), ("in part", True), ("in part", True)
+    ]  # fmt: skip
+    page = table([told])
+    assert (
+        "reproduced: b: 0.5 [0.4, 0.6] (0 … 1; printed 0.9, agrees within [0.4, 0.6]): not met"
+        in page
+    )
+    assert page.count(": met") == 3
+
+
+def test_what_the_paper_prints_is_not_rounded_and_stands_beside_the_same_quantity_only():
+    beside = claim(Number("x", 7136.6, printed=7136.635), kind="statement", printed=[7136.635, 3])
+    assert written(beside)["printed"] == [7136.635, 3]
+    page = table([written(beside)])
+    assert '<td data-name="printed">7136.635</td>' in page
+    assert "The paper prints 7136.635, 3." in page
+    assert '<td data-name="ours">7136.6</td>' in page
+    other = table([written(claim(Number("x", 2.0), kind="statement", printed="1/3"))])
+    assert "printed</th>" not in other
+    assert "The paper prints 1/3." in other
+
+
+def test_an_interval_of_few_runs_or_a_heavy_tail_is_told():
+    for ci, heavy in (((0.4, 12.3), True), ((4.0, 6.0), False), ((-1.0, 12.0), False)):
+        page = table([written(claim(Number("NEES", 5.2, (None, 9.0), ci)))])
+        assert ("few runs or a heavy tail" in page) is heavy
+
+
+def test_what_was_found_is_said_with_the_verdict_that_it_was_written_for():
+    number = Number("x", 0.5, (0.0, 1.0), (0.4, 0.6))
+    assert claim(number, found="It is {0}.").note == "It is 0.5 [0.4, 0.6]."
+    assert claim(number._replace(ci=(0.4, 1.6)), found="It is {0}.").note == ""
+    assert claim(number, found="It is {0}.", expected="not shown").note == ""
+
+
+SENTENCES = [
+    Sentence("It is {a[0]:.1f} times as much.", {"a": "shown"}),
+    Sentence("That is so, and b is not.", {"a": "shown", "b": "not shown"}),
+]
+
+
+def test_an_answer_is_made_of_the_sentences_whose_rows_have_their_verdicts():
+    rows = {id: replace(claim(Number("x", 0.52, (0.0, 1.0))).row, id=id) for id in "ab"}
+    a, b = (written(row.judged(None)) for row in rows.values())
+    low = written(replace(rows["b"], decide=lambda _: Number("x", 2.0, (0.0, 1.0))).judged(None))
+    assert answer(SENTENCES, [a, low]) == "It is 0.5 times as much. That is so, and b is not."
+    left = "Not said here, since rows that it rests on have other verdicts: b"
+    assert answer(SENTENCES, [a, b]) == f"It is 0.5 times as much. {left} (shown)."
+    assert answer(SENTENCES, [a]) == f"It is 0.5 times as much. {left} (not among these rows)."
+    assert "cannot be made" in answer([Sentence("{a[7]}", {"a": "shown"})], [a])
+
+
+def test_with_a_part_of_the_runs_a_ledger_says_so_first():
+    few = claim(Number("x", 0.5, (0.0, 1.0))).row.judged(None, full=False)
+    for shown in (str(Ledger([few], "finding")), Ledger([few], "finding")._repr_markdown_()):
+        assert shown.startswith("Only a part of the runs was done")
+    assert Ledger([few], "finding")._repr_html_().startswith("<p>Only a part of the runs")
+    assert str(Ledger([claim(Number("x", 0.5, (0.0, 1.0)))], "finding")).startswith("shown")
+    said = str(Ledger([few], "finding", [Sentence("So it is.", {"one": "shown"})]))
+    assert said.splitlines()[1] == "We find: So it is."
+
+
 def test_a_number_that_could_not_be_computed_is_a_failure():
     found = claim(Number("x", np.nan), kind="check")
-    assert (found.verdict, found.holds, found.failure) == ("no number", None, True)
+    assert (found.verdict, found.holds, found.surprise) == ("no number", None, True)
 
 
 def test_what_is_expected_is_no_surprise_and_a_success_may_be_one():
     bad = Number("x", 2.0, (0.0, 1.0))
-    assert not claim(bad, kind="statement", expected="not reproduced").failure
-    assert claim(bad._replace(value=0.5), kind="statement", expected="not reproduced").failure
+    assert not claim(bad, kind="statement", expected="not reproduced").surprise
+    assert claim(bad._replace(value=0.5), kind="statement", expected="not reproduced").surprise
 
 
 def test_a_row_without_numbers_says_so():

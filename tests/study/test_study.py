@@ -174,7 +174,7 @@ def test_a_table_is_in_its_band_or_of_its_level_or_neither(results):
     exact = np.sqrt(np.concatenate([results.squares("good", "kf", g.name).mean(0) for g in GROUPS]))
     for factor, verdict in ((1.0, "reproduced"), (2.0, "level only"), (9.0, "not reproduced")):
         decide = entries(
-            [(("good", "kf"), factor * exact)], ("position", "velocity"), "reproduced", 1.5, 0
+            [(("good", "kf"), factor * exact)], ("position", "velocity"), "reproduced", 10, 0
         )
         assert Row("statement", "t", "A table", decide).judged(results).verdict == verdict
         (level,) = decide(results)["level only"]

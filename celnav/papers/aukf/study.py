@@ -39,6 +39,7 @@ from celnav.receiver import day
 from celnav.study.ledger import (
     Bounds,
     Number,
+    Sentence,
     Tiers,
     check,
     erratum,
@@ -854,9 +855,27 @@ STUDY = Study(
     "aukf", (*GROUPS, *AXES), trial, parts, [*STATEMENTS, *OTHERS, *FINDINGS, *CHECKS], figure="figure_07",
     says="A UKF that adapts its measurement noise to the last innovations has smaller errors than EKF and UKF, converges faster, "
     "and hardly notices a burst of noise.",
-    found="In a burst on the ranges at 10 Hz it has a tenth of the UKF's error, and recovers at once. Without one it gains a few "
-    "percent, from clipping. EKF and UKF are the same. It takes maneuvers and wrong process noise for measurement noise, "
-    "converges later from far away, and can err by kilometers. A factor of what no position explains needs no window, and does "
-    "not mind the process noise; but ranges that agree on a wrong value mislead it, and not the AUKF.",
+    found=(
+        Sentence(
+            "In a burst on the ranges at 10 Hz it has a tenth of the UKF's error, and recovers sooner.",
+            {"burst-suppressed": "in part", "fast-recovery": "in part"},
+        ),
+        Sentence("Without one it gains a few percent, from clipping.",
+                 {"clearly-better-quiet": "in part", "a-is-identity": "not reproduced"}),
+        Sentence("EKF and UKF are the same.", {"ukf-better-than-ekf": "not reproduced"}),
+        Sentence(
+            "It takes maneuvers and wrong process noise for measurement noise, and can err by kilometers.",
+            {"erratum-4-aukf": "shown", "system-noise-weakened": "not reproduced"},
+        ),
+        Sentence(
+            "From far away it converges later; after a burst it is sooner.",
+            {"faster-convergence": "not reproduced", "convergence-paired": "shown"},
+        ),
+        Sentence(
+            "A factor of what no position explains needs no window; but ranges that agree on a wrong value mislead it, and not the "
+            "AUKF.",
+            {"baselines-group-ranges": "shown", "outliers-agree": "shown"},
+        ),
+    ),
     windows=windows,
 )  # fmt: skip

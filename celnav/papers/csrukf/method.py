@@ -32,16 +32,18 @@ ROOTS = ("downdated", "array")
 
 
 def tria(A: Array) -> Array:
-    """Lower root ``(..., n, n)`` of the columns ``A (..., n, q)``, by Gram and Schmidt's QR in its modified order."""
-    A, L = A.copy(), np.zeros((*A.shape[:-1], A.shape[-2]), A.dtype)
-    for i in range(A.shape[-2]):
-        row = A[..., i, :]
-        size = np.sqrt((row * row).sum(-1, keepdims=True))
-        unit = row / size
-        along = (A[..., i + 1 :, :] * unit[..., None, :]).sum(-1, keepdims=True)
-        A[..., i + 1 :, :] -= along * unit[..., None, :]
-        L[..., i, i], L[..., i + 1 :, i] = size[..., 0], along[..., 0]
-    return L
+    """Lower root ``(..., n, n)`` of the columns ``A (..., n, q)``, by Householder's reflections of its rows."""
+    A, n = A.copy(), A.shape[-2]
+    for i in range(n):
+        v = A[..., i, i:].copy()
+        size = np.sqrt((v * v).sum(-1))
+        v[..., 0] += np.where(v[..., 0] < 0, -size, size)
+        square = (v * v).sum(-1, keepdims=True)
+        unit = v / np.sqrt(np.where(square > 0, square, 1))  # a row of zeros stays one
+        rest = A[..., i:, i:]
+        rest -= 2 * (rest * unit[..., None, :]).sum(-1, keepdims=True) * unit[..., None, :]
+    signs = np.where(A[..., range(n), range(n)] < 0, -1, 1).astype(A.dtype)
+    return np.asarray(np.tril(A[..., :n]) * signs[..., None, :])
 
 
 def cholesky(P: Array) -> Array:
@@ -88,13 +90,12 @@ def updated(form: str, spread: Array, D: Array, E: Array, sqrt_R: Array) -> tupl
 
     ``spread``: what it was. ``D (..., n, q)``, ``E (..., m, q)``: deviations of state and measurement.
     """
-    m, noisy = E.shape[-2], side_by_side([sqrt_R, E])
+    # The deviations stand before the noise, as printed: of a precise measurement they are larger, and reflections that
+    # begin with what is large keep the digits of what is small.
+    m, noisy = E.shape[-2], side_by_side([E, sqrt_R])
     if form == "array":
-        L = tria(
-            np.concatenate(
-                [noisy, side_by_side([np.zeros((D.shape[-2], sqrt_R.shape[-1]), D.dtype), D])], -2
-            )
-        )
+        still = np.zeros((D.shape[-2], sqrt_R.shape[-1]), D.dtype)
+        L = tria(np.concatenate([noisy, side_by_side([D, still])], -2))
         S, U, after = L[..., :m, :m], L[..., m:, :m], L[..., m:, m:]
     else:
         S = tria(noisy) if form == "downdated" else cholesky(outer(noisy))
