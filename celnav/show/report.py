@@ -37,6 +37,9 @@ if TYPE_CHECKING:
 __all__ = ["Report", "report"]
 
 WIDTH = 110
+CORRELATED = (
+    "below its band while NEES is above it: the noise of the measurements is correlated (see celnav.diagnose), or its model is wrong"
+)
 MOST_PANELS = 12
 """Components that are drawn."""
 
@@ -105,6 +108,12 @@ class Report(NamedTuple):
             said.append(
                 (f"NIS {k}", f"{', '.join(sensor.names)}: {_ratio(sensor, percent)}; {used}")
             )
+        if self.nees is not None and self.nees.nis > self.nees.band[1]:
+            said += [
+                (f"NIS {k}", CORRELATED)
+                for k, sensor in enumerate(self.sensors)
+                if sensor.nis < sensor.band[0]
+            ]
         events = [
             f"{count} {'steps' if what == 'redone' else 'components'} {what}"
             for what, count in self.events.items()

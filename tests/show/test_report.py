@@ -121,6 +121,21 @@ def test_an_overconfident_filter_is_called_so():
     assert found.components[0].inside < 0.93
 
 
+def test_nis_below_its_band_with_nees_above_it_is_called_correlated_noise():
+    """An AR(1) taken for white is followed, so that innovations are small; a small R makes both large."""
+    said = "NIS 0    below its band while NEES is above it: the noise of the measurements is correlated"
+    walk = motion.constant_velocity(2, 1e-4)
+    gps = celnav.Sensor(np.eye(2, 4), R=19.0 * np.eye(2))
+    colored = celnav.colored(walk, gps, 0.95)
+    truth, z = celnav.simulate(walk, gps, PRIOR, TIMES, runs=40, seed=3, Phi=0.95 * np.eye(2))
+    assert said in str(celnav.run(celnav.ukf(walk, gps), PRIOR, TIMES, z, keep="cov").report(truth))
+    assert said not in str(celnav.run(colored, PRIOR, TIMES, z, keep="cov").report(truth))
+    close = replace(gps, R=2.0 * np.eye(2))
+    assert said not in str(
+        celnav.run(celnav.ukf(walk, close), PRIOR, TIMES, z, keep="cov").report(truth)
+    )
+
+
 @pytest.mark.parametrize("form", ["square root", "covariance"])
 def test_attitudes_are_judged_by_rotation_vectors_whatever_the_sign(form):
     gyro, rng, dt, T, runs = (
