@@ -191,7 +191,9 @@ def _parser() -> tuple[_Parser, dict[str, _Parser]]:
         "--engine", default="numpy", choices=ENGINES, help="what flies the filters (default: numpy)"
     )
     reproduce.add_argument(
-        "--strict", action="store_true", help="exit 1 if a claim is not as expected"
+        "--strict",
+        action="store_true",
+        help="exit 1 if a verdict is not the expected one; with all runs, undecided is none either",
     )
     reproduce.add_argument(
         "--rinex",

@@ -38,7 +38,8 @@ __all__ = ["Report", "report"]
 
 WIDTH = 110
 CORRELATED = (
-    "below its band while NEES is above it: the noise of the measurements is correlated (see celnav.diagnose), or its model is wrong"
+    "below its band while NEES is above it: the noise of the measurements is correlated "
+    "(see celnav.diagnose), or its model is wrong"
 )
 MOST_PANELS = 12
 """Components that are drawn."""

@@ -8,11 +8,14 @@ from functools import partial
 from pathlib import Path
 
 import pytest
+from once import once
 
 import celnav
 from celnav import real
+from celnav.filters.run import ENGINE
 from celnav.papers import PAPERS, load
 from celnav.study.ledger import WORDS
+from celnav.study.montecarlo import effort
 
 
 @pytest.mark.parametrize("paper", PAPERS)
@@ -20,6 +23,21 @@ def test_units_go_to_processes_and_are_told_apart(paper):
     units = load(paper).STUDY.units(effort=0.1)
     sent = {pickle.loads(pickle.dumps(unit)).key for unit in units}
     assert len(set(units)) == len(sent) == len(units)
+
+
+@pytest.mark.parametrize("paper", PAPERS)
+def test_neither_verdicts_nor_numbers_depend_on_the_engine(paper):
+    study = load(paper).STUDY
+    token = ENGINE.set("auto")
+    try:
+        compiled = study.reproduce(effort=effort()).claims()
+    finally:
+        ENGINE.reset(token)
+    for mine, other in zip(once(study).claims(), compiled, strict=True):
+        assert other.verdict == mine.verdict, mine.id
+        for a, b in zip(mine.numbers, other.numbers, strict=True):
+            assert b.value == pytest.approx(a.value, rel=1e-5, abs=1e-9, nan_ok=True), a.label
+            assert b.ci == pytest.approx(a.ci, rel=1e-5, abs=1e-9), a.label
 
 
 STUDIES = {name: partial(load, name) for name in PAPERS} | {
