@@ -402,6 +402,23 @@ def test_clocks_that_jitter_and_long_gaps_have_a_grid_too():
     assert grid_index(np.cumsum(np.random.default_rng(0).uniform(0.1, 3.0, 400)))[1] is None
 
 
+def test_epochs_off_any_grid_have_the_model_of_their_order():
+    """Where nothing depends on the time between them."""
+    filter = celnav.ukf(celnav.Motion(np.eye(1), [[1e-4]]), celnav.Sensor(np.eye(1), [[1.0]]))
+    prior, z = celnav.Gaussian([0.0], [[1.0]]), noise(0.8, 300)[:, 0]
+    off = np.cumsum(np.random.default_rng(0).uniform(0.1, 3.0, 300))
+    one, other = (
+        diagnose(celnav.run(filter, prior, t, z), prior=prior, z=z) for t in (off, np.arange(300.0))
+    )
+    assert one.step is None
+    assert one.components[0].step is None
+    assert one.model.phi_interval[0, 0] < 0.8 < one.model.phi_interval[0, 1]
+    for name in ("Phi", "R", "predicted"):
+        np.testing.assert_allclose(
+            getattr(one.model, name), getattr(other.model, name), rtol=1e-3, err_msg=name
+        )
+
+
 def test_without_pairs_it_cannot_tell():
     x = np.full((100, 100, 1), np.nan)
     x[np.arange(100), np.arange(100)] = np.random.default_rng(0).standard_normal((100, 1))
