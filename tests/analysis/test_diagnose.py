@@ -402,6 +402,23 @@ def test_clocks_that_jitter_and_long_gaps_have_a_grid_too():
     assert grid_index(np.cumsum(np.random.default_rng(0).uniform(0.1, 3.0, 400)))[1] is None
 
 
+def test_epochs_off_any_grid_have_the_model_of_their_order():
+    """Where nothing depends on the time between them."""
+    filter = celnav.ukf(celnav.Motion(np.eye(1), [[1e-4]]), celnav.Sensor(np.eye(1), [[1.0]]))
+    prior, z = celnav.Gaussian([0.0], [[1.0]]), noise(0.8, 300)[:, 0]
+    off = np.cumsum(np.random.default_rng(0).uniform(0.1, 3.0, 300))
+    one, other = (
+        diagnose(celnav.run(filter, prior, t, z), prior=prior, z=z) for t in (off, np.arange(300.0))
+    )
+    assert one.step is None
+    assert one.components[0].step is None
+    assert one.model.phi_interval[0, 0] < 0.8 < one.model.phi_interval[0, 1]
+    for name in ("Phi", "R", "predicted"):
+        np.testing.assert_allclose(
+            getattr(one.model, name), getattr(other.model, name), rtol=1e-3, err_msg=name
+        )
+
+
 def test_without_pairs_it_cannot_tell():
     x = np.full((100, 100, 1), np.nan)
     x[np.arange(100), np.arange(100)] = np.random.default_rng(0).standard_normal((100, 1))
@@ -581,6 +598,18 @@ def test_sensors_that_are_no_angles_are_left_alone(case):
     assert diagnose(x, np.arange(2000.0), z=z).wraps == ()
     if case != "multipath":
         assert diagnose(x, np.arange(2000.0)).wraps == ()
+
+
+@pytest.mark.parametrize(("turns", "wraps"), [(30, False), (60, True)])
+def test_jumps_are_a_wrap_only_if_a_third_of_them_are_turns(turns, wraps):
+    """Either is more turns than jumps of any size would be."""
+    x = 0.02 * np.random.default_rng(5).standard_normal((2000, 1))
+    x[10:1990:16, 0] = 10.0  # 124 of no whole number of turns
+    x[10 : 10 + 16 * turns : 16, 0] = 2.0 * np.pi
+    found = diagnose(x, np.arange(2000.0)).wraps
+    assert [line.split(",")[0] for line in found] == wraps * [
+        f"z0: {turns} of 2000 samples jump by 2 pi"
+    ]
 
 
 # -- pages, whole -----------------------------------------------------------------------------------

@@ -123,6 +123,11 @@ SEEN, BOTH = Sensor(h, NONE), Motion(f, augment=(ROOT,))
             r"^filter: expected one sensor, and process noise",
         ),
         (
+            lambda: ukf(Motion(f, sqrt_Q=np.eye(2), augment=(ROOT,)), SEEN),
+            np.zeros(1),
+            r"^filter: expected one sensor, and process noise",
+        ),
+        (
             lambda: ukf(BOTH, SEEN, SEEN),
             np.zeros(1),
             r"^filter: expected one sensor, and process noise",

@@ -106,6 +106,13 @@ def test_a_product_transports_its_curved_part_only():
     assert product((EUCLIDEAN, 1, 1), (angles(), 1, 1)).transport is None
 
 
+@pytest.mark.parametrize("count", [2, 4])
+def test_a_product_has_deviations_of_one_length(count):
+    space = product((circle(), 2, 1), (EUCLIDEAN, 2, 2))
+    with pytest.raises(ValueError, match=f"^deviations: expected 3 components .*, got {count}$"):
+        space.plus(np.array([1.0, 0.0, 0.0, 0.0]), np.zeros((5, count)))
+
+
 def test_a_product_broadcasts_points_against_one_center():
     space = product((circle(), 2, 1), (EUCLIDEAN, 1, 1))
     cloud = space.plus(np.array([1.0, 0.0, 5.0]), np.zeros((7, 3, 2)))

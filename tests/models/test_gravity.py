@@ -108,6 +108,13 @@ def test_places_are_a_batch_and_orders_above_the_degree_and_sines_of_order_zero_
         gravity.Gravity(GM, RADIUS, field.C, np.zeros((2, 2)))
 
 
+def test_a_field_equals_only_itself():
+    """It can be a key, although its arrays cannot."""
+    field, other = (gravity.Gravity(GM, RADIUS, np.eye(3), np.zeros((3, 3))) for _ in range(2))
+    assert field == field != other
+    assert len({field, field}) == 1
+
+
 @pytest.mark.parametrize("degree", [2, 4])
 def test_a_filter_of_it_is_compiled(degree):
     """Recorded once, and the same as by numpy."""

@@ -280,6 +280,13 @@ def test_an_interval_without_length_is_refused():
     np.testing.assert_allclose(still, np.tile(x, (4, 1)), atol=1e-15)
 
 
+def test_a_body_equals_only_itself():
+    """It can be a key, although its arrays cannot."""
+    body = Body(J)
+    assert body == body != Body(J)
+    assert len({body, body}) == 1
+
+
 @FORMS
 @pytest.mark.parametrize("rule", [unscented(6), cubature(6, degree=5), Taylor()], ids=repr)
 def test_gates_and_windows_work_on_attitudes(form, rule):

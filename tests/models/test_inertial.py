@@ -231,6 +231,13 @@ def test_a_system_without_errors_follows_the_flight():
     assert turned < 1e-8
 
 
+@pytest.mark.parametrize("count", [1, 2, 4])
+def test_a_flight_without_the_middle_of_each_step_is_refused(count):
+    flight = turning_flight(0.025 * np.arange(count), **FLIGHT)
+    with pytest.raises(ValueError, match=f"^flight: expected an odd number.*, got {count}$"):
+        mechanize(flight, flight.attitude[0], np.zeros(3), np.zeros(3))
+
+
 def test_stars_are_parallel_only_if_all_pairs_are():
     """Two of three may be: the third direction fixes the rotation."""
     attitude, phi = (

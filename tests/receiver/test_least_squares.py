@@ -37,6 +37,8 @@ def test_a_linear_fix_is_the_weighted_solution(sensor):
             expected = np.linalg.lstsq(G, (z[k, r] / SIGMA)[used], rcond=None)[0]
             np.testing.assert_allclose(track.mean[k, r], expected, atol=1e-12)
             np.testing.assert_allclose(track.cov[k, r], np.linalg.inv(G.T @ G), atol=1e-12)
+            left = (z[k, r] / SIGMA)[used] - G @ expected
+            np.testing.assert_allclose(track.whitened[k, r, used], left, atol=1e-12)
 
 
 @EITHER

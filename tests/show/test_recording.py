@@ -90,6 +90,19 @@ def test_a_curve_is_seen_unless_it_is_to_be_hidden(options, seen):
     }
 
 
+@pytest.mark.parametrize(("options", "seen"), [({}, True), ({"shown": False}, False)])
+def test_bounds_are_seen_unless_they_are_to_be_hidden(options, seen):
+    log = Log()
+    recording.Recorder(log, TIMES).bounds("plots/a", TIMES, "speed", color="#112233", **options)
+    style = {
+        "visible_series": [seen],
+        "names": ["±3σ speed"],
+        "widths": [1.0],
+        "colors": [0x112233FF],
+    }
+    assert log.found == {"plots/a/+3s": style, "plots/a/-3s": style}
+
+
 def test_a_globe_has_circles_every_fifteen_degrees():
     """Eleven of latitude, and 24 halves from pole to pole, a little above the ground."""
     log = Log()

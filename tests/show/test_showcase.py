@@ -288,6 +288,19 @@ def test_filters_that_failed_from_the_start(case, tmp_path):
     assert len(rr.chunk.RrdReader(tmp_path / "a.rrd").recordings()) == 1
 
 
+def test_the_space_of_errors_is_as_large_as_they_are(case, path, tmp_path):
+    large = case
+    for key, e in case.estimates.items():
+        large = changed(large, key, errors=1e3 * e.errors, cov=1e6 * e.cov)
+    record(large, tmp_path / "a.rrd")
+
+    def axes(file):
+        (chunk,) = (c for c in chunks(file) if str(c.entity_path) == "/error/axes")
+        return np.array(chunk.to_record_batch().column("LineStrips3D:strips")[0].as_py())
+
+    np.testing.assert_allclose(axes(tmp_path / "a.rrd"), 1e3 * axes(path), rtol=1e-6)
+
+
 def test_a_large_start_leaves_the_rest_to_be_seen(case, tmp_path):
     """What is far outside of the view is left out; limits are those of the rest of the run."""
     e = case.estimates["own"]

@@ -82,6 +82,21 @@ def test_a_statement_is_not_reproduced_by_an_interval_that_excludes_what_is_prin
     assert claim(number._replace(printed=0.7), kind="erratum").verdict == "paper in error"
 
 
+@pytest.mark.parametrize(
+    ("tier", "verdict"),
+    [
+        ("reproduced", "not reproduced"),
+        ("reproduced with fitted parameters", "not reproduced"),
+        ("level only", "level only"),
+        ("in part", "in part"),
+    ],
+)
+def test_what_is_reproduced_agrees_with_what_is_printed_and_less_need_not(tier, verdict):
+    number = Number("x", 0.5, (0.0, 1.0), (0.4, 0.6), printed=0.9)
+    row = Row("statement", "one", "It is so", lambda _: {tier: [number]})
+    assert row.judged(None).verdict == verdict
+
+
 @pytest.mark.parametrize(("printed_runs", "agrees"), [(0, False), (1600, False), (100, True)])
 def test_a_printed_number_has_sampling_error_too(printed_runs, agrees):
     """Two means of 1600 and 100 runs of one distribution differ by the errors of both."""

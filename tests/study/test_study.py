@@ -25,7 +25,7 @@ from celnav.study.numbers import (
 )
 from celnav.study.parameters import Parameters, Timed, param
 from celnav.study.problem import Problem
-from celnav.study.study import Part, Study, Unit, fly
+from celnav.study.study import Part, Study, Unit, fly, together
 from celnav.study.trial import Group
 
 GROUPS = (Group("position", "m", slice(0, 1)), Group("velocity", "mm/s", slice(1, 2), 1e3))
@@ -272,6 +272,22 @@ def test_medians_and_components(results):
     assert second.value == pytest.approx(
         np.linalg.norm(error[2, :, 1]) / np.linalg.norm(error[3, :, 1])
     )
+
+
+def test_filters_from_several_priors_are_those_from_each():
+    """Of one covariance, or of one for each run."""
+    one = trial(0.5, [celnav.study.montecarlo.generator(1, 0, r) for r in range(4)])
+    mean, cov = np.arange(8.0).reshape(4, 2), np.arange(1.0, 5.0)[:, None, None] * np.eye(2)
+    priors = {"shared": one.prior, "own": celnav.Gaussian(mean, cov)}
+    found = together(one, priors, ("kf", "blind"))
+    for label, prior in priors.items():
+        alone = fly(one._replace(prior=prior), ("kf", "blind"))
+        np.testing.assert_array_equal(found["times"], alone.pop("times"))
+        for key, values in alone.items():
+            name, what = key.split("/")
+            np.testing.assert_allclose(
+                found[f"{name}, {label}/{what}"], values, rtol=1e-12, err_msg=key
+            )
 
 
 def test_numbers_go_together(results):
