@@ -846,11 +846,11 @@ def percentages(group: str, halfway: tuple[float, float]) -> Callable[[Results],
 
     return tiers(
         reproduced_with_fitted_parameters=[
-            *(from_printed(*pair) for pair in zip(PAPER, PRINTED[group], strict=False)),
             *(
                 gain("sine", f, "many 0.3", accept=(bar, None))
                 for f, bar in zip(PAPER, halfway, strict=False)
             ),
+            *(from_printed(*pair) for pair in zip(PAPER, PRINTED[group], strict=False)),
             *(gain("1", f, "month", "50 runs, not linear, ") for f in PAPER[:2]),
         ]
     )
@@ -1180,7 +1180,7 @@ ROWS = [
         BEST,
         "more than half of the printed effect, and within 2.5 standard errors of what is printed, "
         "most of them those of the paper's 50 runs: 95 % for all four percentages together",
-        "{2} and {3} %, in 50 runs {4} and {5} %: {0:.1f} and {1:.1f} standard errors from what is "
+        "{0} and {1} %, in 50 runs {4} and {5} %: {2:.1f} and {3:.1f} standard errors from what is "
         "printed. Two parameters, coupling and amplitude, are fitted to these two numbers.",
         printed=list(PRINTED["position"]),
         expected=FITTED,
@@ -1194,8 +1194,8 @@ ROWS = [
         percentages("velocity", (15.0, 9.0)),
         BEST,
         "as for the position",
-        "{2} and {3} %, in 50 runs {4} and {5} %: the effect is there, but it is {0:.0f} and "
-        "{1:.0f} standard errors larger than printed.",
+        "{0} and {1} %, in 50 runs {4} and {5} %: the effect is there, but it is {2:.0f} and "
+        "{3:.0f} standard errors larger than printed.",
         printed=list(PRINTED["velocity"]),
         expected=NO,
         figure="figure_11",
