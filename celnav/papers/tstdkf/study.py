@@ -44,6 +44,7 @@ from celnav.study.ledger import (
     erratum,
     estimate,
     finding,
+    order,
     reconstruction,
     remark,
     statement,
@@ -1012,7 +1013,7 @@ ROWS = [
             in_part=[*LARGER_THAN, some("of velocity and others, white noise", 1, *WITHOUT[:2])],
             not_reproduced=[
                 *(displacing("position", "none", i) for i in (5, 1)),
-                lambda r: Number("largest change", max(abs(n(r).value - 1.0) for n in WITHOUT)),
+                lambda r: Number("change", order(max(abs(n(r).value - 1.0) for n in WITHOUT))),
             ],
         ),
         "§2.1, after Fig. 2",
