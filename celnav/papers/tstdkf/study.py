@@ -1214,7 +1214,8 @@ ROWS = [
         "0.5; {7}, {8}, {6} with 0.3; {10}, {11}, {9} with 0.8.", figure="figure_11"),
     statement("setting-5-alike", "With all noise white TKF and TSTDKF give comparable results.", all_of(*(over(g, "month",
         "5/tstdkf", "5/tkf", NEAR, g) for g in BOTH)), TABLE, "half-way to 17 %, the smallest advantage printed, over the month "
-        "that Table 5 is about", "TSTDKF errs by {0} of TKF in position, {1} in velocity.", expected=NO, figure="figure_11"),
+        "that Table 5 is about", "The RMSE of TSTDKF is {0} times that of TKF in position and {1} times in velocity.",
+        expected=NO, figure="figure_11"),
     erratum("erratum-1-size", "Tens of kilometers from DE405 to DE421. Right: less than two; the paper's own introduction says "
         "within one.", of("sky", "de405/earth", "largest on an axis, km", (1.6, 1.68), lambda d: np.abs(d).max()),
         "§2.1, on Fig. 2", found="At most {0:.3f} km."),
@@ -1231,7 +1232,8 @@ ROWS = [
     reconstruction("reconstruction-factors", "Γ' = Γ - F (Γ + H Λ) in place of the prose's Γ; three forms of the factors, of which "
         "C was picked after setting 5.", all_of(over("form B over TDKF, setting 5", "variants", f"{WHITE_B}/tstdkf",
         f"{WHITE_B}/tdkf", (1.1, None)), over("form A over B, sine, bias", "year", "sine/A", "sine/B", (0.95, 1.05), "bias",
-        "later")), "Eqs 57-61", found="With white noise form B errs by {0} of TDKF; A by {1} of B, in the bias."),
+        "later")), "Eqs 57-61", found="With white noise the position error of form B is {0} times "
+        "that of TDKF; over a year the bias error of form A is {1} times that of form B."),
     reconstruction("reconstruction-rest", "Sinusoids of a year, and all parameters that `Config` does not mark as the paper's.",
         place="Eqs 17, 69, 70; Tables 1-5"),
     remark("remark-forces", "AR(1) noise for accelerations that are deterministic: the filter carries the ephemeris that they "
@@ -1242,14 +1244,16 @@ ROWS = [
     remark("remark-table-5", "Best in all settings beside a tie in setting 5; the advantage largest in setting 1 is one over TKF "
         "only.", place=TABLE),
     finding("fair-baseline", "A TKF that is given the covariances that the noises have is level with TSTDKF: most of the gain is "
-        "the baseline's tuning.", over("position, setting 1", "month", "fair/tkf", "1/tstdkf", NEAR), found="{0} of its error.",
-        figure="figure_09", revised=ONE_SIDED),
-    finding("exact-best", "The exact filter takes the gain that is there.", all_of(over("over the fair TKF", "month", "1/aug",
+        "the baseline's tuning.", over("position, setting 1", "month", "fair/tkf", "1/tstdkf", NEAR),
+        found="Its position error is {0} times "
+        "that of TSTDKF.", figure="figure_09", revised=ONE_SIDED),
+    finding("exact-best", "The exact filter has the smallest error.", all_of(over("over the fair TKF", "month", "1/aug",
         "fair/tkf", (None, 0.85)), *(over(f"over TDKF, setting {i}", "month", f"{i}/aug", f"{i}/tdkf", (None, 1.01)) for i in
-        SETTINGS)), found="{0} of the fair TKF and {1} of TDKF in setting 1, {5} with white noise.", figure="figure_11",
+        SETTINGS)), found="In setting 1 its position error is {0} times that of the TKF with "
+        "stationary covariances and {1} times that of TDKF.", figure="figure_11",
         revised=ONE_SIDED),
     finding("white-late", "The tie with white noise comes in the second half of the month.", over("position", "month", "5/tstdkf",
-        "5/tkf", NEAR, at="late"), found="{0}."),
+        "5/tkf", NEAR, at="late"), found="There the position error of TSTDKF is {0} times that of TKF."),
     finding(
         "consistency",
         "Over three days, with a constant ephemeris error drawn from its prior, the exact filter "
@@ -1270,9 +1274,9 @@ ROWS = [
         "better.", all_of(*yearly("position over TKF", "B", "tkf", (None, 0.62), "position"), *yearly("AUG over B", "aug", "B", (
         None, 1.0))), found="{0}, {1}, {2} of the position error of TKF; the exact filter has {3}, {4}, {5} of its bias error.",
         figure="figure_10"),
-    finding("fading", "Tracking fades: a bias stage that is never told of a walk forgets how to follow.", over(
-        "bias over AUG, sine", "year", "sine/B", "sine/aug", (1.5, None), "bias", "quarter 4"), found="In the last quarter form B "
-        "errs by {0} of AUG."),
+    finding("fading", "Tracking fades: the gain of a bias stage without a random walk falls with time.", over(
+        "bias over AUG, sine", "year", "sine/B", "sine/aug", (1.5, None), "bias", "quarter 4"), found="In the last quarter the "
+        "bias error of form B is {0} times that of AUG."),
     finding("strong-color", "As F grows differencing hurts, where the exact filter gains.", all_of(*(over(f"{a} over {b}, {c}",
         "ten days", f"{c}/{a}", f"{c}/{b}", accept) for a, b, accept in (("aug", "tkf", (None, 0.95)), ("tstdkf", "aug", (1.3,
         None))) for c in STRONG)), found="AUG has {0}, {1}, {2} of the error of TKF, TSTDKF (form B) {3}, {4}, {5} of that of AUG.",
