@@ -14,7 +14,6 @@ from readable import faults
 from scipy.interpolate import CubicSpline
 
 from celnav import Epoch, FilterError, Gaussian, Motion, Sensor, ekf, run, steps
-from celnav.analysis.metrics import bootstrap
 from celnav.files import Outputs, data, read_npz
 from celnav.filters.two_stage import TwoStage
 from celnav.models.ephemeris import GM, de421
@@ -432,16 +431,6 @@ def test_the_days_until_a_tenth_are_counted():
     assert study.until_tenth(error, error[:, 5:]) == 2.0
     late = np.hstack([error, np.full((3, 1), 0.3)])
     assert study.until_tenth(late, error) == pytest.approx(4.9)
-
-
-def test_standard_errors_are_those_of_a_bootstrap_and_of_both_samples():
-    rng = np.random.default_rng(0)
-    common, *own = rng.gamma(3.0, size=(3, 2000))
-    a, b = common + own[0], 2.0 * common + own[1]
-    z = study.standard_errors(a, b, 0.0, 10**9)
-    low, high = bootstrap(study.below, a, b)
-    assert study.below(a, b) / z == pytest.approx((high - low) / (2 * 1.96), rel=0.1)
-    assert study.standard_errors(a, b, 0.0, 2000) == pytest.approx(z / np.sqrt(2.0), rel=1e-4)
 
 
 def test_a_timing_by_area_and_background():
