@@ -11,13 +11,13 @@ import pytest
 import rerun as rr
 from once import once
 from readable import faults
+from scipy.interpolate import CubicSpline
 
 from celnav import Epoch, FilterError, Gaussian, Motion, Sensor, ekf, run, steps
-from celnav.files import Outputs, data
-from celnav.filters.engine import Engine
-from celnav.filters.flight import as_data
+from celnav.files import Outputs, data, read_npz
 from celnav.filters.two_stage import TwoStage
-from celnav.models.orbit import flow
+from celnav.models.ephemeris import GM, de421
+from celnav.models.orbit import advance, flow
 from celnav.models.pulsar import LIGHT_KM_S, pulsars
 from celnav.papers.tstdkf import PRESETS, SETTINGS, STUDY, Setting, filters, show, simulate, study
 from celnav.papers.tstdkf.scenario import (
@@ -42,8 +42,12 @@ STATEMENTS = [
     "augmentation-falls-short",
     "de405-to-de421",
     "ephemeris-error-slow",
+    "central-body-position-dominates",
+    "other-body-or-ephemeris-alike",
+    "de421-planets",
     "third-bodies-not-white",
     "measurement-noise-colored",
+    "tkf-converges-fast-and-cheap",
     "reduces-to-ekf",
     "rho-trades-speed-for-noise",
     "month-errors-lower",
@@ -69,8 +73,9 @@ def runs(count, study=0):
 
 
 # -- ephemerides -------------------------------------------------------------------------------------------------------------
-def test_the_table_is_the_one_that_the_readme_names():
-    digest = hashlib.sha256(data("ephemeris_2015.npz").read_bytes()).hexdigest()
+@pytest.mark.parametrize("name", ["ephemeris_2015.npz", "planets_2015.npz"])
+def test_the_table_is_the_one_that_the_readme_names(name):
+    digest = hashlib.sha256(data(name).read_bytes()).hexdigest()
     assert digest in (data("README.md")).read_text(encoding="utf-8")
 
 
@@ -106,6 +111,28 @@ def test_other_ephemerides():
     np.testing.assert_allclose([sun[:, 1].min(), sun[:, 1].max()], [0.593, 0.649], atol=1e-3)
     heliocentric = np.linalg.norm(differences["de405/earth"] - sun, axis=1)
     np.testing.assert_allclose([heliocentric.min(), heliocentric.max()], [0.712, 1.511], atol=1e-3)
+
+
+def test_planets_of_de440_are_those_of_the_longer_table():
+    """Made apart, every eight days."""
+    dates, differences = study.ephemerides()
+    mjd = (dates.day - 2400000.5) + np.asarray(dates.rest)[::8]
+    years = read_npz(data("ephemeris_years.npz"))
+    for body in ("earth", "sun"):
+        other = CubicSpline(years["mjd"], years[f"de440-de421/{body}"])(mjd)
+        np.testing.assert_allclose(differences[f"de440/{body}"], other, atol=1e-4)
+    # By DE405 the Moon is about as far off as the Earth.
+    earth, moon = differences["de405/earth"][::8], differences["de405/moon"]
+    assert 1e-5 < np.abs(earth - moon).max() < 0.02
+
+
+def test_every_eighth_instant_is_enough(monkeypatch):
+    month = replace(TABLE_5, days=30.0)
+    fine = study.difference("de405/earth", month)
+    dates, found = study.ephemerides()
+    fewer = {"de405/earth": found["de405/earth"][::8]}
+    monkeypatch.setattr(study, "ephemerides", lambda: (dates, fewer))
+    np.testing.assert_allclose(study.difference("de405/earth", month), fine, rtol=0, atol=1e-3)
 
 
 def test_delays_are_exact_geometry_with_distances_from_the_sun():
@@ -174,6 +201,73 @@ def test_a_spectrum_has_its_line_and_its_correlation():
     assert study.power(np.random.default_rng(0).standard_normal((4000, 1)))[1] == pytest.approx(
         np.exp(-np.euler_gamma), abs=0.05
     )
+
+
+def test_wrong_places_of_bodies_pull_by_newtons_law():
+    config = replace(SHORT, days=0.05)
+    wrong = {"moon": np.array([1e5, 0.0, 0.0]), "earth": np.array([0.0, 2e4, 0.0])}
+    found, place = study.accelerations(config, wrong), nominal(config).state[:, :3]
+    at = {
+        body: de421().state(body, config.dates).position + wrong.get(body, 0.0)
+        for body in ("earth", "moon", "sun")
+    }
+    for body in ("moon", "sun"):
+        far = at[body] - at["earth"]
+        near = far - place
+        exact = [GM[body] * x / np.linalg.norm(x, axis=1)[:, None] ** 3 for x in (near, far)]
+        np.testing.assert_allclose(found[body], exact[0] - exact[1], rtol=1e-5, atol=1e-18)
+
+
+def test_a_pull_moves_the_orbit_as_an_integration_does():
+    pull = np.array([1e-9, -2e-9, 3e-9])
+    x = [SHORT.orbit]
+    for _ in range(SHORT.samples):
+        x.append(advance(x[-1], SHORT.step_s, extra=lambda r, _t: pull.reshape(3, 1, 1) + 0.0 * r))
+    moved = study.response(SHORT, np.tile(pull, (SHORT.samples + 1, 1, 1)))
+    exact = np.stack(x) - nominal(SHORT).state
+    np.testing.assert_allclose(moved[:, 0], exact, rtol=0, atol=1e-4 * np.abs(exact).max())
+
+
+def test_errors_that_are_given_are_errors_that_are_drawn():
+    still = np.zeros((SHORT.samples + 1, 3))
+    given = study.displaced(
+        lambda _: {"x": (np.tile([1.0, 0.0, 0.0], (len(still), 1)), still)}, ["tkf"], SHORT, runs(2)
+    )
+    drawn = study.linear(["constant"], 12, ["tkf"], SHORT, runs(2))
+    for name in ("ekf", "tkf"):
+        np.testing.assert_allclose(
+            given[f"x/{name}/error"][:, 0], drawn[f"constant/{name}/error"][:, 0], rtol=1e-9
+        )
+
+
+def test_errors_of_bodies_are_those_of_the_ephemerides():
+    tracks, d = study.bodies(SHORT), study.difference("de405/earth", SHORT)
+    assert not np.any(tracks["none"])
+    np.testing.assert_array_equal(tracks["position"][0], d)
+    half = 0.5 * np.diff(d, axis=0)  # the middle of an observation from its end
+    np.testing.assert_allclose(tracks["velocity"][0][1:], half, rtol=0, atol=1e-7)
+    (earth, sun, _), timing = sky(SHORT), SHORT.timing
+    place = earth + nominal(SHORT).state[:, :3]
+    seen = (timing.gradient(place, sun) @ tracks["others"][0][..., None])[..., 0]
+    other_sun = sun + study.difference("de405/sun", SHORT)
+    exact = timing.delay(place, other_sun) - timing.delay(place, sun)
+    np.testing.assert_allclose(seen, exact, rtol=0, atol=1e-9)
+    assert 0.0 < np.abs(tracks["others"][1]).max() < 1e-13  # km/s^2
+
+
+def test_a_satellite_of_mars():
+    config = replace(WHITE, days=0.25, **study.MARS)
+    a, e, *_ = config.elements
+    r, v = config.orbit[:3], config.orbit[3:]
+    assert v @ v == pytest.approx(GM["mars"] * (2.0 / np.linalg.norm(r) - 1.0 / a), rel=1e-12)
+    assert np.linalg.norm(r) - 3396.0 == pytest.approx(a * (1.0 - e) - 3396.0, rel=1e-12)
+    np.testing.assert_array_equal(sky(config)[0], de421().state("mars", config.dates).position)
+    linear = study.linear(["sine"], 1, ["tkf"], config, runs(2))
+    sim = simulate([config], runs(2))
+    other = study.flown(["sine"], sim, filters([config]), ["tkf"])
+    for name in ("ekf", "tkf"):
+        one, two = (found[f"sine/{name}/error"][20:, :, 0] for found in (linear, other))
+        np.testing.assert_allclose(one, two, atol=0.03)
 
 
 # -- the scenario ------------------------------------------------------------------------------------------------------------
@@ -297,21 +391,9 @@ def test_a_constant_bias_is_followed_by_a_gain_that_falls():
     )
 
 
-def operations(filter, sim):
-    """Of a step of one run, from the second on, when there is a measurement to be differenced with."""
-    data = as_data(filter, list(sim.epochs()))
-    engine = Engine(filter, sim.prior, data, "mean", {})
-    shape, u = engine.begin, engine.inputs(next(iter(data.u.values())), len(data.k))
-    for _ in range(2):
-        kernel, shape, _ = engine.record(shape, data.known[0], u)
-    return len(kernel.tape.needed([x for *_, x in kernel.results()]))
-
-
 def test_nine_states_are_no_heavy_load():
-    config = replace(SHORT, days=0.01)
-    known, sim = filters(config, LINEAR), linearized([config], runs(1))
-    count = {name: operations(known[name], sim) for name in ("tkf", "aug9", "tstdkf")}
-    assert count["tkf"] < count["aug9"] < 0.6 * count["tstdkf"]
+    count = study.operations(replace(SHORT, days=0.01), runs(1))
+    assert count["ekf"] < count["tkf"] < count["aug9"] < 0.6 * count["tstdkf"]
 
 
 def test_without_a_scale_the_strong_tracking_stage_is_the_ordinary_one():
@@ -341,6 +423,14 @@ def test_the_days_that_an_estimate_is_off_are_counted():
     bias = replace(SHORT, trend="step").bias(SHORT.times)
     np.testing.assert_array_equal(np.unique(bias, axis=0), [[0.0] * 3, [0.3] * 3])
     assert (bias[:, 0] > 0.0).mean() == pytest.approx(0.5, abs=0.01)
+
+
+def test_the_days_until_a_tenth_are_counted():
+    error = np.tile(np.r_[np.full(10, 0.2), np.full(38, 0.05)], (3, 1))
+    assert study.until_tenth(error) == pytest.approx(10 * 300.0 / 86400.0)
+    assert study.until_tenth(error, error[:, 5:]) == 2.0
+    late = np.hstack([error, np.full((3, 1), 0.3)])
+    assert study.until_tenth(late, error) == pytest.approx(4.9)
 
 
 def test_a_timing_by_area_and_background():

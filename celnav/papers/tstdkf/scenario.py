@@ -27,7 +27,7 @@ from celnav.gaussian.linalg import Array, Belief, block, cholesky, matvec, side_
 from celnav.models import orbit
 from celnav.models.ephemeris import GM, Tdb, de421, from_utc
 from celnav.models.noise import Noise, ar1, ar1_noise
-from celnav.models.orbit import NODES, Extra, Flow, advance, flow, third_body
+from celnav.models.orbit import EARTH, NODES, Earth, Extra, Flow, advance, flow, third_body
 from celnav.models.pulsar import LIGHT_KM_S, Timing, pulsars
 from celnav.papers import citation
 from celnav.papers.tstdkf.method import Differenced, strong_tracking
@@ -37,15 +37,17 @@ from celnav.study.study import Rngs
 from celnav.study.trial import Group, Trial
 
 __all__ = [
-    "CITATION", "DAY_S", "GROUPS", "JUDGED", "KAPPA", "LINEAR", "PRESETS", "PULLING", "SETTINGS", "TABLE_5", "TITLE", "YEAR",
-    "YEAR_S", "Config", "Scenario", "Setting", "filters", "kalman", "linearized", "models", "nine_states", "nominal", "simulate",
-    "sky", "trial",
+    "CITATION", "DAY_S", "GRAVITY", "GROUPS", "JUDGED", "KAPPA", "LINEAR", "PRESETS", "PULLING",
+    "SETTINGS", "TABLE_5", "TITLE", "YEAR", "YEAR_S", "Config", "Scenario", "Setting", "filters",
+    "kalman", "linearized", "models", "nine_states", "nominal", "simulate", "sky", "trial",
 ]  # fmt: skip
 
 TITLE = "Two-stage strong-tracking differential Kalman filter for X-ray pulsars"
 CITATION = citation("Xu2023")
 YEAR_S, DAY_S = 365.25 * 86400.0, 86400.0
 KAPPA = 4.8
+GRAVITY = {"earth": EARTH, "mars": Earth(GM["mars"], 3396.0, 1.9566e-3)}
+"""Of bodies that a satellite may orbit; Mars: radius and J2 of the field GMM-3."""
 TUNED = (
     "chosen: with the other tuned one, so that setting 1 gives the paper's percentages of position"
 )
@@ -88,6 +90,7 @@ class Config(Timed):
     pulsars: tuple[str, ...] = param(
         ("B0531+21", "B1821-24", "B1937+21"), "paper", "names of the three that are timed"
     )
+    center: str = param("earth", "paper", "body that the satellite orbits", one_of=tuple(GRAVITY))
     elements: tuple[float, ...] = param(
         (7136.635, 1.809e-3, 65.0, 30.0, 30.0, 0.0), "chosen: common in this literature",
         "of the orbit: semi-major axis (km), eccentricity, inclination, node, perigee and true anomaly (deg)",
@@ -160,7 +163,8 @@ class Config(Timed):
     def orbit(self) -> Array:
         """Nominal state ``(6,)`` at the start, km and km/s."""
         a, e, *angles = self.elements
-        return orbit.from_elements(a, e, *np.radians(angles).tolist())
+        i, node, perigee, anomaly = np.radians(angles).tolist()
+        return orbit.from_elements(a, e, i, node, perigee, anomaly, GRAVITY[self.center])
 
     @property
     def timing(self) -> Timing:
@@ -240,15 +244,16 @@ def noises(cases: Cases) -> Noise:
 
 
 def sky(config: Config) -> tuple[Array, Array, Array | None]:
-    """By DE421 where Earth and Sun are at each epoch, ``(T, 3)`` km: what the filters believe; and Sun and Moon from the Earth's
-    center at the nodes of the step before each epoch, ``(T, 2, N, 3)``, if they pull."""
-    earth, sun = (de421().state(body, config.dates).position for body in ("earth", "sun"))
+    """By DE421 where the central body and the Sun are at each epoch, ``(T, 3)`` km: what the
+    filters believe; and Sun and Moon from the center at the nodes of the step before each epoch,
+    ``(T, 2, N, 3)``, if they pull."""
+    earth, sun = (de421().state(body, config.dates).position for body in (config.center, "sun"))
     if not config.pulled:
         return earth, sun, None
     nodes = from_utc(config.start_utc).after(
         config.times[:, None] - config.step_s * (1.0 - NODES.at)
     )
-    center = de421().state("earth", nodes).position
+    center = de421().state(config.center, nodes).position
     return (
         earth,
         sun,
@@ -268,16 +273,16 @@ def pull(bodies: Array | None) -> Extra | None:
 
 def nominal(config: Config) -> Flow:
     """The undisturbed orbit ``(T, 6)``, and ``Phi`` and ``G`` of each step, ``(T - 1, 6, 6)``; not to be written to."""
-    return _coasted(tuple(config.orbit.tolist()), config.step_s, config.samples)
+    return _coasted(tuple(config.orbit.tolist()), config.step_s, config.samples, config.center)
 
 
 @lru_cache(maxsize=4)
-def _coasted(start: tuple[float, ...], step_s: float, steps: int) -> Flow:
-    x = [np.array(start)]
+def _coasted(start: tuple[float, ...], step_s: float, steps: int, center: str) -> Flow:
+    x, gravity = [np.array(start)], GRAVITY[center]
     for _ in range(steps):
-        x.append(advance(x[-1], step_s))
+        x.append(advance(x[-1], step_s, gravity))
     pieces = [
-        flow(part, step_s)[1:] for part in np.array_split(x[:-1], 1 + steps // 4096)
+        flow(part, step_s, gravity)[1:] for part in np.array_split(x[:-1], 1 + steps // 4096)
     ]  # that stay in the cache
     return Flow(np.stack(x), *map(np.concatenate, zip(*pieces, strict=True)))
 
@@ -343,7 +348,7 @@ def simulate(cases: Cases, rngs: Rngs) -> Scenario:
     for k in range(1, len(truth)):
         extra = pull(None if bodies is None else bodies[k])
         truth[k] = (
-            advance(truth[k - 1], c.step_s, extra=extra)
+            advance(truth[k - 1], c.step_s, GRAVITY[c.center], extra)
             + (matvec(noise.J, V[k]) + Q[k]) @ G[k - 1].T
         )
         z[k] = timing.delay(earth[k] + bias[k] + truth[k, ..., :3], sun[k]) + V[k]
@@ -418,7 +423,12 @@ def models(config: Config, pulled: bool = False) -> Models:
             last[:] = (
                 mean[..., :6].copy(),
                 epoch,
-                flow(mean[..., :6], epoch.dt, extra=pull(epoch.u[2] if pulled else None)),
+                flow(
+                    mean[..., :6],
+                    epoch.dt,
+                    GRAVITY[config.center],
+                    pull(epoch.u[2] if pulled else None),
+                ),
             )
         return last[2]
 
