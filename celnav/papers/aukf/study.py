@@ -879,7 +879,7 @@ STUDY = Study(
         ),
         Sentence(
             "From far away it converges later; after a burst it is sooner.",
-            {"faster-convergence": "not reproduced", "convergence-paired": "shown"},
+            {"faster-convergence": "in part", "convergence-paired": "shown"},
         ),
         Sentence(
             "A factor of what no position explains needs no window; but ranges that agree on a wrong value mislead it, and not the "
