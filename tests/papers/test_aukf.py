@@ -673,6 +673,18 @@ def test_operations_of_a_step_grow_by_what_the_measurement_does_at_each_point():
         assert twice - once == points * 2 * S - shared * S
 
 
+def test_a_gap_is_compared_with_that_of_the_right_noise():
+    sizes = {"mistuned": {"ukf": 1.0, "aukf": 0.8}, "quiet": {"ukf": 2.0, "aukf": 1.95}}
+    fake = SimpleNamespace(
+        squares=lambda part, name, _group, _at: np.full((5, 3), sizes[part][name] ** 2)
+    )
+    error, wider = study.gap(fake)
+    assert error.value == pytest.approx(0.8)
+    assert wider.value == pytest.approx(0.2 / 0.025)
+    assert error.holds
+    assert wider.holds
+
+
 def test_which_half_of_a_statement_holds(results):
     """In part: an error that is larger, by any factor, and slow starts; sooner after the burst, though later from afar."""
     rows = {row.id: row for row in aukf.STUDY.rows}
