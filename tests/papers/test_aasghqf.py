@@ -44,7 +44,7 @@ from celnav.study.montecarlo import generator
 STATEMENTS = """
 table-1-counts points-for-two-states degrees-of-observability threshold-weights observability-is-the-criterion
 adapts-along-the-flight better-than-ukf higher-order-is-why alike-sghqf table-3-levels
-table-4-points one-millisecond-more cheaper-than-sghqf saving-grows
+table-4-points one-millisecond-more cheaper-than-sghqf saving-grows points-grow sghqf-beats-ekf-ukf-cheaper-than-ghqf
 """
 TABLE_1 = "7, 21, 37, 57, 81, 109, 7, 9, 23, 25, 41, 43"
 TABLE_2 = (
@@ -97,7 +97,8 @@ def test_what_needs_no_runs_comes_out_as_expected(results):
     claims = {claim.id: claim for claim in results.claims()}
     dumps(claims.values())
     exact = ["table-1-counts", "points-for-two-states", "degrees-of-observability", "threshold-weights", "higher-order-is-why",
-             "table-4-points", "saving-grows", "one-millisecond-more", "cheaper-than-sghqf", "erratum-9-units", "first-fix",
+             "table-4-points", "saving-grows", "points-grow", "one-millisecond-more", "cheaper-than-sghqf",
+             "erratum-9-units", "first-fix",
                  *(row.id for row in study.ROWS if row.kind == "erratum")]  # fmt: skip
     assert {id: claims[id].verdict for id in exact} == {id: claims[id].expected for id in exact}
     for claim in claims.values():
@@ -290,6 +291,17 @@ def test_counts_of_points_and_what_they_save():
     ]
     assert np.diff(saved).min() > 0.0
     assert saved[-1] == pytest.approx(1.0 - 0.5**2, abs=0.01)
+
+
+@pytest.mark.parametrize("n", [2, 5, 13, 20, 40])
+def test_sparse_grids_have_as_many_points_as_their_polynomials(n):
+    """Isotropic, of 1, 3, 7 and 15 points, which share the middle only: closed forms of degree level - 1, beside m^n."""
+    assert point_count(n, 3) == 1 + 6 * n + 2 * n * n
+    pairs, triples = n * (n - 1) // 2, n * (n - 1) * (n - 2) // 6
+    assert (
+        abs(point_count(n, 4) - (1 + 2 * (1 + 3 + 7) * n + (4 + 2 * 12) * pairs + 8 * triples)) <= 1
+    )
+    assert gauss_hermite(2, 7).num_sigmas() == 7**2
 
 
 # -- the filters ---------------------------------------------------------------------------------------------------------
@@ -585,6 +597,74 @@ def test_of_a_prior_of_45_degrees_iterations_may_end_in_other_angles_but_of_the_
     assert 0 < away.sum() < 30
     C, D = (inertial.misalignment_matrix(x[:, inertial.PHI]) for x in (found.mean, true))
     assert np.abs(C - D).max() < 6.0 * np.radians(sim.config.star_arcsec / 3600.0)
+
+
+# -- six states ----------------------------------------------------------------------------------------------------------
+def test_six_states_are_those_of_the_error_model_without_the_others():
+    """The filter of six states does what that of 13 states does where the other seven have no error and do not move."""
+    config = replace(study.SIX, steps=8)
+    sim, known, prior = scenario.six_states(config, [generator(7, 0, r) for r in range(3)])
+    six = list(scenario.SIX)
+    assert not np.delete(sim.truth, six, axis=-1).any()
+    assert np.ptp(sim.truth[..., inertial.PHI], axis=0).all()
+
+    def held(x, epoch):
+        moved = x + epoch.dt * inertial.derivative(x, epoch.u.interval)
+        return np.where(np.isin(range(13), six), moved, 0.0)
+
+    kept = np.isin(range(13), six)
+    motion = Motion(held, sqrt_Q=config.sqrt_Q * kept[:, None])
+    start = Gaussian(sim.prior.mean, np.diag(np.where(kept, config.sigma0**2, 1e-30)))
+    for name, rule in (("ekf", scenario.rules()["ekf"]), ("sghqf", scenario.rules()["sghqf"])):
+        wide = sigma_point(motion, scenario.model(config)[1], rule=rule, form="covariance")
+        one = run(known[name], prior, sim.epochs())
+        two = run(wide, start, sim.epochs())
+        assert np.abs((one.mean - two.mean[..., six]) / one.std).max() < 1e-3, name
+
+
+def test_times_to_a_tenth_and_what_three_conditions_make(results):
+    error = np.array([[2.0, 0.5, 3.0], [0.9, 0.1, 3.0], [0.5, 2.0, 3.0]])[..., None] * [
+        1.0,
+        0.0,
+        0.0,
+    ]
+    fake = replace(results, data={"p": {"f/error": error, "start": np.full((1, 3), 10.0)}})
+    np.testing.assert_array_equal(study.tenth(fake, "p", "f"), [5.0, 0.0, 15.0])
+    row = next(row for row in study.ROWS if row.id.startswith("sghqf-beats"))
+
+    def verdict(ekf, ukf, ghqf, operations=1.0):
+        """RMSE of the filters in that of SGHQF, constant over time; half of them at once below a tenth of the initial error."""
+        noise = np.random.default_rng(0).uniform(0.9, 1.1, (3, 40, 3))
+        sizes = {"sghqf": 1.0, "ekf": ekf, "ukf": ukf, "ghqf": ghqf}
+        shared = {f"{name}/error": size * noise for name, size in sizes.items()}
+        shared["start"] = 17.3 * np.linspace(0.9, 1.6, 40)[None]
+        counts = {"six/sghqf": np.array([operations]), "six/ghqf": np.array([2.0])}
+        data = {"six states": shared, "tensor": shared, "operations": counts}
+        return row.judged(replace(results, data=data)).verdict
+
+    assert verdict(2.0, 3.0, 1.0) == "reproduced"
+    assert verdict(0.5, 3.0, 1.0) == "in part"
+    assert verdict(2.0, 3.0, 0.9) == "in part"
+    assert verdict(2.0, 3.0, 1.0, 3.0) == "in part"
+    assert verdict(0.5, 3.0, 0.9) == "not reproduced"
+
+
+def test_one_filter_that_is_better_everywhere_is_better_in_part(results):
+    row = next(row for row in study.ROWS if row.id == "better-than-ukf")
+    rng = np.random.default_rng(1)
+
+    def verdict(sghqf, aasghqf):
+        noise = rng.uniform(0.9, 1.1, (3, 40, 7))
+        sizes = {"ukf": 1.0, "sghqf": sghqf, "nonlinear": sghqf, "aasghqf": aasghqf}
+        errors = {f"{name}/error": size * noise for name, size in sizes.items()}
+        parts = dict.fromkeys([*PRESETS, study.MANY], errors)
+        return row.judged(replace(results, data=parts)).verdict
+
+    assert [verdict(*pair) for pair in ((0.5, 0.5), (0.5, 2.0), (2.0, 0.5))] == [
+        "reproduced",
+        "in part",
+        "not reproduced",
+    ]
 
 
 # -- bad input -----------------------------------------------------------------------------------------------------------

@@ -46,10 +46,10 @@ from celnav.study.parameters import Timed, param
 from celnav.study.trial import Group, Trial
 
 __all__ = [
-    "BORESIGHTS", "CITATION", "DEGREE", "FORM", "JUDGED", "MICRO_G", "NONLINEAR_WEIGHTS", "PAPER_WEIGHTS", "PRESETS", "T3", "TITLE",
-    "TURNING", "A", "Choose", "Config", "Inputs", "Scenario", "adaptive", "by_nonlinearity", "by_observability", "dynamics",
-    "filters", "groups", "measurement", "model", "mounted", "mounting_filter", "observability", "quadrature_filter", "rules",
-    "simulate", "trial", "trial_of", "weighted",
+    "BORESIGHTS", "CITATION", "DEGREE", "FORM", "JUDGED", "MICRO_G", "NONLINEAR_WEIGHTS", "PAPER_WEIGHTS", "PRESETS", "SIX",
+    "T3", "TITLE", "TURNING", "A", "Choose", "Config", "Inputs", "Scenario", "adaptive", "by_nonlinearity",
+    "by_observability", "dynamics", "filters", "groups", "measurement", "model", "mounted", "mounting_filter",
+    "observability", "quadrature_filter", "rules", "simulate", "six_rules", "six_states", "trial", "trial_of", "weighted",
 ]  # fmt: skip
 
 TITLE = "Adaptive anisotropic sparse Gauss-Hermite quadrature filter for star, SAR and inertial navigation"
@@ -225,17 +225,25 @@ class Scenario(NamedTuple):
             yield Epoch(k, t, config.step_s if k else 0.0, u, self.z[k], truth[k])
 
 
-def simulate(config: Config, rngs: Sequence[np.random.Generator]) -> Scenario:
-    """One run for each generator: initial errors drawn from the prior, process and measurement noise."""
-    T = config.steps + 1
+def simulate(
+    config: Config,
+    rngs: Sequence[np.random.Generator],
+    advance: Callable[[Array, Navigation, float], Array] = inertial.advance,
+    free: Sequence[int] = range(13),
+) -> Scenario:
+    """One run for each generator: initial errors drawn from the prior, process and measurement noise.
+
+    advance: one step of the errors. free: states that have errors; the others stay zero.
+    """
+    T, has_error = config.steps + 1, np.isin(range(13), free)
     initial, walk, z = normals(rngs, (13,), (config.steps, 5), (T, 8))
     truth, w = np.empty((T, len(rngs), 13)), walk @ config.sqrt_Q.T
-    truth[0] = initial * config.sigma0
+    truth[0] = initial * config.sigma0 * has_error
     for k in range(1, T):
         middle = inertial.navigation(
             config.flight, 2 * k - 1, truth[k - 1, :, PHI], truth[k - 1, :, BIAS]
         )
-        truth[k] = inertial.advance(truth[k - 1], middle, config.step_s) + w[k - 1]
+        truth[k] = (advance(truth[k - 1], middle, config.step_s) + w[k - 1]) * has_error
     runs = Scenario(
         config, truth, z, Gaussian(np.zeros(truth.shape[1:]), np.diag(config.sigma0**2))
     )
@@ -415,6 +423,54 @@ def mounting_filter(config: Config, sigma: float) -> tuple[Filter, Gaussian]:
         form=FORM,
     )
     return filter, Gaussian(np.zeros((1, 19)), np.diag(np.square([*config.sigma0, *[sigma] * 6])))
+
+
+# -- six states, for which a tensor rule can be run --------------------------------------------------------------------------
+SIX = (0, 1, 2, 5, 6, 9)
+"""Misalignment and position; the drift of the vertical gyro (chosen) is the sixth, with which a tensor rule has 729 points."""
+
+
+def euler(x: Array, nav: Navigation, dt: float) -> Array:
+    """One step of the error model without velocity errors, so that positions do not move by half a step of acceleration."""
+    return x + dt * inertial.derivative(x, nav)
+
+
+@cache
+def six_rules() -> dict[str, Rule]:
+    """Rules of six dimensions, as those of 13: UKF with kappa = 3 - n, isotropic sparse grid, tensor rule of three points each."""
+    return {
+        "six/ukf": unscented(6, kappa=-3.0),
+        "six/sghqf": smolyak(6, 3),
+        "six/ghqf": gauss_hermite(6, 3),
+    }
+
+
+def six_states(
+    config: Config, rngs: Sequence[np.random.Generator]
+) -> tuple[Scenario, dict[str, Any], Gaussian]:
+    """The flight with errors of the states `SIX` only; filters of these states, ekf, ukf, sghqf and ghqf, and their prior."""
+    sim, six = simulate(config, rngs, euler, SIX), list(SIX)
+
+    def widened(x: Array) -> Array:
+        out = np.zeros_like(x, shape=(*x.shape[:-1], 13))
+        for i, state in enumerate(SIX):
+            out[..., state] = x[..., i]
+        return out
+
+    def f(x: Array, epoch: Epoch) -> Array:
+        moved = euler(widened(x), epoch.u.interval, epoch.dt)
+        return np.stack([moved[..., state] for state in SIX], -1)
+
+    motion = Motion(f, sqrt_Q=config.sqrt_Q[six])
+    sensor = replace(model(config)[1], h=lambda x, epoch: measurement(widened(x), epoch))
+    by_rule = {
+        name: sigma_point(motion, sensor, rule=rule, form=FORM)
+        for name, rule in six_rules().items()
+    }
+    ghqf = by_rule["six/ghqf"]
+    known = {name: Fallback(by_rule[f"six/{name}"], ghqf) for name in ("ukf", "sghqf")}
+    prior = Gaussian(sim.prior.mean[:, six], np.diag(config.sigma0[six] ** 2))
+    return sim, {"ekf": ekf(motion, sensor, form=FORM), "ghqf": ghqf, **known}, prior
 
 
 # -- how they are judged -----------------------------------------------------------------------------------------------------

@@ -1,0 +1,24 @@
+"""Operations of a filter's step, counted on its record: the same with each engine, on every machine."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from celnav.filters.engine import Engine
+from celnav.filters.flight import as_data
+from celnav.filters.records import Epoch, Filter
+from celnav.gaussian.belief import Gaussian
+
+__all__ = ["step_operations"]
+
+
+def step_operations(filter: Filter, prior: Gaussian, epochs: Sequence[Epoch]) -> int:
+    """Arithmetic operations of the step (prediction and update) of one run over the second of some epochs.
+
+    >>> count = celnav.study.operations.step_operations(filter, prior, epochs)
+    """
+    data = as_data(filter, epochs)
+    engine, kind = Engine(filter, prior, data, "mean", {}, rolled=False), data.known[data.kinds[1]]
+    kernel = engine.record(engine.begin, kind, engine.inputs(data.u[kind.u], len(epochs))).kernel
+    needed = kernel.tape.needed([number for *_, number in kernel.results()])
+    return sum(kernel.tape.ops[i][0] not in ("in", "const") for i in needed)
