@@ -13,6 +13,7 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.special import ndtri
 
 from celnav.analysis.metrics import bootstrap
 from celnav.gaussian.checks import choice
@@ -56,6 +57,7 @@ class Number(NamedTuple):
     printed: the paper's value of the same quantity, in the same unit. A statement is not reproduced where `agreement` excludes it.
     strict: an interval that contains a bar is refused, not undecided.
     runs, printed_runs: of how many runs ``value`` and ``printed`` are made, 0 where that is not known.
+    printed_count: how many printed numbers a statement has: the agreement of all of them is asked for at 95 %.
     """
 
     label: str
@@ -66,6 +68,7 @@ class Number(NamedTuple):
     strict: bool = False
     runs: int = 0
     printed_runs: int = 0
+    printed_count: int = 1
 
     @property
     def holds(self) -> bool | None:
@@ -85,13 +88,16 @@ class Number(NamedTuple):
 
     @property
     def agreement(self) -> tuple[float, float] | None:
-        """Where the printed number lies in 95 % of all cases: ``ci``, wider by the sampling error of ``printed_runs`` runs.
+        """Where all printed numbers lie in 95 % of cases: ``ci``, wider by the sampling error of ``printed_runs`` runs.
 
-        A run of the paper varies as one of ours does, so the variance grows by ``runs / printed_runs``.
+        A run of the paper varies as one of ours does, so the variance grows by ``runs / printed_runs``. Of several numbers each
+        may miss in its share of the 5 % only.
         """
         if self.printed is None or self.ci is None:
             return None
-        wider = float(np.sqrt(1.0 + self.runs / self.printed_runs)) if self.printed_runs else 1.0
+        wider = float(ndtri(1.0 - 0.025 / self.printed_count) / ndtri(0.975))
+        if self.printed_runs:
+            wider *= float(np.sqrt(1.0 + self.runs / self.printed_runs))
         low, high = (self.value + wider * (end - self.value) for end in self.ci)
         return low, high
 

@@ -92,7 +92,9 @@ def older(tmp_path):
     rows = [(name.encode(), value) for name, value in values.items()]
     np.save(tmp_path / "constants.npy", np.array(rows, dtype=[("name", "S6"), ("value", "f8")]))
     rng = np.random.default_rng(0)
-    coefficients = {body: rng.normal(size=(4, 3, 6)) * 1e6 for body in ("sun", "earthmoon", "moon", "mars")}
+    coefficients = {
+        body: rng.normal(size=(4, 3, 6)) * 1e6 for body in ("sun", "earthmoon", "moon", "mars")
+    }
     for body, values in coefficients.items():
         np.save(tmp_path / f"jpl-{body}.npy", values)
     position = runpy.run_path(str(data("make_ephemeris.py")))["position"]

@@ -123,6 +123,10 @@ def test_a_printed_number_of_as_many_runs_is_met_as_often_as_it_should():
         )
     ]
     assert 0.9 <= np.mean([number.reproduces is True for number in agree]) <= 0.99
+    two = agree[0]._replace(printed_count=2).agreement
+    assert two[1] - agree[0].value == pytest.approx(
+        2.2414 / 1.96 * (agree[0].agreement[1] - agree[0].value), rel=1e-4
+    )
 
 
 def test_the_number_that_decides_is_the_one_that_keeps_the_best_tier_from_holding():

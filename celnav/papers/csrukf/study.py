@@ -424,6 +424,7 @@ def changes(r: Results) -> Tiers:
                 (1.0, None),
                 printed=round(a * c / (b * d), 2),
                 printed_runs=100,
+                printed_count=2,
             )
         )
     return {"reproduced": out, "in part": out}
