@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import re
 import tokenize
+from dataclasses import fields, is_dataclass
 from functools import cache
 from importlib import import_module
 from pathlib import Path
@@ -208,6 +209,16 @@ def test_records_do_not_change(path):
                 assert not decorator.startswith("dataclass") or "frozen=True" in decorator, (
                     node.name
                 )
+
+
+@pytest.mark.parametrize("module", FILES)
+def test_a_record_of_arrays_equals_itself_only(module):
+    """By their values ``==`` would ask whether an array is true, and ``hash`` for the hash of one."""
+    for name, found in vars(import_module(module)).items():
+        if is_dataclass(found) and isinstance(found, type) and found.__dataclass_params__.eq:
+            assert not [
+                f.name for f in fields(found) if re.search(r"\b(Array|ndarray)\b", str(f.type))
+            ], name
 
 
 def test_rooms_are_few():

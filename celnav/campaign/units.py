@@ -114,7 +114,7 @@ class Unit:
         unpack(arrays, self.filters)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Result:
     """What a unit comes to.
 

@@ -32,7 +32,7 @@ Jacobian = Callable[[Array, Any], Any]
 """``(mean (..., N), epoch) -> (..., k, n)``; with noise through the points its columns follow those of the state."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Linear:
     """A linear model whose matrix changes with the epoch: exact and cheap under any rule, as a constant matrix is.
 

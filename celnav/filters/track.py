@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 __all__ = ["Collector", "Track"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Track:
     """The record of a run, time-major: ``(T, ..., n)``, the batch axes of the runs between time and component.
 

@@ -35,7 +35,7 @@ TILT = np.radians(5.0)
 """Of the plane that a geostationary orbit's elements refer to: without it their node would be lost."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Broadcast:
     """Broadcast elements of satellites, each field ``(S,)``; angles in rad, lengths in m, times in s.
 

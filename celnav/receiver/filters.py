@@ -86,7 +86,7 @@ def filters(
     ------
     ValueError: unless it is positive.
     """
-    if not (np.isfinite(acceleration) and acceleration > 0.0):
+    if not 0.0 < acceleration < np.inf:
         raise ValueError(
             f"acceleration: expected a positive density in m^2/s^3, got {acceleration!r}"
         )
@@ -101,13 +101,13 @@ def filters(
     offset = np.eye(0 if second is None else 1)
     motion = Motion(Linear(lambda epoch: block_diag(transition(epoch.dt), offset)), sqrt_Q=root)
     sensor = Sensor(
-        lambda x, epoch: pseudorange.measure(x, epoch.u[0], epoch.u[1], second),
+        lambda x, epoch: pseudorange.measure(x, *epoch.u[:2], second),
         sqrt_R=_noise,
-        jacobian=lambda x, epoch: pseudorange.jacobian(x, epoch.u[0], epoch.u[1], second),
+        jacobian=lambda x, epoch: pseudorange.jacobian(x, *epoch.u[:2], second),
     )
-    every = hooks(S, window, 1 + len(offset)).items()
     unscented = {
-        name: ukf(motion, sensor, beta=2.0, form="covariance", hooks=hook) for name, hook in every
+        name: ukf(motion, sensor, beta=2.0, form="covariance", hooks=hook)
+        for name, hook in hooks(S, window, 1 + len(offset)).items()
     }
     return {"ekf": ekf(motion, sensor, form="covariance"), **unscented}
 

@@ -39,7 +39,7 @@ START = (100.0, 100.0, 100.0, 10.0, 10.0, 10.0, 100.0, 10.0, 100.0)
 """Deviations about the first fix: m, m/s, m, m/s, and of the offset m."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Log:
     """A receiver's log, ready for a filter: from the first fix that could be tested to the last measurement.
 

@@ -71,7 +71,7 @@ def kinds(names: Sequence[str]) -> Array:
     )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Positioned:
     """A receiver's track.
 

@@ -60,7 +60,7 @@ OTHERS = {"R": "GLONASS", "E": "Galileo", "J": "QZSS", "S": "SBAS", "I": "NavIC"
 """That files may have besides, and that are not used."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Observations:
     """A receiver's log.
 
@@ -114,7 +114,7 @@ class Observations:
         return np.asarray(place + self.antenna @ local_axes(latitude, longitude))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Navigation:
     """Broadcast sets, several of each satellite, by their reference times; Klobuchar's coefficients, None if absent.
 

@@ -30,7 +30,7 @@ class Group(NamedTuple):
     truth: Array | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Estimate:
     """What one filter made of the runs, in the units of the state.
 

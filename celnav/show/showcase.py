@@ -43,7 +43,7 @@ class Space(NamedTuple):
     growing: Sequence[str] = ()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Showcase:
     """One run in full, and the Monte Carlo behind it.
 

@@ -339,7 +339,6 @@ FINDINGS = [
     finding("misleads", "Neither the R that makes NIS right nor the most probable R and Q make an honest filter of a white one.",
         all_of(honest("white, by NIS", (4.0, None)), claims("white, by NIS", (2.0, None)),
                honest("white, by likelihood", (4.0, None)), claims("white, by likelihood", (2.0, None))), figure="figure_04",
-        expected="undecided",
         why="as for the white one", found="By NIS NEES/3 {0}, {1} times its claim; by likelihood {2} and {3}."),
     finding("innovations-tell", "Innovations tell which is right without any truth: those of white filters are correlated.",
         all_of(whiteness("white", (0.3, None)), whiteness("colored", (-0.2, 0.2))), figure="figure_03",
