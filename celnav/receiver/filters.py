@@ -101,9 +101,9 @@ def filters(
     offset = np.eye(0 if second is None else 1)
     motion = Motion(Linear(lambda epoch: block_diag(transition(epoch.dt), offset)), sqrt_Q=root)
     sensor = Sensor(
-        lambda x, epoch: pseudorange.measure(x, *epoch.u[:2], second),
+        lambda x, epoch: pseudorange.measure(x, epoch.u[0], epoch.u[1], second),
         sqrt_R=_noise,
-        jacobian=lambda x, epoch: pseudorange.jacobian(x, *epoch.u[:2], second),
+        jacobian=lambda x, epoch: pseudorange.jacobian(x, epoch.u[0], epoch.u[1], second),
     )
     unscented = {
         name: ukf(motion, sensor, beta=2.0, form="covariance", hooks=hook)

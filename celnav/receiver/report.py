@@ -88,7 +88,7 @@ class Positioned:
     cov: Array
     reference: Array | None
     of: str = "known"
-    nis: float = float("nan")
+    nis: float = np.nan
 
     @property
     def measured(self) -> Array:

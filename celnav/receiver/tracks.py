@@ -11,6 +11,7 @@ from functools import reduce
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 import celnav
 from celnav.gaussian.linalg import Array
@@ -153,14 +154,13 @@ def pos(found: Positioned) -> str:
     return "\n".join(lines) + "\n"
 
 
-def utc(times: Array) -> list[str]:
+def utc(times: ArrayLike) -> list[str]:
     """Date and time in UTC of seconds of BDT, to a millisecond: "2020-06-25T00:00:00.000Z"."""
-    days = erfa.taiutc(BDT_DAY, (times + TAI_AHEAD_S) / 86400.0)
+    days = erfa.taiutc(BDT_DAY, (np.asarray(times) + TAI_AHEAD_S) / 86400.0)
     year, month, day, clock = erfa.d2dtf("UTC", 3, *days)
-    parts = zip(year, month, day, clock["h"], clock["m"], clock["s"], clock["f"], strict=True)
     return [
-        "{}-{:02d}-{:02d}T{:02d}:{:02d}:{:02d}.{:03d}Z".format(*(int(v) for v in part))
-        for part in parts
+        "{}-{:02d}-{:02d}T{:02d}:{:02d}:{:02d}.{:03d}Z".format(*map(int, part))
+        for part in zip(year, month, day, *(clock[field] for field in "hmsf"), strict=True)
     ]
 
 
@@ -178,7 +178,7 @@ def geojson(found: Positioned) -> str:
     )
     about = {
         "filter": found.filter,
-        "coordTimes": utc(np.array([row.time for row in rows])),
+        "coordTimes": utc([row.time for row in rows]),
         "integrity": [row.integrity for row in rows],
         "damaged": found.log.damaged,
     }
@@ -195,7 +195,7 @@ def nmea(found: Positioned) -> str:
     """
     talker = {"C": "GB", "G": "GP"}.get(found.log.systems, "GN")
     rows, lines = places(found), []
-    for row, when in zip(rows, utc(np.array([row.time for row in rows])), strict=True):
+    for row, when in zip(rows, utc([row.time for row in rows]), strict=True):
         clock, date = when[11:-1].replace(":", ""), when[8:10] + when[5:7] + when[2:4]
         at = f"{_angle(row.latitude, 2, 'NS')},{_angle(row.longitude, 3, 'EW')}"
         east, north, _ = row.velocity
