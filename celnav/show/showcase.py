@@ -183,7 +183,7 @@ def _plain(value: Any) -> str:
     if isinstance(value, tuple):
         return ", ".join(parts) if all(parts := [_plain(part) for part in value]) else ""
     return (
-        f"{value:g}"
+        f"{value:.12g}"
         if isinstance(value, float)
         else str(value)
         if isinstance(value, int | str)

@@ -385,3 +385,16 @@ def test_an_estimate_that_does_not_fit_is_named(case, tmp_path, change, message)
     with pytest.raises(ValueError, match=message):
         record(changed(case, "own", **change), tmp_path / "a.rrd")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_parameter_keeps_its_digits(case, tmp_path):
+    given = {"semi_major_axis_km": 7136.635, "elements": (7136.635, 1.809e-3), "step_s": 0.1}
+    record(dataclasses.replace(case, parameters=given), tmp_path / "a.rrd")
+    told = "".join(
+        str(chunk.to_record_batch().to_pydict())
+        for chunk in chunks(tmp_path / "a.rrd")
+        if chunk.is_static
+    )
+    for name, value in (("semi_major_axis_km", "7136.635"), ("elements", "7136.635, 0.001809")):
+        assert f"| {name} | {value} |" in told
+    assert "| step_s | 0.1 |" in told
