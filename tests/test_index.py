@@ -94,7 +94,7 @@ def test_it_opens_with_sentences_and_has_every_row_and_needs_nothing_else(page):
     assert page.count("2 not as expected.") == 2
     assert page.count("1 checks: 1 holds") == 2
     for text in (
-        "1 &lt; 0", "&lt;2&gt;", "The criterion: because", "Accepted range revised: 2026-01-01: wider", "shown: v: 0.5 (≤ 1): met",
+        "1 &lt; 0", "&lt;2&gt;", "The criterion: because", "Accepted range revised: 2026-01-01: wider", "<li>v: 0.5 (≤ 1): met",
         "u: 1 (told only)", "2 [1.9, 2.1]", "The paper prints 1 &amp; 2.", "numpy 2.2; effort 1, 12 s of CPU time",
     ):  # fmt: skip
         assert text in page, text

@@ -95,7 +95,7 @@ def accepted(number: Mapping[str, Any]) -> str:
     """The accepted range of a number, in words."""
     low, high = number["accept"]
     if low is None and high is None:
-        return "told only"
+        return "any"
     return f"≥ {low:g}" if high is None else f"≤ {high:g}" if low is None else f"{low:g} … {high:g}"
 
 
@@ -135,7 +135,10 @@ def _line(claim: Mapping[str, Any], link: str, cell: str, columns: Sequence[str]
     )
     told = [f"<small>{html.escape(note)}</small>" for note in notes if note]
     if claim["numbers"]:
-        listed = "".join(f"<li>{html.escape(_number(number))}</li>" for number in claim["numbers"])
+        several = len({number["tier"] for number in claim["numbers"]}) > 1
+        listed = "".join(
+            f"<li>{html.escape(_number(number, several))}</li>" for number in claim["numbers"]
+        )
         why = f"<p>The criterion: {html.escape(claim['why'])}</p>" if claim["why"] else ""
         count = len(claim["numbers"])
         told.append(
@@ -165,19 +168,17 @@ def _line(claim: Mapping[str, Any], link: str, cell: str, columns: Sequence[str]
     return f'<tr id="{html.escape(claim["id"])}" data-verdict="{verdict}">{named}{said}</tr>'
 
 
-def _number(number: Mapping[str, Any]) -> str:
-    """A number, what is accepted, and whether it is."""
-    among = number["agreement"]
-    printed = (
-        f"; printed {number['printed']}, agrees within [{among[0]:.4g}, {among[1]:.4g}]"
-        if among
-        else ""
-    )
+def _number(number: Mapping[str, Any], several: bool) -> str:
+    """A number, what is accepted (of ``several`` verdicts, for which), and whether it is."""
+    about = f"for {number['tier']}, " * several + f"{number['label']}: {_ours(number)}"
+    if number["accept"] == [None, None] and number["printed"] is None:
+        return f"{about} (told only)"
+    asked = accepted(number)
+    if among := number["agreement"]:
+        within = f"[{among[0]:.4g}, {among[1]:.4g}]"
+        asked = f"{asked}; printed {number['printed']}, agrees within {within}"
     outcome = {True: "met", False: "not met", None: "undecided"}[number["holds"]]
-    return (
-        f"{number['tier']}: {number['label']}: {_ours(number)} "
-        f"({accepted(number)}{printed}): {outcome}"
-    )
+    return f"{about} ({asked}): {outcome}"
 
 
 class Ledger:
