@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
-from scipy.stats import chi2
+from scipy import stats
 
 from celnav.analysis import bounds as linear_covariance
 from celnav.analysis import metrics
@@ -92,8 +94,8 @@ def test_the_rmse_is_the_length_over_the_runs(axis):
     assert np.isnan(found).sum() == 1
     low, high = metrics.rmse_interval(error, 0.9, axis)
     runs = error.shape[axis]
-    np.testing.assert_allclose(low, found * np.sqrt(runs / chi2.ppf(0.95, runs)), rtol=1e-12)
-    np.testing.assert_allclose(high, found * np.sqrt(runs / chi2.ppf(0.05, runs)), rtol=1e-12)
+    np.testing.assert_allclose(low, found * np.sqrt(runs / stats.chi2.ppf(0.95, runs)), rtol=1e-12)
+    np.testing.assert_allclose(high, found * np.sqrt(runs / stats.chi2.ppf(0.05, runs)), rtol=1e-12)
     assert metrics.rmse(np.ones((0, 3, 2))).shape == (0, 2)
     assert metrics.rmse([3.0, 4.0], axis=0) == np.sqrt(12.5)
     assert metrics.rmse([-3.0], axis=0) == 3.0
@@ -121,3 +123,33 @@ def test_intervals_of_an_rmse_cover_for_few_runs_too(runs):
     assert min(low for low, _ in found) > 0.0
     held = np.mean([low <= 1.0 <= high for low, high in found])
     assert held > 0.9 - 4.0 * np.sqrt(0.09 / 400)
+
+
+@pytest.mark.parametrize("block", [1, 3])
+@pytest.mark.parametrize("level", [0.95, 0.8])
+def test_an_interval_is_widened_as_students_t_asks(block, level):
+    """Of a statistic whose values are given by hand; a positive one of samples that are not negative in the logarithm."""
+    drawn = np.random.default_rng(5).uniform(1.0, 4.0, 60)
+
+    def ends(sample, first=2.0):
+        values = iter([first, *drawn])
+        return metrics.bootstrap(
+            lambda _: next(values), sample, block=block, level=level, resamples=60
+        )
+
+    blocks, upper = 12 / block, (1.0 + level) / 2.0
+    wider = stats.t(blocks - 1).ppf(upper) / stats.norm.ppf(upper)
+    wider *= np.sqrt(blocks / (blocks - 1))
+    outer = np.quantile(drawn, [1.0 - upper, upper])
+    for sample, first in ((-np.ones(12), 2.0), (np.ones(12), -2.0)):
+        expected = first + wider * (outer - first)
+        np.testing.assert_allclose(ends(sample, first), expected, rtol=1e-12)
+    expected = np.exp(np.log(2.0) + wider * (np.log(outer) - np.log(2.0)))
+    np.testing.assert_allclose(ends(np.ones(12)), expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("samples", [(), ([1.0],), ([1.0], [1.0]), ([1.0, 2.0, 3.0], [1.0, 2.0])])
+def test_samples_have_as_many_runs_two_or_more(samples):
+    lengths = re.escape(str([len(sample) for sample in samples]))
+    with pytest.raises(ValueError, match=f"^samples: expected two runs or more, .* got {lengths}"):
+        metrics.bootstrap(lambda *_: 1.0, *samples)

@@ -192,6 +192,10 @@ def test_data_and_builders_that_are_none():
         maximize_likelihood(
             lambda p: Gaussian([0.0], [[1.0]]), [1.0], epochs(np.arange(3), np.zeros((3, 1)))
         )
+    with pytest.raises(ValueError, match="build: expected a filter and a prior, got tuple"):
+        maximize_likelihood(
+            lambda p: (*builder(2)(p), p), [1.0, 1.0], epochs(np.arange(3), np.zeros((3, 1)))
+        )
 
 
 def test_build_that_raises_is_improbable():

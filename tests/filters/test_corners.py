@@ -11,6 +11,7 @@ import celnav
 from celnav import Epoch, FilterError, Gaussian, Motion, Sensor, run
 from celnav.analysis.tuning import STEP, maximize_likelihood
 from celnav.filters.adaptive import innovation_window
+from celnav.filters.fixed_lag import FixedLag
 from celnav.filters.sequential import SingleDraw
 from celnav.gaussian.linalg import POSITIVE
 from celnav.gaussian.spaces import EUCLIDEAN
@@ -237,3 +238,40 @@ def test_h_is_not_blamed_for_the_points_of_a_prediction_that_failed():
     z = np.array([[np.nan], [100.0], [100.0]])
     with pytest.raises(FilterError, match=r"step 1, t = 1\.0: the covariance lost positive defin"):
         run(filter, Gaussian([0.0, 0.0], EYE), TIMES, z)
+
+
+@pytest.mark.parametrize("form", ["square root", "covariance"])
+@pytest.mark.parametrize("h", [[[1.0, 0.0]], lambda x, _: x[..., :1]], ids=["matrix", "function"])
+@pytest.mark.parametrize("make", [celnav.ukf, celnav.ekf])
+def test_an_exact_measurement_of_what_is_known_loses_only_its_run(make, h, form):
+    """The others have the estimate and the covariance that they have alone."""
+    filter = make(Motion(EYE, np.zeros((2, 2))), Sensor(h, np.zeros((1, 1))), form=form)
+    P, z = np.stack([EYE + 0.5, np.diag([0.0, 1.0]), 2.0 * EYE - 0.3]), np.full((1, 3, 1), 0.7)
+    options = {"keep": "cov", "on_failure": "flag"}
+    found = run(filter, Gaussian(np.zeros((3, 2)), P), [0.0], z, **options)
+    assert found.failed_at.tolist() == [-1, 0, -1]
+    for i in (0, 2):
+        alone = run(filter, Gaussian(np.zeros(2), P[i]), [0.0], z[:, i], keep="cov")
+        np.testing.assert_allclose(found.mean[0, i], [0.7, 0.7 * P[i, 0, 1] / P[i, 0, 0]])
+        np.testing.assert_allclose(found.mean[0, i], alone.mean[0], rtol=1e-12)
+        np.testing.assert_allclose(found.cov[0, i], alone.cov[0], rtol=1e-12, atol=1e-12)
+
+
+def test_filters_equal_only_themselves():
+    """They hold arrays, of which no comparison is true or false."""
+    motion, sensor = Motion(EYE, EYE), Sensor(EYE, EYE)
+    for make in (
+        lambda: celnav.ukf(motion, sensor),
+        lambda: celnav.ekf(motion, sensor, iterations=3),
+        lambda: celnav.colored(motion, sensor, 0.5 * EYE),
+        lambda: celnav.decorrelated(motion, sensor, 0.5 * EYE),
+        lambda: celnav.augmented(motion, sensor, 0.5 * EYE),
+        lambda: celnav.imm([celnav.ukf(motion, sensor)] * 2, 0.5 * np.ones((2, 2))),
+        lambda: FixedLag(celnav.ukf(motion, sensor), 2),
+        lambda: celnav.compiled(celnav.ukf(motion, sensor)),
+    ):
+        one, two = make(), make()
+        assert one == one  # noqa: PLR0124
+        assert one != two
+        assert len({one, two, one}) == 2
+        assert len(repr(one)) < 200

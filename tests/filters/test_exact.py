@@ -216,6 +216,27 @@ def test_a_coefficient_for_each_run_and_one_that_is_a_function_of_time(form):
             np.testing.assert_allclose(together[:, i], one, rtol=1e-10, atol=1e-12)
 
 
+@pytest.mark.parametrize("make", [celnav.colored, celnav.decorrelated, celnav.augmented])
+def test_noise_is_stationary_unless_its_increments_are_given(make):
+    """``R = Phi R Phi' + increments``, whichever of them are functions, and of a scalar coefficient too."""
+    s, steps = linear(), np.arange(20.0)
+    R, prior = s["R"], celnav.Gaussian(np.zeros(4), np.eye(4))
+    for Phi in (np.array([[0.8, 0.1], [-0.2, 0.5]]), 0.6 * np.eye(2)):
+        given = make(motion(s), sensor(s), Phi, increments=R - Phi @ R @ Phi.T)
+        expected = celnav.run(given, prior, steps, s["z"], keep="cov")
+        by_function = celnav.Sensor(s["H"], lambda _mean, _epoch: R)
+        for seen, phi in (
+            (sensor(s), Phi),
+            (sensor(s), lambda _epoch, Phi=Phi: Phi),
+            (by_function, Phi),
+        ):
+            if seen is by_function and make is celnav.augmented:
+                continue  # its V is a state, which begins with one covariance
+            found = celnav.run(make(motion(s), seen, phi), prior, steps, s["z"], keep="cov")
+            np.testing.assert_allclose(found.mean, expected.mean, rtol=0, atol=1e-10)
+            np.testing.assert_allclose(found.cov, expected.cov, rtol=0, atol=1e-10)
+
+
 def test_a_gap_costs_two_differences_and_partly_missing_ones_agree_between_structures():
     s = linear(3)
     s["z"][5, 0] = s["z"][9] = np.nan

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from celnav import Gaussian, Motion, Sensor, epochs, run, sigma_point
+from celnav import Gaussian, Motion, Sensor, colored, epochs, run, sigma_point
 from celnav.filters.adaptive import (
     channel_parity,
     correntropy,
@@ -218,6 +218,30 @@ def test_parity_does_not_see_what_a_state_explains(hook):
         for data in (z, jumped)
     )
     np.testing.assert_allclose(two.cov, one.cov, rtol=1e-6)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize(
+    "hook", [group_parity(GROUPS, 1), channel_parity(2)], ids=["group", "channel"]
+)
+def test_parity_does_not_see_what_the_process_noise_explains(hook, sign):
+    """Of a state that was known exactly before; in a colored filter its columns stand beside those of the state."""
+    z, jump = measured(), np.array([300.0, -200.0])
+    jumped = z.copy()
+    jumped[1:] += H @ jump
+    motion = Motion(A, sqrt_Q=sign * np.sqrt(np.diag(Q.diagonal())))
+    exact = Gaussian(np.zeros(2), np.zeros((2, 2)))
+    one, two, plain = (
+        run(
+            colored(motion, Sensor(H, R), 0.5 * np.eye(m), hooks=hooks),
+            exact,
+            epochs(np.arange(T), data),
+            keep="cov",
+        ).cov
+        for hooks, data in (([hook], z), ([hook], jumped), ([], z))
+    )
+    np.testing.assert_allclose(two, one, rtol=1e-6)
+    assert not np.allclose(one, plain)
 
 
 WIDE, BOTH = (

@@ -631,3 +631,15 @@ def test_a_copied_track_is_smoothed_like_the_track(form, copied):
     np.testing.assert_array_equal(again.std, plain.std)
     np.testing.assert_array_equal(again.cov, plain.cov)
     assert type(copied(track).belief) is type(track.belief)
+
+
+@FORMS
+def test_an_epoch_at_the_same_time_has_the_gain_one(form):
+    """Nothing moves between the two, so the later estimate is that of both."""
+    motion, rule = RULES["unscented"]
+    times, z = np.array([0.0, 1.0, 1.0, 2.0]), measurements(np.random.default_rng(1))[:4]
+    track = filtered(motion, SEEN, PRIOR, epochs(times, z), rule, form)
+    smoothed = smooth(track, gains=True)
+    np.testing.assert_array_equal(smoothed.extra["gain"][1], np.eye(3))
+    np.testing.assert_allclose(smoothed.mean[1], smoothed.mean[2], rtol=1e-12)
+    np.testing.assert_allclose(smoothed.cov[1], smoothed.cov[2], rtol=1e-12)

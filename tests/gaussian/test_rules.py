@@ -22,6 +22,7 @@ from celnav.gaussian.rules import (
     from_filterpy,
     gauss_hermite,
     simplex,
+    tensor_product,
     unscented,
 )
 from celnav.gaussian.spaces import EUCLIDEAN
@@ -416,3 +417,19 @@ def test_the_limit_of_points_is_checked_before_they_are_made():
     assert MAX_POINTS < 10**10
     with pytest.raises(ValueError, match=f"exceed the limit of {MAX_POINTS}"):
         gauss_hermite(50, 10)
+
+
+def test_a_product_leaves_out_only_nodes_without_any_weight():
+    """Of both weights 0, not of one; the moments stay those of the parts."""
+    sides = np.array([[0.0], [1.0], [-1.0], [2.0], [-2.0], [3.0], [-3.0]])
+    wm = np.array([0.5, 0.25, 0.25, 0.0, 0.0, 0.0, 0.0])
+    wc = np.array([0.75, 0.0, 0.0, 0.125, 0.125, 0.0, 0.0])
+    mixed = Rule(sides, wm, wc)
+    other = gauss_hermite(1, 3)
+    product = tensor_product(mixed, other)
+    assert product.num_sigmas() == 5 * 3
+    for i, j in cartesian(range(5), repeat=2):
+        x, y = product.nodes.T
+        for weights, own in ((product.wm, wm), (product.wc, wc)):
+            expected = (own @ sides[:, 0] ** i) * (other.wm @ other.nodes[:, 0] ** j)
+            np.testing.assert_allclose(weights @ (x**i * y**j), expected, atol=1e-12)

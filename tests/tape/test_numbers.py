@@ -504,3 +504,33 @@ def test_what_holds_numbers_is_recognized():
     assert as_recorded([1.0, 2.0]) is None
     assert as_recorded(np.ones(2)) is None
     assert as_recorded(np.array([object()])) is None
+
+
+MIXED = {
+    "add": lambda a: a + a,
+    "multiply": lambda a: a * a,
+    "maximum": lambda a: np.maximum(a, a[::-1]),
+    "negative": np.negative,
+    "sum": np.sum,
+    "dot": lambda a: a @ a,
+    "matmul": lambda a: a.reshape(2, 3) @ a.reshape(3, 2),
+}
+
+
+@pytest.mark.parametrize("name", MIXED)
+def test_truth_values_among_numbers_are_numbers(name):
+    def mixed(x):
+        both = np.empty(6) if type(x) is np.ndarray else np.empty(6, object).view(Numbers)
+        for i in range(3):
+            both[i], both[3 + i] = (x > 0.0)[i], x[i]
+        return MIXED[name](both)
+
+    assert_alike(mixed, np.array([0.5, -1.0, 2.0]))
+
+
+def test_what_is_known_is_folded_without_a_warning():
+    with np.errstate(all="raise"):
+        assert do("div", 1.0, 0.0) == INF
+        assert do("log", 0.0) == -INF
+        assert do("exp", 1e4) == INF
+        assert math.isnan(do("sqrt", -1.0))
