@@ -271,7 +271,7 @@ def test_filters_equal_only_themselves():
         lambda: celnav.compiled(celnav.ukf(motion, sensor)),
     ):
         one, two = make(), make()
-        assert one == one  # noqa: PLR0124
+        assert one == one
         assert one != two
         assert len({one, two, one}) == 2
         assert len(repr(one)) < 200
