@@ -10,6 +10,7 @@ import pytest
 from scipy.stats import binom, chi2
 
 import celnav
+from celnav.analysis.diagnose import _ljung_box as ljung_box
 from celnav.analysis.diagnose import autocorrelation, diagnose, first_order, grid_index
 from celnav.gaussian.spaces import wrap
 from celnav.models.motion import constant_velocity
@@ -106,6 +107,23 @@ def test_correlations_are_summed_as_long_as_two_of_them_are_positive(phi):
     assert longer == pytest.approx(expected, rel=1e-9)
     kept = [w * max(r * r - 1.0 / (N - lag), 0.0) for lag, (w, r) in enumerate(terms) if lag]
     assert squares == pytest.approx(1.0 + sum(kept), rel=1e-12)
+
+
+def test_lags_without_pairs_have_no_degree_of_freedom():
+    """Of samples two steps apart, but for one: every other lag of twenty has pairs."""
+    x = np.full((201, 1), np.nan)
+    x[::2, 0] = np.random.default_rng(8).standard_normal(101)
+    place = np.arange(201)
+    rho, pairs, *_ = autocorrelation(x, place, 20)
+    assert np.flatnonzero(pairs).tolist() == list(range(1, 20, 2))
+    x[::2, 0] -= x[::2, 0].mean()
+    direct = [x[: -2 * k, 0][::2] @ x[2 * k :, 0][::2] / (101 - k) for k in range(1, 11)]
+    direct = np.array(direct) / np.nanmean(x**2)
+    expected = 103.0 / 101.0 * (direct**2 * (101.0 - np.arange(1, 11))).sum()
+    for fitted in (0, 1):
+        statistic, p = ljung_box(rho, pairs, 101, fitted)
+        assert statistic == pytest.approx(expected, rel=1e-12)
+        assert p == pytest.approx(chi2(10 - fitted).sf(expected), rel=1e-9)
 
 
 def test_gaps_and_missing_components_cost_only_themselves():
