@@ -10,7 +10,8 @@ import pytest
 from scipy.stats import binom, chi2
 
 import celnav
-from celnav.analysis.diagnose import diagnose, first_order, grid_index
+from celnav.analysis.diagnose import _ljung_box as ljung_box
+from celnav.analysis.diagnose import autocorrelation, diagnose, first_order, grid_index
 from celnav.gaussian.spaces import wrap
 from celnav.models.motion import constant_velocity
 from celnav.models.noise import ar1
@@ -84,6 +85,45 @@ def test_statistics_by_their_formulas():
     assert c.bias == pytest.approx(x.mean())
     assert found.sensors[0].nis == pytest.approx((x**2).mean() / 4.0)
     np.testing.assert_allclose(found.sensors[0].squares, x**2 / 4.0)
+
+
+@pytest.mark.parametrize("phi", [(0.9,), (-0.6,), (0.0,), (1.2, -0.7), (0.3, -0.6)])
+def test_correlations_are_summed_as_long_as_two_of_them_are_positive(phi):
+    """The initial positive sequence; half of the lags that there are, and the subtracted mean costs what it hides."""
+    rng, N = np.random.default_rng(6), 200
+    x = rng.standard_normal(N)
+    for k in range(2, N):
+        x[k] += sum(a * x[k - 1 - i] for i, a in enumerate(phi))
+    rho, pairs, longer, squares = autocorrelation(x[:, None], np.arange(N), 10)
+    d = x - x.mean()
+    every = [np.mean(d[lag:] * d[: N - lag]) / np.mean(d * d) for lag in range(N // 2)]
+    np.testing.assert_allclose(rho, every[1:11], rtol=1e-12, atol=1e-14)
+    assert pairs.tolist() == [N - lag for lag in range(1, 11)]
+    many = next(k for k in range(0, N // 2, 2) if every[k] + every[k + 1] <= 0.0)
+    terms = [((1.0 if not lag else 2.0) * (N - lag) / N, every[lag]) for lag in range(many)]
+    plain, most = sum(w * r for w, r in terms), sum(w for w, _ in terms)
+    assert plain > 1.0 / N
+    expected = max(plain, plain / (1.0 - (most - plain) / N))  # L = sum w (r + (1 - r) L / N)
+    assert longer == pytest.approx(expected, rel=1e-9)
+    kept = [w * max(r * r - 1.0 / (N - lag), 0.0) for lag, (w, r) in enumerate(terms) if lag]
+    assert squares == pytest.approx(1.0 + sum(kept), rel=1e-12)
+
+
+def test_lags_without_pairs_have_no_degree_of_freedom():
+    """Of samples two steps apart, but for one: every other lag of twenty has pairs."""
+    x = np.full((201, 1), np.nan)
+    x[::2, 0] = np.random.default_rng(8).standard_normal(101)
+    place = np.arange(201)
+    rho, pairs, *_ = autocorrelation(x, place, 20)
+    assert np.flatnonzero(pairs).tolist() == list(range(1, 20, 2))
+    x[::2, 0] -= x[::2, 0].mean()
+    direct = [x[: -2 * k, 0][::2] @ x[2 * k :, 0][::2] / (101 - k) for k in range(1, 11)]
+    direct = np.array(direct) / np.nanmean(x**2)
+    expected = 103.0 / 101.0 * (direct**2 * (101.0 - np.arange(1, 11))).sum()
+    for fitted in (0, 1):
+        statistic, p = ljung_box(rho, pairs, 101, fitted)
+        assert statistic == pytest.approx(expected, rel=1e-12)
+        assert p == pytest.approx(chi2(10 - fitted).sf(expected), rel=1e-9)
 
 
 def test_gaps_and_missing_components_cost_only_themselves():

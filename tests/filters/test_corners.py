@@ -257,6 +257,21 @@ def test_an_exact_measurement_of_what_is_known_loses_only_its_run(make, h, form)
         np.testing.assert_allclose(found.cov[0, i], alone.cov[0], rtol=1e-12, atol=1e-12)
 
 
+@pytest.mark.parametrize("form", [(3, 2, 1), (2, 1)], ids=["noise of each run", "of all"])
+@pytest.mark.parametrize("matrix", [True, False])
+def test_what_is_left_of_a_known_combination_is_round_off(matrix, form):
+    """Its variance is 1e-34, not 0; the component beside it is noisy."""
+    v, C = np.array([1.0 / 3.0, 0.7]), np.array([[0.7, -1.0 / 3.0], [1.0, 0.0]])
+    sqrt_R = np.broadcast_to([[0.0], [0.5]], form).copy()
+    sensor = Sensor(C if matrix else lambda x, _: x @ C.T, sqrt_R=sqrt_R)
+    filter = celnav.ukf(Motion(EYE, np.zeros((2, 2))), sensor)
+    prior = Gaussian(np.full((3, 2), 3.0), np.stack([EYE + 0.5, np.outer(v, v), 2.0 * EYE]))
+    track = run(filter, prior, [0.0], np.full((1, 3, 2), 3.0), on_failure="flag")
+    assert track.failed_at.tolist() == [-1, 0, -1]
+    assert np.isnan(track.mean[0, 1]).all()
+    np.testing.assert_allclose(track.mean[0, [0, 2]] @ C[0], 3.0, rtol=1e-12)
+
+
 def test_filters_equal_only_themselves():
     """They hold arrays, of which no comparison is true or false."""
     motion, sensor = Motion(EYE, EYE), Sensor(EYE, EYE)
@@ -271,7 +286,7 @@ def test_filters_equal_only_themselves():
         lambda: celnav.compiled(celnav.ukf(motion, sensor)),
     ):
         one, two = make(), make()
-        assert one == one  # noqa: PLR0124
+        assert one == one
         assert one != two
         assert len({one, two, one}) == 2
         assert len(repr(one)) < 200

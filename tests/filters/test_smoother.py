@@ -125,6 +125,7 @@ def test_equals_the_joint_gaussian(name, form):
     G = P @ A_.T @ np.linalg.inv(A_ @ P @ A_.T + SQRT_Q @ SQRT_Q.T)
     np.testing.assert_allclose(smoothed.extra["gain"][4], G, rtol=0, atol=1e-9)
     assert not smoothed.extra["gain"][-1].any()
+    assert "gain" not in smooth(track).extra
     assert (track.mean[:-1] != smoothed.mean[:-1]).any()
     np.testing.assert_array_equal(track.mean[-1], smoothed.mean[-1])
 

@@ -433,3 +433,14 @@ def test_a_product_leaves_out_only_nodes_without_any_weight():
         for weights, own in ((product.wm, wm), (product.wc, wc)):
             expected = (own @ sides[:, 0] ** i) * (other.wm @ other.nodes[:, 0] ** j)
             np.testing.assert_allclose(weights @ (x**i * y**j), expected, atol=1e-12)
+
+
+def test_a_rule_cannot_be_written_into():
+    nodes, wm = np.array([[0.0], [1.0], [-1.0]]), np.array([0.0, 0.5, 0.5])
+    rule = Rule(nodes, wm)
+    for array in (rule.nodes, rule.wm, rule.wc, rule.sign):
+        with pytest.raises(ValueError, match="read-only"):
+            array[...] = 0.0
+    nodes[:], wm[:] = 7.0, 7.0
+    assert rule.nodes.tolist() == [[0.0], [1.0], [-1.0]]
+    assert rule.wm.tolist() == [0.0, 0.5, 0.5]

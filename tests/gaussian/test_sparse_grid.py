@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 import celnav
 from celnav.gaussian.rules import unscented
-from celnav.gaussian.sparse_grid import DELAYED, ORDERS, integrates, point_count, smolyak
+from celnav.gaussian.sparse_grid import DELAYED, ORDERS, index_set, integrates, point_count, smolyak
 
 PAPER = [2 - (j in (0, 1, 5, 6)) for j in range(13)]
 
@@ -321,3 +321,25 @@ def test_cached_and_read_only():
 
 def test_large_weights_do_no_harm():
     assert point_count(3, 3, [10**9, 10**9 + 1, 2 * 10**9]) == point_count(3, 3, [3, 4, 6])
+
+
+@pytest.mark.parametrize(
+    ("level", "weights"), [(3, (2, 1)), (4, (1, 1, 2)), (4, (2, 3)), (2, (5, 1))]
+)
+def test_the_index_set_has_the_coefficients_of_the_combination_technique(level, weights):
+    """Those within the budget, each with the signed number of its upper neighbors that are in the set too."""
+    budget = (level - 1) * min(weights)
+    every = {
+        index
+        for index in product(range(1, budget + 2), repeat=len(weights))
+        if sum(g * (i - 1) for g, i in zip(weights, index, strict=True)) <= budget
+    }
+    expected = {
+        index: sum(
+            (-1) ** sum(up)
+            for up in product((0, 1), repeat=len(weights))
+            if tuple(map(sum, zip(index, up, strict=True))) in every
+        )
+        for index in every
+    }
+    assert index_set(level, weights) == expected

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from celnav.analysis.metrics import bootstrap
 from celnav.show import page
 from celnav.show.claims import TYPES, Ledger, answer, dumps, plain, style, table, written
 from celnav.study.ledger import KINDS, VERDICTS, WORDS, Number, Row, Sentence, estimate, order
@@ -334,3 +335,17 @@ def test_each_verdict_has_its_color():
 def test_a_row_of_a_page_has_the_color_of_its_verdict(value, kind, cell):
     row = table([written(claim(Number("x", value, (0.0, 1.0)), kind=kind))])
     assert row.endswith(f"{cell}</tr></tbody></table>")
+
+
+@pytest.mark.parametrize("block", [1, 5])
+def test_an_estimate_has_the_bootstrap_interval_of_its_blocks(block):
+    """Samples of runs are counted, those of epochs are not."""
+    samples = np.cumsum(np.random.default_rng(3).standard_normal((2, 60)), 1) ** 2
+
+    def ratio(a, b):
+        return a.mean() / b.mean()
+
+    found = estimate("ratio", ratio, samples, (0.5, 2.0), block)
+    assert found.value == ratio(*samples)
+    assert tuple(found.ci) == bootstrap(ratio, *samples, block=block)
+    assert found.runs == (60 if block == 1 else 0)

@@ -403,3 +403,12 @@ def test_numbers_that_are_known_may_be_results():
     inputs(tape, (1,))
     found = computed(tape, [1.0, np.float64(2.0)], np.ones((1, 3)), 4, True)
     np.testing.assert_array_equal(found, [[1.0] * 3, [2.0] * 3])
+
+
+def test_aligned_arrays_begin_with_a_line_of_the_cache():
+    arrays = [
+        llvm.aligned((rows, 3)) for rows in range(60)
+    ]  # all kept, so none lies where another did
+    assert [array.shape for array in arrays] == [(rows, 3) for rows in range(60)]
+    assert all(array.dtype == np.float64 and array.flags.c_contiguous for array in arrays)
+    assert {array.ctypes.data % llvm.LINE for array in arrays[1:]} == {0}
