@@ -70,6 +70,7 @@ montecarlo: blocks steps effort
 claims: answer Ledger accepted counted dumps plain read_claims row style table tally written
 gyro: Gyro.drift
 ledger: Claim Row Row.judged estimate order
+operations: step_operations
 numbers: all_of consistency correlation entries given lagged of over_time ratio rmse settling tiers
 parameters: Parameters.check param
 sightings: limb

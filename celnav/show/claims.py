@@ -174,7 +174,7 @@ def _number(number: Mapping[str, Any], several: bool) -> str:
     if number["accept"] == [None, None] and number["printed"] is None:
         return f"{about} (told only)"
     asked = accepted(number)
-    if among := number["agreement"]:
+    if (among := number["agreement"]) and None not in among:
         within = f"[{among[0]:.4g}, {among[1]:.4g}]"
         asked = f"{asked}; printed {number['printed']}, agrees within {within}"
     outcome = {True: "met", False: "not met", None: "undecided"}[number["holds"]]

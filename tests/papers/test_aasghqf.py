@@ -102,7 +102,8 @@ def test_what_needs_no_runs_comes_out_as_expected(results):
                  *(row.id for row in study.ROWS if row.kind == "erratum")]  # fmt: skip
     assert {id: claims[id].verdict for id in exact} == {id: claims[id].expected for id in exact}
     for claim in claims.values():
-        assert claim.note or not claim.numbers or not claim.row.found
+        known = claim.verdict == claim.expected and claim.numbers and claim.row.found
+        assert claim.note or not known
         assert not re.search(r"\{\d", claim.note)
     assert sum(claim.surprise for claim in claims.values()) <= 2  # two runs decide little
 
