@@ -193,7 +193,7 @@ def _parser() -> tuple[_Parser, dict[str, _Parser]]:
     reproduce.add_argument(
         "--strict",
         action="store_true",
-        help="exit 1 if a verdict is not the expected one; with all runs, undecided is none either",
+        help="exit 1 if a verdict is not the expected one; with all runs this includes undecided verdicts",
     )
     reproduce.add_argument(
         "--rinex",

@@ -917,11 +917,12 @@ STUDY = Study(
             {"better-than-ukf": "in part", "nees-first-ukf": "shown"},
         ),
         Sentence(
-            "The 99 points are 75, and worse in one misalignment, which is nonlinear but gets few points.",
+            "The paper's rule has 75 points, not 99. It is less accurate in one misalignment angle, which is "
+            "nonlinear but gets few points.",
             {"table-4-points": "in part", "alike-sghqf": "not reproduced"},
         ),
         Sentence(
-            "57 points chosen by nonlinearity are as good as 417, and so are 28 in the mean if they are chosen on line.",
+            "57 points chosen by nonlinearity match 417. Chosen online, 28 on average suffice.",
             {"nonlinear-equal": "shown", "bends-on-line": "shown"},
         ),
         Sentence(

@@ -889,14 +889,14 @@ STUDY = Study(
     "and hardly notices a burst of noise.",
     found=(
         Sentence(
-            "In a burst on the ranges at 10 Hz it has a tenth of the UKF's error, and recovers sooner.",
+            "In a burst on the ranges at 10 Hz its error is a tenth of the UKF's, and it recovers sooner.",
             {"burst-suppressed": "in part", "fast-recovery": "in part"},
         ),
-        Sentence("Without one it gains a few percent, from clipping.",
+        Sentence("Without a burst its error is a few percent smaller, because of the clipping.",
                  {"clearly-better-quiet": "in part", "a-is-identity": "not reproduced"}),
         Sentence("EKF and UKF are the same.", {"ukf-better-than-ekf": "not reproduced"}),
         Sentence(
-            "It takes maneuvers and wrong process noise for measurement noise, and can err by kilometers.",
+            "It treats maneuvers and wrong process noise as measurement noise, and its error can reach kilometers.",
             {"erratum-4-aukf": "shown", "system-noise-weakened": "not reproduced"},
         ),
         Sentence(
@@ -904,8 +904,8 @@ STUDY = Study(
             {"faster-convergence": "in part", "convergence-paired": "shown"},
         ),
         Sentence(
-            "A factor of what no position explains needs no window; but ranges that agree on a wrong value mislead it, and not the "
-            "AUKF.",
+            "Scaling R by the part of the residual that no position can explain needs no window; but ranges "
+            "that agree on a wrong value mislead that filter, and not the AUKF.",
             {"baselines-group-ranges": "shown", "outliers-agree": "shown"},
         ),
     ),

@@ -797,7 +797,7 @@ STUDY = Study(
             {"whitened-and-optimal": "in part", "at-the-bound": "shown"},
         ),
         Sentence(
-            "Table 1 comes out with fitted parameters, Table 2 in its level only, and Table 3 not at all.",
+            "One set of fitted parameters reproduces Table 1 and the level of Table 2; no set that we tried reproduces Table 3.",
             {"table-1-levels": FITTED, "table-2-levels": "level only", "table-3-levels": "not reproduced"},
         ),
         Sentence(
@@ -806,8 +806,8 @@ STUDY = Study(
             {"csrukf-converges": "not reproduced", "openloop-final": "shown", "poor-prior": "shown"},
         ),
         Sentence(
-            "Its square roots change nothing in double precision. In single precision the printed downdate fails where a "
-            "covariance does.",
+            "Its square roots change nothing in double precision. In single precision the printed filter fails "
+            "at the same point as the covariance form, because the update downdates a Cholesky factor.",
             {"square-roots-stabilize": "not reproduced"},
         ),
     ),

@@ -1290,20 +1290,21 @@ STUDY = Study(
             {"setting-1-position": FITTED, "setting-1-velocity": NO},
         ),
         Sentence(
-            "Most of that is owed to baselines that take the covariances of the driving noise.", {"fair-baseline": "shown"}
+            "Most of that gain exists because the baselines were given the covariances of the driving noise.",
+            {"fair-baseline": "shown"}
         ),
         Sentence(
             "It is best in one setting of five; in white noise a plain two-stage filter is better.",
             {"best-in-all-settings": NO, "setting-5-alike": NO},
         ),
         Sentence(
-            "The form that gives the table does not track the ephemeris error over a year; a stronger form, closest to the prose, "
-            "does in part.",
+            "The variant that reproduces the table does not track the ephemeris error over a year; a stronger "
+            "variant, closest to the prose, does in part.",
             {"year-tracked": PART, "form-b-tracks": "shown"},
         ),
         Sentence(
-            "A nine-state filter with a random-walk bias has a smaller error of the ephemeris than both forms, but a larger "
-            "position error than the stronger one.",
+            "A nine-state filter with a random-walk bias has a smaller error of the ephemeris than both "
+            "variants, but a larger position error than the stronger variant.",
             {"augmentation-falls-short": PART},
         ),
         Sentence(
