@@ -265,6 +265,22 @@ def test_without_data_or_a_model_it_says_so():
     assert "one sensor of vectors" in diagnose(both, prior=flown.prior, z=flown.z).why
 
 
+@pytest.mark.parametrize("gap", [0.0, np.nan])
+@pytest.mark.parametrize("turning", ["motion", "sensor"])
+def test_a_filter_of_angles_has_no_filter_for_colored_noise(turning, gap):
+    """What is fitted adds the noise to vectors; around a circle it is another model."""
+    circle = celnav.angles([0])
+    spaces = {turning: circle}
+    motion = celnav.Motion(lambda x, _e: x, [[1e-4]], space=spaces.get("motion", celnav.EUCLIDEAN))
+    compass = celnav.Sensor(lambda x, _e: x, [[0.01]], space=spaces.get("sensor", celnav.EUCLIDEAN))
+    start = celnav.Gaussian([0.0], [[0.01]])
+    z = 0.1 * noise(0.8, len(T))[:, 0]
+    z[50] += gap
+    found = diagnose(celnav.run(celnav.ukf(motion, compass), start, T, z), prior=start, z=z)
+    assert found.model is None
+    assert found.why.startswith("celnav.colored is for one sensor of vectors with a constant R")
+
+
 def test_a_large_first_innovation_hides_no_color():
     """What is normalized by its claim decides, not what is large because the prior was wide; Phi and R come of the likelihood."""
     motion, radar = celnav.Motion([[1.0]], [[1e-4]]), celnav.Sensor([[1.0]], [[0.25]])

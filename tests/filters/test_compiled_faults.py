@@ -251,6 +251,28 @@ def test_what_the_first_epochs_do_not_show_is_refused(name):
     assert place
 
 
+def test_what_fails_only_where_a_step_is_recorded_is_told_with_its_place():
+    """The line of the model where it is the model that fails, else what is expected of it."""
+
+    def failing(x, _e):
+        if x.dtype == object:
+            raise ValueError("expected floats")
+        return x
+
+    def narrow(x, _e):
+        return x[..., :1] if x.dtype == object else x
+
+    for h, told in (
+        (
+            failing,
+            r"^ValueError where a step .*numpy' \(test_compiled_faults\.py, line \d+: raise ",
+        ),
+        (narrow, r"^h returned shape \(5, 1\), expected \(5, 2\); points are "),
+    ):
+        with pytest.raises(CannotCompile, match=told):
+            celnav.run(celnav.ukf(MOTION, celnav.Sensor(h, R)), PRIOR, TIMES, Z, engine="compiled")
+
+
 def test_inputs_may_be_missing_also_in_a_later_run():
     def motion(x, e):
         return 0.9 * x + (0.0 if e.u is None else np.where(np.isnan(e.u), 0.5, 0.0))

@@ -151,6 +151,23 @@ def test_from_filterpy_keeps_nodes_and_weights(make, n):
     np.testing.assert_allclose(ours, table(theirs, points.Wm, points.Wc), atol=1e-9, rtol=1e-12)
 
 
+class Points:
+    """Four points of two states; the class has all the names that its objects have."""
+
+    n, Wm, Wc = 2, np.full(4, 0.25), np.full(4, 0.25)
+
+    def sigma_points(self, x, P):
+        root = np.sqrt(2.0) * np.linalg.cholesky(P)
+        return x + np.concatenate([root.T, -root.T])
+
+
+def test_a_class_of_points_is_not_taken_for_an_object_of_it():
+    np.testing.assert_array_equal(from_filterpy(Points()).wm[-4:], Points.Wm)
+    for points in (Points, MerweScaledSigmaPoints, unscented, None):
+        with pytest.raises(ValueError, match=r"^points: expected a filterpy sigma-point object"):
+            from_filterpy(points)
+
+
 @pytest.mark.parametrize(
     ("alpha", "beta", "kappa"), [(1.0, 0.0, 0.0), (0.5, 2.0, -1.0), (1e-3, 2.0, 0.0)]
 )

@@ -83,6 +83,14 @@ def test_without_the_test_a_faulty_satellite_is_believed(noisy):
     )
 
 
+@pytest.mark.parametrize("chance", [1.0, -1e-9, np.nan, np.inf])
+def test_a_false_alarm_that_is_no_probability_is_refused(noisy, chance):
+    nav, obs = noisy
+    told = rf"^false_alarm: expected a probability from 0 to below 1, got {chance!r}$"
+    with pytest.raises(ValueError, match=told):
+        positioning.prepare(obs, nav, false_alarm=chance)
+
+
 def test_several_faulty_satellites_are_excluded(noisy):
     nav, obs = noisy
     code, some = obs.code.copy(), high(nav, obs, 3)

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from readable import faults
 from scipy.stats import binom, chi2
 
 import celnav
@@ -340,6 +341,7 @@ def test_the_figure_shows_each_component_and_each_ratio(sound):
     np.testing.assert_allclose(
         drawn[0].lines[0].get_ydata(), np.sqrt(np.mean((track.mean - truth)[..., 0] ** 2, 1))
     )
+    assert not faults(fig)
 
 
 @pytest.mark.parametrize(

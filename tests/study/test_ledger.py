@@ -76,6 +76,22 @@ def test_the_verdict_is_that_of_the_first_tier_that_holds(value, verdict):
     assert few.surprise is (verdict not in ("reproduced", "undecided"))
 
 
+@pytest.mark.parametrize(
+    ("tier", "holds"),
+    [
+        ("reproduced", True),
+        ("reproduced with fitted parameters", True),
+        ("level only", False),
+        ("in part", False),
+    ],
+)
+def test_a_statement_holds_as_it_is_said_or_not(tier, holds):
+    row = Row("statement", "one", "It is so", lambda _: {tier: [Number("x", 0.5, (0.0, 1.0))]})
+    found = row.judged(None)
+    assert (found.verdict, found.holds) == (tier, holds)
+    assert written(found)["holds"] is holds
+
+
 def test_a_statement_is_not_reproduced_by_an_interval_that_excludes_what_is_printed():
     number = Number("x", 0.5, (0.0, 1.0), (0.4, 0.6), printed=0.55)
     for printed, verdict in ((0.55, "reproduced"), (0.7, "not reproduced")):

@@ -227,6 +227,18 @@ def test_a_statistic_over_time_leaves_out_what_is_not_known(results):
         assert found.accept == (0.0, 1.0)
 
 
+def test_the_interval_of_a_statistic_over_time_is_that_of_correlated_epochs(results):
+    """A mean of AR(1) noise has a variance of (1 + phi) / (1 - phi) / T; of alike epochs 1 / T."""
+    rng, phi, steps = np.random.default_rng(3), 0.8, 6000
+    x = rng.normal(size=steps)
+    for k in range(1, steps):
+        x[k] = phi * x[k - 1] + np.sqrt(1.0 - phi**2) * x[k]
+    found = over_time("x", np.mean, lambda _: [x], block=100)(results)
+    width = 2.0 * 1.96 * np.sqrt((1.0 + phi) / (1.0 - phi) / steps)
+    assert found.ci[1] - found.ci[0] == pytest.approx(width, rel=0.2)
+    assert found.runs == 0  # epochs are no runs that a paper's could be counted against
+
+
 def test_when_an_error_settles(results):
     """From the epoch after the last one at which the RMSE of the runs is above the level."""
     rmse_kf, rmse_blind = (
