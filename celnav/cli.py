@@ -188,7 +188,7 @@ def _parser() -> tuple[_Parser, dict[str, _Parser]]:
         "--out", default="out", metavar="DIR", help="where to write (default: out)"
     )
     reproduce.add_argument(
-        "--engine", default="numpy", choices=ENGINES, help="what flies the filters (default: numpy)"
+        "--engine", default="auto", choices=ENGINES, help="what flies the filters (default: auto)"
     )
     reproduce.add_argument(
         "--strict",

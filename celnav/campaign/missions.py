@@ -197,7 +197,7 @@ def study(table: Mapping[str, Any]) -> Study:
         "block": BLOCK,
         "every": 1,
         "settle_s": None,
-        "engine": "numpy",
+        "engine": "auto",
     }
     options: dict[str, Any] = usual | given | {"limits": _limits(table, module.JUDGED)}
     for name, least in (("runs", 1), ("seed", 0), ("block", 1), ("every", 1)):

@@ -78,7 +78,7 @@ class Unit:
     every: int
     settle_s: float | None
     limits: tuple[tuple[str, float], ...]
-    engine: str = "numpy"
+    engine: str = "auto"
 
     @property
     def key(self) -> str:

@@ -5,21 +5,35 @@ Runs that are lost are flown again by the numpy engine, which is the reference a
 
 from __future__ import annotations
 
+import math
 import traceback
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import replace
 from functools import partial
+from importlib.util import find_spec
 from itertools import islice
+from threading import Lock, local
 from typing import Any
 
 import numpy as np
 
-from celnav.filters.engine import NONE, Data, Engine, each_run, entries
+from celnav.filters.engine import NONE, TALLY, Data, Engine, each_run, entries
+from celnav.filters.fixed_lag import FixedLag
 from celnav.filters.flight import Flight, as_data, epoch_of, fly, part_of
+from celnav.filters.joint import by_matrix
 from celnav.filters.records import Epoch, Epochs, FilterError, Info, State
 from celnav.filters.run import as_epochs, run, steps
-from celnav.filters.sentinels import changed, difference, functions_of, held, restorer
-from celnav.filters.sequential import Sequential, measurements, plain
+from celnav.filters.sentinels import (
+    Watch,
+    changed,
+    difference,
+    functions_of,
+    held,
+    otherwise,
+    restorer,
+)
+from celnav.filters.stepper import Plan, signature
 from celnav.filters.track import Track
 from celnav.gaussian.checks import choice, integer
 from celnav.gaussian.linalg import Array, Covariance, SquareRoot
@@ -29,31 +43,52 @@ from celnav.tape.tape import MOST, CannotCompile, place_of
 __all__ = ["Compiled", "chosen", "compiled", "run_by", "steps_by"]
 
 WORTH = 50_000  # operations of a step, the most that engine="auto" compiles, in some five seconds, and a device takes
+# What decides for engine="auto", in CPU seconds of a Xeon with vectors of eight (benchmarks/engines.py measures them):
+STEP_S, OPERATION_S = 2.3e-4, 1.2e-9  # numpy, of a step, and of an operation of it in each run
+MAKE_S, RECORDS = (
+    8e-5,
+    2,
+)  # recording and compiling an operation of a step; such steps of a usual flight
+SHARED = 8  # states of models that are matrices, from which on numpy's one covariance of all runs is faster
+MOST_KEPT = 16  # filters whose machine code is found again
+SPARED = 65_536  # steps of runs by kept machine code, after which numpy takes some of them again
+SPAN = 4096  # of steps alone: the most between two comparisons with numpy
+MORE = 4  # by which that interval grows each time
 CHECKED = 3  # epochs of some runs that numpy takes before a step is recorded
 OTHER = "the model gives other values when it is recorded"
 LOOKS = "it depends on more than the numbers that it is given; engine='numpy' runs it as it is"
 
 
+Stepped = tuple[Any, tuple[Info, ...]]
+
+
 class Compiled:
     """A filter as machine code; what `celnav.compiled` makes.
 
-    The steps that were recorded are kept. They are compared with numpy in every run, at some epochs
-    and for some runs, and recorded anew where what the models hold has changed since, a global
-    number say. A model that changes what it holds whenever it is called cannot be compiled.
+    The steps that were recorded are kept. They are compared with numpy's in the first flight and in
+    every one of many steps, at some epochs and for some runs, and recorded anew where what the models
+    hold has changed since, a global number say. A model that changes what it holds whenever it is called cannot be compiled.
 
     >>> fast = celnav.compiled(celnav.ukf(motion, gps), jobs=2)
     >>> track = fast.run(prior, times, z)
     """
 
     def __init__(self, filter: Any, jobs: int, engine: str, most: int):
-        self.filter, self.jobs, self.engine, self._most = filter, jobs, engine, most
-        self._kept, self._holds = dict[Any, Any](), dict[str, Any]()
+        self.filter, self.jobs, self.engine, self.most = filter, jobs, engine, most
+        self._kept, self._watch = dict[Any, Any](), Watch(None)
+        self._left = 0  # steps of a run until numpy takes some of them again
+        self._own, self._lock = local(), Lock()  # plans of steps, of each thread
 
     def __repr__(self) -> str:
         return f"Compiled({self.filter!r})"
 
-    def __getstate__(self) -> dict[str, Any]:
-        return self.__dict__ | {"_kept": {}}  # addresses of machine code are of this process
+    @property
+    def recorded(self) -> bool:
+        """Whether some step was."""
+        return bool(self._kept)
+
+    def __reduce__(self) -> Any:  # addresses of machine code are of this process
+        return Compiled, (self.filter, self.jobs, self.engine, self.most)
 
     def run(
         self,
@@ -72,42 +107,24 @@ class Compiled:
         every = integer("every", every)
         epochs = as_epochs(times, z, u)
         epochs = epochs if isinstance(epochs, Epochs) else list(epochs)
-        return self._run(prior, epochs, True, every=every, keep=keep, on_failure=on_failure)
+        return self._run(prior, epochs, every=every, keep=keep, on_failure=on_failure)
 
-    def _run(self, prior: Any, epochs: Any, compare: bool, **options: Any) -> Track:
-        """The track; ``compare``: with numpy also if no step is recorded."""
+    def _run(self, prior: Any, epochs: Any, **options: Any) -> Track:
+        """The track."""
         every, keep = options["every"], options["keep"]
-        some = epochs
-        holds = held(self.filter)
-        if changed(self._holds, holds):
-            self._kept.clear()
-        restore = restorer(self.filter)  # numpy is to find what the recording found
-        try:
+        some = [epochs]  # what numpy flies to see what is wrong
+        again: Any = partial(run, engine="numpy", **options)
+        with self._recording(lambda: again(self.filter, prior, some[0])):
             data = as_data(self.filter, epochs)
-            some = epochs[:CHECKED]
-            engine, flight = self._flown(prior, data, some, keep, every, compare)
-        except CannotCompile as error:
-            restore()
-            if not error.somewhere:
-                raise
-            raise CannotCompile(f"{error}{functions_of(holds)}") from error
-        except (CudaError, ImportError):
-            raise
-        except Exception as error:
-            restore()
-            run(self.filter, prior, some, engine="numpy", **options)  # what is wrong there too
-            restore()
-            frames = reversed(traceback.extract_tb(error.__traceback__))
-            place = place_of([(frame.filename, frame.lineno or 0) for frame in frames])
-            if not place and "expected" in str(error):
-                raise CannotCompile(str(error)) from error
-            raise CannotCompile(
-                f"{type(error).__name__} where a step is recorded: its numbers are arrays for "
-                "numpy's functions only; put a table into u, choose by numpy.where, or use "
-                f"engine='numpy'{place or functions_of(holds)}"
-            ) from error
-        stored = islice(epochs, 0, len(epochs) if keep == "cov" else 0, every)
-        known = tuple(epoch._replace(z=None, truth=None) for epoch in stored)
+            some[0] = epochs[:CHECKED]
+            engine, flight = self._flown(prior, data, some[0], keep, every)
+        known: Any = ()
+        if keep == "cov" and every == 1 and isinstance(epochs, Epochs):
+            known = epochs.unmeasured()
+        elif keep == "cov":
+            known = tuple(
+                epoch._replace(z=None, truth=None) for epoch in islice(epochs, 0, None, every)
+            )
         track = replace(
             _track(engine, data, flight, every),
             epochs=known,
@@ -124,13 +141,22 @@ class Compiled:
             return track
         return self._again(track, engine, prior, data, lost, **options)
 
+    def _recording(self, by_numpy: Callable[[], Any]) -> AbstractContextManager[None]:
+        """Where steps may be recorded; what was recorded of models that have changed since is forgotten."""
+        if self._kept and self._watch.is_still():
+            return nullcontext()
+        holds = held(self.filter)
+        if changed(self._watch.holds, holds):
+            self._kept.clear()
+        return recording(self.filter, holds, by_numpy)
+
     def _flown(
-        self, prior: Any, data: Data, some: Any, keep: str, every: int, compare: bool
+        self, prior: Any, data: Data, some: Any, keep: str, every: int
     ) -> tuple[Engine, Flight]:
         """The flight, after numpy has taken the same steps at some epochs, or `CannotCompile`."""
         fresh = not self._kept
         rolled, on = self.engine != "cuda", device() if self.engine == "cuda" else None
-        engine = Engine(self.filter, prior, data, keep, self._kept, most=self._most, rolled=rolled)
+        engine = Engine(self.filter, prior, data, keep, self._kept, most=self.most, rolled=rolled)
         count = int(np.prod(engine.batch))
         # On a device those of one chunk, which alone is taken through its epochs in pieces.
         watched = sorted({0, count // 2, count - 1}) if on is None else list(range(min(count, 3)))
@@ -140,9 +166,11 @@ class Compiled:
                 run(*few, on_failure="flag", engine="numpy")
             except Exception:  # it may hold arrays of all runs
                 run(self.filter, prior, some, on_failure="flag", engine="numpy")
-            self._holds = held(self.filter)
-        flight = fly(engine, data, every, self.jobs, on, watched)
-        if not (compare or engine.fresh):
+            self._watch = Watch(self.filter)
+        self._left -= count * len(data.k)
+        due = fresh or self._left < 0 or count * len(data.k) >= SPARED
+        flight = fly(engine, data, every, self.jobs, on, watched, due)
+        if not (due or engine.fresh):
             return engine, flight
         why = next(
             (
@@ -152,52 +180,76 @@ class Compiled:
             ),
             "",
         )
-        path = changed(self._holds, held(self.filter))
+        path = changed(self._watch.holds, held(self.filter))
         if not why and not path:
+            self._left = SPARED
             return engine, flight
         self._kept.clear()
         if not fresh:  # what was recorded then may not hold now
-            return self._flown(prior, data, some, keep, every, compare)
-        if path:
-            raise CannotCompile(
-                f"the model has a memory: {path} changes when it is called; put what changes with "
-                f"time into the input u, or use engine='numpy'{functions_of(self._holds, path)}"
-            )
-        raise CannotCompile(f"{OTHER} ({why}): {LOOKS}{functions_of(self._holds)}")
+            return self._flown(prior, data, some, keep, every)
+        raise _remembers(self._watch.holds, path) if path else _otherwise(self._watch.holds, why)
 
     def start(self, prior: Any) -> Any:
-        """The filter's own state before the first epoch; `step` is for those that predict, then update."""
-        return plain("filter", self.filter).start(prior)
+        """The filter's own state before the first epoch."""
+        if isinstance(self.filter, FixedLag):
+            raise ValueError(
+                "filter: expected one that keeps no epochs; of celnav.compiled(filter) "
+                "FixedLag(celnav.compiled(filter), lag) keeps them"
+            )
+        return self.filter.start(prior)
 
-    def step(self, state: Any, epoch: Epoch) -> tuple[Any, tuple[Info, ...]]:
-        """State after an epoch, and an `Info` of each sensor with an equal part of the likelihood. Hundreds of runs repay it.
+    def step(self, state: Any, epoch: Epoch) -> Stepped:
+        """State after an epoch, and an `Info` of each sensor with an equal part of the likelihood.
 
-        `CannotCompile` too where hooks remember something, or where a start adds to the prior, as that of `celnav.augmented` does.
+        The first step of a kind is recorded and compiled. It is compared with numpy's, and so are the
+        fourth after it, the 16th, and so on, at last each 4096th; where what the models hold has changed,
+        at once. Runs that are lost in a step are taken through it by numpy.
+
+        >>> state, infos = fast.step(fast.start(prior), celnav.Epoch(t=0.0, z=z[0]))
         """
         if state.belief.mean.dtype.hasobject:  # recorded itself, as a part of another filter
             return self.filter.step(state, epoch)  # type: ignore[no-any-return]
-        if type(self.filter).start is not Sequential.start:
-            raise CannotCompile(
-                "a filter that adds to its prior is compiled for whole flights only"
-            )
-        track = self._run(state.belief, [epoch], False, every=1, keep="cov", on_failure="flag")
-        if any(len(made.after.arrays) > 2 for made in self._kept.values()):
-            raise CannotCompile("hooks that remember something are compiled for whole flights only")
-        share, rows = (
-            track.log_likelihood / max(len(track.sensors), 1),
-            (track.innovation, track.whitened, track.used),
-        )
-        seen = zip(
-            *(np.split(x[0], np.cumsum(track.sensors), -1) for x in rows if x is not None),
-            strict=True,
-        )
-        z = measurements(epoch.z, len(self.filter.sensors))
-        infos = tuple(
-            Info(silent=True) if one is None else Info(*next(seen))._replace(mixture=share)
-            for one in z
-        )
-        assert track.belief is not None
-        return state._replace(belief=type(track.belief)(*(x[0] for x in track.belief))), infos
+        plans = self._own.__dict__
+        key, numbers = signature(state, epoch)
+        plan: Plan = plans.get(key) or self._planned(key, state, epoch)
+        found = plan.step(state, epoch, numbers)
+        if found is None:
+            return self.filter.step(state, epoch)  # type: ignore[no-any-return]
+        plan.left -= 1
+        if plan.left < 0 or not plan.watch.is_still():
+            found = self._compared(plan, state, epoch, found)
+        return found
+
+    def _planned(self, key: Any, state: Any, epoch: Epoch) -> Plan:
+        """A plan for steps of a signature, of this thread."""
+        with self._lock:
+            holds = held(self.filter)
+            with recording(self.filter, holds, lambda: self.filter.step(state, epoch)):
+                self.filter.step(state, epoch)  # what models keep of their first call are floats
+                plan = Plan(self.filter, state, epoch, self.most)
+        self._own.__dict__[key] = plan
+        return plan
+
+    def _compared(self, plan: Plan, state: Any, epoch: Epoch, found: Stepped) -> Stepped:
+        """What a step has found, if numpy finds it too; taken anew where what models hold has changed."""
+        if changed(plan.watch.holds, held(self.filter)):
+            self._own.__dict__.clear()
+            return self.step(state, epoch)
+        *tally, failed = np.moveaxis(plan.counted[..., : len(TALLY)], -1, 0)
+        if (failed >= 0.0).any():  # a run that is lost has no numbers to compare
+            return found
+        try:
+            name = otherwise(self.filter, state, epoch, found[0], tally)
+            why = f"step {epoch.k}: another {name}" if name else ""
+        except Exception as error:
+            why = f"step {epoch.k}: numpy raises {type(error).__name__}: {error}"
+        path = changed(plan.watch.holds, held(self.filter))
+        if path or why:
+            self._own.__dict__.clear()
+            raise _remembers(plan.watch.holds, path) if path else _otherwise(plan.watch.holds, why)
+        plan.interval = min(MORE * plan.interval, SPAN)
+        plan.left = plan.interval - 1
+        return found
 
     def _again(
         self,
@@ -236,6 +288,50 @@ class Compiled:
                              *((track.events[name], again.events[name]) for name in track.events)):  # fmt: skip
             mine.reshape(-1)[lost] = theirs
         return track
+
+
+@contextmanager
+def recording(filter: Any, holds: dict[str, Any], by_numpy: Callable[[], Any]) -> Iterator[None]:
+    """What goes wrong in a recording is raised as numpy does, or else as `CannotCompile`.
+
+    holds: what the models hold. Whatever the recording made of that is undone.
+    """
+    restore = restorer(filter)  # numpy is to find what the recording found
+    try:
+        yield
+    except CannotCompile as error:
+        restore()
+        if not error.somewhere:
+            raise
+        raise CannotCompile(f"{error}{functions_of(holds)}") from error
+    except (CudaError, ImportError):
+        raise
+    except Exception as error:
+        restore()
+        by_numpy()  # what is wrong there too
+        restore()
+        frames = reversed(traceback.extract_tb(error.__traceback__))
+        place = place_of([(frame.filename, frame.lineno or 0) for frame in frames])
+        if not place and "expected" in str(error):
+            raise CannotCompile(str(error)) from error
+        raise CannotCompile(
+            f"{type(error).__name__} where a step is recorded: its numbers are arrays for "
+            "numpy's functions only; put a table into u, choose by numpy.where, or use "
+            f"engine='numpy'{place or functions_of(holds)}"
+        ) from error
+
+
+def _remembers(holds: dict[str, Any], path: str) -> CannotCompile:
+    """The error of a model that changes what it holds, at a path."""
+    return CannotCompile(
+        f"the model has a memory: {path} changes when it is called; put what changes with "
+        f"time into the input u, or use engine='numpy'{functions_of(holds, path)}"
+    )
+
+
+def _otherwise(holds: dict[str, Any], why: str) -> CannotCompile:
+    """The error of a model that is not what was recorded."""
+    return CannotCompile(f"{OTHER} ({why}): {LOOKS}{functions_of(holds)}")
 
 
 def _track(engine: Engine, data: Data, flight: Flight, every: int) -> Track:
@@ -318,12 +414,65 @@ def compiled(filter: Any, *, jobs: int = 1, engine: str = "compiled") -> Compile
     return Compiled(filter, integer("jobs", jobs), engine, MOST if engine == "compiled" else WORTH)
 
 
-def chosen(engine: str, filter: Any, jobs: int) -> Compiled:
-    """By an engine; "auto" compiles what is worth it, and takes a device only where that is asked for. What is compiled stays."""
+def chosen(engine: str, filter: Any, jobs: int, prior: Any, epochs: Any) -> Compiled:
+    """A filter by an engine; of "auto" `CannotCompile` where numpy takes less time. What is compiled stays.
+
+    A device is taken only where that is asked for.
+    """
     if isinstance(filter, Compiled):
         return filter
-    made = compiled(filter, jobs=jobs, engine="compiled" if engine == "auto" else engine)
-    return Compiled(filter, made.jobs, made.engine, WORTH) if engine == "auto" else made
+    if engine != "auto":
+        return _kept(filter, engine, jobs, MOST if engine == "compiled" else WORTH)
+    if find_spec("llvmlite") is None:
+        raise CannotCompile("llvmlite is not installed")
+    found = _KEPT.get((id(filter), "compiled", jobs))
+    if found is not None and found.recorded:
+        return found
+    steps, runs = len(epochs), _runs(prior, epochs)
+    most = worth(steps, runs)
+    if 100 * prior.cov.shape[-1] ** 2 > most:
+        times = f"{steps} steps of " + ("one run" if runs == 1 else f"{runs} runs")
+        raise CannotCompile(f"{times} take less time than compiling one")
+    if runs > 1 and prior.cov.ndim == 2 and prior.cov.shape[-1] > SHARED and _by_matrices(filter):
+        raise CannotCompile("all runs have one covariance, which numpy computes once")
+    return _kept(filter, "compiled", jobs, most)
+
+
+def worth(steps: int, runs: int) -> int:
+    """Operations of a step, the most that repay recording and compiling in one flight."""
+    left = RECORDS * MAKE_S - steps * runs * OPERATION_S
+    return WORTH if left <= 0.0 else int(min(WORTH, steps * STEP_S / left))
+
+
+def _runs(prior: Any, epochs: Any) -> int:
+    """How many runs there are, as far as the prior and the last epoch tell."""
+    z = epochs[-1].z if len(epochs) else None
+    parts = [np.shape(x)[:-1] for x in (z if isinstance(z, tuple) else (z,)) if x is not None]
+    try:
+        return math.prod(np.broadcast_shapes(np.shape(prior.mean)[:-1], *parts))
+    except ValueError:  # the engine says what does not go together
+        return 1
+
+
+def _by_matrices(filter: Any) -> bool:
+    """Whether all models are matrices."""
+    models = (filter.motion, *filter.sensors) if hasattr(filter, "motion") else ()
+    return bool(models) and all(by_matrix(model, filter.rule) for model in models)
+
+
+def _kept(filter: Any, engine: str, jobs: int, most: int) -> Compiled:
+    """The filter as machine code, with what was recorded of the same object before."""
+    found = _KEPT.pop((id(filter), engine, jobs), None)
+    made: Compiled = found or compiled(filter, jobs=jobs, engine=engine)
+    made.most = max(most, made.most if made.recorded else 0)
+    _KEPT[id(filter), engine, made.jobs] = made  # the last one that was used stands last
+    while len(_KEPT) > MOST_KEPT:
+        del _KEPT[next(iter(_KEPT))]
+    return made
+
+
+_KEPT: dict[tuple[int, str, int], Compiled] = {}
+"""Filters by their addresses, which hold as long as the filters stand here."""
 
 
 def _listed(filter: Any, prior: Any, epochs: Any) -> Epochs | list[Epoch]:
@@ -348,18 +497,24 @@ def run_by(
     **options: Any,
 ) -> Track:
     """`celnav.run` with an engine that is "compiled" or "cuda", or "auto": compiled, and numpy where that cannot be."""
-    epochs, made = _listed(filter, prior, epochs), chosen(engine, filter, jobs)
+    by_numpy: Callable[..., Track] = partial(
+        run, also=also, reduce=reduce, engine="numpy", **options
+    )
+    alone = engine == "auto" and not isinstance(filter, Compiled)
+    if alone and not isinstance(epochs, Epochs | list | tuple):  # a stream, which may have no end
+        return replace(by_numpy(filter, prior, epochs), engine="numpy: a stream of epochs")
+    epochs = _listed(filter, prior, epochs)
     try:
         if also is not None or reduce is not None:
             raise CannotCompile(
-                f"also, reduce: expected none with engine={made.engine!r}, which keeps no states between epochs"
+                f"also, reduce: expected none with engine={engine!r}, which keeps no states between epochs"
             )
-        return made.run(prior, epochs, **options)
+        return chosen(engine, filter, jobs, prior, epochs).run(prior, epochs, **options)
     except (CannotCompile, ImportError) as error:
         if engine != "auto":
             raise
-        track = run(made.filter, prior, epochs, also=also, reduce=reduce, engine="numpy", **options)
-        return replace(track, engine=f"numpy: {error}")
+        own = filter.filter if isinstance(filter, Compiled) else filter
+        return replace(by_numpy(own, prior, epochs), engine=f"numpy: {error}")
 
 
 def steps_by(
@@ -368,7 +523,8 @@ def steps_by(
     """`celnav.steps` likewise; by numpy too where a run is lost, since why is to be told. An `Info` is of all sensors together."""
     epochs = _listed(filter, prior, epochs)
     try:
-        track = chosen(engine, filter, 1).run(prior, epochs, keep="cov", on_failure="flag")
+        made = chosen(engine, filter, 1, prior, epochs)
+        track = made.run(prior, epochs, keep="cov", on_failure="flag")
     except (CannotCompile, ImportError):
         if engine != "auto":
             raise

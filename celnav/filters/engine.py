@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from copy import copy
 from dataclasses import fields, is_dataclass
-from functools import partial
+from functools import cache, partial
 from itertools import count, repeat
 from typing import Any, NamedTuple
 
@@ -23,7 +23,17 @@ from celnav.gaussian.linalg import Array, Covariance, SquareRoot
 from celnav.tape import llvm
 from celnav.tape.kernel import Kernel
 from celnav.tape.numbers import Numbers, present
-from celnav.tape.tape import MOST, CannotCompile, Number, Tape, as_number, do, operands, refused
+from celnav.tape.tape import (
+    MOST,
+    CannotCompile,
+    Number,
+    Tape,
+    TooLong,
+    as_number,
+    do,
+    operands,
+    refused,
+)
 
 __all__ = [
     "FULL", "NONE", "PART", "SILENT", "TALLY", "Data", "Engine", "Kind", "Recorded", "Shape", "each_array", "each_run", "entries",
@@ -58,10 +68,12 @@ def rebuilt(tree: Any, parts: Iterator[Any]) -> Any:
     return make(*inner) if hasattr(tree, "_fields") else tuple(inner)
 
 
-def entries(shape: tuple[int, ...], what: str) -> list[tuple[int, ...]]:
+@cache
+def entries(shape: tuple[int, ...], what: str) -> tuple[tuple[int, ...], ...]:
     """Places of the numbers that an array is kept as: of a root or covariance the lower triangle."""
-    places = list(np.ndindex(*shape))
-    return [at for at in places if at[-1] <= at[-2]] if what in ("lower", "symmetric") else places
+    places = tuple(np.ndindex(*shape))
+    lower = what in ("lower", "symmetric")
+    return tuple(at for at in places if at[-1] <= at[-2]) if lower else places
 
 
 class Shape(NamedTuple):
@@ -115,7 +127,7 @@ class Data(NamedTuple):
     k: Array
     t: Array
     dt: Array
-    kinds: list[int]
+    kinds: Array
     known: list[Kind]
     sensors: Sequence[Any]
     z: list[Array]
@@ -176,14 +188,21 @@ class Engine:
         self.widths = [z.shape[-1] for z in data.z]
         self.innovations = [sensor.space.minus(z[:1], z[:1]).shape[-1] if z.shape[-1] else 0
                             for sensor, z in zip(data.sensors, data.z, strict=True)]  # fmt: skip
-        one = each_run(filter, lambda array: array[(0,) * (array.ndim - 2)])
-        state = one.start(_first_run(prior))
+        state, states = self.started(prior)
         self.belief, self.form, self.begin = state.belief, type(state.belief), Shape.of(state)
         own = [shape for shape, _, _ in self.begin.arrays]
         self.values = [
             np.broadcast_to(np.asarray(x, np.float64), (*self.batch, *shape))
-            for (x, _), shape in zip(leaves(filter.start(prior)), own, strict=True)
+            for (x, _), shape in zip(leaves(states), own, strict=True)
         ]
+
+    def started(self, prior: Any) -> tuple[Any, Any]:
+        """The state before the first epoch of one run, and of all."""
+        if not self.batch:
+            state = self.filter.start(prior)
+            return state, state
+        one = each_run(self.filter, lambda array: array[(0,) * (array.ndim - 2)])
+        return one.start(_first_run(prior)), self.filter.start(prior)
 
     def columns(self) -> dict[str, int]:
         """Names of the rows and how many numbers each has."""
@@ -327,7 +346,7 @@ class Engine:
             tuple(self.columns().values()),
         )
         if (size := len(tape.needed([x for *_, x in kernel.results()]))) > self.most:
-            raise CannotCompile(
+            raise TooLong(
                 f"a step of {size} operations takes longer than it saves: at most {self.most} are compiled"
             )
         return Recorded(kernel, after)

@@ -42,7 +42,7 @@ class FixedLag:
     filter: any filter; what it gives is not changed. lag: how many epochs a sample may be late, and how many are smoothed.
 
     A step costs what the filter's does; a late sample a step for each epoch since its own. It holds ``lag + 2`` states. Epochs are
-    numbered on, as those of `celnav.epochs` are. Of `celnav.compiled(filter)` steps are machine code, which hundreds of runs repay.
+    numbered on, as those of `celnav.epochs` are. Of `celnav.compiled(filter)` steps are machine code.
 
     >>> filter = celnav.filters.fixed_lag.FixedLag(celnav.ukf(motion, gps, camera), lag=20)
     >>> state = filter.start(prior)
@@ -82,15 +82,15 @@ class FixedLag:
             )  # nobody sees the states of a compiled flight: none are kept
             return Held((after,)), infos
         given = instance("epoch", epoch, Epoch, "a record of celnav.Epoch")
-        epoch = deepcopy(given._replace(truth=None))._replace(
-            truth=given.truth
-        )  # z may be a buffer, to be filled again
+        epoch = given._replace(
+            u=_copied(given.u), z=_copied(given.z)
+        )  # buffers may be filled again
         if state.epochs and epoch.k != (expected := state.epochs[-1].k + 1):
             raise ValueError(
                 f"epoch: expected one with k = {expected}, after the last, got {epoch!r:.80}"
             )
         after, infos = self.filter.step(state.states[-1], epoch)
-        if "belief" in getattr(after, "_fields", ()):
+        if not hasattr(self.filter, "run") and "belief" in getattr(after, "_fields", ()):
             after = after._replace(belief=settled(after.belief))  # as `celnav.run` goes on
         count = self.lag + 1
         return Held(
@@ -154,6 +154,15 @@ class FixedLag:
         return collector.track(
             None, getattr(self.filter, "filter", self.filter)
         )  # that which was compiled
+
+
+def _copied(x: Any) -> Any:
+    """The same numbers, in memory of their own."""
+    if x is None or isinstance(x, float | int):
+        return x
+    if type(x) is np.ndarray:
+        return x.copy()
+    return tuple(map(_copied, x)) if type(x) is tuple else deepcopy(x)
 
 
 def _filled(epoch: Epoch, late: list[Array | None], here: Any) -> Epoch:

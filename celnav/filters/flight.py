@@ -90,13 +90,15 @@ def as_data(filter: Any, epochs: Epochs | Sequence[Epoch]) -> Data:
             inputs.append({})
         inputs[which[i]][i] = parts
     moves = (dt.reshape(len(k), -1) != 0.0).any(-1)
-    numbered: dict[tuple[int, ...], int] = {}
-    rows = zip(
-        moves.tolist(), which.tolist(), *(status.tolist() for status, _ in found), strict=True
-    )
-    kinds = [numbered.setdefault(row, len(numbered)) for row in rows]
+    code = 2 * which + moves
+    for status, _ in found:
+        code = 4 * code + status  # of FULL, PART, SILENT and NONE
+    _, first, kinds = np.unique(code, return_index=True, return_inverse=True)
     trees = list(shapes)
-    known = [Kind(bool(moves), tuple(z), trees[at]) for moves, at, *z in numbered]
+    known = [
+        Kind(bool(moves[i]), tuple(int(status[i]) for status, _ in found), trees[which[i]])
+        for i in first.tolist()
+    ]
     return Data(
         k,
         t,
@@ -201,8 +203,12 @@ def fly(
     jobs: int,
     device: Device | None = None,
     watched: Sequence[int] = (),
+    compared: bool = True,
 ) -> Flight:
-    """All runs through all epochs, on a device, or None: on this processor; some are ``watched``."""
+    """All runs through all epochs, on a device, or None: on this processor.
+
+    Some are ``watched`` where the flight is to be compared with numpy's, or a step of it is new.
+    """
     runs, T = int(np.prod(engine.batch)), len(data.k)
     lanes = 0 if device else 1 if runs == 1 else llvm.lanes()
     inputs = {shape: engine.inputs(found, T) for shape, found in data.u.items()}
@@ -225,7 +231,7 @@ def fly(
     rows = {name: np.empty((K, whole, count)) for name, count in names.items()}
     counts = len(TALLY) * engine.stride
     tally, start = np.empty((runs, counts)), np.concatenate(engine.start(), 1)
-    sentinels = _sentinels(steps) if watched else []
+    sentinels = _sentinels(steps) if watched and (compared or engine.fresh) else []
     seen = np.empty((2, len(sentinels), len(watched), size))  # before and after
     table, loop = (np.array(steps, np.int32), stored.astype(np.int64)), _loop(records, size, device)
 
@@ -362,11 +368,17 @@ def _planned(
         tuple[int, int], tuple[int, int, Recorded]
     ] = {}  # by the shape before and the kind; with the shape after
     at, steps, places = 0, [], [0]
-    for kind in data.kinds:
+    kinds = data.kinds.tolist()
+    for i, kind in enumerate(kinds):
         if (at, kind) not in records:
             there = data.known[kind]
             made = engine.recorded_as(list(ids)[at], there, inputs[there.u], lanes)
             records[at, kind] = len(records), ids.setdefault(made.after, len(ids)), made
+            stays = {k: n for (b, k), (n, after, _) in records.items() if b == at == after}
+            if stays.keys() >= set(kinds[i:]):  # from here on the state keeps its shape
+                steps += [stays[k] for k in kinds[i:]]
+                places += [at] * (len(kinds) - i)
+                break
         number, at, _ = records[at, kind]
         steps.append(number)
         places.append(at)

@@ -39,7 +39,7 @@ def iterated_smoother(
     iterations: flights there and back; one is `celnav.smooth` of the filter's own track. A count, not a tolerance, so that what a
         run gives does not depend on its neighbors: look whether more of them change anything.
     gains, on_failure: as `celnav.smooth` has them.
-    engine, jobs: of the flights there, as `celnav.run` has them, compiled once for all after the first; the way back is by numpy.
+    engine, jobs: of the flights there, as `celnav.run` has them; the way back is by numpy.
 
     Returns the `Track` of the last flight, smoothed; its innovations, likelihood and events are of that flight.
 
@@ -50,15 +50,10 @@ def iterated_smoother(
     by, why = choice("engine", ENGINE.get() if engine is None else engine, ENGINES), ""
     epochs, relinearized = list(as_epochs(times, z, u)), Relinearized.of(filter)
     flown: Any = filter
-    again: Any = relinearized
-    if by != "numpy":
-        from celnav.filters.compiled import chosen
-
-        again = chosen(by, relinearized, jobs)
     for left in range(count - 1, -1, -1):
         track = run(flown, prior, epochs, keep="cov", on_failure=on_failure, engine=by, jobs=jobs)
         if track.engine.startswith("numpy: "):  # what was refused once is not tried again
-            by, why, again = "numpy", track.engine, relinearized
+            by, why = "numpy", track.engine
         track = smooth(track, gains=gains and not left, on_failure=on_failure)
         assert track.belief is not None
         about = list(map(type(track.belief), *track.belief))
@@ -66,7 +61,7 @@ def iterated_smoother(
             epoch._replace(about=ends)
             for epoch, ends in zip(epochs, pairwise([None, *about]), strict=True)
         ]
-        flown = again
+        flown = relinearized
     return replace(
         track,
         filter=filter,

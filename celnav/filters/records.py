@@ -207,8 +207,14 @@ class Epochs(Sequence[Epoch]):
             [None] * len(at) if part is None else part[at[0] : at[-1] + 1 : self._rows.step]
             for part in z[:sensors]
         )
-        u = [None if i < 0 or self._u is None else _at(self._u, i) for i in before.tolist()]
+        u: list[Any] = [None] * len(at)
+        if self._u is not None:
+            u = [None if i < 0 else _at(self._u, i) for i in before.tolist()]
         return self._first + np.arange(len(at)), t, dt, u, each
+
+    def unmeasured(self) -> Epochs:
+        """The same without measurements and truth."""
+        return Epochs(self._times, None, self._u, None, self._rows, self._before, self._first)
 
     def _row_before(self, at: int) -> int:
         return self._rows[at - 1] if at else self._before

@@ -30,7 +30,7 @@ from celnav.gaussian.linalg import Array
 __all__ = ["ENGINE", "ENGINES", "as_epochs", "explain", "run", "steps"]
 
 ENGINES = ("numpy", "compiled", "cuda", "auto")
-ENGINE: ContextVar[str] = ContextVar("engine", default="numpy")
+ENGINE: ContextVar[str] = ContextVar("engine", default="auto")
 """What `run` and the studies take where nobody says: ``celnav reproduce --engine`` sets it."""
 
 
@@ -53,8 +53,9 @@ def run(
     also: ``(epoch, state, infos) -> dict`` of further arrays to store, as ``Track.extra``.
     reduce: ``(accumulated, epoch, state, infos) -> accumulated``, from None; the end is ``Track.reduced``. With it a study of any
         length runs in the memory of one step.
-    engine: "numpy" (unless `ENGINE` says otherwise); "compiled": the filter's own step as machine code, see `celnav.compiled`;
-        "cuda": on an NVIDIA device; "auto": compiled where that can be, and ``Track.engine`` says why not.
+    engine: "auto" (unless `ENGINE` says otherwise): machine code where it can be had and repays recording and compiling in this
+        flight, or was recorded of the same filter before, else numpy; ``Track.engine`` says which, and why. "numpy"; "compiled":
+        the filter's own step as machine code, see `celnav.compiled`; "cuda": on an NVIDIA device.
     jobs: threads of compiled code.
     on_failure: "raise" a `FilterError` for the first run that is lost, or "flag" it: it becomes nan from there
         (``Track.failed_at``), the other runs go on.
@@ -136,6 +137,7 @@ def steps(
             f"epochs: expected celnav.epochs(times, z), or records like celnav.Epoch, got {kind(epochs)}"
         ) from None
     models: list[Any] = []
+    settles = not hasattr(filter, "run")  # a compiled filter does it itself
     for epoch in every:
         check_interval(filter, epoch, before)
         before = epoch.t
@@ -150,7 +152,7 @@ def steps(
             raise cause from error
         finally:
             LOOKED_AT.reset(token)
-        if "belief" in getattr(state, "_fields", ()):
+        if settles and "belief" in getattr(state, "_fields", ()):
             state = state._replace(belief=settled(state.belief))
         yield epoch, state, infos
 

@@ -47,7 +47,16 @@ from celnav.gaussian.rules import Taylor
 from celnav.tape.numbers import Numbers
 from celnav.tape.tape import Number
 
-__all__ = ["Function", "changed", "difference", "functions_of", "held", "restorer"]
+__all__ = [
+    "Function",
+    "Watch",
+    "changed",
+    "difference",
+    "functions_of",
+    "held",
+    "otherwise",
+    "restorer",
+]
 
 CLOSE = 1e-6  # of a standard deviation, or of the size of any other number
 DIFFERENCED = 1e-4  # likewise where numpy takes differences and machine code has derivatives
@@ -56,6 +65,8 @@ TRIES = 3
 SAMPLE = 4096  # numbers of a large array by which it is known
 MOST_NAMED = 3  # functions of a message
 DEEP = 8  # objects within objects
+GENERATES = ("bit_generator", "get_state", "getstate")  # attributes of what draws random numbers
+FIXED = (tuple, partial, MethodType, BuiltinFunctionType, ModuleType, type)
 EMPTY = CellType()  # of a name that has no value yet
 
 
@@ -81,7 +92,7 @@ def difference(
         counted = sentinel.after[some] - sentinel.before[some]
         tally = [counted[..., i] for i in range(failed)]
         try:
-            name = _otherwise(own, state, epoch, after, tally)
+            name = otherwise(own, state, epoch, after, tally)
         except Exception as error:
             return f"numpy raises {type(error).__name__}: {error}"
         if name:
@@ -96,7 +107,7 @@ def _silent(z: Any, data: Data, at: int) -> bool:
     return any(what == PART and np.isnan(x).all() for what, x in zip(there, parts, strict=False))
 
 
-def _otherwise(filter: Any, state: Any, epoch: Any, after: Any, tally: list[Array]) -> str:
+def otherwise(filter: Any, state: Any, epoch: Any, after: Any, tally: list[Array]) -> str:
     """What a step by numpy gives otherwise."""
     stepped, counts = _stepped(filter, state, epoch)
     # A fixed lag keeps nothing in machine code: then beliefs are compared.
@@ -274,6 +285,69 @@ def _refill(thing: Any, fill: Callable[[Any], None], contents: Any) -> None:
     fill(contents)
 
 
+class Watch:
+    """What the models of a filter held when it was made; `is_still` looks whether they hold it yet.
+
+    Names and contents are compared by identity, which takes a microsecond or two. What cannot be
+    compared so, such as an iterator, counts as changed: then `held` says.
+    """
+
+    def __init__(self, filter: Any):
+        things: dict[str, Any] = {}
+        self.holds: dict[str, Any] = {}
+        _look(filter, "", self.holds, set(), DEEP, things)
+        self._names = list[tuple[Any, str, Any]]()
+        self._within = list[tuple[Any, Any]]()
+        self._arrays, self._unsure = list[tuple[Array, bytes]](), False
+        for thing in things.values():
+            self._note(thing)
+
+    def _note(self, thing: Any) -> None:
+        """Remember what a thing holds."""
+        if isinstance(thing, FunctionType):
+            cells = [cell for cell in thing.__closure__ or () if cell != EMPTY]
+            self._names += [(cell, "", cell.cell_contents) for cell in cells]
+            own = set() if _is_ours(thing) else set(_names(thing.__code__))
+            space = thing.__globals__
+            self._names += [
+                (space, name, space[name])
+                for name in sorted(own & space.keys())
+                if not isinstance(space[name], ModuleType)
+            ]
+        elif isinstance(thing, np.ndarray):
+            self._arrays.append((thing, thing.tobytes()))
+            self._unsure |= thing.size > SAMPLE or thing.dtype.hasobject
+        elif isinstance(thing, list | deque | dict | set):
+            self._within.append((thing, thing.copy()))
+        elif any(hasattr(thing, name) for name in GENERATES):
+            self._unsure = True
+        elif _is_ours(thing) or isinstance(thing, FIXED):
+            pass  # what they hold stays, and is looked at by itself
+        elif hasattr(thing, "__dict__"):
+            self._within.append((vars(thing), dict(vars(thing))))
+        else:
+            self._unsure = True
+
+    def is_still(self) -> bool:
+        """Whether all is as it was."""
+        if self._unsure:
+            return False
+        for space, name, value in self._names:
+            if (space.get(name) if name else space.cell_contents) is not value:
+                return False
+        for thing, known in self._within:
+            if len(thing) != len(known) or not _same(thing, known):
+                return False
+        return all(thing.tobytes() == known for thing, known in self._arrays)
+
+
+def _same(thing: Any, known: Any) -> bool:
+    """Whether two containers hold the same things."""
+    if isinstance(thing, dict):
+        return all(a is b for a, b in zip(thing.values(), known.values(), strict=True))
+    return all(a is b for a, b in zip(thing, known, strict=True))
+
+
 def changed(before: dict[str, Any], after: dict[str, Any]) -> str:
     """The first path whose value is another one; empty: none."""
     return next((k for k in {**before, **after} if before.get(k) != after.get(k)), "")
@@ -333,7 +407,7 @@ def _mark(thing: Any) -> Any:
             return thing.shape, tuple(map(id, thing.ravel()[:SAMPLE]))
         some = thing.ravel()[:: max(1, thing.size // SAMPLE)]
         return thing.shape, crc32(np.ascontiguousarray(some).tobytes())
-    for name in ("bit_generator", "get_state", "getstate"):  # a generator of random numbers
+    for name in GENERATES:
         if hasattr(thing, name) and not isinstance(thing, type):
             state = getattr(thing, name)
             return repr(state.state if name == "bit_generator" else state())

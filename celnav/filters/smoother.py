@@ -8,10 +8,10 @@ costs variance, not honesty.
 
 from __future__ import annotations
 
-from dataclasses import replace
-from functools import partial
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
 from itertools import pairwise
-from typing import Any
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -20,13 +20,14 @@ from celnav.filters.fallback import Fallback
 from celnav.filters.fixed_lag import FixedLag
 from celnav.filters.imm import InteractingModels
 from celnav.filters.joint import condition
-from celnav.filters.records import Epoch, FilterError
+from celnav.filters.records import Epoch, FilterError, Info, still
 from celnav.filters.regression import pseudo_gain
+from celnav.filters.run import run
 from celnav.filters.sequential import Sequential, SingleDraw
 from celnav.filters.track import Track
 from celnav.filters.two_stage import TwoStage
 from celnav.gaussian.checks import choice, instance, kind
-from celnav.gaussian.linalg import NEGLIGIBLE, Array, Belief
+from celnav.gaussian.linalg import NEGLIGIBLE, Array, Belief, surely
 
 __all__ = ["back", "smooth"]
 
@@ -45,8 +46,9 @@ FORWARD_ONLY: dict[type, str] = {
 
 
 def smooth(
-    track: Track, filter: Any = None, *, gains: bool = False, on_failure: str = "raise"
-) -> Track:
+    track: Track, filter: Any = None, *, gains: bool = False, on_failure: str = "raise",
+    engine: str | None = None, jobs: int = 1,
+) -> Track:  # fmt: skip
     """Estimates of all states given *all* measurements, from the track of a filter.
 
     track: of ``run(..., keep="cov")``, every epoch stored.
@@ -55,6 +57,8 @@ def smooth(
         of `celnav.two_stage` a filter with the bias as a state, in place of `celnav.imm` one of its models.
     gains: store the gains ``(T, ..., n, n)``, ``extra["gain"]``: the k-th acts from epoch k + 1 to k, the last is 0.
     on_failure: "raise" a `FilterError` if the smoother loses a run, or "flag" it (nan from there *back*, and ``failed_at``).
+
+    engine, jobs: of the way back, as `celnav.run` has them; gains are numpy's.
 
     Returns the track with smoothed mean, std and covariances; all else remains the filter's. A run that the filter lost is smoothed
     up to its last good epoch. Directions of the predicted state that are known (a singular covariance) carry nothing back.
@@ -84,43 +88,95 @@ def smooth(
         raise ValueError("track: expected every epoch, got some of them; run with every=1")
 
     form, filtered, failed_at = type(track.belief), track.belief, track.failed_at
+    batch, n = failed_at.shape, filtered[1].shape[-1]
     mean, cov = filtered.mean.copy(), filtered[1].copy()
+    lost = np.isnan(filtered.mean).any(-1)
     G = np.zeros(cov.shape) if gains else None
-    after: Any = form(mean[-1], cov[-1])
-    for k in range(len(mean) - 2, -1, -1):
-        epoch, before = epochs[k + 1], form(filtered.mean[k], filtered[1][k])
-        if np.any(epoch.dt):
-            try:
-                after, gain = back(chosen, before, after, epoch)
-            except Exception as error:
-                error.add_note(f"in smoothing back from step {epoch.k}, t = {epoch.t}")
-                raise
-        else:
-            gain = np.broadcast_to(np.eye(cov.shape[-1]), cov.shape[1:])
-        lost = ~np.isfinite(filtered.mean[k + 1]).all(-1)
-        if lost.any():
-            after = form(
-                np.where(lost[..., None], before.mean, after.mean),
-                np.where(lost[..., None, None], before[1], after[1]),
+    if len(mean) > 1:
+        backward = [
+            epochs[k + 1]._replace(
+                z=None,
+                truth=None,
+                about=(form(mean[k], cov[k]), mean[k + 1, ..., :1], epochs[k + 1].about),
             )
-            gain = np.where(lost[..., None, None], 0.0, gain)
-        mean[k], cov[k] = after.mean, after[1]
+            for k in range(len(mean) - 2, -1, -1)
+        ]
+        way = run(
+            backwards(chosen, gains),
+            form(mean[-1], np.broadcast_to(cov[-1], (*batch, n, n))),
+            backward,
+            keep="cov",
+            on_failure="flag",
+            also=(lambda _epoch, state, _infos: {"gain": state.gain}) if gains else None,
+            engine=engine,
+            jobs=jobs,
+        )
+        assert way.belief is not None
+        mean[:-1], cov[:-1] = way.belief.mean[::-1], way.belief[1][::-1]
         if G is not None:
-            G[k] = gain
-        broken = after.lost() & np.isfinite(filtered.mean[k]).all(-1)
-        if broken.any():
-            if on_failure == "raise":
-                run = tuple(int(i) for i in np.argwhere(broken)[0])
-                where = f", run {run}" if run else ""
-                raise FilterError(
-                    f"smoothing back from step {epoch.k}, t = {epoch.t}{where}: the covariance of the predicted state, or the "
-                    "smoothed one, is not positive definite (on_failure='flag' lets the other runs go on)"
-                )
-            failed_at = np.where(broken & (failed_at < 0), k, failed_at)
+            G[:-1] = way.extra["gain"][::-1]
+    broken = np.asarray(np.isnan(mean).any(-1) & ~lost)
+    if broken.any():
+        k = len(broken) - 1 - np.argmax(broken[::-1], 0)  # from there back
+        first = np.unravel_index(np.argmax(np.where(broken.any(0), k, -1)), batch)
+        if on_failure == "raise":
+            epoch = epochs[int(k[first]) + 1]
+            where = f", run {tuple(int(i) for i in first)}" if batch else ""
+            raise FilterError(
+                f"smoothing back from step {epoch.k}, t = {epoch.t}{where}: the covariance of the predicted state, or the "
+                "smoothed one, is not positive definite (on_failure='flag' lets the other runs go on)"
+            )
+        failed_at = np.where(broken.any(0) & (failed_at < 0), k, failed_at)
     belief, extra = form(mean, cov), track.extra | ({} if G is None else {"gain": G})
     return replace(
         track, mean=mean, std=belief.std, belief=belief, failed_at=failed_at, extra=extra
     )
+
+
+class Smoothed(NamedTuple):
+    """State of the way back: the belief given everything, and the gain that led to it, if that is kept."""
+
+    belief: Belief
+    gain: Array | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Backward:
+    """The way back as a filter, over the epochs in reverse.
+
+    ``epoch.about`` has the filter's belief before the interval, a component of its mean after it,
+    nan where it is lost there, and what the epoch itself is about.
+    """
+
+    filter: Sequential
+    gains: bool
+    sensors: ClassVar[tuple[()]] = ()
+
+    def start(self, prior: Any) -> Smoothed:
+        """The filter's last belief."""
+        return Smoothed(prior, np.zeros(prior[1].shape) if self.gains else None)
+
+    def step(self, state: Smoothed, epoch: Epoch) -> tuple[Smoothed, tuple[Info, ...]]:
+        """The belief at the beginning of an epoch's interval given everything."""
+        before, there, about = epoch.about
+        after, gain = state.belief, np.eye(before[1].shape[-1])
+        if not still(epoch):
+            after, gain = back(self.filter, before, after, epoch._replace(about=about))
+        lost = np.isnan(there)
+        if not surely(~lost.any()):
+            form, here = self.filter.form, lost[..., None]
+            mean = np.where(lost, before.mean, after.mean)
+            after = form(mean, np.where(here, before[1], after[1]))
+            gain = np.where(here, 0.0, gain)
+        if not self.gains:
+            return Smoothed(after), ()
+        return Smoothed(after, np.broadcast_to(gain, before[1].shape)), ()
+
+
+@lru_cache(maxsize=16)
+def backwards(filter: Sequential, gains: bool) -> Backward:
+    """The way back of a filter; of the same one the same, of which machine code is kept."""
+    return Backward(filter, gains)
 
 
 def back(filter: Sequential, before: Belief, after: Belief, epoch: Epoch) -> tuple[Belief, Array]:

@@ -68,7 +68,7 @@ class Track:
     extra: dict[str, Array] = field(default_factory=dict)
     reduced: Any = None
     filter: Any = None
-    epochs: tuple[Epoch, ...] = ()
+    epochs: Sequence[Epoch] = ()
     engine: str = "numpy"
 
     def __getstate__(self) -> dict[str, Any]:

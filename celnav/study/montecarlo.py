@@ -7,15 +7,33 @@ block, the number of processes or the order of the work.
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
+from numpy.random.bit_generator import ISeedSequence
 
 from celnav.gaussian.checks import integer, kind, number, sequence
 from celnav.gaussian.linalg import Array
 
-__all__ = ["MOST_STEPS", "blocks", "effort", "generator", "normals", "run_count", "steps"]
+__all__ = [
+    "MOST_STEPS",
+    "Draws",
+    "blocks",
+    "effort",
+    "generator",
+    "generators",
+    "normals",
+    "run_count",
+    "steps",
+]
 
+MOST_NUMBERS = 1 << 22  # random ones that are drawn ahead, of all runs: 32 MiB
+_INIT_A, _MULT_A = 0x43B0D7E5, 0x931E8875  # of numpy's SeedSequence, whose streams stay as they are
+_INIT_B, _MULT_B = 0x8B51F9DD, 0x58F38DED
+_MIX_L, _MIX_R = 0xCA01F9DD, 0x4973F715
+AHEAD = 64  # times as many as are asked for are drawn
 MOST_STEPS = 10_000_000  # of one run, at its finest rate: more take a day, and gigabytes
 
 
@@ -23,6 +41,47 @@ def generator(seed: int, study: int, run: int) -> np.random.Generator:
     """The generator of one run of one study, which are not negative."""
     key = (integer("study", study, 0), integer("run", run, 0))
     return np.random.default_rng(np.random.SeedSequence(integer("seed", seed, 0), spawn_key=key))
+
+
+class _Seeds(ISeedSequence):
+    """Words for one generator that are known already."""
+
+    def __init__(self, words: Array):
+        self.words = words
+
+    def generate_state(self, n_words: int, dtype: Any = np.uint32) -> Any:  # noqa: ARG002
+        return self.words
+
+
+def generators(seed: int, study: int, runs: int) -> list[np.random.Generator]:
+    """Those of the first runs: `generator` of each, with the last steps of all seeds done at once.
+
+    `numpy.random.SeedSequence` mixes its words one after the other, and the run is the last.
+    """
+    generator(seed, study, max(runs - 1, 0))  # which refuses what is no seed
+    if max(seed >> 128, study >> 32, runs >> 32):  # of more words
+        return [generator(seed, study, run) for run in range(runs)]
+    pool = np.random.SeedSequence(seed, spawn_key=(study,)).pool
+    word, last = np.arange(runs, dtype=np.uint32), np.empty((4, runs), np.uint32)
+    factor = _INIT_A * pow(_MULT_A, 20, 1 << 32)  # after 4 words, 12 pairs of them and the study
+    for i, mixed in enumerate(pool.tolist()):
+        hashed, factor = _hashed(word, factor, _MULT_A)
+        one = np.uint32(_MIX_L * mixed % (1 << 32)) - np.uint32(_MIX_R) * hashed
+        last[i] = one ^ (one >> np.uint32(16))
+    words, factor = np.empty((runs, 8), np.uint32), _INIT_B
+    for i in range(8):
+        words[:, i], factor = _hashed(last[i % 4], factor, _MULT_B)
+    if sys.byteorder == "big":
+        words = words[:, [1, 0, 3, 2, 5, 4, 7, 6]]
+    seeds: list[Any] = [_Seeds(row) for row in words.view(np.uint64)]
+    return [np.random.Generator(np.random.PCG64(each)) for each in seeds]
+
+
+def _hashed(values: Array, factor: int, by: int) -> tuple[Any, int]:
+    """Words of 32 bits, hashed with a factor, and the next factor."""
+    after = factor * by % (1 << 32)
+    mixed = (values ^ np.uint32(factor % (1 << 32))) * np.uint32(after)
+    return mixed ^ (mixed >> np.uint32(16)), after
 
 
 def normals(rngs: Sequence[np.random.Generator], *shapes: tuple[int, ...]) -> list[Array]:
@@ -39,6 +98,48 @@ def normals(rngs: Sequence[np.random.Generator], *shapes: tuple[int, ...]) -> li
 
     draws = [[rng.standard_normal(shape) for shape in shapes] for rng in every]
     return [np.stack(column, -2) for column in zip(*draws, strict=True)]
+
+
+class Draws:
+    """Standard normal numbers, some for each run: the same as if each generator were asked each time.
+
+    They are drawn in chunks. `close` sets the generators back to where they would be then; it need
+    not be called of generators that nobody else has, ``owned``.
+
+    >>> draws = Draws(rngs)
+    >>> noise = draws(3)  # (runs, 3)
+    """
+
+    def __init__(self, rngs: Sequence[np.random.Generator], owned: bool = False):
+        self.rngs, self._owned = rngs, owned
+        # Others than numpy's, such as one of zeros, are asked each time.
+        self._ahead = all(type(rng) is np.random.Generator for rng in rngs)
+        self._chunk = np.empty((len(rngs), 0))
+        self._used, self._before = 0, list[Any]()
+
+    def __call__(self, count: int) -> Array:
+        """The next numbers ``(runs, count)``."""
+        if not self._ahead:
+            return np.stack([rng.standard_normal(count) for rng in self.rngs])
+        left = self._chunk[:, self._used :]
+        if left.shape[1] >= count:
+            self._used += count
+            return np.ascontiguousarray(left[:, :count])
+        room = max(1, MOST_NUMBERS // len(self.rngs))
+        fresh = np.empty((len(self.rngs), max(count - left.shape[1], min(room, AHEAD * count))))
+        if not self._owned:
+            self._before = [rng.bit_generator.state for rng in self.rngs]
+        for rng, row in zip(self.rngs, fresh, strict=True):
+            rng.standard_normal(out=row)
+        self._used, self._chunk = count - left.shape[1], fresh
+        return np.concatenate([left, fresh[:, : self._used]], 1)
+
+    def close(self) -> None:
+        """Give back what was drawn and not used."""
+        if self._used < self._chunk.shape[1]:
+            for rng, state in zip(self.rngs, self._before, strict=not self._owned):
+                rng.bit_generator.state = state
+                rng.standard_normal(self._used)
 
 
 def blocks(runs: int, size: int) -> list[range]:

@@ -15,7 +15,7 @@ from celnav.filters.records import Epoch, epochs, without_input
 from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.checks import instance, integer, sequence
 from celnav.gaussian.linalg import Array, matvec
-from celnav.study.montecarlo import generator
+from celnav.study.montecarlo import Draws, generators
 
 __all__ = ["simulate"]
 
@@ -62,10 +62,12 @@ def simulate(
     else:
         if (count := integer("runs", runs)) > MOST_RUNS:
             raise ValueError(f"runs: expected at most {MOST_RUNS}, got {count}")
-        rngs = [generator(seed, 0, run) for run in range(count)]
+        rngs = generators(seed, 0, count)
+
+    normal = Draws(rngs, owned=rngs is not runs)
 
     def draw(columns: Array) -> Array:
-        return matvec(columns, np.stack([rng.standard_normal(columns.shape[-1]) for rng in rngs]))
+        return matvec(columns, normal(columns.shape[-1]))
 
     def white(model: Motion | Sensor, x: Array, epoch: Epoch, rows: int) -> Any:
         columns = model.columns(x, epoch, rows)
@@ -110,5 +112,6 @@ def simulate(
         except (AttributeError, TypeError) as error:
             raise without_input(error, epoch) from error
         truth.append(x)
+    normal.close()
     measured = tuple(np.stack(column) for column in zip(*z, strict=True))
     return np.stack(truth), measured[0] if isinstance(sensor, Sensor) else measured

@@ -147,7 +147,7 @@ class Study:
             choice("only", name, parts)
         engine = ENGINE.get()
         about = f"effort {effort!r}, {sorted((key, str(value)) for key, value in inputs.items())}"
-        about += "" if engine == "numpy" else f", engine {engine}"
+        about += "" if engine == "auto" else f", engine {engine}"
         about += f", source {self.source}" if self.source else ""
         units = []
         for name, part in parts.items():
@@ -214,7 +214,7 @@ class Unit(NamedTuple):
     runs: range
     about: str
     cost: float
-    engine: str = "numpy"
+    engine: str = "auto"
 
     @property
     def title(self) -> str:

@@ -35,7 +35,7 @@ class Kernel(NamedTuple):
     @property
     def cells(self) -> int:
         """How many numbers its routines have in memory."""
-        return sum(op[1].cells for op in self.tape.ops if op[0] == "call")
+        return self.tape.cells
 
     def lowered(self) -> Kernel:
         """With elementary functions as arithmetic."""

@@ -18,7 +18,7 @@ from typing import Any, Final
 import numpy as np
 
 __all__ = [
-    "LOGICAL", "MOST", "CannotCompile", "Number", "Scalar", "Tape", "as_number", "do", "is_known",
+    "LOGICAL", "MOST", "CannotCompile", "Number", "Scalar", "Tape", "TooLong", "as_number", "do", "is_known",
     "is_logical", "operands", "place_of", "refused", "total",
 ]  # fmt: skip
 
@@ -33,6 +33,10 @@ class CannotCompile(ValueError):
     """
 
     somewhere = False
+
+
+class TooLong(CannotCompile):
+    """A computation has more operations than are worth it."""
 
 
 def refused(what: str) -> CannotCompile:
@@ -109,6 +113,7 @@ class Tape:
 
     ``ops[i]`` is ``(name, *arguments)``: indices of earlier ones; ``("in", k)`` is the k-th input, ``("const", x)`` a number.
     ``("call", routine, *arguments)`` leaves a memory, ``("part", i, cell)`` is a cell of it; ``rolled``: whether there may be such.
+    ``cells``: how many numbers the routines have in memory.
     ``refusal``: the first thing that was asked for in vain. ``absent[i]``: whether it comes of something
     that may be missing, nan. ``model``: whether what is recorded now is a model's
     own arithmetic, which has the values that numpy gives; of what it made, ``wild[i]``: whether it may be nan or infinite, and
@@ -124,7 +129,7 @@ class Tape:
         self.sharp, self.modeled = set[int](), list[bool]()
         self.variables: list[Number] = []  # see `celnav.tape.derivative`
         self._known: dict[Any, int] = {}
-        self._inputs = 0
+        self._inputs = self.cells = 0
 
     @property
     def key(self) -> tuple[Any, ...]:
@@ -145,10 +150,9 @@ class Tape:
         if at is None:
             at = self._known[key] = len(self.ops)
             if at == MOST:
-                raise CannotCompile(
-                    f"a step of more than {MOST} operations is too long to be compiled"
-                )
+                raise TooLong(f"a step of more than {MOST} operations is too long to be compiled")
             self.ops.append(op)
+            self.cells += op[1].cells if op[0] == "call" else 0
             known, needs = op[0] == "const", operands(op)
             self.absent.append(op[1] != op[1] if known else any(self.absent[a] for a in needs))
             wild = self.model and (op[0] in _WILD or any(self.wild[a] for a in needs))

@@ -1,0 +1,304 @@
+"""One step at a time by machine code: a `Plan` is a kernel with buffers that stay.
+
+A step copies the state and the measurement into the buffers, calls the kernel, and copies the state
+out: what a robot runs, and what `celnav.steps` and a fixed lag make of a compiled filter.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from celnav.filters.engine import (
+    FULL,
+    NONE,
+    PART,
+    SILENT,
+    TALLY,
+    Data,
+    Engine,
+    Kind,
+    Recorded,
+    Shape,
+    entries,
+    leaves,
+    rebuilt,
+)
+from celnav.filters.flight import as_data
+from celnav.filters.records import Epoch, Info, State
+from celnav.filters.sentinels import Watch
+from celnav.filters.sequential import measurements
+from celnav.gaussian.linalg import Array
+from celnav.tape import llvm
+from celnav.tape.tape import CannotCompile
+
+__all__ = ["Plan", "signature"]
+
+FLOAT = np.dtype(np.float64)
+FAILED = TALLY.index("failed_at")
+SEEN = ("innovation", "whitened", "used")
+SILENCE = Info(silent=True)
+
+
+# -- what a plan is chosen by --------------------------------------------------------------------
+def signature(state: Any, epoch: Epoch) -> tuple[Any, list[float]]:
+    """What must be alike in steps for one plan to serve them, and the epoch's numbers, of one run.
+
+    The numbers are k, t, the interval, those of the inputs, and those of the measurements.
+    """
+    belief, dt, u = state.belief, epoch.dt, epoch.u
+    shapes: Any = (type(belief), belief[0].shape, belief[1].shape)
+    if type(state) is not State or state.memory.count(None) < len(state.memory):
+        shapes = Shape.of(state)
+    if not isinstance(dt, float) and not np.ndim(dt):
+        dt = float(dt)
+    numbers = [epoch.k, epoch.t, dt if isinstance(dt, float) else 0.0]
+    moves: Any = dt != 0.0 if isinstance(dt, float) else (np.shape(dt), bool(np.any(dt)))
+    plain = u is None and epoch.about is None
+    inputs = None if plain else _input((u, epoch.about), numbers)
+    z = epoch.z
+    if isinstance(z, tuple):
+        return (shapes, moves, inputs, *[_seen(x, numbers) for x in z]), numbers
+    return (shapes, moves, inputs, _seen(z, numbers)), numbers
+
+
+def _input(u: Any, numbers: list[float]) -> Any:
+    """Shapes of an input, and whether it is finite; its numbers are added to the others."""
+    if u is None:
+        return None
+    if isinstance(u, tuple):
+        return type(u), *(_input(x, numbers) for x in u)
+    values = np.asarray(u, np.float64)
+    if not values.ndim:
+        numbers.append(float(values))
+        return (), bool(np.isfinite(values))
+    flat = values.ravel().tolist()
+    numbers += flat
+    total = sum(flat)
+    return values.shape, total - total == 0.0 or bool(np.isfinite(values).all())
+
+
+def _seen(z: Any, numbers: list[float]) -> Any:
+    """What there is of a measurement, and its shape; its numbers are added to the others."""
+    if z is None:
+        return NONE
+    if type(z) is not np.ndarray or z.dtype is not FLOAT:
+        z = np.asarray(z, np.float64)
+    if z.ndim != 1:
+        missing = np.isnan(z)
+        return z.shape, SILENT if missing.all() else PART if missing.any() else FULL
+    flat = z.tolist()
+    numbers += flat
+    total = sum(flat)
+    if total - total == 0.0:
+        return z.shape, FULL
+    count = sum(x != x for x in flat)
+    return z.shape, SILENT if count == len(flat) else PART if count else FULL
+
+
+# -- a state whose matrices are whole ------------------------------------------------------------
+class _Between(Engine):
+    """An engine that begins with a state of a filter, and keeps whole matrices in it."""
+
+    def __init__(self, filter: Any, state: Any, data: Data, most: int):
+        self.state = state
+        super().__init__(filter, state.belief, data, "nothing", {}, most=most)
+
+    def started(self, _prior: Any) -> tuple[Any, Any]:
+        if not self.batch:
+            return self.state, self.state
+        alone = []
+        for x, what in leaves(self.state):
+            axes = 1 if what == "belief" else 2 if what else np.ndim(x)
+            alone.append(x[(0,) * (np.ndim(x) - axes)])
+        return rebuilt(self.state, iter(alone)), self.state
+
+    def record(self, before: Shape, kind: Kind, u: list[tuple[Array, bool]]) -> Recorded:
+        made = super().record(before, kind, u)
+        if self.batch and not all(
+            what for shape in (before, made.after) for _, what, _ in shape.arrays
+        ):
+            raise CannotCompile(
+                "a filter that remembers more than a belief is stepped by machine code for "
+                "one run only; several are compiled for whole flights"
+            )
+        begin, end = (_places(shape, self.held) for shape in (before, made.after))
+        inputs = [
+            (place, begin[at][0] if place == "state" else at) for place, at in made.kernel.inputs
+        ]
+        results: list[tuple[int, Any]] = []
+        if before.arrays != made.after.arrays:  # what stood there may not be what stands there now
+            results = [(i, 0.0) for i in range(self.held, end[-1][-1]) if (i,) not in end]
+        results += [(place, x) for at, x in made.kernel.state for place in end[at]]
+        return made._replace(kernel=made.kernel._replace(inputs=inputs, state=results))
+
+
+def _places(shape: Shape, first: int) -> list[tuple[int, ...]]:
+    """Where each number of a state lies if its matrices are whole: of a covariance in two places."""
+    found: list[tuple[int, ...]] = [(i,) for i in range(first)]
+    for own, what, _ in shape.arrays:
+        at = np.arange(first, first + int(np.prod(own))).reshape(own)
+        for place in entries(own, what):
+            both = (place, place[::-1]) if what == "symmetric" and len(set(place)) > 1 else (place,)
+            found.append(tuple(int(at[one]) for one in both))
+        first += at.size
+    return found
+
+
+def _spans(shape: Shape, first: int) -> list[tuple[slice, tuple[int, ...]]]:
+    """Where each array of such a state lies, and its shape."""
+    ends = first + np.cumsum([0, *(int(np.prod(own)) for own, _, _ in shape.arrays)])
+    return [
+        (slice(int(a), int(b)), own)
+        for a, b, (own, _, _) in zip(ends[:-1], ends[1:], shape.arrays, strict=True)
+    ]
+
+
+# -- the step ------------------------------------------------------------------------------------
+class Plan:
+    """A step of a filter by machine code, from states and over epochs of one `signature`.
+
+    Its buffers belong to one thread. ``left``: steps until numpy is to take the same one, one of each
+    ``interval``. ``watch``: what the models held.
+    """
+
+    def __init__(self, filter: Any, state: Any, epoch: Epoch, most: int):
+        data = as_data(filter, [epoch])
+        engine, kind = _Between(filter, state, data, most), data.known[0]
+        inputs = engine.inputs(data.u[kind.u], 1)
+        lanes = llvm.lanes() if engine.batch else 1
+        made = engine.recorded_as(engine.begin, kind, inputs, lanes)
+        self.left, self.interval = 0, 1
+        self.batch, self.runs = engine.batch, math.prod(engine.batch)
+        self.begin, self.end = _spans(engine.begin, engine.held), _spans(made.after, engine.held)
+        self.tree, self.form = made.after.tree, engine.form
+        plain = type(state) is State and len(self.begin) == len(self.end) == 2
+        self.hooks = state.memory if plain else None
+
+        width = -(-self.runs // lanes) * lanes  # the last vector may not be full
+        size = max(spans[-1][0].stop for spans in (self.begin, self.end))
+        self.start = np.zeros((width, size))
+        self.start[:, FAILED] = -1.0
+        if engine.constants:
+            held = [x.reshape(self.runs, -1) for x in engine.constants]
+            self.start[: self.runs, len(TALLY) : engine.held] = np.concatenate(held, 1)
+        columns = engine.columns()
+        ends = size * width + np.cumsum([0, *columns.values()]) * width
+        at = dict(zip(columns, map(slice, ends[:-1].tolist(), ends[1:].tolist()), strict=True))
+        self.memory = llvm.aligned(
+            (int(ends[-1]),)
+        )  # states, and behind them what is kept of a step
+        self.work = self.memory[: size * width].reshape(width // lanes, size, lanes)
+        self.alone, self.first = self.memory[:size], self.start[0]
+        self.into = [] if self.batch else [self.alone[at].reshape(own) for at, own in self.begin]
+
+        self.seen = [
+            None if what == NONE else tuple(at[f"{name}/{i}"] for name in SEEN)
+            for i, what in enumerate(kind.z)
+        ]
+        self.measured = max(1, sum(one is not None for one in self.seen))
+        self.widths, self.apart = engine.widths, engine.apart
+        self.given = [own for _, own in inputs]  # which inputs are of each run
+        shared = sum(x.size for x, own in inputs if not own)
+        each = sum(math.prod(x.shape[1 + len(self.batch) :]) for x, own in inputs if own)
+        self.shared = np.zeros(3 + shared)
+        self.own = np.zeros((sum(self.widths) + self.apart + each, width))
+        self.pack_shared = partial(struct.Struct(f"{3 + shared}d").pack_into, self.shared.data, 0)
+        self.pack_own = partial(struct.Struct(f"{self.own.size}d").pack_into, self.own.data, 0)
+        self.counted = self.start  # what the last step added to the tally
+
+        fields = self.memory.ctypes.data + 8 * ends[:-1].astype(np.uint64)
+        cells = llvm.aligned((max(1, made.kernel.cells), lanes))
+        self.call = llvm.caller(made.address, self.work, self.shared, self.own, fields, cells)
+        self.watch = Watch(filter)
+
+    def step(
+        self, state: Any, epoch: Epoch, numbers: list[float]
+    ) -> tuple[Any, tuple[Info, ...]] | None:
+        """The state after an epoch, and an `Info` of each sensor; None where a run is lost."""
+        if self.batch:
+            return self._step_all(state, epoch)
+        self.alone[:] = self.first
+        if self.hooks is not None:
+            (self.into[0][...], self.into[1][...]) = state.belief
+        else:
+            for place, (x, _) in zip(self.into, leaves(state), strict=True):
+                place[...] = x
+        count = len(self.shared)
+        self.pack_shared(*numbers[:count])
+        self.pack_own(*numbers[count:])
+        self.call()
+        out = self.memory.copy()
+        if out.item(FAILED) >= 0.0:
+            return None
+        self.counted, likelihood = out, out[0] / self.measured
+        infos = [
+            SILENCE if at is None else _info(out[at[0]], out[at[1]], out[at[2]], likelihood)
+            for at in self.seen
+        ]
+        if self.hooks is None:
+            after = (out[at].reshape(own) for at, own in self.end)
+            return rebuilt(self.tree, after), tuple(infos)
+        (mean, _), (root, shape) = self.end
+        belief = self.form(out[mean], out[root].reshape(shape))
+        return State(belief, self.hooks), tuple(infos)
+
+    def _step_all(self, state: Any, epoch: Epoch) -> tuple[Any, tuple[Info, ...]] | None:
+        """The same of several runs; None where one is lost that was not before."""
+        batch, runs = self.batch, self.runs
+
+        def each(x: Any, own: tuple[int, ...]) -> Array:
+            return np.broadcast_to(x, (*batch, *own)).reshape(runs, -1)
+
+        values = self.start.copy()
+        for (x, _), (at, own) in zip(leaves(state), self.begin, strict=True):
+            values[:runs, at] = each(x, own)
+        values[runs:] = values[runs - 1]
+        blocks, size, lanes = self.work.shape
+        self.work[...] = values.reshape(blocks, lanes, size).transpose(0, 2, 1)
+        self.shared[:3] = epoch.k, epoch.t, 0.0 if self.apart else epoch.dt
+        parts = zip(measurements(epoch.z, len(self.widths)), self.widths, strict=True)
+        mine = [each(z, (m,)) for z, m in parts if m]
+        if self.apart:
+            mine.append(each(epoch.dt, ()))
+        first = 3
+        for (x, _), differs in zip(leaves((epoch.u, epoch.about)), self.given, strict=True):
+            if differs:
+                mine.append(np.asarray(x).reshape(runs, -1))
+            else:
+                self.shared[first : first + np.size(x)] = np.ravel(x)
+                first += np.size(x)
+        if mine:
+            self.own[:, :runs] = np.concatenate(mine, 1).T
+            self.own[:, runs:] = self.own[:, runs - 1 : runs]
+        self.call()
+        out = np.array(self.work.transpose(0, 2, 1)).reshape(-1, size)[:runs]
+        lost = out[:, FAILED] >= 0.0
+        if lost.any():
+            mean = state.belief.mean
+            if not np.isnan(each(mean, mean.shape[-1:])[lost]).any(-1).all():
+                return None
+        self.counted = out.reshape(*batch, size)
+        likelihood = self.counted[..., 0] / self.measured
+        kept = self.memory.copy()
+
+        def row(at: slice) -> Array:
+            values: Array = kept[at].reshape(len(self.start), -1)[:runs]
+            return values.reshape(*batch, values.shape[-1])
+
+        sound = 1.0 - lost.reshape(*batch, 1)
+        infos = [
+            SILENCE if at is None else _info(row(at[0]), row(at[1]), sound * row(at[2]), likelihood)
+            for at in self.seen
+        ]
+        after = [out[:, at].reshape(*batch, *own) for at, own in self.end]
+        return rebuilt(self.tree, iter(after)), tuple(infos)
+
+
+def _info(innovation: Array, whitened: Array, used: Array, likelihood: Any) -> Info:
+    """What a step by machine code tells of a sensor."""
+    return Info(innovation, whitened, used != 0.0, None, None, None, None, False, likelihood)

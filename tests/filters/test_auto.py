@@ -1,0 +1,157 @@
+"""Which engine flies where nobody says: machine code where it repays itself, or is there already, and numpy otherwise."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from twice import assert_same
+
+import celnav
+from celnav.filters import compiled
+from celnav.filters.engine import Engine
+from celnav.filters.run import ENGINE
+from celnav.filters.stepper import Plan
+
+pytest.importorskip("llvmlite")
+
+PRIOR = celnav.Gaussian([0.0, 1.0], np.diag([1.0, 0.5]))
+RADAR = celnav.Sensor(lambda x, _epoch: np.hypot(x[..., :1], 3.0), 0.1)
+
+
+def swing(x, epoch):
+    return np.stack([x[..., 0] + epoch.dt * np.sin(x[..., 1]), x[..., 1]], -1)
+
+
+def filter_of(f=swing):
+    return celnav.ukf(celnav.Motion(f, 0.02), RADAR)
+
+
+def data(steps, runs):
+    rng = np.random.default_rng(0)
+    return np.arange(float(steps)), 3.0 + rng.standard_normal((steps, runs, 1))
+
+
+@pytest.fixture
+def records(monkeypatch):
+    """How many steps were recorded."""
+    counts, record = [], Engine.record
+    monkeypatch.setattr(Engine, "record", lambda *given: counts.append(1) or record(*given))
+    return counts
+
+
+def test_auto_is_what_nobody_asks_for():
+    assert ENGINE.get() == "auto"
+
+
+def test_ten_epochs_never_wait_for_a_compiler(records):
+    track = celnav.run(filter_of(), PRIOR, *data(10, 20))
+    assert track.engine == "numpy: 10 steps of 20 runs take less time than compiling one"
+    assert not records
+    alone = celnav.run(filter_of(), PRIOR, np.arange(10.0), data(10, 1)[1][:, 0])
+    assert alone.engine == "numpy: 10 steps of one run take less time than compiling one"
+
+
+def test_long_and_many_runs_are_compiled_and_the_record_is_kept(records):
+    """Also for a short flight of the same filter, whose numbers are numpy's but for round-off."""
+    filter, many = filter_of(), data(100, 3000)
+    known, found = (celnav.run(filter, PRIOR, *many, engine=one) for one in ("numpy", None))
+    assert np.abs((found.mean - known.mean) / known.std).max() < 1e-6
+    assert celnav.run(filter, PRIOR, *many).engine == "compiled"
+    count = len(records)
+    short = data(10, 3)
+    assert_same(
+        celnav.run(filter, PRIOR, *short, engine="numpy"), celnav.run(filter, PRIOR, *short)
+    )
+    assert len(records) == count == 2  # with an interval and without
+    celnav.run(filter, PRIOR, *short, engine="compiled")
+    celnav.run(filter, PRIOR, *short, engine="compiled")
+    assert len(records) == count
+
+
+def test_what_is_kept_is_of_the_last_filters():
+    for _ in range(compiled.MOST_KEPT + 3):
+        filter = celnav.ukf(celnav.Motion([[1.0]], 1.0), celnav.Sensor([[1.0]], 1.0))
+        celnav.run(filter, celnav.Gaussian([0.0], 1.0), *data(3, 2), engine="compiled")
+    assert len(compiled._KEPT) == compiled.MOST_KEPT
+    assert (id(filter), "compiled", 1) in compiled._KEPT
+
+
+def test_more_work_is_worth_longer_steps():
+    found = [
+        [compiled.worth(steps, runs) for steps in (1, 30, 1000, 10**5)] for runs in (1, 50, 10**4)
+    ]
+    assert (np.diff(found, axis=0) >= 0).all()
+    assert (np.diff(found, axis=1) >= 0).all()
+    assert found[0][0] < 10
+    assert found[-1][-1] == compiled.WORTH
+
+
+def test_numpy_flies_what_cannot_be_compiled_and_says_why(monkeypatch):
+    many = data(100, 3000)
+
+    def branching(x, epoch):
+        return swing(x, epoch) if x.sum() > -np.inf else x
+
+    track = celnav.run(filter_of(branching), PRIOR, *many)
+    assert track.engine.startswith("numpy: a branch depends on a number")
+    stream = celnav.run(filter_of(), PRIOR, iter(celnav.epochs(*many)))
+    assert stream.engine == "numpy: a stream of epochs"
+    told = celnav.run(filter_of(), PRIOR, *many, also=lambda epoch, _state, _infos: {"k": epoch.k})
+    assert told.engine.startswith("numpy: also, reduce")
+    monkeypatch.setattr(compiled, "find_spec", lambda _name: None)
+    missing = celnav.run(filter_of(), PRIOR, *many)
+    assert missing.engine == "numpy: llvmlite is not installed"
+
+
+def test_models_that_are_matrices_share_their_covariance_in_numpy():
+    n = compiled.SHARED + 1
+    filter = celnav.ukf(celnav.Motion(np.eye(n), 0.1), celnav.Sensor(np.eye(n)[:1], 1.0))
+    prior = celnav.Gaussian(np.zeros(n), np.eye(n))
+    track = celnav.run(filter, prior, *data(100, 3000))
+    assert track.engine == "numpy: all runs have one covariance, which numpy computes once"
+
+
+@pytest.mark.parametrize("form", ["square root", "covariance"])
+@pytest.mark.parametrize("runs", [(), (7,)], ids=["one", "runs"])
+def test_the_way_back_is_the_same_by_machine_code(form, runs):
+    """With gaps, inputs, an epoch at the same time, and a run that the filter lost half way."""
+
+    def pushed(x, epoch):
+        return swing(x, epoch) + (0.0 if epoch.u is None else epoch.u)
+
+    filter = celnav.ukf(celnav.Motion(pushed, 0.02), RADAR, form=form)
+    times, z = np.array([0.0, 1.0, 1.5, 1.5, 3.0, 3.5, 5.0]), data(7, 7)[1]
+    z[2, 3], z[4:, 5] = np.nan, 1e200
+    z = z if runs else z[:, 0]
+    u = np.linspace(0.0, 0.3, 12).reshape(6, 2)
+    with np.errstate(all="ignore"):
+        track = celnav.run(filter, PRIOR, times, z, u, keep="cov", on_failure="flag")
+        by_numpy, found = (celnav.smooth(track, engine=engine) for engine in ("numpy", "compiled"))
+    assert np.isnan(found.mean[:4]).sum() == 0
+    for name in ("mean", "std", "cov"):
+        np.testing.assert_allclose(getattr(found, name), getattr(by_numpy, name), 1e-9, 1e-12)
+    np.testing.assert_array_equal(found.failed_at, by_numpy.failed_at)
+
+
+def test_the_iterated_smoother_records_each_of_its_steps_once(records):
+    """However many iterations: there and back, of the filter and of the relinearized one."""
+    times, z = data(9, 1)
+    known = celnav.iterated_smoother(
+        filter_of(), PRIOR, times, z[:, 0], iterations=4, engine="numpy"
+    )
+    filter = filter_of()
+    found = celnav.iterated_smoother(filter, PRIOR, times, z[:, 0], iterations=4, engine="compiled")
+    np.testing.assert_allclose(found.mean, known.mean, 1e-9, 1e-12)
+    np.testing.assert_allclose(found.cov, known.cov, 1e-9, 1e-12)
+    count = len(records)
+    celnav.iterated_smoother(filter_of(), PRIOR, times, z[:, 0], iterations=9, engine="compiled")
+    assert len(records) == 2 * count
+
+
+def test_a_plan_of_steps_is_made_once(monkeypatch):
+    made, plan = [], Plan.__init__
+    monkeypatch.setattr(Plan, "__init__", lambda self, *given: made.append(1) or plan(self, *given))
+    fast, (times, z) = celnav.compiled(filter_of()), data(40, 1)
+    for _ in celnav.steps(fast, PRIOR, celnav.epochs(times, z[:, 0])):
+        pass
+    assert len(made) == 2
