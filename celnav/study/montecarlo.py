@@ -14,9 +14,11 @@ import numpy as np
 from celnav.gaussian.checks import integer, kind, number, sequence
 from celnav.gaussian.linalg import Array
 
-__all__ = ["MOST_STEPS", "blocks", "effort", "generator", "normals", "run_count", "steps"]
+__all__ = ["BRIEF", "MOST_STEPS", "blocks", "effort", "generator", "normals", "run_count", "steps"]
 
 MOST_STEPS = 10_000_000  # of one run, at its finest rate: more take a day, and gigabytes
+BRIEF = 0.1
+"""Effort below which studies shorten their runs too: so few of them decide little anyhow."""
 
 
 def generator(seed: int, study: int, run: int) -> np.random.Generator:
