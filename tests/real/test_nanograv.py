@@ -28,12 +28,12 @@ def directions(count, rng):
 def made(
     folder, count=12, noise_km=0.3, seed=0, every=9.0, end=nanograv.END, moved=None, model_km=5.0
 ):
-    """Arrivals of some pulsars from 2008 on, half of them solitary, each with a timing model off by some km, white noise, and
+    """Arrivals of some pulsars from 2011 on, half of them solitary, each with a timing model off by some km, white noise, and
     an Earth that is ``moved(day)`` km."""
     rng = np.random.default_rng(seed)
     rows = []
     for i, n in enumerate(directions(count, rng)):
-        day = np.arange(54500.0 + rng.uniform(0.0, 9.0), end - 2.0, every).round()
+        day = np.arange(55700.0 + rng.uniform(0.0, 9.0), end - 2.0, every).round()
         earth = (
             de421().state("earth", Tdb(np.full_like(day, 2400000.5), day + 0.5)).position / AU_KM
         )
