@@ -285,7 +285,7 @@ def test_on_made_arrivals_the_filter_that_remembers_is_consistent(tmp_path):
     """Over several skies: what no filter of independent weeks can be."""
     nees = {name: [] for name in ("ekf", "clocks")}
     for seed in range(3):
-        folder = made(tmp_path / str(seed), seed=seed, every=12.0)
+        folder = made(tmp_path / str(seed), seed=seed, every=14.0)
         out = nanograv.fly_all(nanograv.Flight(folder), [None])
         for name, values in nees.items():
             values.append(out[f"{name}/nees"][-1, 0] / 3.0)
