@@ -18,6 +18,7 @@ from celnav.gaussian.checks import integer, kind, number, sequence
 from celnav.gaussian.linalg import Array
 
 __all__ = [
+    "BRIEF",
     "MOST_STEPS",
     "Draws",
     "blocks",
@@ -35,6 +36,8 @@ _INIT_B, _MULT_B = 0x8B51F9DD, 0x58F38DED
 _MIX_L, _MIX_R = 0xCA01F9DD, 0x4973F715
 AHEAD = 64  # times as many as are asked for are drawn
 MOST_STEPS = 10_000_000  # of one run, at its finest rate: more take a day, and gigabytes
+BRIEF = 0.1
+"""Effort below which studies shorten their runs too: so few of them decide little anyhow."""
 
 
 def generator(seed: int, study: int, run: int) -> np.random.Generator:

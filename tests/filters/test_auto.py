@@ -15,7 +15,7 @@ from celnav.filters.stepper import Plan
 pytest.importorskip("llvmlite")
 
 PRIOR = celnav.Gaussian([0.0, 1.0], np.diag([1.0, 0.5]))
-RADAR = celnav.Sensor(lambda x, _epoch: np.hypot(x[..., :1], 3.0), 0.1)
+RADAR = celnav.Sensor(lambda x, _epoch: x[..., :1] + 0.1 * np.sin(x[..., :1]), 0.1)
 
 
 def swing(x, epoch):
@@ -27,8 +27,9 @@ def filter_of(f=swing):
 
 
 def data(steps, runs):
-    rng = np.random.default_rng(0)
-    return np.arange(float(steps)), 3.0 + rng.standard_normal((steps, runs, 1))
+    """Times and measurements ``(steps, runs, 1)``."""
+    times = np.arange(float(steps))
+    return times, celnav.simulate(celnav.Motion(swing, 0.02), RADAR, PRIOR, times, runs=runs)[1]
 
 
 @pytest.fixture

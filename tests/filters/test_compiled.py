@@ -66,7 +66,7 @@ def both_seen(x, _epoch):
 
 
 W = np.diag([0.0, 0.2, 0.001])
-TIMES = 0.5 * np.arange(25)
+TIMES = 0.5 * np.arange(12)
 MOTION, RADAR = celnav.Motion(fall, sqrt_Q=W), celnav.Sensor(distance, R=[[25.0]])
 EXACT = (
     celnav.Motion(fall, sqrt_Q=W, jacobian=fall_slope),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 import re
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -25,15 +26,26 @@ def test_units_go_to_processes_and_are_told_apart(paper):
     assert len(set(units)) == len(sent) == len(units)
 
 
+BY_ENGINE = {
+    "csrukf": ["0", "I", "0, many", "stress/I", "sensor/D/I", "linear"],
+    "ssukf": ["augmented", "turns", "drawn", "heads", "components", "vector"],
+    "tstdkf": ["consistency", "forces", "constant, nine", "sweep", "DE440", "covariances"],
+    "aasghqf": ["T3", "mounting", "bound"],
+    "aukf": ["none", "baselines", "matched", "windows, 1 Hz"],
+}
+"""Parts by paper: each filter, and each way to fly one, is in some; the others fly them on other configurations."""
+
+
 @pytest.mark.parametrize("paper", PAPERS)
 def test_neither_verdicts_nor_numbers_depend_on_the_engine(paper):
     study = load(paper).STUDY
-    token = ENGINE.set("auto")
+    by_numpy, token = once(study), ENGINE.set("auto")
     try:
-        compiled = study.reproduce(effort=effort()).claims()
+        flown = study.reproduce(effort=effort(), only=BY_ENGINE[paper]).data
     finally:
         ENGINE.reset(token)
-    for mine, other in zip(once(study).claims(), compiled, strict=True):
+    compiled = replace(by_numpy, data={**by_numpy.data, **flown}).claims()
+    for mine, other in zip(by_numpy.claims(), compiled, strict=True):
         assert other.verdict == mine.verdict, mine.id
         for a, b in zip(mine.numbers, other.numbers, strict=True):
             ours, theirs = ([one.value, *(one.ci or ())] for one in (a, b))

@@ -270,7 +270,7 @@ def test_a_recording_holds_what_the_filters_gave(result, tmp_path):
         if not c.is_static
     }
     drift = chunks["/plots/drift/y/ssukf"].to_record_batch().column("Scalars:scalars").to_pylist()
-    truth = simulate(STANDARD, [generator(0, 0, 0)]).truth[:, 0, 5] / DEG_PER_H
+    truth = simulate(result.parts["runs"].config, [generator(0, 0, 0)]).truth[:, 0, 5] / DEG_PER_H
     np.testing.assert_allclose(
         np.ravel(drift),
         truth + result.error("runs", "ssukf", "drift")[:, 0, 1],

@@ -28,12 +28,12 @@ def directions(count, rng):
 def made(
     folder, count=12, noise_km=0.3, seed=0, every=9.0, end=nanograv.END, moved=None, model_km=5.0
 ):
-    """Arrivals of some pulsars from 2008 on, half of them solitary, each with a timing model off by some km, white noise, and
+    """Arrivals of some pulsars from 2011 on, half of them solitary, each with a timing model off by some km, white noise, and
     an Earth that is ``moved(day)`` km."""
     rng = np.random.default_rng(seed)
     rows = []
     for i, n in enumerate(directions(count, rng)):
-        day = np.arange(54500.0 + rng.uniform(0.0, 9.0), end - 2.0, every).round()
+        day = np.arange(55700.0 + rng.uniform(0.0, 9.0), end - 2.0, every).round()
         earth = (
             de421().state("earth", Tdb(np.full_like(day, 2400000.5), day + 0.5)).position / AU_KM
         )
@@ -285,7 +285,7 @@ def test_on_made_arrivals_the_filter_that_remembers_is_consistent(tmp_path):
     """Over several skies: what no filter of independent weeks can be."""
     nees = {name: [] for name in ("ekf", "clocks")}
     for seed in range(3):
-        folder = made(tmp_path / str(seed), seed=seed, every=12.0)
+        folder = made(tmp_path / str(seed), seed=seed, every=14.0)
         out = nanograv.fly_all(nanograv.Flight(folder), [None])
         for name, values in nees.items():
             values.append(out[f"{name}/nees"][-1, 0] / 3.0)

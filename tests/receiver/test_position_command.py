@@ -310,9 +310,9 @@ def damaged(text, rng):
     return "\n".join(lines)
 
 
-@pytest.mark.parametrize("make", [constellation, both])
+@pytest.mark.parametrize(("make", "seeds"), [(constellation, range(30)), (both, range(30, 60))])
 @pytest.mark.parametrize("which", ["observations", "navigation"])
-def test_damage_is_an_error_of_input_or_is_told_in_the_summary(tmp_path, which, make):
+def test_damage_is_an_error_of_input_or_is_told_in_the_summary(tmp_path, which, make, seeds):
     b = make()
     texts = {"observations": observations(b, TIMES)[0], "navigation": navigation(b)}
     read = {"observations": read_observations, "navigation": read_navigation}
@@ -320,7 +320,7 @@ def test_damage_is_an_error_of_input_or_is_told_in_the_summary(tmp_path, which, 
         name: read[name](written(tmp_path, text, f"{name}.rnx")) for name, text in texts.items()
     }
     refused, told = [], 0
-    for n in range(60):
+    for n in seeds:
         path = written(tmp_path, damaged(texts[which], np.random.default_rng(n)), f"{which}.rnx")
         try:
             result = positioning_report.position(
@@ -335,7 +335,7 @@ def test_damage_is_an_error_of_input_or_is_told_in_the_summary(tmp_path, which, 
             for track in FORMATS.values():
                 track(result)
             assert np.nanmax(np.linalg.norm(result.mean[:, :3] - PLACE, axis=-1)) < 30.0, n
-    assert told + len(refused) > 15
+    assert told + len(refused) > 0.25 * len(seeds)
     assert all("rnx" in line for line in refused)
 
 

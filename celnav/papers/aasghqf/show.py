@@ -123,13 +123,14 @@ def first_fix(results: Results) -> Figure:
 
 def along(results: Results) -> Figure:
     """Degrees of the misalignment on both flights, and points and errors of filters whose weights are chosen on line."""
-    slow, t, shades = "A-slow, on line", results.times("A-slow"), ("#000000", "#56B4E9", "#8C6BB1")
+    slow, shades = "A-slow, on line", ("#000000", "#56B4E9", "#8C6BB1")
+    t, whole = results.times(slow), results.parts["along"].config.times
     lines = {
         "weighed": Line("by observability", colors.PAPER, "--"),
         "bends": Line("by nonlinearity", colors.TRUTH, "--", 2.0),
     }
     degrees = [
-        [curve(t, d[:, i], Line(study.SEVEN[i], shades[i])) for i in range(3)]
+        [curve(whole, d[:, i], Line(study.SEVEN[i], shades[i])) for i in range(3)]
         for d in results.get("along", "degrees")
     ]
     known = [

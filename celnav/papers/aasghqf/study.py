@@ -50,7 +50,7 @@ from celnav.study.ledger import (
     remark,
     statement,
 )
-from celnav.study.montecarlo import normals
+from celnav.study.montecarlo import BRIEF, normals
 from celnav.study.numbers import Decided, Flown, all_of, consistency, given, of
 from celnav.study.operations import step_operations
 from celnav.study.study import Part, Results, Rngs, Study, When, fly
@@ -340,20 +340,25 @@ def first_fixes(config: Config, _: Rngs) -> dict[str, Array]:
     return out
 
 
-def parts(_effort: float = 1.0) -> dict[str, Part]:
-    """All that is computed."""
-    slow = PRESETS["A-slow"]
-    return {name: Part(partial(flown, FLOWN), config, i, A.runs, 50, 11.0) for i, (name, config) in enumerate(PRESETS.items())} | {
-        MANY: Part(partial(flown, ("ukf", "aasghqf", "nonlinear")), T3, 0, 200, 100, 11.0), "bound": Part(bound, A),
+def parts(effort: float = 1.0) -> dict[str, Part]:
+    """All that is computed; flights are shorter at an effort below `BRIEF`, but those at T3 and in the turn."""
+
+    def flight(config: Config) -> Config:
+        return replace(config, steps=150) if effort < BRIEF else config
+
+    presets = {name: flight(config) for name, config in PRESETS.items()} | {"T3": T3}
+    fitted, slow = flight(T3), presets["A-slow"]
+    return {name: Part(partial(flown, FLOWN), config, i, A.runs, 50, 11.0) for i, (name, config) in enumerate(presets.items())} | {
+        MANY: Part(partial(flown, ("ukf", "aasghqf", "nonlinear")), fitted, 0, 200, 100, 11.0), "bound": Part(bound, presets["A"]),
         "observability": Part(degrees, T3), "fixes": Part(first_fixes, T3), "operations": Part(operations, A, cost=3.0),
         "six states": Part(partial(six_states, ("ekf", "ukf", "sghqf")), SIX, 5, 1000, 100, 5.0),
         "tensor": Part(partial(six_states, ("sghqf", "ghqf")), SIX, 5, 400, 100, 10.0),
         "T3, on line": Part(partial(on_line, ("bends",)), T3, 0, A.runs, 50, 2.0),
         "first fix": Part(partial(flown, ("ukf", "sghqf")), replace(A, steps=1), 1, 1000, 100, 2.0),
-        f"{MANY}, on line": Part(partial(on_line, ("unweighed", "weighed")), T3, 0, 200, 50, 16.0),
+        f"{MANY}, on line": Part(partial(on_line, ("unweighed", "weighed")), fitted, 0, 200, 50, 16.0),
         "A-slow, on line": Part(partial(on_line, tuple(CHOICES)), slow, 2, A.runs, 50, 10.0),
         "turning": Part(partial(on_line, ("unweighed",)), scenario.TURNING, 2, 10, 50, 1.0),
-        "along": Part(along, slow, 4, 10, 50, 4.0), "mounting": Part(mounting, slow, 2, A.runs, 50, 15.0),
+        "along": Part(along, PRESETS["A-slow"], 4, 10, 50, 4.0), "mounting": Part(mounting, slow, 2, A.runs, 50, 15.0),
     }  # fmt: skip
 
 

@@ -165,7 +165,7 @@ def run_of(r: Results, i: int, part: str, title: str, at: str, limit: float, **m
     shown = [
         errors(r, part, name, LINES[name], "position", i, spread=name == "aukf") for name in flown
     ]
-    burst = [interval(*STANDARD.burst_s)] if at == "burst" else []
+    burst = [interval(*r.parts[part].config.burst_s)] if at == "burst" else []
     return Panel(f"{title}: AUKF / UKF {ratio:.2f}", [*burst, *shown], "time (s)", f"error of {AXES[i].name} (m)",
                  more={"ylim": (-limit, limit), **more})  # fmt: skip
 
@@ -178,7 +178,8 @@ def quiet(i: int, r: Results) -> Figure:
 
 def struck(i: int, r: Results) -> Figure:
     """An error with the burst on all ranges."""
-    near = run_of(r, i, "ranges, 10 Hz", "the burst", "burst", 3.0, xlim=(58.0, 78.0))
+    start, end = r.parts["ranges, 10 Hz"].config.burst_s
+    near = run_of(r, i, "ranges, 10 Hz", "the burst", "burst", 3.0, xlim=(start - 2.0, end + 8.0))
     return panels(
         [run_of(r, i, "ranges, 10 Hz", f"Figure {i + 7}", "burst", 20.0), near],
         size=(10.0, 3.2),
@@ -190,7 +191,7 @@ def factors(r: Results) -> Figure:
     """What the filter multiplies the noise by."""
     right = 1.0 + (STANDARD.burst_sigma / STANDARD.sigma_range_m) ** 2
     known = [
-        interval(*STANDARD.burst_s),
+        interval(*r.parts["ranges, 10 Hz"].config.burst_s),
         level(right, label=f"right for ranges in the burst: {right:.0f}", color=colors.PAPER),
     ]
     A, t = Line("mean over satellites", colors.ESTIMATE), r.times("ranges, 10 Hz")

@@ -48,6 +48,7 @@ from celnav.study.ledger import (
     remark,
     statement,
 )
+from celnav.study.montecarlo import BRIEF
 from celnav.study.numbers import (
     SAME_ORDER,
     Decided,
@@ -127,13 +128,19 @@ class Flight(NamedTuple):
     anew: bool = False
 
 
-def parts(_effort: float = 1.0, rinex: Path | None = None) -> dict[str, Part]:
-    """All that is computed; ``rinex``: folder of a station's files."""
+def parts(effort: float = 1.0, rinex: Path | None = None) -> dict[str, Part]:
+    """All that is computed; ``rinex``: folder of a station's files. At an effort below `BRIEF` the burst at 10 Hz comes sooner and
+    is shorter, and operations are counted with fewer satellites."""
+    standard, sky, end, slower = STANDARD, STANDARD, 15.0, {}
+    if brief := effort < BRIEF:
+        standard = replace(STANDARD, burst_s=(15.0, 20.0), duration_s=25.0)
+        sky, end = replace(STANDARD, mask_deg=50.0), 8.0
+        slower = {"burst_s": STANDARD.burst_s, "duration_s": STANDARD.duration_s}
     few, many, quiet, second, mistuned = (
         20,
         STANDARD.runs,
         {"burst": "none"},
-        {"interval_s": 1.0},
+        {"interval_s": 1.0, **slower},
         {"true_sigma_range_m": 10.0},
     )
     slow, short, one = (
@@ -170,27 +177,27 @@ def parts(_effort: float = 1.0, rinex: Path | None = None) -> dict[str, Part]:
                                                            "duration_s": 120.0 if true == "1e6" else 60.0})
                          for taken in (true, "10")} for true in ("10", "1e3", "1e5", "1e6")]),
         (14, many, [{f"windows, {rate}": Flight(("ukf", *(f"M {m}" for m in WINDOWS)), change) for rate, change in
-                     (("10 Hz", {"duration_s": 75.0}), ("1 Hz", second))}]),
-        (15, few, [{"struck": Flight(ROBUST, {"mask_deg": 20.0, "burst_s": (5.0, 15.0), "duration_s": 15.0},
+                     (("10 Hz", {"duration_s": 25.0 if brief else 75.0}), ("1 Hz", second))}]),
+        (15, few, [{"struck": Flight(ROBUST, {"mask_deg": 20.0, "burst_s": (5.0, end), "duration_s": end},
                                      {f"{shape} {k}/": {"burst": "one", "burst_shape": shape, "burst_count": k}
                                       for shape in SHAPES for k in STRUCK})}]),
         (16, 3 * few // 2, [{"starts": Flight(PAIR, {**quiet, "duration_s": 20.0},
                                            {f"{true:g}/{true / k:g}/": {"deviation": (true, *rest), "assumed_m": true / k}
                                             for true in START_M for k in (1, 10)})}]),
         (17, 5 * many, [{"mistuned": Flight(PAIR, {**quiet, **mistuned})}]),
-        (18, 8 * many, [{"quiet": Flight(PAIR, {**quiet, "duration_s": STANDARD.burst_s[0]})}]),
+        (18, 8 * many, [{"quiet": Flight(PAIR, {**quiet, "duration_s": standard.burst_s[0]})}]),
     ]  # fmt: skip
     out: dict[str, Part] = {}
     for number, runs, draws in plan:
         drawn: list[Config] = []
         for draw in draws:
             for name, flight in draw.items():
-                c = replace(STANDARD, **flight.change)
+                c = replace(standard, **flight.change)
                 cost = 3e-5 * runs * c.samples * len(flight.names) * len(flight.cases)
                 out[name] = Part(partial(flown, flight, tuple(drawn)), c, number, runs, cost=cost)
             drawn.append(c)
     out |= {
-        work.__name__: Part(work, STANDARD, 50 + i)
+        work.__name__: Part(work, sky, 50 + i)
         for i, work in enumerate((nodes, polar, transform, operations))
     }
     out["orbits"] = Part(day.formulas, tuple(STANDARD.times[::100].tolist()))

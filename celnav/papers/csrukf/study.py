@@ -56,6 +56,7 @@ from celnav.study.ledger import (
     remark,
     statement,
 )
+from celnav.study.montecarlo import BRIEF
 from celnav.study.numbers import Decided, all_of, consistency, entries, given, of, ratio, tiers
 from celnav.study.study import Part, Results, Rngs, Study, fly
 
@@ -324,7 +325,8 @@ def linear(_: Config, rngs: Rngs) -> dict[str, Array]:
 
 
 def parts(effort: float = 1.0) -> dict[str, Part]:
-    """All that is computed; the long arc, the random settings and the flights of `compared` grow with the effort."""
+    """All that is computed; the long arc, the random settings and the flights of `compared` grow with the effort, and flights from
+    one coefficient to the next are shorter below `BRIEF`."""
 
     def flights(names: str, config: Config, number: int, runs: int = P.runs) -> Part:
         every = names.split(", ")
@@ -373,7 +375,8 @@ def parts(effort: float = 1.0) -> dict[str, Part]:
         out[f"forms/{name}"] = Part(
             partial(compared, each), P, number, 20, 10, 2e-3 * len(each) * each[0][0].steps
         )
-    for number, (name, config) in ((13, ("P", P)), (14, ("D", D))):
+    for number, (name, c) in ((13, ("P", P)), (14, ("D", D))):
+        config = replace(c, steps=200) if effort < BRIEF else c
         out |= {
             f"sweep/{name}/{phi:g}": flights("srukf, csrukf", replace(config, phi=phi), number)
             for phi in STEPS

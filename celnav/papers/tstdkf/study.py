@@ -47,6 +47,7 @@ from celnav.study.ledger import (
     remark,
     statement,
 )
+from celnav.study.montecarlo import BRIEF
 from celnav.study.numbers import Decided, all_of, consistency, of, ratio, rmse, tiers
 from celnav.study.operations import step_operations
 from celnav.study.study import Part, Results, Rngs, Study, When
@@ -497,7 +498,7 @@ def sky_facts(config: Config, _: Rngs) -> Found:
 
 
 def parts(effort: float = 1.0) -> dict[str, Part]:
-    """All that is computed, the longest first; the effort, below 1, shortens the runs too."""
+    """All that is computed, the longest first; the effort, below 1, shortens the runs too, and the year once more below `BRIEF`."""
 
     def days(config: Config, full: float) -> Config:
         return replace(config, days=min(full, max(0.5, round(full * effort * 288.0) / 288.0)))
@@ -508,12 +509,13 @@ def parts(effort: float = 1.0) -> dict[str, Part]:
         days(TABLE_5, 3.0),
         ("tkf", "tstdkf"),
     )
+    year = days(s.YEAR, 120.0 if effort < BRIEF else 365.0)
     honest = replace(three, trend="constant", initial="drawn", walk_km=0.0)
     white, around_mars = replace(month, setting=SETTINGS[5]), replace(month, **MARS)
     sure = replace(ten_days, setting=SETTINGS[5], bias_prior_km=1.0 / np.sqrt(3.0), walk_km=0.0)
     return {
         "month": Part(five, month, 0, 50, 50, 120.0),
-        "year": Part(partial(linear, TRENDS, 12, ("tkf", "tdkf", "aug9", "aug")), days(s.YEAR, 365.0), 7, 24, 24, 145.0),
+        "year": Part(partial(linear, TRENDS, 12, ("tkf", "tdkf", "aug9", "aug")), year, 7, 24, 24, 145.0),
         "variants": Part(partial(apart, VARIANTS, pair), month, 1, 8, 50, 25.0),
         "ten days": Part(partial(apart, {**COUPLED, **STRONG, **ALONE}, (*pair, "aug"), taken=TAKEN), ten_days, 4, 12, 50, 20.0),
         "forces": Part(forces, ten_days, 6, 20, 50, 10.0),
