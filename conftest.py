@@ -5,6 +5,8 @@ import os
 import shutil
 import tempfile
 
+import pytest
+
 os.environ.setdefault("CELNAV_EFFORT", "0.03")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 if (
@@ -17,3 +19,16 @@ if (
 def pytest_collection_modifyitems(items):
     """The papers first: what their tests have flown, notebooks read."""
     items.sort(key=lambda item: "papers" not in item.path.parts)
+
+
+@pytest.fixture
+def eager(monkeypatch):
+    """`celnav.run` is numpy's where no engine is named, and "auto" compiles whatever can be compiled."""
+    from celnav.filters import compiled
+    from celnav.filters.run import ENGINE
+
+    monkeypatch.setattr(compiled, "worth", lambda _steps, _runs: compiled.WORTH)
+    monkeypatch.setattr(compiled, "SHARED", 10**6)
+    token = ENGINE.set("numpy")
+    yield
+    ENGINE.reset(token)

@@ -297,7 +297,7 @@ def array_work(name: str, runs: int, per: int, dense: bool) -> Callable[[], floa
 
     def once() -> float:
         start = process_time()
-        run(filter, sim.prior, epochs, keep="nothing")
+        run(filter, sim.prior, epochs, keep="nothing", engine="numpy")
         return (process_time() - start) / (len(config.times) - 1)
 
     return once

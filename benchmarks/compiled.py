@@ -69,9 +69,9 @@ def lorenz_works(
         STEP * np.arange(steps + 1),
         compiled(filter),
     )
-    return lambda: np.asarray(run(filter, start, times, z).mean), lambda: np.asarray(
-        flown.run(start, times, z).mean
-    )
+    return lambda: np.asarray(
+        run(filter, start, times, z, engine="numpy").mean
+    ), lambda: np.asarray(flown.run(start, times, z).mean)
 
 
 def lorenz_first(n: int) -> float:
@@ -159,7 +159,9 @@ def campaign(parts: int = PARTS, steps: int = 600) -> dict[str, Any]:
         own += time.perf_counter() - begin
         nis += float(track.nis[1:].mean()) / parts
         if i % -(-parts // 4) == 0:
-            numpy.append(wall(partial(run, filter, prior(BLOCK), times, z[:, :BLOCK])))
+            numpy.append(
+                wall(partial(run, filter, prior(BLOCK), times, z[:, :BLOCK], engine="numpy"))
+            )
     return {"runs": parts * PART, "steps": steps, "simulated_s": simulated, "compiled_s": own, "nis": nis,
             "numpy_s": float(np.mean(numpy)) * parts * PART / BLOCK, "numpy_runs": len(numpy) * BLOCK}  # fmt: skip
 

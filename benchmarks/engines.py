@@ -90,11 +90,15 @@ def _filter(form: str, h: Any) -> Callable[[Array], Work]:
 
         def work() -> Array:
             if runs == 1:
-                return _means(run(filter, Gaussian(X0, P0), times, z[:, 0]).mean)[:, None]
+                return _means(run(filter, Gaussian(X0, P0), times, z[:, 0], engine="numpy").mean)[
+                    :, None
+                ]
             tracks = []
             for first in range(0, runs, BLOCK):
                 part = z[:, first : first + BLOCK]
-                tracks.append(_means(run(filter, prior(part.shape[1]), times, part).mean))
+                tracks.append(
+                    _means(run(filter, prior(part.shape[1]), times, part, engine="numpy").mean)
+                )
             return tracks[0] if len(tracks) == 1 else np.concatenate(tracks, 1)
 
         return work

@@ -78,7 +78,7 @@ def work(rule: Rule, block: int, runs: int = RUNS) -> Callable[[], tuple[float, 
         f.seconds = h.seconds = 0.0
         start = process_time()
         for part, at in zip(parts, epochs, strict=True):
-            run(filter, part.prior, at, keep="nothing")
+            run(filter, part.prior, at, keep="nothing", engine="numpy")
         cycle = process_time() - start
         start = process_time()
         for x, at in zip(points, epochs, strict=True):

@@ -66,7 +66,7 @@ pulsar: known
 orbit: warn_of_degrees
 gnss: Broadcast Broadcast.chosen
 belief: symmetric
-montecarlo: blocks steps effort
+montecarlo: Draws Draws.close blocks effort generators steps
 claims: answer Ledger accepted counted dumps plain read_claims row style table tally written
 gyro: Gyro.drift
 ledger: Claim Row Row.judged estimate order

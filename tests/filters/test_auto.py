@@ -28,7 +28,7 @@ def filter_of(f=swing):
 
 def data(steps, runs):
     """Times and measurements ``(steps, runs, 1)``."""
-    times = np.arange(float(steps))
+    times = 0.1 * np.arange(steps)
     return times, celnav.simulate(celnav.Motion(swing, 0.02), RADAR, PRIOR, times, runs=runs)[1]
 
 

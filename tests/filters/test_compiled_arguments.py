@@ -14,6 +14,8 @@ from twice import told
 import celnav
 from celnav.tape.tape import CannotCompile, place_of
 
+pytestmark = pytest.mark.usefixtures("eager")
+
 pytest.importorskip("llvmlite")
 
 RUN = celnav.run

@@ -15,6 +15,8 @@ from celnav.filters.compiled import Compiled
 from celnav.tape import llvm
 from celnav.tape.tape import CannotCompile
 
+pytestmark = pytest.mark.usefixtures("eager")
+
 RNG = np.random.default_rng(5)
 TIMES = np.arange(6.0)
 MOTION = celnav.Motion(lambda x, _epoch: 0.9 * x, 0.05 * np.eye(2))

@@ -13,6 +13,8 @@ from celnav.gaussian import recorded
 from celnav.tape import numbers
 from celnav.tape.tape import CannotCompile
 
+pytestmark = pytest.mark.usefixtures("eager")
+
 pytest.importorskip("llvmlite")
 
 N = 8

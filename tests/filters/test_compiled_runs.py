@@ -20,6 +20,8 @@ from celnav.filters.adaptive import gate, huber, innovation_window
 from celnav.filters.fallback import Fallback
 from celnav.tape.tape import CannotCompile
 
+pytestmark = pytest.mark.usefixtures("eager")
+
 pytest.importorskip("llvmlite")
 
 EYE, TIMES = np.eye(2), np.arange(6.0)

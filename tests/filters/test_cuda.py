@@ -22,6 +22,8 @@ from celnav.models import orbit
 from celnav.tape import cuda, llvm, ptx
 from celnav.tape.tape import CannotCompile, Tape
 
+pytestmark = pytest.mark.usefixtures("eager")
+
 pytest.importorskip("llvmlite")
 
 ROUNDED = re.compile(r"^\s*(?:@\S+\s+)?((?:add|sub|mul|fma|mad|div|rcp|sqrt)\.\S*f64)", re.M)

@@ -10,6 +10,8 @@ import pytest
 
 import celnav
 
+pytestmark = pytest.mark.usefixtures("eager")
+
 SLOPE = 2.0
 
 

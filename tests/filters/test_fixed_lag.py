@@ -15,6 +15,8 @@ from celnav.filters.fixed_lag import FixedLag, Held
 from celnav.gaussian.belief import nees
 from celnav.tape.tape import CannotCompile
 
+pytestmark = pytest.mark.usefixtures("eager")
+
 T, RUNS, LAG = 24, 5, 6
 RNG = np.random.default_rng(1)
 TIMES = np.cumsum(RNG.uniform(0.5, 1.5, T))

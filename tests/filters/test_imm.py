@@ -18,6 +18,8 @@ from celnav.gaussian.belief import nees
 from celnav.gaussian.linalg import SquareRoot
 from celnav.tape.tape import CannotCompile
 
+pytestmark = pytest.mark.usefixtures("eager")
+
 FORMS = pytest.mark.parametrize("form", ["square root", "covariance"])
 F, H = np.array([[1.0, 1.0], [0.0, 1.0]]), np.array([[1.0, 0.0], [0.2, 1.0]])
 NOISES = [np.diag([1e-4, 1e-4]), np.array([[0.3, 0.4], [0.4, 1.0]])]

@@ -16,6 +16,8 @@ from celnav.gaussian.belief import nees
 from celnav.gaussian.rules import gauss_hermite, unscented
 from celnav.tape.tape import CannotCompile
 
+pytestmark = pytest.mark.usefixtures("eager")
+
 FORMS = pytest.mark.parametrize("form", ["square root", "covariance"])
 Q, R = np.diag([0.02, 0.02, 0.01]), np.diag([0.05**2, 0.02**2])
 PRIOR = celnav.Gaussian([4.0, 1.0, 0.4], np.diag([1.0, 1.0, 0.3]))

@@ -12,6 +12,8 @@ from celnav.filters.sequential import SingleDraw
 from celnav.gaussian.linalg import SquareRoot
 from celnav.receiver.least_squares import least_squares
 
+pytestmark = pytest.mark.usefixtures("eager")
+
 EYE = np.eye(2)
 RULES = {"points": celnav.unscented(2), "differences": celnav.Taylor(), "Jacobian": celnav.Taylor()}
 F = np.array([[1.0, 1.0], [0.0, 1.0]])

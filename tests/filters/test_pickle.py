@@ -19,6 +19,8 @@ from celnav.gaussian.spaces import Space
 from celnav.models import motion as motions
 from celnav.models import pulsar
 
+pytestmark = pytest.mark.usefixtures("eager")
+
 HOOKS = {
     "gate": adaptive.gate(3.0),
     "chi_square_gate": adaptive.chi_square_gate(0.99),

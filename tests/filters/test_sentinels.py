@@ -13,6 +13,8 @@ from celnav.filters import flight
 from celnav.filters.sentinels import changed, held
 from celnav.tape.tape import CannotCompile
 
+pytestmark = pytest.mark.usefixtures("eager")
+
 pytest.importorskip("llvmlite")
 
 T = 80

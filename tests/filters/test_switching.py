@@ -11,6 +11,8 @@ from celnav.gaussian.rules import Taylor, cubature
 from celnav.gaussian.sparse_grid import smolyak
 from celnav.tape.tape import CannotCompile
 
+pytestmark = pytest.mark.usefixtures("eager")
+
 FORMS = pytest.mark.parametrize("form", ["square root", "covariance"])
 PRIOR = Gaussian(
     np.array([[0.4, 0.0, 1.0], [0.1, 0.5, -1.0], [0.2, 0.2, 0.3]]), np.diag([0.2, 0.1, 0.3])

@@ -52,6 +52,8 @@ from celnav.models import orbit
 pytest.importorskip("llvmlite")
 from celnav.filters.compiled import CannotCompile
 
+pytestmark = pytest.mark.usefixtures("eager")
+
 T, RUNS = 80, 3
 TIMES = np.arange(float(T))
 RNG = np.random.default_rng(35)
