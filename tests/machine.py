@@ -1,4 +1,4 @@
-"""What tests need of the machine: file systems that are small or read-only, and who is still alive."""
+"""What tests need of the machine: file systems, processes that heed signals, and who is alive."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import contextlib
 import os
 import shutil
 import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -28,6 +29,17 @@ def mounted(folder, options):
         yield
     finally:
         subprocess.run(["umount", "-l", str(folder)], check=True)
+
+
+def interruptible(*arguments):
+    """A command of Python that heeds SIGINT, which a background job of a shell ignores."""
+    heed = "import os, signal, sys; signal.signal(signal.SIGINT, signal.SIG_DFL); "
+    return [
+        sys.executable,
+        "-c",
+        f"{heed}os.execv(sys.executable, [sys.executable, *sys.argv[1:]])",
+        *arguments,
+    ]
 
 
 def children(pid):

@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from machine import children, gone, mounted
+from machine import children, gone, interruptible, mounted
 from test_cli import tiny
 
 from celnav import cli, papers
@@ -43,19 +43,11 @@ def start(folder, out):
     """Reproduce a paper of eight slow units in two processes; returns when two units are done."""
     script = folder / "script.py"
     script.write_text(SCRIPT.format(log=str(folder / "log")))
-    command = [
-        sys.executable,
-        str(script),
-        "reproduce",
-        "--out",
-        str(out),
-        "--effort",
-        "1",
-        "--jobs",
-        "2",
-    ]
+    given = ["reproduce", "--out", str(out), "--effort", "1", "--jobs", "2"]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-    process = subprocess.Popen(command, **pipes, text=True, start_new_session=True)
+    process = subprocess.Popen(
+        interruptible(str(script), *given), **pipes, text=True, start_new_session=True
+    )
     seen = ""
     while seen.count("tiny: all") < 2:
         line = process.stdout.readline()

@@ -260,6 +260,22 @@ def test_arrays_that_change_their_shapes_are_flown_by_numpy():
     np.testing.assert_allclose(found.gradient, expected, rtol=1e-5)
 
 
+def test_where_a_likelihood_jumps_it_has_no_compiled_gradient():
+    """A measurement of 6 lies at the gate of 3 deviations where R is 3, beside a variance of 1."""
+
+    def build(p):
+        motion, sensor = Motion([[0.0]], [[1.0]]), Sensor([[1.0]], [[p[0]]])
+        return celnav.ukf(motion, sensor, hooks=[adaptive.gate(3.0)]), Gaussian([0.0], [[1.0]])
+
+    when, jump = epochs(np.arange(3.0), np.array([[0.5], [6.0], [1.0]])), "is not smooth in the"
+    for call in (likelihood_gradient, maximize_likelihood):
+        with pytest.raises(CannotCompile, match=jump):
+            call(build, [3.0], when, engine="compiled")
+    assert jump in likelihood_gradient(build, [3.0], when).engine
+    for R in (2.0, 4.0):
+        assert likelihood_gradient(build, [R], when).engine == "compiled"
+
+
 def test_a_model_that_changes_with_a_parameter_later_is_noticed():
     """A branch on a parameter, on the other side of the start: there the step is another one."""
 

@@ -9,7 +9,7 @@ import sys
 import time
 
 import pytest
-from machine import children, gone
+from machine import children, gone, interruptible
 
 from celnav.campaign import campaign, dask, processes, serial
 from celnav.campaign.missions import read
@@ -145,19 +145,8 @@ def test_a_killed_campaign_and_killed_workers_lose_nothing(file, wanted, tmp_pat
 @LINUX
 def test_an_interrupt_ends_it_and_leaves_no_process(file, wanted, tmp_path):
     folder = tmp_path / "interrupted"
-    command = [
-        sys.executable,
-        "-m",
-        "celnav",
-        "campaign",
-        str(file),
-        "--out",
-        str(folder),
-        "--jobs",
-        "2",
-        "--effort",
-        "1",
-    ]
+    options = ["--out", str(folder), "--jobs", "2", "--effort", "1"]
+    command = interruptible("-m", "celnav", "campaign", str(file), *options)
     pipe = subprocess.PIPE
     process = subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True, start_new_session=True)
     pids = workers_at_work(process, folder, 1)

@@ -129,6 +129,16 @@ def test_transport_is_the_derivative(a, b):
     np.testing.assert_allclose(at.transport(p, a, b), np.stack(columns, -1), atol=1e-9)
 
 
+@pytest.mark.parametrize(("a", "b"), [(1.0, 4.0), (0.0, 2.0), (1.0, 1.0)])
+def test_a_space_transports_where_it_is_asked_to(a, b):
+    """By the derivative of its own deviations from the moved point."""
+    space, q, p, h = at.attitude(a, b, transported=True), quaternions(), np.full(3, 0.2 * b), 1e-6
+    moved = space.plus(q, p)
+    ahead, behind = (space.minus(space.plus(q, p + s * h * np.eye(3)), moved) for s in (1, -1))
+    np.testing.assert_allclose(space.transport(p), (ahead - behind).T / (2 * h), atol=1e-9)
+    assert at.attitude(a, b).transport is None
+
+
 def test_the_norm_does_not_drift():
     space, q, step = at.attitude(), quaternions(3), np.array([0.01, -0.02, 0.03])
     for _ in range(100_000):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from scipy.linalg import solve_discrete_are
+from scipy.linalg import expm, solve_discrete_are
 
 from celnav import Gaussian, Motion, Sensor, epochs, run, sigma_point
 from celnav.filters.adaptive import chi_square_gate, innovation_window
@@ -79,6 +79,18 @@ def test_a_gyro_without_noise_gives_the_attitude_back():
     whole = preintegrate(samples, drift[0], 0.05)
     once = Gyro(0.0, 0.0).propagate(np.append(path[0, :4], drift[0]), whole, 2.0)
     np.testing.assert_allclose(at.positive(once[:4]), at.positive(path[-1, :4]), atol=1e-13)
+
+
+@pytest.mark.parametrize("size", [1.0, 1e-4], ids=["large", "small"])
+def test_the_transition_of_errors_is_the_integral_of_their_equation(size):
+    """Of a constant rate w, errors of attitude and drift follow a' = -w x a - b, b' = 0."""
+    rate, dt = size * np.array([0.3, -0.5, 0.4]), 1.5
+    x = np.concatenate([at.exp(np.array([0.4, -0.7, 0.2])), [1e-3, -2e-3, 3e-3]])
+    w = at.cross(rate)
+    A = np.block([[-w, -np.eye(3)], [np.zeros((3, 6))]])
+    np.testing.assert_allclose(
+        WALK.transition(x, rate + x[4:], dt), expm(A * dt), rtol=1e-12, atol=1e-12
+    )
 
 
 @pytest.mark.parametrize("T", [2, 3, 7])
