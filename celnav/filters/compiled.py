@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import traceback
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from functools import partial
 from importlib.util import find_spec
@@ -49,6 +49,7 @@ MAKE_S, RECORDS = (
     8e-5,
     2,
 )  # recording and compiling an operation of a step; such steps of a usual flight
+EXPECTED = 100  # operations of a step, for the square of its states, before it is recorded
 SHARED = 8  # states of models that are matrices, from which on numpy's one covariance of all runs is faster
 MOST_KEPT = 16  # filters whose machine code is found again
 SPARED = 65_536  # steps of runs by kept machine code, after which numpy takes some of them again
@@ -144,11 +145,11 @@ class Compiled:
     def _recording(self, by_numpy: Callable[[], Any]) -> AbstractContextManager[None]:
         """Where steps may be recorded; what was recorded of models that have changed since is forgotten."""
         if self._kept and self._watch.is_still():
-            return nullcontext()
+            return recording(self._watch.holds, by_numpy, lambda: None)
         holds = held(self.filter)
         if changed(self._watch.holds, holds):
             self._kept.clear()
-        return recording(self.filter, holds, by_numpy)
+        return recording(holds, by_numpy, restorer(self.filter))
 
     def _flown(
         self, prior: Any, data: Data, some: Any, keep: str, every: int
@@ -224,7 +225,8 @@ class Compiled:
         """A plan for steps of a signature, of this thread."""
         with self._lock:
             holds = held(self.filter)
-            with recording(self.filter, holds, lambda: self.filter.step(state, epoch)):
+            undo, again = restorer(self.filter), lambda: self.filter.step(state, epoch)
+            with recording(holds, again, undo):
                 self.filter.step(state, epoch)  # what models keep of their first call are floats
                 plan = Plan(self.filter, state, epoch, self.most)
         self._own.__dict__[key] = plan
@@ -281,6 +283,8 @@ class Compiled:
         for name in ("mean", "std", "innovation", "whitened", "used"):
             if (rows := getattr(track, name)) is not None:
                 rows.reshape(len(rows), -1, rows.shape[-1])[:, lost] = getattr(again, name)
+        if (R := track.extra.get("R")) is not None:
+            R.reshape(len(R), -1, R.shape[-1])[:, lost] = again.extra["R"]
         if track.belief is not None and again.belief is not None:
             n = track.belief[1].shape[-1]
             track.belief[1].reshape(len(track.times), -1, n, n)[:, lost] = again.belief[1]
@@ -291,12 +295,14 @@ class Compiled:
 
 
 @contextmanager
-def recording(filter: Any, holds: dict[str, Any], by_numpy: Callable[[], Any]) -> Iterator[None]:
+def recording(
+    holds: dict[str, Any], by_numpy: Callable[[], Any], restore: Callable[[], None]
+) -> Iterator[None]:
     """What goes wrong in a recording is raised as numpy does, or else as `CannotCompile`.
 
-    holds: what the models hold. Whatever the recording made of that is undone.
+    holds: what the models hold. restore: what undoes whatever the recording made of that, so that
+    numpy finds what the recording found.
     """
-    restore = restorer(filter)  # numpy is to find what the recording found
     try:
         yield
     except CannotCompile as error:
@@ -361,7 +367,7 @@ def _track(engine: Engine, data: Data, flight: Flight, every: int) -> Track:
     often = np.bincount(data.kinds, minlength=len(data.known))
     silent = sum(int(count) * m for count, kind in zip(often, data.known, strict=True)
                  for m, what in zip(engine.innovations, kind.z, strict=True) if what == NONE)  # fmt: skip
-    used = beside("used")
+    used, R = beside("used"), beside("R")
     return Track(
         times=data.t[::every].copy(),
         mean=rows.get("mean"),  # type: ignore[arg-type]
@@ -369,6 +375,7 @@ def _track(engine: Engine, data: Data, flight: Flight, every: int) -> Track:
         belief=belief,
         innovation=beside("innovation"),
         whitened=beside("whitened"),
+        extra={} if R is None else {"R": R},
         used=None if used is None else used != 0.0,  # type: ignore[arg-type]
         log_likelihood=likelihood,
         events={
@@ -428,9 +435,11 @@ def chosen(engine: str, filter: Any, jobs: int, prior: Any, epochs: Any) -> Comp
     found = _KEPT.get((id(filter), "compiled", jobs))
     if found is not None and found.recorded:
         return found
+    if not (hasattr(prior, "mean") and hasattr(prior, "cov")):
+        raise CannotCompile("the prior is none")  # numpy says what is expected
     steps, runs = len(epochs), _runs(prior, epochs)
     most = worth(steps, runs)
-    if 100 * prior.cov.shape[-1] ** 2 > most:
+    if EXPECTED * prior.cov.shape[-1] ** 2 > most:
         times = f"{steps} steps of " + ("one run" if runs == 1 else f"{runs} runs")
         raise CannotCompile(f"{times} take less time than compiling one")
     if runs > 1 and prior.cov.ndim == 2 and prior.cov.shape[-1] > SHARED and _by_matrices(filter):
@@ -446,9 +455,9 @@ def worth(steps: int, runs: int) -> int:
 
 def _runs(prior: Any, epochs: Any) -> int:
     """How many runs there are, as far as the prior and the last epoch tell."""
-    z = epochs[-1].z if len(epochs) else None
-    parts = [np.shape(x)[:-1] for x in (z if isinstance(z, tuple) else (z,)) if x is not None]
+    z = getattr(epochs[-1], "z", None) if len(epochs) else None
     try:
+        parts = [np.shape(x)[:-1] for x in (z if isinstance(z, tuple) else (z,)) if x is not None]
         return math.prod(np.broadcast_shapes(np.shape(prior.mean)[:-1], *parts))
     except ValueError:  # the engine says what does not go together
         return 1

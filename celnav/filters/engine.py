@@ -212,7 +212,12 @@ class Engine:
         names |= {"spread": n * (n + 1) // 2} if self.keep == "cov" else {}
         for i, m in enumerate(self.innovations):
             names |= {f"{name}/{i}": m for name in ("innovation", "whitened", "used")}
-        return names
+        return names | {f"R/{i}": self.innovations[i] for i in self.adapted()}
+
+    def adapted(self) -> list[int]:
+        """Sensors whose noise hooks may change, where that is kept."""
+        hooks = () if self.few else getattr(self.filter, "hooks", ())
+        return [i for i, own in enumerate(hooks) if own and self.innovations[i]]
 
     def start(self) -> list[Array]:
         """State of all runs before the first epoch, ``(runs, ...)``, in the order in which it is kept."""
@@ -380,6 +385,9 @@ class Engine:
             for name, blank in (("innovation", np.nan), ("whitened", 0.0), ("used", 0.0)):
                 value = getattr(info, name)
                 yield from np.full(m, blank) if value is None else value
+        for i in self.adapted():
+            R = infos[i].R
+            yield from np.full(self.innovations[i], np.nan) if R is None else R
 
 
 def is_own(x: Array, batch: tuple[int, ...]) -> bool:

@@ -42,7 +42,7 @@ class Track:
     events: counts ``(...)`` over all epochs: "missing" and "rejected" components, "redone" steps. Where ``z`` was None, as many are
         missing as that sensor has at other epochs.
     failed_at: ``(...)`` index of the first epoch at which a run is not finite, -1 for none.
-    extra: what ``run(also=...)`` gave; and "R" where the numpy engine ran a filter with hooks: ``(T, ..., m)``, the
+    extra: what ``run(also=...)`` gave; and "R" of a filter with hooks: ``(T, ..., m)``, the
         variances of the measurement noise as they left them, such as those that `variational_bayes` estimates, of all
         sensors with hooks side by side.
     reduced: what ``run(reduce=...)`` ended with.

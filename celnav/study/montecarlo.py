@@ -61,7 +61,7 @@ def generators(seed: int, study: int, runs: int) -> list[np.random.Generator]:
 
     `numpy.random.SeedSequence` mixes its words one after the other, and the run is the last.
     """
-    generator(seed, study, max(runs - 1, 0))  # which refuses what is no seed
+    seed, study = integer("seed", seed, 0), integer("study", study, 0)
     if max(seed >> 128, study >> 32, runs >> 32):  # of more words
         return [generator(seed, study, run) for run in range(runs)]
     pool = np.random.SeedSequence(seed, spawn_key=(study,)).pool

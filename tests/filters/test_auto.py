@@ -8,6 +8,7 @@ from twice import assert_same
 
 import celnav
 from celnav.filters import compiled
+from celnav.filters.adaptive import innovation_window
 from celnav.filters.engine import Engine
 from celnav.filters.run import ENGINE
 from celnav.filters.stepper import Plan
@@ -156,3 +157,18 @@ def test_a_plan_of_steps_is_made_once(monkeypatch):
     for _ in celnav.steps(fast, PRIOR, celnav.epochs(times, z[:, 0])):
         pass
     assert len(made) == 2
+
+
+@pytest.mark.parametrize("runs", [(), (5,)], ids=["one", "runs"])
+def test_the_noise_that_hooks_leave_is_kept_by_machine_code_too(runs):
+    """``track.extra["R"]``, also at epochs without a measurement, and of a second sensor without hooks."""
+    motion = celnav.Motion(swing, 0.02)
+    gps = celnav.Sensor([[1.0, 0.0]], 0.5)
+    filter = celnav.ukf(motion, RADAR, gps, hooks=[[innovation_window(3)], []])
+    times, z = data(12, 5)
+    z[4], z = np.nan, z if runs else z[:, 0]
+    known, found = (
+        celnav.run(filter, PRIOR, times, (z, z), engine=engine) for engine in ("numpy", "compiled")
+    )
+    assert found.extra["R"].shape == (12, *runs, 1)
+    np.testing.assert_allclose(found.extra["R"], known.extra["R"], 1e-9)
