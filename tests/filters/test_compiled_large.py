@@ -96,4 +96,4 @@ def test_what_is_too_long_is_left_to_numpy_unless_it_is_asked_for(monkeypatch):
     with pytest.raises(
         CannotCompile, match="operations takes longer than it saves: at most 1000 are compiled"
     ):
-        celnav.run(filter, prior, epochs, engine="compiled")
+        celnav.run(flight()[0], prior, epochs, engine="compiled")
