@@ -206,6 +206,7 @@ class Compiled:
         fourth after it, the 16th, and so on, at last each 4096th; where what the models hold has changed,
         at once. Runs that are lost in a step are taken through it by numpy.
 
+        >>> fast = celnav.compiled(filter)
         >>> state, infos = fast.step(fast.start(prior), celnav.Epoch(t=0.0, z=z[0]))
         """
         if state.belief.mean.dtype.hasobject:  # recorded itself, as a part of another filter
