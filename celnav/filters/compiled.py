@@ -43,12 +43,11 @@ from celnav.tape.tape import MOST, CannotCompile, place_of
 __all__ = ["Compiled", "chosen", "compiled", "run_by", "steps_by"]
 
 WORTH = 50_000  # operations of a step, the most that engine="auto" compiles, in some five seconds, and a device takes
-# What decides for engine="auto", in CPU seconds of a Xeon with vectors of eight (benchmarks/engines.py measures them):
-STEP_S, OPERATION_S = 2.3e-4, 1.2e-9  # numpy, of a step, and of an operation of it in each run
-MAKE_S, RECORDS = (
-    8e-5,
-    2,
-)  # recording and compiling an operation of a step; such steps of a usual flight
+# What decides for engine="auto", CPU seconds measured for 1 to 30 states on a Xeon with vectors of eight:
+STEP_S = 2.3e-4  # of a step by numpy
+OPERATION_S = 1.2e-9  # of an operation of it in each run
+MAKE_S = 8e-5  # of recording and compiling an operation
+RECORDS = 2  # steps that a usual flight records: with an interval and without
 EXPECTED = 100  # operations of a step, for the square of its states, before it is recorded
 SHARED = 8  # states of models that are matrices, from which on numpy's one covariance of all runs is faster
 MOST_KEPT = 16  # filters whose machine code is found again
@@ -58,8 +57,6 @@ MORE = 4  # by which that interval grows each time
 CHECKED = 3  # epochs of some runs that numpy takes before a step is recorded
 OTHER = "the model gives other values when it is recorded"
 LOOKS = "it depends on more than the numbers that it is given; engine='numpy' runs it as it is"
-
-
 Stepped = tuple[Any, tuple[Info, ...]]
 
 
@@ -250,6 +247,8 @@ class Compiled:
         if path or why:
             self._own.__dict__.clear()
             raise _remembers(plan.watch.holds, path) if path else _otherwise(plan.watch.holds, why)
+        if not plan.watch.is_still():  # equal values under other names
+            plan.watch = Watch(self.filter)
         plan.interval = min(MORE * plan.interval, SPAN)
         plan.left = plan.interval - 1
         return found
@@ -472,15 +471,17 @@ def _by_matrices(filter: Any) -> bool:
 
 def _kept(filter: Any, engine: str, jobs: int, most: int) -> Compiled:
     """The filter as machine code, with what was recorded of the same object before."""
-    found = _KEPT.pop((id(filter), engine, jobs), None)
-    made: Compiled = found or compiled(filter, jobs=jobs, engine=engine)
-    made.most = max(most, made.most if made.recorded else 0)
-    _KEPT[id(filter), engine, made.jobs] = made  # the last one that was used stands last
-    while len(_KEPT) > MOST_KEPT:
-        del _KEPT[next(iter(_KEPT))]
+    with _KEPT_LOCK:
+        found = _KEPT.pop((id(filter), engine, jobs), None)
+        made: Compiled = found or compiled(filter, jobs=jobs, engine=engine)
+        made.most = max(most, made.most if made.recorded else 0)
+        _KEPT[id(filter), engine, made.jobs] = made  # the last one that was used stands last
+        while len(_KEPT) > MOST_KEPT:
+            del _KEPT[next(iter(_KEPT))]
     return made
 
 
+_KEPT_LOCK = Lock()
 _KEPT: dict[tuple[int, str, int], Compiled] = {}
 """Filters by their addresses, which hold as long as the filters stand here."""
 
