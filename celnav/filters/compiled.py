@@ -51,7 +51,7 @@ RECORDS = 2  # steps that a usual flight records: with an interval and without
 EXPECTED = 100  # operations of a step, for the square of its states, before it is recorded
 SHARED = 8  # states of models that are matrices, from which on numpy's one covariance of all runs is faster
 MOST_KEPT = 16  # filters whose machine code is found again
-SPARED = 65_536  # steps of runs by kept machine code, after which numpy takes some of them again
+SPARED = 65_536  # steps of runs by kept machine code, after which all sentinels are compared again
 SPAN = 4096  # of steps alone: the most between two comparisons with numpy
 MORE = 4  # by which that interval grows each time
 CHECKED = 3  # epochs of some runs that numpy takes before a step is recorded
@@ -63,9 +63,10 @@ Stepped = tuple[Any, tuple[Info, ...]]
 class Compiled:
     """A filter as machine code; what `celnav.compiled` makes.
 
-    The steps that were recorded are kept. They are compared with numpy's in the first flight and in
-    every one of many steps, at some epochs and for some runs, and recorded anew where what the models
-    hold has changed since, a global number say. A model that changes what it holds whenever it is called cannot be compiled.
+    The recorded steps are kept. Each run compares some of them with numpy's, for some of the runs:
+    at epochs spread over the whole of the first run and of long ones, at one epoch of short ones.
+    They are recorded again where what the models hold has changed, such as a global number. A model
+    that changes what it holds whenever it is called cannot be compiled.
 
     >>> fast = celnav.compiled(celnav.ukf(motion, gps), jobs=2)
     >>> track = fast.run(prior, times, z)
@@ -74,7 +75,8 @@ class Compiled:
     def __init__(self, filter: Any, jobs: int, engine: str, most: int):
         self.filter, self.jobs, self.engine, self.most = filter, jobs, engine, most
         self._kept, self._watch = dict[Any, Any](), Watch(None)
-        self._left = 0  # steps of a run until numpy takes some of them again
+        self._left = 0  # steps of a run until numpy takes all sentinels again
+        self._flights = 0
         self._own, self._lock = local(), Lock()  # plans of steps, of each thread
 
     def __repr__(self) -> str:
@@ -167,9 +169,8 @@ class Compiled:
             self._watch = Watch(self.filter)
         self._left -= count * len(data.k)
         due = fresh or self._left < 0 or count * len(data.k) >= SPARED
-        flight = fly(engine, data, every, self.jobs, on, watched, due)
-        if not (due or engine.fresh):
-            return engine, flight
+        self._flights += 1
+        flight = fly(engine, data, every, self.jobs, on, watched, None if due else self._flights)
         why = next(
             (
                 f"step {int(data.k[one.at])}: {name}"
@@ -178,9 +179,11 @@ class Compiled:
             ),
             "",
         )
-        path = changed(self._watch.holds, held(self.filter))
+        due = due or engine.fresh
+        path = changed(self._watch.holds, held(self.filter)) if due or why else ""
         if not why and not path:
-            self._left = SPARED
+            if due:
+                self._left = SPARED
             return engine, flight
         self._kept.clear()
         if not fresh:  # what was recorded then may not hold now
@@ -436,7 +439,7 @@ def chosen(engine: str, filter: Any, jobs: int, prior: Any, epochs: Any) -> Comp
     if found is not None and found.recorded:
         return found
     if not (hasattr(prior, "mean") and hasattr(prior, "cov")):
-        raise CannotCompile("the prior is none")  # numpy says what is expected
+        raise CannotCompile("the prior has no mean and covariance")
     steps, runs = len(epochs), _runs(prior, epochs)
     most = worth(steps, runs)
     if EXPECTED * prior.cov.shape[-1] ** 2 > most:

@@ -203,11 +203,12 @@ def fly(
     jobs: int,
     device: Device | None = None,
     watched: Sequence[int] = (),
-    compared: bool = True,
+    number: int | None = None,
 ) -> Flight:
     """All runs through all epochs, on a device, or None: on this processor.
 
-    Some are ``watched`` where the flight is to be compared with numpy's, or a step of it is new.
+    watched: the runs whose states are kept before and after the sentinels. number: of a flight whose
+    steps were all compared before: it has one sentinel, at an epoch that depends on its number.
     """
     runs, T = int(np.prod(engine.batch)), len(data.k)
     lanes = 0 if device else 1 if runs == 1 else llvm.lanes()
@@ -231,7 +232,7 @@ def fly(
     rows = {name: np.empty((K, whole, count)) for name, count in names.items()}
     counts = len(TALLY) * engine.stride
     tally, start = np.empty((runs, counts)), np.concatenate(engine.start(), 1)
-    sentinels = _sentinels(steps) if watched and (compared or engine.fresh) else []
+    sentinels = _sentinels(steps, None if engine.fresh else number)
     seen = np.empty((2, len(sentinels), len(watched), size))  # before and after
     table, loop = (np.array(steps, np.int32), stored.astype(np.int64)), _loop(records, size, device)
 
@@ -283,8 +284,13 @@ def fly(
     )
 
 
-def _sentinels(steps: list[int]) -> list[int]:
-    """Epochs whose steps are compared with numpy's: the first, the last, one of each record, and some drawn by a hash."""
+def _sentinels(steps: list[int], number: int | None) -> list[int]:
+    """Epochs whose steps are compared with numpy's: the first, the last, one of each record, and some drawn by a hash.
+
+    number: of a flight that has one of them only.
+    """
+    if number is not None:
+        return [crc32(b"flight %d" % number) % len(steps)]
     drawn = [crc32(b"%d of %d" % (i, len(steps))) % len(steps) for i in range(DRAWN)]
     return sorted({0, len(steps) - 1, *np.unique(steps, return_index=True)[1].tolist(), *drawn})
 

@@ -83,7 +83,7 @@ def difference(
     for some in groups if len(sound) else ():
         runs = np.array(watched)[some]
         part = partial(part_of, batch=engine.batch, runs=runs)
-        own = each_run(filter, partial(part, own=2))
+        own = each_run(filter, partial(part, own=2)) if engine.constants else filter
         epoch = epoch_of(data, sentinel.at, part, engine.batch)
         if not plain and _silent(epoch.z, data, sentinel.at):
             continue  # numpy calls no hook then, unless another run measures something
@@ -113,12 +113,12 @@ def otherwise(filter: Any, state: Any, epoch: Any, after: Any, tally: list[Array
     # A fixed lag keeps nothing in machine code: then beliefs are compared.
     alike = [what for _, what in leaves(stepped)] == [what for _, what in leaves(after)]
     found, mine = list(_measured(stepped, counts, alike)), list(_measured(after, tally, alike))
-    close = DIFFERENCED if _has_taylor(filter) else CLOSE
     apart = [np.broadcast_arrays(x, y) for (_, x, _), (_, y, _) in zip(found, mine, strict=True)]
     sizes = [size for *_, size in found]
-    wrong = [i for i, (x, y) in enumerate(apart) if not _within(close * sizes[i], x, y)]
+    wrong = [i for i, (x, y) in enumerate(apart) if not _within(CLOSE * sizes[i], x, y)]
     if not wrong:
         return ""
+    close = DIFFERENCED if _has_taylor(filter) else CLOSE
     again = [value for _, value, _ in _measured(*_stepped(filter, state, epoch), alike)]
     if not all(np.array_equal(a[1], b, equal_nan=True) for a, b in zip(found, again, strict=True)):
         return f"{found[wrong[0]][0]}, and numpy gives another one at each call"

@@ -142,14 +142,44 @@ def test_a_kept_filter_is_recorded_anew_where_its_model_changed():
             assert_same(celnav.run(kept.filter, PRIOR, TIMES, Z), kept.run(PRIOR, TIMES, Z))
 
 
-def test_a_kept_filter_is_compared_again_after_many_steps(monkeypatch):
-    """A change that what functions hold does not show; here after one step."""
-    monkeypatch.setattr("celnav.filters.compiled.SPARED", 1)
+def test_a_kept_filter_is_compared_again_in_every_run(monkeypatch):
+    """What the model's function holds does not show that numpy's tanh was replaced."""
     kept = celnav.compiled(filter_of(lambda x, epoch: np.tanh(x)))
     kept.run(PRIOR, TIMES, Z)
     monkeypatch.setattr(np, "tanh", lambda x: 0.5 * x)
     found = kept.run(PRIOR, TIMES, Z)
     assert_same(celnav.run(kept.filter, PRIOR, TIMES, Z), found)
+
+
+def test_each_short_run_of_a_kept_filter_compares_another_epoch(monkeypatch):
+    compared = []
+
+    def noted(_filter, _engine, _data, sentinel, _watched):
+        compared.append(sentinel.at)
+        return ""
+
+    kept = celnav.compiled(filter_of(lambda x, epoch: np.tanh(x)))
+    kept.run(PRIOR, TIMES, Z)
+    monkeypatch.setattr("celnav.filters.compiled.difference", noted)
+    for _ in range(40):
+        kept.run(PRIOR, TIMES, Z)
+    assert len(compared) == 40
+    assert len(set(compared)) > 20
+
+
+def test_long_runs_of_a_kept_filter_compare_all_sentinels(monkeypatch):
+    compared = []
+
+    def noted(_filter, _engine, _data, sentinel, _watched):
+        compared.append(sentinel.at)
+        return ""
+
+    kept = celnav.compiled(filter_of(lambda x, epoch: np.tanh(x)))
+    kept.run(PRIOR, TIMES, Z)
+    monkeypatch.setattr("celnav.filters.compiled.difference", noted)
+    monkeypatch.setattr("celnav.filters.compiled.SPARED", T * Z.shape[1])
+    kept.run(PRIOR, TIMES, Z)
+    assert {0, T - 1} < set(compared)
 
 
 # -- where and how -----------------------------------------------------------------------------
