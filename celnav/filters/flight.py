@@ -284,7 +284,7 @@ def fly(
     )
 
 
-def _sentinels(steps: list[int], number: int | None) -> list[int]:
+def _sentinels(steps: list[int], number: int | None = None) -> list[int]:
     """Epochs whose steps are compared with numpy's: the first, the last, one of each record, and some drawn by a hash.
 
     number: of a flight that has one of them only.
