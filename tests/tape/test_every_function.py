@@ -71,6 +71,8 @@ def tried(function, call):
         mine = in_model(lambda x, y: CALLS[call](function, x, y), x, y)
     except Exception:
         return False
+    if tape.refusal is not None:  # numpy's loops over objects may forget an error
+        return False
     pools = [NICE, ODD] if isinstance(function, np.ufunc) and function.signature is None else [NICE]
     compared = False
     for pool in [pool for pool in pools for _ in range(6)]:
