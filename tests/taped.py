@@ -37,6 +37,8 @@ def values(tape, given, y):
             known.append(np.float64(given[arguments[0]]))
         elif name == "const":
             known.append(np.float64(arguments[0]))
+        elif name == "var":  # of a loop over rows, which has its own tape
+            known.append(np.nan)
         elif name == "call":
             known.append(_left(arguments[0], [known[a] for a in arguments[1:]]))
         elif name == "part":

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from celnav.filters.engine import NONE, TALLY, Data, Engine, each_run, entries
+from celnav.filters.engine import NONE, TALLY, Data, Engine, Kept, each_run, entries
 from celnav.filters.fixed_lag import FixedLag
 from celnav.filters.flight import Flight, as_data, epoch_of, fly, part_of
 from celnav.filters.joint import by_matrix
@@ -49,7 +49,7 @@ OPERATION_S = 1.2e-9  # of an operation of it in each run
 MAKE_S = 8e-5  # of recording and compiling an operation
 RECORDS = 2  # steps that a usual flight records: with an interval and without
 EXPECTED = 100  # operations of a step, for the square of its states, before it is recorded
-SHARED = 8  # states of models that are matrices, from which on numpy's one covariance of all runs is faster
+SHARED = 0.02  # of an operation's time, where models are matrices: numpy computes one covariance for all runs
 MOST_KEPT = 16  # filters whose machine code is found again
 SPARED = 65_536  # steps of runs by kept machine code, after which all sentinels are compared again
 SPAN = 4096  # of steps alone: the most between two comparisons with numpy
@@ -74,7 +74,7 @@ class Compiled:
 
     def __init__(self, filter: Any, jobs: int, engine: str, most: int):
         self.filter, self.jobs, self.engine, self.most = filter, jobs, engine, most
-        self._kept, self._watch = dict[Any, Any](), Watch(None)
+        self._kept, self._watch = Kept(), Watch(None)
         self._left = 0  # steps of a run until numpy takes all sentinels again
         self._flights = 0
         self._own, self._lock = local(), Lock()  # plans of steps, of each thread
@@ -441,16 +441,15 @@ def chosen(engine: str, filter: Any, jobs: int, prior: Any, epochs: Any) -> Comp
     if not (hasattr(prior, "mean") and hasattr(prior, "cov")):
         raise CannotCompile("the prior has no mean and covariance")
     steps, runs = len(epochs), _runs(prior, epochs)
-    most = worth(steps, runs)
+    shared = runs > 1 and prior.cov.ndim == 2 and _by_matrices(filter)
+    most = worth(steps, runs * (SHARED if shared else 1.0))
     if EXPECTED * prior.cov.shape[-1] ** 2 > most:
         times = f"{steps} steps of " + ("one run" if runs == 1 else f"{runs} runs")
         raise CannotCompile(f"{times} take less time than compiling one")
-    if runs > 1 and prior.cov.ndim == 2 and prior.cov.shape[-1] > SHARED and _by_matrices(filter):
-        raise CannotCompile("all runs have one covariance, which numpy computes once")
     return _kept(filter, "compiled", jobs, most)
 
 
-def worth(steps: int, runs: int) -> int:
+def worth(steps: int, runs: float) -> int:
     """Operations of a step, the most that repay recording and compiling in one flight."""
     left = RECORDS * MAKE_S - steps * runs * OPERATION_S
     return WORTH if left <= 0.0 else int(min(WORTH, steps * STEP_S / left))

@@ -21,7 +21,7 @@ from celnav.gaussian.belief import Gaussian, settled
 from celnav.gaussian.checks import kind, together
 from celnav.gaussian.linalg import Array, Covariance, SquareRoot
 from celnav.tape import llvm
-from celnav.tape.kernel import Kernel
+from celnav.tape.kernel import Kernel, Split
 from celnav.tape.numbers import Numbers, present
 from celnav.tape.tape import (
     MOST,
@@ -36,9 +36,25 @@ from celnav.tape.tape import (
 )
 
 __all__ = [
-    "FULL", "NONE", "PART", "SILENT", "TALLY", "Data", "Engine", "Kind", "Recorded", "Shape", "each_array", "each_run", "entries",
-    "is_own", "leaves", "rebuilt",
-]  # fmt: skip
+    "FULL",
+    "NONE",
+    "PART",
+    "SILENT",
+    "TALLY",
+    "Code",
+    "Data",
+    "Engine",
+    "Kept",
+    "Kind",
+    "Recorded",
+    "Shape",
+    "each_array",
+    "each_run",
+    "entries",
+    "is_own",
+    "leaves",
+    "rebuilt",
+]
 
 TALLY = ("log_likelihood", "missing", "rejected", "redone", "failed_at")
 """What each run counts, first in its state."""
@@ -135,11 +151,39 @@ class Data(NamedTuple):
 
 
 class Recorded(NamedTuple):
-    """A kernel, the shape of the state after it, and the address of its machine code; 0: not compiled."""
+    """A kernel, and the shape of the state after it."""
 
     kernel: Kernel
     after: Shape
-    address: int = 0
+
+
+class Code(NamedTuple):
+    """Machine code of a recorded step.
+
+    each: address of what each vector of runs does. once: address of what is done once for all runs;
+    None: nothing. ``results`` of that are shared inputs of ``each`` from the ``first`` on. cells: of memory.
+    """
+
+    each: int
+    cells: int
+    once: int | None = None
+    first: int = 0
+    results: int = 0
+
+
+class Kept:
+    """What was recorded of a filter's steps, and their machine code, by what they depend on."""
+
+    def __init__(self) -> None:
+        self.records, self.code = dict[Any, Recorded](), dict[Any, Any]()
+
+    def __bool__(self) -> bool:
+        return bool(self.records)
+
+    def clear(self) -> None:
+        """Forget all."""
+        self.records.clear()
+        self.code.clear()
 
 
 class Engine:
@@ -157,12 +201,13 @@ class Engine:
         prior: Any,
         data: Data,
         keep: str,
-        kept: dict[Any, Recorded],
+        kept: Kept | None = None,
         *,
         most: int = MOST,
         rolled: bool = True,
     ):
-        self.filter, self.kept, self.fresh = filter, kept, False
+        self.filter, self.fresh = filter, False
+        self.kept = Kept() if kept is None else kept
         self.most, self.rolled = most, rolled
         self.keep = "mean" if keep == "nothing" else keep
         self.few = keep == "nothing"  # rows of the first epochs only
@@ -239,21 +284,44 @@ class Engine:
             out.append((values, is_own(parts[0], self.batch)))
         return out
 
-    def recorded_as(
-        self, before: Shape, kind: Kind, u: list[tuple[Array, bool]], lanes: int
-    ) -> Recorded:
-        """The step, recorded and compiled; for 0 lanes recorded only."""
+    def recorded_as(self, before: Shape, kind: Kind, u: list[tuple[Array, bool]]) -> Recorded:
+        """The step, recorded."""
         shapes = tuple(
             (x.shape[1 + len(self.batch) * own :], own, bool(np.isfinite(x).all())) for x, own in u
         )
-        key = (before, kind, shapes, self.keep, self.dt, tuple(self.widths), lanes)
-        if key not in self.kept:
-            made = self.record(before, kind, u)
-            self.kept[key] = (
-                made._replace(address=llvm.kernel_address(made.kernel, lanes)) if lanes else made
-            )
-            self.fresh = True
-        return self.kept[key]
+        key = before, kind, shapes, self.keep, self.dt, tuple(self.widths)
+        if key not in self.kept.records:
+            self.kept.records[key], self.fresh = self.record(before, kind, u), True
+        return self.kept.records[key]
+
+    def code(self, made: Recorded, lanes: int, split: Split | None = None) -> Code:
+        """Machine code of a recorded step; ``split``: in its two parts."""
+        key = id(made), lanes, id(split)
+        if key not in self.kept.code:
+            if split is None:
+                code = Code(llvm.kernel_address(made.kernel, lanes), made.kernel.cells)
+            else:
+                code = Code(
+                    llvm.kernel_address(split.each, lanes),
+                    max(split.once.cells, split.each.cells),
+                    llvm.kernel_address(split.once, 1),
+                    split.first,
+                    len(split.once.rows),
+                )
+            self.kept.code[key] = code
+        found: Code = self.kept.code[key]
+        return found
+
+    def common(self) -> frozenset[int]:
+        """Entries of the state before the first epoch that all runs have in common."""
+        found, first = set[int](), self.held
+        axes = len(self.batch)
+        for x, (own, what, _) in zip(self.values, self.begin.arrays, strict=True):
+            count = len(entries(own, what))
+            if not any(x.strides[:axes]):
+                found.update(range(first, first + count))
+            first += count
+        return frozenset(found)
 
     def record(self, before: Shape, kind: Kind, u: list[tuple[Array, bool]]) -> Recorded:
         """The step from a state of a shape over an epoch of a kind."""
@@ -334,7 +402,7 @@ class Engine:
             raise refused("a model looks at epoch.z, of all runs; put what it is to know into u")
         after = Shape.of(state)
         if "belief" in getattr(state, "_fields", ()):
-            state = state._replace(belief=settled(state.belief))
+            state = state._replace(belief=self._settled(state.belief))
         tally = self._counted(tally, state.belief, infos, k)
         stored = [(i, x) for i, x in enumerate(tally)]
         at = self.held
@@ -355,6 +423,15 @@ class Engine:
                 f"a step of {size} operations takes longer than it saves: at most {self.most} are compiled"
             )
         return Recorded(kernel, after)
+
+    def _settled(self, belief: Any) -> Any:
+        """A belief whose mean is nan if the run is lost. Of one run the matrix is too.
+
+        The matrix of several runs stays: it may be that of all. Rows of lost runs are numpy's.
+        """
+        if not self.batch:
+            return settled(belief)
+        return type(belief)(np.where(belief.lost()[..., None], np.nan, belief.mean), belief[1])
 
     def _counted(self, tally: list[Any], belief: Any, infos: Sequence[Info], k: Any) -> list[Any]:
         """Likelihood, missing and rejected components, and when the run was lost; see `celnav.filters.track.Collector`."""

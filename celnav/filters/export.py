@@ -58,7 +58,7 @@ def export_c(
     data = as_data(
         filter, [Epoch(0, 0.0, 0.0, None, z), Epoch(1, every or 1.0, every or 1.0, u, z)]
     )
-    engine = Engine(filter, prior, data, "std", {}, rolled=False)
+    engine = Engine(filter, prior, data, "std", rolled=False)
     engine.dt = every
     inputs = {shape: engine.inputs(found, 2) for shape, found in data.u.items()}
     part = (PART,) * len(own)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
 from itertools import pairwise
 from typing import Any, NamedTuple
 from zlib import crc32
@@ -20,6 +19,7 @@ from celnav.filters.engine import (
     PART,
     SILENT,
     TALLY,
+    Code,
     Data,
     Engine,
     Kind,
@@ -36,12 +36,14 @@ from celnav.gaussian.checks import numbers
 from celnav.gaussian.linalg import Array
 from celnav.tape import llvm, ptx
 from celnav.tape.cuda import Device
-from celnav.tape.tape import CannotCompile
+from celnav.tape.tape import CannotCompile, Number
 
 __all__ = ["Flight", "Sentinel", "as_data", "epoch_of", "fly", "part_of", "sensors"]
 
 DRAWN = 4  # sentinels besides the first, the last and one of each record
 FEW = 3  # rows of a flight that keeps nothing, by which it is checked
+APART = 100  # operations of a step that all runs have in common, from which on they are done once an epoch
+MOST_COMMON = 1 << 25  # results of them in memory
 CHUNK = 1 << 21  # bytes of the measurements of runs that are flown together: they stay in the cache
 
 
@@ -213,9 +215,12 @@ def fly(
     runs, T = int(np.prod(engine.batch)), len(data.k)
     lanes = 0 if device else 1 if runs == 1 else llvm.lanes()
     inputs = {shape: engine.inputs(found, T) for shape, found in data.u.items()}
-    records, steps, shapes = _planned(engine, data, inputs, lanes)
+    plan = _planned(engine, data, inputs)
+    records, steps, shapes = plan.records, plan.steps, plan.shapes
+    code, common = _coded(engine, plan, lanes) if lanes else ([], [])
     size = (engine.held + max(x.size for x in set(shapes))) * engine.stride
-    shared, own = _shared(data, inputs), _own(engine, data, inputs, runs)
+    width = max((one.first + one.results for one in code), default=0)
+    shared, own = _shared(data, inputs, width), _own(engine, data, inputs, runs)
     stored = np.where(np.arange(T) % every == 0, np.arange(T) // every, -1)
     if engine.few:
         stored[FEW:] = -1
@@ -234,7 +239,13 @@ def fly(
     tally, start = np.empty((runs, counts)), np.concatenate(engine.start(), 1)
     sentinels = _sentinels(steps, None if engine.fresh else number)
     seen = np.empty((2, len(sentinels), len(watched), size))  # before and after
-    table, loop = (np.array(steps, np.int32), stored.astype(np.int64)), _loop(records, size, device)
+    table = np.array(steps, np.int32), stored.astype(np.int64)
+    loop = (
+        _on_device(records, size, device)
+        if device
+        else _on_host([one.each for one in code], max(one.cells for one in code))
+    )
+    once = _once(code, table[0], shared, start[0], size, sentinels)
 
     def some(first: int) -> None:
         """A chunk of runs."""
@@ -275,6 +286,11 @@ def fly(
     else:
         for first in range(0, runs, chunk):
             some(first)
+    if once is not None:
+        for k, at in enumerate(sentinels):
+            for side in range(2):
+                entries = common[plan.at[at + side]]
+                seen[side, k][:, entries] = once[side, k, entries]
     kept_rows = {name: np.ascontiguousarray(x[:, :runs]) for name, x in rows.items()}
     before_after = zip(sentinels, *seen, strict=True)
     return Flight(
@@ -295,17 +311,10 @@ def _sentinels(steps: list[int], number: int | None = None) -> list[int]:
     return sorted({0, len(steps) - 1, *np.unique(steps, return_index=True)[1].tolist(), *drawn})
 
 
-def _loop(records: Sequence[Recorded], size: int, device: Device | None) -> Callable[..., None]:
-    """What takes ``(kinds, at, state, shared, own)`` through all epochs, and writes the rows of runs from the ``first`` on; a state
-    is of ``size`` numbers."""
-    if device is not None:
-        return partial(
-            _on_device,
-            device,
-            device.entry(ptx.program([record.kernel for record in records], size)),
-        )
-    addresses, loop = np.array([record.address for record in records], np.uint64), llvm.fly()
-    cells = max(record.kernel.cells for record in records)
+def _on_host(kernels: Sequence[int], cells: int) -> Callable[..., None]:
+    """What takes ``(kinds, at, state, shared, own)`` through all epochs on this processor, and writes the
+    rows of runs from the ``first`` on. kernels: their addresses. cells: of their memory."""
+    addresses, loop = np.array(kernels, np.uint64), llvm.fly()
 
     def flown(
         kinds: Array,
@@ -342,64 +351,158 @@ def _loop(records: Sequence[Recorded], size: int, device: Device | None) -> Call
     return flown
 
 
-def _on_device(
-    device: Device,
-    entry: Any,
-    kinds: Array,
-    at: Array,
-    state: Array,
-    shared: Array,
-    own: Array,
-    rows: dict[str, Array],
-    first: int,
-) -> None:
-    """The same on a device."""
-    stored = at[at >= 0]
-    begin, end = (int(stored[0]), int(stored[-1]) + 1) if len(stored) else (0, 0)
-    kept = np.where(at >= 0, at - begin, -1)
-    shapes = [(end - begin, own.shape[2], x.shape[2]) for x in rows.values()]
-    ends = np.cumsum([int(np.prod(shape)) for shape in shapes])
-    out = np.empty(max(1, *ends))
-    device.fly(entry, kinds, kept, state, shared, own, out)
-    for x, shape, part in zip(rows.values(), shapes, np.split(out, ends), strict=False):
-        x[begin:end, first : first + shape[1]] = part.reshape(shape)
+def _on_device(records: Sequence[Recorded], size: int, device: Device) -> Callable[..., None]:
+    """The same on a device; a state is of ``size`` numbers."""
+    entry = device.entry(ptx.program([record.kernel for record in records], size))
+
+    def flown(
+        kinds: Array,
+        at: Array,
+        state: Array,
+        shared: Array,
+        own: Array,
+        rows: dict[str, Array],
+        first: int,
+    ) -> None:
+        stored = at[at >= 0]
+        begin, end = (int(stored[0]), int(stored[-1]) + 1) if len(stored) else (0, 0)
+        kept = np.where(at >= 0, at - begin, -1)
+        shapes = [(end - begin, own.shape[2], x.shape[2]) for x in rows.values()]
+        ends = np.cumsum([int(np.prod(shape)) for shape in shapes])
+        out = np.empty(max(1, *ends))
+        device.fly(entry, kinds, kept, state, shared, own, out)
+        for x, shape, part in zip(rows.values(), shapes, np.split(out, ends), strict=False):
+            x[begin:end, first : first + shape[1]] = part.reshape(shape)
+
+    return flown
 
 
-def _planned(
-    engine: Engine, data: Data, inputs: dict[Any, Any], lanes: int
-) -> tuple[list[Recorded], list[int], list[Shape]]:
-    """The records that are needed, which of them each epoch takes, and the shapes of the state before each, and at the end."""
+class _Plan(NamedTuple):
+    """The records that a flight needs, and which of them each epoch takes.
+
+    edges: of each record, the numbers of the shapes before and after it. steps: of each epoch, the
+    number of its record. at: the number of the shape before each epoch, and at the end. known: shapes.
+    """
+
+    records: list[Recorded]
+    edges: list[tuple[int, int]]
+    steps: list[int]
+    at: list[int]
+    known: list[Shape]
+
+    @property
+    def shapes(self) -> list[Shape]:
+        """Of the state before each epoch, and at the end."""
+        return [self.known[at] for at in self.at]
+
+
+def _planned(engine: Engine, data: Data, inputs: dict[Any, Any]) -> _Plan:
+    """Steps of all epochs, recorded."""
     ids: dict[Shape, int] = {engine.begin: 0}
-    records: dict[
-        tuple[int, int], tuple[int, int, Recorded]
-    ] = {}  # by the shape before and the kind; with the shape after
-    at, steps, places = 0, [], [0]
+    numbers: dict[tuple[int, int], int] = {}  # of records, by the shape before and the kind
+    records, edges = list[Recorded](), list[tuple[int, int]]()
+    steps, places = list[int](), [0]
     kinds = data.kinds.tolist()
     for i, kind in enumerate(kinds):
-        if (at, kind) not in records:
+        at = places[-1]
+        if (at, kind) not in numbers:
             there = data.known[kind]
-            made = engine.recorded_as(list(ids)[at], there, inputs[there.u], lanes)
-            records[at, kind] = len(records), ids.setdefault(made.after, len(ids)), made
-            stays = {k: n for (b, k), (n, after, _) in records.items() if b == at == after}
+            made = engine.recorded_as(list(ids)[at], there, inputs[there.u])
+            numbers[at, kind] = len(records)
+            records.append(made)
+            edges.append((at, ids.setdefault(made.after, len(ids))))
+            stays = {k: n for (_, k), n in numbers.items() if edges[n] == (at, at)}
             if stays.keys() >= set(kinds[i:]):  # from here on the state keeps its shape
                 steps += [stays[k] for k in kinds[i:]]
                 places += [at] * (len(kinds) - i)
                 break
-        number, at, _ = records[at, kind]
-        steps.append(number)
-        places.append(at)
-    known = list(ids)
-    return [made for *_, made in records.values()], steps, [known[at] for at in places]
+        steps.append(numbers[at, kind])
+        places.append(edges[steps[-1]][1])
+    return _Plan(records, edges, steps, places, list(ids))
 
 
-def _shared(data: Data, inputs: dict[Any, list[tuple[Array, bool]]]) -> Array:
-    """What all runs have in common at each epoch ``(T, E)``: index, time, interval, inputs."""
+def _coded(engine: Engine, plan: _Plan, lanes: int) -> tuple[list[Code], list[list[int]]]:
+    """Machine code of all records, and the entries of the state of each shape that all runs have in common."""
+    none: list[list[int]] = [[]] * len(plan.known)
+    if lanes == 1 or engine.stride > 1:
+        return [engine.code(made, lanes) for made in plan.records], none
+    key = "common", tuple(map(id, plan.records)), engine.common()
+    if key not in engine.kept.code:
+        common = _common(engine, plan)
+        splits = [
+            made.kernel.split(common[before], common[after])
+            for made, (before, after) in zip(plan.records, plan.edges, strict=True)
+        ]
+        engine.kept.code[key] = splits, [sorted(entries) for entries in common]
+    splits, entries = engine.kept.code[key]
+    T, count = len(plan.steps), np.bincount(plan.steps)
+    saved = sum(int(n) * split.saved for n, split in zip(count, splits, strict=True))
+    results = T * max(len(split.once.rows) for split in splits)
+    if saved < APART * T or results > MOST_COMMON:
+        return [engine.code(made, lanes) for made in plan.records], none
+    pairs = zip(plan.records, splits, strict=True)
+    return [engine.code(made, lanes, split) for made, split in pairs], entries
+
+
+def _common(engine: Engine, plan: _Plan) -> list[frozenset[int]]:
+    """Entries of the state of each shape that all runs have in common: the most that every record keeps so."""
+    found: dict[int, frozenset[int]] = {0: engine.common()}
+    while True:
+        before = dict(found)
+        for made, (begin, end) in zip(plan.records, plan.edges, strict=True):
+            uniform = made.kernel.uniform(
+                found[begin]
+            )  # a record stands behind those that lead to it
+            same = frozenset(
+                i
+                for i, x in made.kernel.state
+                if i >= engine.held and (not isinstance(x, Number) or uniform[x.i])
+            )
+            found[end] = found.get(end, same) & same
+        if found == before:
+            return [found[i] for i in range(len(found))]
+
+
+def _once(
+    code: list[Code],
+    kinds: Array,
+    shared: Array,
+    start: Array,
+    size: int,
+    sentinels: list[int],
+) -> Array | None:
+    """Take what all runs have in common through all epochs, which adds its results to ``shared``.
+
+    start: the state before the first epoch of any run. Returns the states before and after the
+    sentinels ``(2, sentinels, size)``; None where the runs have nothing in common.
+    """
+    kernels = [one.once for one in code if one.once is not None]
+    if not kernels:
+        return None
+    T, width = shared.shape
+    at = np.arange(T) * width + np.array([one.first for one in code])[kinds]
+    loop = _on_host(kernels, max(one.cells for one in code))
+    state = np.zeros((1, size, 1))
+    state[0, : len(start), 0] = start
+    seen, none = np.empty((2, len(sentinels), size)), np.zeros((T, 1, 1))
+    for begin, end in pairwise(sorted({0, T, *sentinels, *(k + 1 for k in sentinels)})):
+        here = slice(begin, end)
+        if begin in sentinels:
+            seen[0, sentinels.index(begin)] = state[0, :, 0]
+        loop(kinds[here], at[here], state, shared[here], none[here], {"": shared[:, None]}, 0)
+        if begin in sentinels:
+            seen[1, sentinels.index(begin)] = state[0, :, 0]
+    return seen
+
+
+def _shared(data: Data, inputs: dict[Any, list[tuple[Array, bool]]], width: int) -> Array:
+    """What all runs have in common at each epoch ``(T, E)``: index, time, interval, inputs, and room for at least ``width``."""
     T = len(data.k)
     flat = [
         np.concatenate([np.zeros((T, 0)), *(x.reshape(T, -1) for x, own in parts if not own)], 1)
         for parts in inputs.values()
     ]
-    out = np.zeros((T, 3 + max(x.shape[1] for x in flat)))
+    out = np.zeros((T, max(width, 3 + max(x.shape[1] for x in flat))))
     out[:, 0], out[:, 1] = data.k, data.t
     if data.dt.ndim == 1:
         out[:, 2] = data.dt

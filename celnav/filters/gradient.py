@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from celnav.filters.engine import TALLY, Data, Engine, Kind, Recorded, Shape, each_array
+from celnav.filters.engine import TALLY, Data, Engine, Kept, Kind, Recorded, Shape, each_array
 from celnav.filters.flight import as_data, fly
 from celnav.filters.records import Epoch, Epochs
 from celnav.gaussian.linalg import Array
@@ -44,7 +44,7 @@ class Gradient:
 
     def __init__(self, build: Build, epochs: Epochs | Sequence[Epoch], flights: float = np.inf):
         self.build, self.epochs, self.flights = build, epochs, flights
-        self.kept: dict[Any, Recorded] = {}
+        self.kept = Kept()
         self.recorded: list[tuple[Shape, Kind, Any, bytes]] = []
         self.seeds = np.zeros(0, bool)
         self.first: Any = None
@@ -80,7 +80,7 @@ class Gradient:
         if (
             len(seeds) != len(self.seeds) or (seeds & ~self.seeds).any()
         ):  # what had no derivative has one now
-            self.seeds, self.kept, engine.kept, self.recorded = seeds, {}, {}, []
+            self.seeds, self.kept, engine.kept, self.recorded = seeds, Kept(), Kept(), []
         engine.seeds = set(np.flatnonzero(self.seeds).tolist())
         for one in () if alike(self.first, built[0]) else self.recorded:
             engine.check(engine, *one)
@@ -93,7 +93,7 @@ class Gradient:
             self.first or built[0],
         )
         lost = flown[0][:, TALLY.index("failed_at"), 0] >= 0.0
-        batch = Engine(*built, data, "nothing", {}).batch  # without the axis that lifting adds
+        batch = Engine(*built, data, "nothing").batch  # without the axis that lifting adds
         gradient = np.stack([tally[:, 0, 1] for tally in flown], -1)
         return np.where(lost, np.nan, flown[0][:, 0, 0]).reshape(batch), gradient.reshape(
             *batch, len(x)
@@ -109,7 +109,7 @@ class _WithGradient(Engine):
     twin: _WithGradient
     flown: float
 
-    def __init__(self, built: tuple[Any, Any], data: Data, kept: dict[Any, Recorded]):
+    def __init__(self, built: tuple[Any, Any], data: Data, kept: Kept):
         super().__init__(*built, data, "nothing", kept, rolled=False)
         self.recorded: list[tuple[Shape, Kind, Any, bytes]] = []
 
@@ -187,7 +187,7 @@ def _lifted(filter: Any, held: set[int]) -> Any:
 
 def _start(built: tuple[Any, Any], held: set[int], data: Any) -> Array:
     """The state before the first epoch ``(runs, numbers)``, the filter's matrices first."""
-    return np.concatenate(Engine(_lifted(built[0], held), built[1], data, "nothing", {}).start(), 1)
+    return np.concatenate(Engine(_lifted(built[0], held), built[1], data, "nothing").start(), 1)
 
 
 def alike(a: Any, b: Any, matrices: bool = True) -> bool:

@@ -106,7 +106,7 @@ class _Between(Engine):
 
     def __init__(self, filter: Any, state: Any, data: Data, most: int):
         self.state = state
-        super().__init__(filter, state.belief, data, "nothing", {}, most=most)
+        super().__init__(filter, state.belief, data, "nothing", most=most)
 
     def started(self, _prior: Any) -> tuple[Any, Any]:
         if not self.batch:
@@ -171,7 +171,7 @@ class Plan:
         engine, kind = _Between(filter, state, data, most), data.known[0]
         inputs = engine.inputs(data.u[kind.u], 1)
         lanes = llvm.lanes() if engine.batch else 1
-        made = engine.recorded_as(engine.begin, kind, inputs, lanes)
+        made = engine.recorded_as(engine.begin, kind, inputs)
         self.left, self.interval = 0, 1
         self.batch, self.runs = engine.batch, math.prod(engine.batch)
         self.begin, self.end = _spans(engine.begin, engine.held), _spans(made.after, engine.held)
@@ -213,7 +213,9 @@ class Plan:
 
         fields = self.memory.ctypes.data + 8 * ends[:-1].astype(np.uint64)
         cells = llvm.aligned((max(1, made.kernel.cells), lanes))
-        self.call = llvm.caller(made.address, self.work, self.shared, self.own, fields, cells)
+        self.call = llvm.caller(
+            engine.code(made, lanes).each, self.work, self.shared, self.own, fields, cells
+        )
         self.watch = Watch(filter)
 
     def step(

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from hashlib import sha256
+from types import MappingProxyType
 from typing import NamedTuple
 
 from celnav.tape.elementary import lowered
-from celnav.tape.tape import Number, Scalar, Tape, as_number
+from celnav.tape.tape import LOGICAL, Number, Scalar, Tape, as_number, do, operands
 
-__all__ = ["Kernel", "digest"]
+__all__ = ["Kernel", "Split", "digest"]
 
 
 class Kernel(NamedTuple):
@@ -17,6 +18,7 @@ class Kernel(NamedTuple):
 
     inputs: ``(place, index)`` of each input, place "state", "shared" or "own". state: ``(index, result)`` of what is written.
     rows: results that are kept. fields: how many of them stand together, in their order; () for all.
+    pitch: numbers from one row to the next; 0: as many as stand together.
     """
 
     tape: Tape
@@ -24,6 +26,7 @@ class Kernel(NamedTuple):
     state: Sequence[tuple[int, Scalar]]
     rows: Sequence[Scalar]
     fields: tuple[int, ...] = ()
+    pitch: int = 0
 
     def results(self) -> list[tuple[str, int, Number]]:
         """Where each result goes, "state" or "rows" and an index, and the result."""
@@ -43,7 +46,12 @@ class Kernel(NamedTuple):
         found = {(place, i): known[x.i] for place, i, x in self.results()}
         state = [(i, found["state", i]) for i, _ in self.state]
         return Kernel(
-            tape, self.inputs, state, [found["rows", i] for i in range(len(self.rows))], self.fields
+            tape,
+            self.inputs,
+            state,
+            [found["rows", i] for i in range(len(self.rows))],
+            self.fields,
+            self.pitch,
         )
 
     def columns(self) -> list[tuple[int, int]]:
@@ -54,8 +62,99 @@ class Kernel(NamedTuple):
             for i in range(count)
         ]
 
+    def uniform(self, state: Collection[int]) -> list[bool]:
+        """Of each operation whether all runs have the same result, if they have the same ``state`` entries."""
+        out = list[bool]()
+        for op in self.tape.ops:
+            if op[0] == "in":
+                place, index = self.inputs[op[1]]
+                out.append(place == "shared" or (place == "state" and index in state))
+            else:
+                out.append(all(out[a] for a in operands(op)))
+        return out
+
+    def split(self, before: Collection[int], after: Collection[int]) -> Split:
+        """The step in two parts: what all runs have in common, once an epoch, and the rest, for each run.
+
+        before, after: entries of the state that all runs have in common before and after the step.
+        """
+        tape, results = self.tape, self.results()  # which may put constants on the tape
+        uniform = self.uniform(before)
+        own = [(p, i, x) for p, i, x in results if p == "rows" or i not in after]
+        # What a run takes of the common part: results that are neither constants nor inputs already.
+        given = {
+            i
+            for i in tape.needed([x for *_, x in own], {i for i, x in enumerate(uniform) if x})
+            if uniform[i] and not self._is_at_hand(i)
+        }
+        first = max([3, *(1 + at for place, at in self.inputs if place == "shared")])
+        places = {i: ("shared", first + k) for k, i in enumerate(sorted(given))}
+        common = [(i, x) for p, i, x in results if p == "state" and i in after]
+        common_results = [x for _, x in common] + [Number(tape, i) for i in places]
+        shared, inputs, known = self._part(common_results)
+        once = Kernel(
+            shared,
+            inputs,
+            [(i, known[x.i]) for i, x in common],
+            [as_number(known[i]) for i in places],
+            pitch=1,
+        )
+        rest, inputs, known = self._part([x for *_, x in own], places)
+        state = [(i, known[x.i]) for p, i, x in own if p == "state"]
+        rows = [known[x.i] for p, _, x in own if p == "rows"]
+        saved = sum(not self._is_at_hand(i) for i in tape.needed(common_results))
+        return Split(once, Kernel(rest, inputs, state, rows, self.fields), first, saved)
+
+    def _is_at_hand(self, i: int) -> bool:
+        """Whether an operation is a constant or an input that all runs have in common."""
+        name, *at = self.tape.ops[i]
+        place = self.inputs[at[0]][0] if name == "in" else name
+        return place in ("const", "shared")
+
+    def _part(
+        self, outputs: Sequence[Number], given: Mapping[int, tuple[str, int]] = MappingProxyType({})
+    ) -> tuple[Tape, list[tuple[str, int]], dict[int, Number]]:
+        """A tape of what the outputs need, its inputs, and its numbers by those of this tape.
+
+        given: operations whose results are inputs, and their places.
+        """
+        old, new = self.tape, Tape(self.tape.rolled)
+        inputs, known = list[tuple[str, int]](), dict[int, Number]()
+        for i in old.needed(outputs, given):
+            name, *at = old.ops[i]
+            if i in given or name == "in":
+                inputs.append(given[i] if i in given else self.inputs[at[0]])
+                known[i] = new.input(old.absent[i])
+                if name in LOGICAL:
+                    known[i] = do("ne", known[i], 0.0)
+            elif name == "const":
+                known[i] = new.lift(at[0])
+            elif name == "call":
+                known[i] = new.node(name, at[0], *(known[a].i for a in at[1:]))
+            elif name == "part":
+                known[i] = new.node(name, known[at[0]].i, at[1])
+            else:
+                known[i] = new.node(name, *(known[a].i for a in at))
+            if i in old.sharp:
+                new.sharp.add(known[i].i)
+        return new, inputs, known
+
+
+class Split(NamedTuple):
+    """A step in two parts. The rows of ``once`` are the shared inputs of ``each`` from the ``first`` on.
+
+    saved: operations of the first part.
+    """
+
+    once: Kernel
+    each: Kernel
+    first: int
+    saved: int
+
 
 def digest(kernel: Kernel) -> bytes:
     """The same for kernels that are the same operation by operation."""
     results = tuple((place, i, x.i) for place, i, x in kernel.results())
-    return sha256(repr((kernel.inputs, kernel.fields, results, kernel.tape.key)).encode()).digest()
+    return sha256(
+        repr((kernel.inputs, kernel.fields, kernel.pitch, results, kernel.tape.key)).encode()
+    ).digest()

@@ -66,7 +66,7 @@ def source(kernel: Kernel, lanes: int, fused: bool) -> str:
         if place == "state":
             code.store(place, at, x.i)
     code.lines += ["%none = icmp slt i64 %at, 0", "br i1 %none, label %done, label %keep", "keep:"]
-    code.keep(kernel.columns(), [x.i for place, _, x in results if place == "rows"])
+    code.keep(kernel, [x.i for place, _, x in results if place == "rows"])
     called, functions = code.called, list[str]()
     for routine in code.routines:
         for k, stage in enumerate(routine.stages):
@@ -225,14 +225,15 @@ class _Code:
         self.address(name, place, at)
         self.lines.append(f"store {self.vector} {self.value(i)}, ptr {name}, align 8")
 
-    def keep(self, columns: Sequence[tuple[int, int]], values: Sequence[int]) -> None:
+    def keep(self, kernel: Kernel, values: Sequence[int]) -> None:
         """Store what is kept: of each field the numbers of a run stand side by side."""
+        columns = kernel.columns()
         count = Counter(field for field, _ in columns)
         for field, n in count.items():
             self.lines += [
                 f"%to{field} = getelementptr ptr, ptr %rows, i64 {field}",
                 f"%field{field} = load ptr, ptr %to{field}",
-                f"%from{field} = mul i64 %at, {n}",
+                f"%from{field} = mul i64 %at, {kernel.pitch or n}",
                 f"%row{field} = getelementptr double, ptr %field{field}, i64 %from{field}",
             ]
         every = "<" + ", ".join(["i1 true"] * self.lanes) + ">"

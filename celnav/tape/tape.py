@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import linecache
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Container, Sequence
 from functools import partial, reduce
 from math import copysign, frexp, isfinite
 from numbers import Real
@@ -181,8 +181,11 @@ class Tape:
             )
         return x
 
-    def needed(self, outputs: Sequence[Number]) -> list[int]:
-        """Operations that the outputs depend on, each as late as it can be: few numbers then wait in registers."""
+    def needed(self, outputs: Sequence[Number], given: Container[int] = ()) -> list[int]:
+        """Operations that the outputs depend on, each as late as it can be: few numbers then wait in registers.
+
+        given: operations whose results are known, so that their operands are not needed.
+        """
         seen, order = set[int](), list[int]()
         stack = [(x.i, False) for x in reversed(outputs)]
         while stack:
@@ -192,7 +195,8 @@ class Tape:
             elif i not in seen:
                 seen.add(i)
                 stack.append((i, True))
-                stack += [(a, False) for a in reversed(operands(self.ops[i]))]
+                if i not in given:
+                    stack += [(a, False) for a in reversed(operands(self.ops[i]))]
         return order
 
 

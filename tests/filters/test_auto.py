@@ -12,6 +12,7 @@ from celnav.filters.adaptive import innovation_window
 from celnav.filters.engine import Engine
 from celnav.filters.run import ENGINE
 from celnav.filters.stepper import Plan
+from celnav.tape.tape import CannotCompile
 
 pytest.importorskip("llvmlite")
 
@@ -105,12 +106,22 @@ def test_numpy_flies_what_cannot_be_compiled_and_says_why(monkeypatch):
     assert missing.engine == "numpy: llvmlite is not installed"
 
 
-def test_models_that_are_matrices_share_their_covariance_in_numpy():
-    n = compiled.SHARED + 1
-    filter = celnav.ukf(celnav.Motion(np.eye(n), 0.1), celnav.Sensor(np.eye(n)[:1], 1.0))
-    prior = celnav.Gaussian(np.zeros(n), np.eye(n))
-    track = celnav.run(filter, prior, *data(100, 3000))
-    assert track.engine == "numpy: all runs have one covariance, which numpy computes once"
+def test_numpy_computes_one_covariance_of_models_that_are_matrices_fast():
+    """A flight of many runs repays compiling later for them, one of many steps as soon."""
+    matrix = celnav.ekf(celnav.Motion(np.eye(4), 0.1), celnav.Sensor(np.eye(4)[:1], 1.0))
+    curved = celnav.ekf(celnav.Motion(lambda x, e: np.sin(x), 0.1), matrix.sensors[0])
+    prior, own = (
+        celnav.Gaussian(np.zeros((3000, 4)), x * np.eye(4)) for x in (1.0, np.ones((3000, 1, 1)))
+    )
+    many, long = celnav.epochs(np.arange(100.0)), celnav.epochs(np.arange(9000.0))
+    with pytest.raises(CannotCompile, match="100 steps of 3000 runs take less time"):
+        compiled.chosen("auto", matrix, 1, prior, many)
+    for filter, belief, epochs in (
+        (curved, prior, many),
+        (matrix, own, many),
+        (matrix, prior, long),
+    ):
+        assert compiled.chosen("auto", filter, 1, belief, epochs).filter is filter
 
 
 @pytest.mark.parametrize("form", ["square root", "covariance"])

@@ -193,7 +193,7 @@ def test_sentinels_are_spread_over_the_run():
 
 def test_machine_code_that_goes_wrong_late_is_found(monkeypatch):
     """Its state is spoiled at one epoch of one of the runs that are watched."""
-    fly = flight._loop
+    fly = flight._on_host
 
     def spoiled(*arguments):
         loop = fly(*arguments)
@@ -205,7 +205,7 @@ def test_machine_code_that_goes_wrong_late_is_found(monkeypatch):
 
         return run
 
-    monkeypatch.setattr(flight, "_loop", spoiled)
+    monkeypatch.setattr(flight, "_on_host", spoiled)
     told = rf"other values when it is recorded \(step {T - 1}: another mean\)"
     with pytest.raises(CannotCompile, match=told):
         celnav.run(filter_of(lambda x, e: 0.9 * x), PRIOR, TIMES, Z, engine="compiled")

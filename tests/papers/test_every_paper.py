@@ -42,7 +42,6 @@ def test_neither_verdicts_nor_numbers_depend_on_the_engine(paper, monkeypatch):
     """So few runs repay no compiling: here all is compiled that can be, and then all is numpy's."""
     study, data = load(paper).STUDY, []
     monkeypatch.setattr(compiled, "worth", lambda _steps, _runs: compiled.WORTH)
-    monkeypatch.setattr(compiled, "SHARED", 10**6)
     for engine in ("numpy", "auto"):
         token = ENGINE.set(engine)
         try:
