@@ -33,6 +33,7 @@ from celnav.filters.sentinels import (
     otherwise,
     restorer,
 )
+from celnav.filters.sequential import Sequential
 from celnav.filters.stepper import Plan, signature
 from celnav.filters.track import Track
 from celnav.gaussian.checks import choice, integer
@@ -467,8 +468,9 @@ def _runs(prior: Any, epochs: Any) -> int:
 
 def _by_matrices(filter: Any) -> bool:
     """Whether all models are matrices."""
-    models = (filter.motion, *filter.sensors) if hasattr(filter, "motion") else ()
-    return bool(models) and all(by_matrix(model, filter.rule) for model in models)
+    return isinstance(filter, Sequential) and all(
+        by_matrix(model, filter.rule) for model in (filter.motion, *filter.sensors)
+    )
 
 
 def _kept(filter: Any, engine: str, jobs: int, most: int) -> Compiled:
