@@ -16,7 +16,7 @@ import numpy as np
 
 from celnav.campaign.missions import Study
 from celnav.campaign.scores import Failure, Scores, check_scores, merge, score
-from celnav.filters.run import ENGINE
+from celnav.filters.run import ENGINE, REPEATED
 from celnav.gaussian.linalg import Array
 from celnav.lazy import needed_by
 from celnav.papers import load
@@ -44,6 +44,8 @@ __all__ = [
 
 STUDY = 0
 """Of `celnav.study.montecarlo.generator`, for all configurations: they share their random numbers, so differences are sharp."""
+EXPECTED = 8
+"""Units with equal filters that a worker is taken to do; not counted, for the engine of a unit must not depend on the others."""
 
 
 class WorkError(RuntimeError):
@@ -101,12 +103,13 @@ class Unit:
 
     def do(self) -> dict[str, Array]:
         """Arrays of the `Result`. Exceptions of models and filters are failures of their runs."""
-        token = ENGINE.set(self.engine)
+        token, before = ENGINE.set(self.engine), REPEATED.set(EXPECTED)
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # said once, where the study is read
                 return pack(_Flight(self).result())
         finally:
+            REPEATED.reset(before)
             ENGINE.reset(token)
 
     def check(self, arrays: dict[str, Array]) -> None:

@@ -23,7 +23,7 @@ from celnav.filters.fixed_lag import FixedLag
 from celnav.filters.flight import Flight, as_data, epoch_of, fly, part_of
 from celnav.filters.joint import by_matrix
 from celnav.filters.records import Epoch, Epochs, FilterError, Info, State
-from celnav.filters.run import as_epochs, run, steps
+from celnav.filters.run import REPEATED, as_epochs, run, steps
 from celnav.filters.sentinels import (
     Watch,
     changed,
@@ -88,6 +88,18 @@ class Compiled:
         """Whether some step was."""
         return bool(self._kept)
 
+    def adopt(self, other: Compiled) -> Compiled:
+        """Itself, with what was recorded of another filter whose models hold the same.
+
+        Its first run compares all sentinels with this filter's own steps by numpy.
+        """
+        self._kept, self._watch = other._kept, Watch(self.filter)
+        return self
+
+    def holds(self, known: dict[str, Any]) -> bool:
+        """Whether the models held just this when they were recorded."""
+        return self.recorded and not changed(self._watch.holds, known)
+
     def __reduce__(self) -> Any:  # addresses of machine code are of this process
         return Compiled, (self.filter, self.jobs, self.engine, self.most)
 
@@ -148,20 +160,20 @@ class Compiled:
             return recording(self._watch.holds, by_numpy, lambda: None)
         holds = held(self.filter)
         if changed(self._watch.holds, holds):
-            self._kept.clear()
+            self._kept = Kept()
         return recording(holds, by_numpy, restorer(self.filter))
 
     def _flown(
         self, prior: Any, data: Data, some: Any, keep: str, every: int
     ) -> tuple[Engine, Flight]:
         """The flight, after numpy has taken the same steps at some epochs, or `CannotCompile`."""
-        fresh = not self._kept
+        fresh, first = not self._kept, not self._flights
         rolled, on = self.engine != "cuda", device() if self.engine == "cuda" else None
         engine = Engine(self.filter, prior, data, keep, self._kept, most=self.most, rolled=rolled)
         count = int(np.prod(engine.batch))
         # On a device those of one chunk, which alone is taken through its epochs in pieces.
         watched = sorted({0, count // 2, count - 1}) if on is None else list(range(min(count, 3)))
-        if fresh:  # numpy goes first: what models keep of their first call is then made of floats
+        if fresh or first:  # numpy goes first: what models keep of their first call is of floats
             few = _of(self.filter, prior, data, engine.batch, watched, CHECKED)
             try:
                 run(*few, on_failure="flag", engine="numpy")
@@ -169,7 +181,7 @@ class Compiled:
                 run(self.filter, prior, some, on_failure="flag", engine="numpy")
             self._watch = Watch(self.filter)
         self._left -= count * len(data.k)
-        due = fresh or self._left < 0 or count * len(data.k) >= SPARED
+        due = fresh or first or self._left < 0 or count * len(data.k) >= SPARED
         self._flights += 1
         flight = fly(engine, data, every, self.jobs, on, watched, None if due else self._flights)
         why = next(
@@ -186,7 +198,7 @@ class Compiled:
             if due:
                 self._left = SPARED
             return engine, flight
-        self._kept.clear()
+        self._kept = Kept()
         if not fresh:  # what was recorded then may not hold now
             return self._flown(prior, data, some, keep, every)
         raise _remembers(self._watch.holds, path) if path else _otherwise(self._watch.holds, why)
@@ -443,7 +455,7 @@ def chosen(engine: str, filter: Any, jobs: int, prior: Any, epochs: Any) -> Comp
         raise CannotCompile("the prior has no mean and covariance")
     steps, runs = len(epochs), _runs(prior, epochs)
     shared = runs > 1 and prior.cov.ndim == 2 and _by_matrices(filter)
-    most = worth(steps, runs * (SHARED if shared else 1.0))
+    most = worth(steps * REPEATED.get(), runs * (SHARED if shared else 1.0))
     if EXPECTED * prior.cov.shape[-1] ** 2 > most:
         times = f"{steps} steps of " + ("one run" if runs == 1 else f"{runs} runs")
         raise CannotCompile(f"{times} take less time than compiling one")
@@ -473,12 +485,24 @@ def _by_matrices(filter: Any) -> bool:
     )
 
 
+def _equal(filter: Any, engine: str) -> Compiled | None:
+    """The last filter whose models hold the same, such as that of an earlier unit of work."""
+    alike = [x for x in _KEPT.values() if x.engine == engine and type(x.filter) is type(filter)]
+    holds = held(filter) if alike else {}
+    return next((other for other in reversed(alike) if other.holds(holds)), None)
+
+
 def _kept(filter: Any, engine: str, jobs: int, most: int) -> Compiled:
-    """The filter as machine code, with what was recorded of the same object before."""
+    """The filter as machine code, with what was recorded of the same object or of an equal one.
+
+    Only what was recorded is taken over: whether a flight is compiled must not depend on others.
+    """
     with _KEPT_LOCK:
         found = _KEPT.pop((id(filter), engine, jobs), None)
         made: Compiled = found or compiled(filter, jobs=jobs, engine=engine)
         made.most = max(most, made.most if made.recorded else 0)
+        if not made.recorded and (other := _equal(filter, engine)) is not None:
+            made.adopt(other)
         _KEPT[id(filter), engine, made.jobs] = made  # the last one that was used stands last
         while len(_KEPT) > MOST_KEPT:
             del _KEPT[next(iter(_KEPT))]

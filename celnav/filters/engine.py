@@ -151,10 +151,11 @@ class Data(NamedTuple):
 
 
 class Recorded(NamedTuple):
-    """A kernel, and the shape of the state after it."""
+    """A kernel, the shape of the state after it, and how many operations it has."""
 
     kernel: Kernel
     after: Shape
+    size: int
 
 
 class Code(NamedTuple):
@@ -179,11 +180,6 @@ class Kept:
 
     def __bool__(self) -> bool:
         return bool(self.records)
-
-    def clear(self) -> None:
-        """Forget all."""
-        self.records.clear()
-        self.code.clear()
 
 
 class Engine:
@@ -289,10 +285,19 @@ class Engine:
         shapes = tuple(
             (x.shape[1 + len(self.batch) * own :], own, bool(np.isfinite(x).all())) for x, own in u
         )
-        key = before, kind, shapes, self.keep, self.dt, tuple(self.widths)
-        if key not in self.kept.records:
-            self.kept.records[key], self.fresh = self.record(before, kind, u), True
-        return self.kept.records[key]
+        many = bool(self.batch)  # then models may not look at epoch.z
+        key = before, kind, shapes, self.keep, self.dt, tuple(self.widths), many
+        if key in self.kept.records:
+            made = self.kept.records[key]
+        else:
+            made, self.fresh = self.record(before, kind, u), True
+        if made.size > self.most:
+            raise TooLong(
+                f"a step of {made.size} operations takes longer than it saves: at most {self.most} "
+                "are compiled"
+            )
+        self.kept.records[key] = made
+        return made
 
     def code(self, made: Recorded, lanes: int, split: Split | None = None) -> Code:
         """Machine code of a recorded step; ``split``: in its two parts."""
@@ -418,11 +423,7 @@ class Engine:
             list(self._rows(state.belief, infos)),
             tuple(self.columns().values()),
         )
-        if (size := len(tape.needed([x for *_, x in kernel.results()]))) > self.most:
-            raise TooLong(
-                f"a step of {size} operations takes longer than it saves: at most {self.most} are compiled"
-            )
-        return Recorded(kernel, after)
+        return Recorded(kernel, after, len(tape.needed([x for *_, x in kernel.results()])))
 
     def _settled(self, belief: Any) -> Any:
         """A belief whose mean is nan if the run is lost. Of one run the matrix is too.

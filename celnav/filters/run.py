@@ -27,11 +27,13 @@ from celnav.gaussian.belief import settled
 from celnav.gaussian.checks import choice, function, instance, integer, kind
 from celnav.gaussian.linalg import Array
 
-__all__ = ["ENGINE", "ENGINES", "as_epochs", "explain", "run", "steps"]
+__all__ = ["ENGINE", "ENGINES", "REPEATED", "as_epochs", "explain", "run", "steps"]
 
 ENGINES = ("numpy", "compiled", "cuda", "auto")
 ENGINE: ContextVar[str] = ContextVar("engine", default="auto")
 """What `run` and the studies take where nobody says: ``celnav reproduce --engine`` sets it."""
+REPEATED: ContextVar[int] = ContextVar("repeated", default=1)
+"""How many flights of equal filters are expected: engine="auto" compiles for all of them."""
 
 
 def run(

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import fields, is_dataclass
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from types import (
     BuiltinFunctionType,
@@ -64,7 +64,7 @@ MOVES = 1e3  # numpy's own movements by round-off of what it is given
 TRIES = 3
 SAMPLE = 4096  # numbers of a large array by which it is known
 MOST_NAMED = 3  # functions of a message
-DEEP = 8  # objects within objects
+DEEP = 16  # objects within objects
 GENERATES = ("bit_generator", "get_state", "getstate")  # attributes of what draws random numbers
 FIXED = (tuple, partial, MethodType, BuiltinFunctionType, ModuleType, type)
 EMPTY = CellType()  # of a name that has no value yet
@@ -354,8 +354,9 @@ def changed(before: dict[str, Any], after: dict[str, Any]) -> str:
 
 
 class Function(NamedTuple):
-    """What stands for a function of the user's: where it is defined, and how many things it holds."""
+    """What stands for a function: its code, where it is defined if it is the user's, how many things it holds."""
 
+    code: CodeType
     place: str
     parts: int
 
@@ -365,7 +366,7 @@ def functions_of(holds: dict[str, Any], path: str = "") -> str:
     found = {name: mark for name, mark in holds.items() if isinstance(mark, Function)}
     if around := [name for name in found if path.startswith(name)]:
         found = {around[-1]: found[around[-1]]}
-    places = [f"{name}: {mark.place}" for name, mark in found.items()][:MOST_NAMED]
+    places = [f"{name}: {mark.place}" for name, mark in found.items() if mark.place][:MOST_NAMED]
     return f" ({'; '.join(places)})" if places else ""
 
 
@@ -384,18 +385,23 @@ def _look(
     if isinstance(thing, bool | int | float | complex | str | bytes | np.number | None):
         found[path] = repr(thing)
         return
-    if id(thing) in seen or not deep:
+    if id(thing) in seen:
+        return
+    if not deep:
+        found[path] = id(thing)
         return
     seen.add(id(thing))
     if things is not None:
         things[path] = thing
     parts = _parts_of(thing)
-    found[path] = _mark(thing) if parts is None else (type(thing), len(parts))
-    if isinstance(thing, FunctionType) and not _is_ours(thing):
+    if parts is None:
+        found[path] = _mark(thing)
+    else:  # what is not looked at whole is known by its address
+        found[path] = type(thing), len(parts), id(thing) if len(parts) >= SAMPLE else 0
+    if isinstance(thing, FunctionType):
         code = thing.__code__
-        found[path] = Function(
-            f"{Path(code.co_filename).name}, line {code.co_firstlineno}", len(parts or ())
-        )
+        place = f"{Path(code.co_filename).name}, line {code.co_firstlineno}"
+        found[path] = Function(code, "" if _is_ours(thing) else place, len(parts or ()))
     for name, part in (parts or {}).items():
         _look(part, f"{path}.{name}" if path else name, found, seen, deep - 1, things)
 
@@ -406,7 +412,8 @@ def _mark(thing: Any) -> Any:
         if thing.dtype.hasobject:
             return thing.shape, tuple(map(id, thing.ravel()[:SAMPLE]))
         some = thing.ravel()[:: max(1, thing.size // SAMPLE)]
-        return thing.shape, crc32(np.ascontiguousarray(some).tobytes())
+        whole = 0 if len(some) == thing.size else id(thing)
+        return thing.dtype, thing.shape, whole, crc32(np.ascontiguousarray(some).tobytes())
     for name in GENERATES:
         if hasattr(thing, name) and not isinstance(thing, type):
             state = getattr(thing, name)
@@ -420,11 +427,13 @@ def _parts_of(thing: Any) -> dict[str, Any] | None:
     if isinstance(thing, ModuleType | type | np.ndarray | BuiltinFunctionType):
         return None
     if isinstance(thing, dict):
-        return {repr(key): thing[key] for key in list(thing)[:SAMPLE]}
+        return {repr(key): thing[key] for key in list(thing)[:SAMPLE]} | _attributes(thing)
     if isinstance(thing, list | tuple | deque):
-        return {str(i): part for i, part in zip(range(SAMPLE), thing, strict=False)}
+        within = {str(i): part for i, part in zip(range(SAMPLE), thing, strict=False)}
+        return within | _attributes(thing)
     if isinstance(thing, partial):
-        return {"func": thing.func, "args": thing.args, "keywords": thing.keywords}
+        own = {"func": thing.func, "args": thing.args, "keywords": thing.keywords}
+        return own | _attributes(thing)
     if isinstance(thing, MethodType):
         return {"self": thing.__self__, "function": thing.__func__}
     if isinstance(thing, GeneratorType):
@@ -437,13 +446,29 @@ def _parts_of(thing: Any) -> dict[str, Any] | None:
         return parts | {name: thing.__globals__[name] for name in sorted(named)}
     if hasattr(thing, "__wrapped__"):  # a cache of a function's values
         return {"wrapped": thing.__wrapped__}
-    if ours:
-        return (
-            {one.name: getattr(thing, one.name) for one in fields(thing)}
-            if is_dataclass(thing)
-            else None
-        )
-    return dict(vars(thing)) if hasattr(thing, "__dict__") else None
+    if ours and is_dataclass(thing):
+        return {one.name: getattr(thing, one.name) for one in fields(thing)}
+    if ours and not str(type(thing).__module__).startswith("celnav"):
+        return None
+    holds = _attributes(thing)
+    if ours:  # without what it makes when it is asked for
+        holds = {k: x for k, x in holds.items() if not (k[0] == "_" or _is_cached(thing, k))}
+    return holds or ({} if hasattr(thing, "__dict__") else None)
+
+
+def _attributes(thing: Any) -> dict[str, Any]:
+    """What an object holds by name."""
+    found = dict(getattr(thing, "__dict__", {}))
+    for kind in type(thing).__mro__:
+        slots = vars(kind).get("__slots__", ())
+        for name in (slots,) if isinstance(slots, str) else slots:
+            if hasattr(thing, name):
+                found[name] = getattr(thing, name)
+    return found
+
+
+def _is_cached(thing: Any, name: str) -> bool:
+    return isinstance(getattr(type(thing), name, None), cached_property)
 
 
 def _is_ours(thing: Any) -> bool:

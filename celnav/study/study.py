@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from celnav.filters.records import Epoch
-from celnav.filters.run import ENGINE
+from celnav.filters.run import ENGINE, REPEATED
 from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.checks import choice
 from celnav.gaussian.linalg import Array
@@ -153,7 +153,8 @@ class Study:
         for name, part in parts.items():
             if not only or name in only:
                 count = part.runs if part.runs == 1 else run_count(part.runs, None, effort)
-                for runs in blocks(count, part.block):
+                each = blocks(count, part.block)
+                for runs in each:
                     units.append(
                         Unit(
                             self.name,
@@ -164,6 +165,7 @@ class Study:
                             about,
                             part.cost * len(runs) / part.runs,
                             engine,
+                            len(each),
                         )
                     )
         return units
@@ -205,7 +207,10 @@ class Study:
 
 
 class Unit(NamedTuple):
-    """Some runs of a part: what a process does at a time. ``about``: what else it depends on; ``cost``: CPU seconds, roughly."""
+    """Some runs of a part: what a process does at a time.
+
+    about: what else it depends on. cost: CPU seconds, roughly. units: of the part.
+    """
 
     study: str
     part: str
@@ -215,6 +220,7 @@ class Unit(NamedTuple):
     about: str
     cost: float
     engine: str = "auto"
+    units: int = 1
 
     @property
     def title(self) -> str:
@@ -233,7 +239,7 @@ class Unit(NamedTuple):
 
     def do(self) -> dict[str, Array]:
         """The arrays of the part, and ``cpu_s (1, 1)``; warnings of its models and filters are errors."""
-        token = ENGINE.set(self.engine)
+        token, before = ENGINE.set(self.engine), REPEATED.set(self.units)
         start, rngs = (
             process_time(),
             [generator(self.seed, self.work.number, run) for run in self.runs],
@@ -243,6 +249,7 @@ class Unit(NamedTuple):
             try:
                 arrays = self.work.work(self.work.config, rngs)
             finally:
+                REPEATED.reset(before)
                 ENGINE.reset(token)
         return arrays | {"cpu_s": np.array([[process_time() - start]])}
 
