@@ -64,7 +64,7 @@ def as_data(filter: Any, epochs: Epochs | Sequence[Epoch]) -> Data:
     own = sensors(filter, epochs[0].z)
     if isinstance(epochs, Epochs):
         k, t, dt, u, z = epochs.columns(len(own))
-        u = [(one, None) for one in u]
+        u = [(one, None) for one in u or [None]]
     else:
         before = None
         for epoch in epochs:
@@ -78,13 +78,14 @@ def as_data(filter: Any, epochs: Epochs | Sequence[Epoch]) -> Data:
         )
         dt = np.stack(np.broadcast_arrays(*(np.asarray(epoch.dt, np.float64) for epoch in epochs)))
         u = [(epoch.u, epoch.about) for epoch in epochs]
+        if all(one is None and about is None for one, about in u):
+            u = u[:1]
         z = tuple(zip(*(measurements(epoch.z, len(own)) for epoch in epochs), strict=True))
     found = [_measured(sensor, parts) for sensor, parts in zip(own, z, strict=True)]
     shapes: dict[Any, int] = {}
     inputs: list[dict[int, list[Array]]] = []
     which = np.zeros(len(k), int)
-    none = all(one is None and about is None for one, about in u)
-    for i, one in enumerate(u[:1] if none else u):
+    for i, one in enumerate(u):
         parts = [_input(x) for x, _ in leaves(one)]
         shape = rebuilt(one, iter(range(len(parts)))), tuple(x.shape for x in parts)
         which[i] = shapes.setdefault(shape, len(inputs))
@@ -216,9 +217,9 @@ def fly(
     lanes = 0 if device else 1 if runs == 1 else llvm.lanes()
     inputs = {shape: engine.inputs(found, T) for shape, found in data.u.items()}
     plan = _planned(engine, data, inputs)
-    records, steps, shapes = plan.records, plan.steps, plan.shapes
+    records, steps = plan.records, plan.steps
     code, common = _coded(engine, plan, lanes) if lanes else ([], [])
-    size = (engine.held + max(x.size for x in set(shapes))) * engine.stride
+    size = (engine.held + max(x.size for x in plan.known)) * engine.stride
     width = max((one.first + one.results for one in code), default=0)
     shared, own = _shared(data, inputs, width), _own(engine, data, inputs, runs)
     stored = np.where(np.arange(T) % every == 0, np.arange(T) // every, -1)
@@ -296,7 +297,10 @@ def fly(
     return Flight(
         kept_rows,
         tally,
-        [Sentinel(at, shapes[at], x, shapes[at + 1], y) for at, x, y in before_after],
+        [
+            Sentinel(at, plan.known[plan.at[at]], x, plan.known[plan.at[at + 1]], y)
+            for at, x, y in before_after
+        ],
     )
 
 
@@ -389,11 +393,6 @@ class _Plan(NamedTuple):
     steps: list[int]
     at: list[int]
     known: list[Shape]
-
-    @property
-    def shapes(self) -> list[Shape]:
-        """Of the state before each epoch, and at the end."""
-        return [self.known[at] for at in self.at]
 
 
 def _planned(engine: Engine, data: Data, inputs: dict[Any, Any]) -> _Plan:

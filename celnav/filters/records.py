@@ -197,9 +197,12 @@ class Epochs(Sequence[Epoch]):
         return Epoch(self._first + at, t, dt, u, _at(self._z, i), _at(self._truth, i))
 
     def columns(self, sensors: int) -> tuple[Array, Array, Array, list[Any], tuple[Any, ...]]:
-        """All epochs at once: ``k``, ``t``, ``dt`` ``(T,)``, inputs, and of each sensor the measurements ``(T, ..., m)``."""
+        """All epochs at once: ``k``, ``t``, ``dt`` ``(T,)``, inputs, and measurements ``(T, ..., m)`` of each sensor.
+
+        Inputs are a list of T, or an empty one where there are none.
+        """
         at = np.array(self._rows)
-        before = np.array([self._row_before(0), *at[:-1]])
+        before = np.concatenate([[self._row_before(0)], at[:-1]])
         t = self._times[at]
         dt = np.where(before >= 0, t - self._times[before], 0.0)
         z = self._z if isinstance(self._z, tuple) else (self._z,) * max(sensors, 1)
@@ -207,7 +210,7 @@ class Epochs(Sequence[Epoch]):
             [None] * len(at) if part is None else part[at[0] : at[-1] + 1 : self._rows.step]
             for part in z[:sensors]
         )
-        u: list[Any] = [None] * len(at)
+        u: list[Any] = []
         if self._u is not None:
             u = [None if i < 0 else _at(self._u, i) for i in before.tolist()]
         return self._first + np.arange(len(at)), t, dt, u, each

@@ -113,11 +113,13 @@ def otherwise(filter: Any, state: Any, epoch: Any, after: Any, tally: list[Array
     # A fixed lag keeps nothing in machine code: then beliefs are compared.
     alike = [what for _, what in leaves(stepped)] == [what for _, what in leaves(after)]
     found, mine = list(_measured(stepped, counts, alike)), list(_measured(after, tally, alike))
-    apart = [np.broadcast_arrays(x, y) for (_, x, _), (_, y, _) in zip(found, mine, strict=True)]
+    pairs = [(x, y) for (_, x, _), (_, y, _) in zip(found, mine, strict=True)]
     sizes = [size for *_, size in found]
-    wrong = [i for i, (x, y) in enumerate(apart) if not _within(CLOSE * sizes[i], x, y)]
+    with np.errstate(all="ignore"):
+        wrong = [i for i, (x, y) in enumerate(pairs) if not _within(CLOSE * sizes[i], x, y)]
     if not wrong:
         return ""
+    apart = [np.broadcast_arrays(x, y) for x, y in pairs]
     close = DIFFERENCED if _has_taylor(filter) else CLOSE
     again = [value for _, value, _ in _measured(*_stepped(filter, state, epoch), alike)]
     if not all(np.array_equal(a[1], b, equal_nan=True) for a, b in zip(found, again, strict=True)):
@@ -130,8 +132,9 @@ def otherwise(filter: Any, state: Any, epoch: Any, after: Any, tally: list[Array
         there = (sizes[i] > 0.0) & np.isfinite(least)
         part = np.divide(least, sizes[i], out=np.zeros(x.shape), where=there)
         round_off = MOVES * np.maximum(least, part.max(initial=0.0) * sizes[i])
-        if not _within(close * sizes[i] + round_off, x, y):
-            return found[i][0]
+        with np.errstate(all="ignore"):
+            if not _within(close * sizes[i] + round_off, x, y):
+                return found[i][0]
     return ""
 
 
@@ -160,8 +163,10 @@ def _has_taylor(thing: Any) -> bool:
 
 def _within(least: Array, x: Array, y: Array) -> bool:
     """Whether two values are that close, or the same, or both nan."""
-    with np.errstate(all="ignore"):
-        close = ~(np.abs(x - y) > least) & (np.isnan(x) == np.isnan(y))
+    apart = np.abs(x - y)
+    if (apart <= least).all():
+        return True
+    close = ~(apart > least) & (np.isnan(x) == np.isnan(y))
     return bool((close | (x == y)).all())
 
 
