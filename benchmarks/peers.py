@@ -143,10 +143,9 @@ def _stonesoup(z: Array) -> Work:
     return work
 
 
-def _dynamax(z: Array) -> Work:
-    jax: Any = import_module("jax")
+def jax_orbit() -> Callable[[Any], Any]:
+    """``orbit.step`` for one state, in JAX."""
     jnp: Any = import_module("jax.numpy")
-    ssm: Any = import_module("dynamax.nonlinear_gaussian_ssm")
     mu, c = orbit.EARTH.mu, orbit.EARTH.j2 * orbit.EARTH.radius_km**2
 
     def gravity(r: Any) -> Any:
@@ -166,11 +165,18 @@ def _dynamax(z: Array) -> Work:
             [r + v + (a1 + a2 + a3) / 6.0, v + (a1 + 2.0 * (a2 + a3) + a4) / 6.0]
         )
 
+    return step
+
+
+def _dynamax(z: Array) -> Work:
+    jax: Any = import_module("jax")
+    jnp: Any = import_module("jax.numpy")
+    ssm: Any = import_module("dynamax.nonlinear_gaussian_ssm")
     prior = {"initial_mean": jnp.asarray(X0), "initial_covariance": jnp.asarray(P0)}
     noise = {"dynamics_covariance": jnp.asarray(Q), "emission_covariance": jnp.asarray(R)}
     matrix = jnp.asarray(H)
     params = ssm.ParamsNLGSSM(
-        dynamics_function=step, emission_function=lambda x: matrix @ x, **prior, **noise
+        dynamics_function=jax_orbit(), emission_function=lambda x: matrix @ x, **prior, **noise
     )
     hyper = ssm.UKFHyperParams(1.0, 0.0, 0.0)
 

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from celnav.filters.records import Epoch, Info
+from celnav.filters.records import Epoch, Info, Inputs
 from celnav.gaussian.belief import Gaussian, settled
 from celnav.gaussian.checks import kind, together
 from celnav.gaussian.linalg import Array, Covariance, SquareRoot
@@ -137,7 +137,7 @@ class Data(NamedTuple):
     """Epochs as columns.
 
     k, t, dt: ``(T,)``. kinds: of each epoch, an index into ``known``. z: ``(T, ..., m)`` of each sensor.
-    u: by the shape of an input, ``about`` included, and by the epochs that have one of it, the arrays that it consists of.
+    u: by the shape of an input, ``about`` included, the epochs that have one of it, and a list of its arrays ``(K, ...)``.
     """
 
     k: Array
@@ -147,7 +147,7 @@ class Data(NamedTuple):
     known: list[Kind]
     sensors: Sequence[Any]
     z: list[Array]
-    u: dict[Any, dict[int, list[Array]]]
+    u: dict[Any, Inputs]
 
 
 class Recorded(NamedTuple):
@@ -271,13 +271,15 @@ class Engine:
             parts.append(x[at].reshape(runs, -1))
         return parts
 
-    def inputs(self, found: dict[int, list[Array]], count: int) -> list[tuple[Array, bool]]:
+    def inputs(self, found: Inputs, count: int) -> list[tuple[Array, bool]]:
         """The parts of an input over ``count`` epochs, zeros where there are none, and which of them are of each run."""
         out = []
-        for parts in zip(*found.values(), strict=True) if any(found.values()) else ():
-            values = np.zeros((count, *parts[0].shape))
-            values[list(found)] = parts
-            out.append((values, is_own(parts[0], self.batch)))
+        for x in found.columns:
+            values = x
+            if len(x) < count:
+                values = np.zeros((count, *x.shape[1:]))
+                values[found.at] = x
+            out.append((values, is_own(x[0], self.batch)))
         return out
 
     def recorded_as(self, before: Shape, kind: Kind, u: list[tuple[Array, bool]]) -> Recorded:

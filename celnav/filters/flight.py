@@ -30,7 +30,7 @@ from celnav.filters.engine import (
     rebuilt,
 )
 from celnav.filters.model import Sensor
-from celnav.filters.records import Epoch, Epochs, check_interval
+from celnav.filters.records import Epoch, Epochs, Inputs, check_interval
 from celnav.filters.sequential import checked, measurements
 from celnav.gaussian.checks import numbers
 from celnav.gaussian.linalg import Array
@@ -62,9 +62,9 @@ def as_data(filter: Any, epochs: Epochs | Sequence[Epoch]) -> Data:
     if not len(epochs):
         raise ValueError("epochs: expected at least one, got none")
     own = sensors(filter, epochs[0].z)
-    if isinstance(epochs, Epochs):
-        k, t, dt, u, z = epochs.columns(len(own))
-        u = [(one, None) for one in u or [None]]
+    if isinstance(epochs, Epochs) and epochs.columnar:
+        k, t, dt, inputs, z = epochs.columns(len(own))
+        given: list[Any] = [(one.at, one.columns, _parts(one.columns)) for one in inputs]
     else:
         before = None
         for epoch in epochs:
@@ -77,41 +77,51 @@ def as_data(filter: Any, epochs: Epochs | Sequence[Epoch]) -> Data:
             np.array([epoch.t for epoch in epochs]),
         )
         dt = np.stack(np.broadcast_arrays(*(np.asarray(epoch.dt, np.float64) for epoch in epochs)))
-        u = [(epoch.u, epoch.about) for epoch in epochs]
-        if all(one is None and about is None for one, about in u):
-            u = u[:1]
+        each = [(epoch.u, epoch.about) for epoch in epochs]
+        given = [([i], one, [x[None] for x in _parts(one)]) for i, one in enumerate(each)]
         z = tuple(zip(*(measurements(epoch.z, len(own)) for epoch in epochs), strict=True))
+    which, u = _gathered(given, len(k))
     found = [_measured(sensor, parts) for sensor, parts in zip(own, z, strict=True)]
-    shapes: dict[Any, int] = {}
-    inputs: list[dict[int, list[Array]]] = []
-    which = np.zeros(len(k), int)
-    for i, one in enumerate(u):
-        parts = [_input(x) for x, _ in leaves(one)]
-        shape = rebuilt(one, iter(range(len(parts)))), tuple(x.shape for x in parts)
-        which[i] = shapes.setdefault(shape, len(inputs))
-        if which[i] == len(inputs):
-            inputs.append({})
-        inputs[which[i]][i] = parts
     moves = (dt.reshape(len(k), -1) != 0.0).any(-1)
     code = 2 * which + moves
     for status, _ in found:
         code = 4 * code + status  # of FULL, PART, SILENT and NONE
     _, first, kinds = np.unique(code, return_index=True, return_inverse=True)
-    trees = list(shapes)
+    shapes = list(u)
     known = [
-        Kind(bool(moves[i]), tuple(int(status[i]) for status, _ in found), trees[which[i]])
+        Kind(bool(moves[i]), tuple(int(status[i]) for status, _ in found), shapes[which[i]])
         for i in first.tolist()
     ]
-    return Data(
-        k,
-        t,
-        dt,
-        kinds,
-        known,
-        own,
-        [values for _, values in found],
-        dict(zip(trees, inputs, strict=True)),
-    )
+    return Data(k, t, dt, kinds, known, own, [values for _, values in found], u)
+
+
+def _parts(tree: Any) -> list[Array]:
+    """The arrays of an input."""
+    try:
+        return [numbers("u", x) for x, _ in leaves(tree)]
+    except ValueError as error:
+        raise CannotCompile(
+            f"an input that is no array of numbers cannot be compiled: {error}"
+        ) from None
+
+
+def _gathered(given: list[Any], count: int) -> tuple[Array, dict[Any, Inputs]]:
+    """Of each of ``count`` epochs the number of its shape of inputs, and the inputs of each shape.
+
+    given: epochs, trees, and their arrays ``(K, ...)``.
+    """
+    which, same = np.zeros(count, int), dict[Any, list[Any]]()
+    for at, tree, parts in given:
+        shape = rebuilt(tree, iter(range(len(parts)))), tuple(x.shape[1:] for x in parts)
+        some = same.setdefault(shape, [])
+        some.append((at, parts))
+        which[at] = list(same).index(shape)
+    joined = {}
+    for shape, some in same.items():
+        at, columns = zip(*some, strict=True)
+        arrays = [np.concatenate(column) for column in zip(*columns, strict=True)]
+        joined[shape] = Inputs(np.concatenate(at), arrays)
+    return which, joined
 
 
 def part_of(x: Array, own: int, batch: tuple[int, ...], runs: Any) -> Array:
@@ -131,7 +141,8 @@ def epoch_of(
         None if what == NONE else part(values[i], 1)
         for what, values in zip(kind.z, data.z, strict=True)
     )
-    inputs = data.u[kind.u].get(i, [])
+    at, columns = data.u[kind.u]
+    inputs = [x[np.searchsorted(at, i)] for x in columns]
     own = [part(x, x.ndim - len(batch)) if is_own(x, batch) else x for x in inputs]
     u, about = rebuilt(kind.u[0], iter(own))
     dt = data.dt[i]
@@ -141,16 +152,6 @@ def epoch_of(
     return Epoch(
         int(k) if k.is_integer() else k, float(data.t[i]), interval, u, measured, about=about
     )
-
-
-def _input(x: Any) -> Array:
-    """A part of an input."""
-    try:
-        return numbers("u", x)
-    except ValueError as error:
-        raise CannotCompile(
-            f"an input that is no array of numbers cannot be compiled: {error}"
-        ) from None
 
 
 def _measured(sensor: Any, parts: Any) -> tuple[Array, Array]:

@@ -10,14 +10,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from functools import lru_cache
 from typing import Any
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from celnav.filters.joint import Joint
 from celnav.filters.model import Sensor
-from celnav.filters.records import Epoch
+from celnav.filters.records import Epoch, Epochs
 from celnav.filters.run import ENGINE, ENGINES, as_epochs, run
 from celnav.filters.sequential import MOST_ITERATIONS, Sequential, over, plain
 from celnav.filters.smoother import smooth
@@ -39,7 +40,7 @@ def iterated_smoother(
     iterations: flights there and back; one is `celnav.smooth` of the filter's own track. A count, not a tolerance, so that what a
         run gives does not depend on its neighbors: look whether more of them change anything.
     gains, on_failure: as `celnav.smooth` has them.
-    engine, jobs: of the flights there, as `celnav.run` has them; the way back is by numpy.
+    engine, jobs: of the flights there and back, as `celnav.run` has them; gains are numpy's.
 
     Returns the `Track` of the last flight, smoothed; its innovations, likelihood and events are of that flight.
 
@@ -48,33 +49,51 @@ def iterated_smoother(
     plain("filter", filter)
     count = integer("iterations", iterations, 1, MOST_ITERATIONS)
     by, why = choice("engine", ENGINE.get() if engine is None else engine, ENGINES), ""
-    epochs, relinearized = list(as_epochs(times, z, u)), Relinearized.of(filter)
+    epochs: Any = as_epochs(times, z, u)
+    epochs = epochs if isinstance(epochs, Epochs) else list(epochs)
     flown: Any = filter
     for left in range(count - 1, -1, -1):
         track = run(flown, prior, epochs, keep="cov", on_failure=on_failure, engine=by, jobs=jobs)
         if track.engine.startswith("numpy: "):  # what was refused once is not tried again
             by, why = "numpy", track.engine
-        track = smooth(track, gains=gains and not left, on_failure=on_failure)
-        assert track.belief is not None
-        about = list(map(type(track.belief), *track.belief))
-        epochs = [
-            epoch._replace(about=ends)
-            for epoch, ends in zip(epochs, pairwise([None, *about]), strict=True)
-        ]
-        flown = relinearized
+        last = gains and not left
+        back = "numpy" if last else by
+        track = smooth(track, gains=last, on_failure=on_failure, engine=back, jobs=jobs)
+        epochs, flown = _told(epochs, _ends(prior, track)), relinearized(filter)
     return replace(
-        track,
-        filter=filter,
-        epochs=tuple(epoch._replace(about=None) for epoch in track.epochs),
-        engine=why or track.engine,
+        track, filter=filter, epochs=_told(track.epochs, None), engine=why or track.engine
     )
+
+
+def _ends(prior: Gaussian, track: Track) -> tuple[Belief, Belief]:
+    """The beliefs at the beginning and at the end of each interval, that of the first from the prior on."""
+    after: Any = track.belief
+    form = type(after)
+    first = form.of(prior)
+    before = (np.broadcast_to(a, b[:1].shape) for a, b in zip(first, after, strict=True))
+    pairs = zip(before, after, strict=True)
+    return form(*(np.concatenate([a, b[:-1]]) for a, b in pairs)), after
+
+
+def _told(epochs: Any, about: Any) -> Any:
+    """The same epochs, and what each is about: of a tuple of beliefs its rows."""
+    if isinstance(epochs, Epochs):
+        return epochs.told(about)
+    rows = [None] * len(epochs) if about is None else zip(*(map(type(x), *x) for x in about))
+    return [epoch._replace(about=row) for epoch, row in zip(epochs, rows, strict=True)]
+
+
+@lru_cache(maxsize=16)
+def relinearized(filter: Sequential) -> Relinearized:
+    """The filter linearized so; of the same one the same, of which machine code is kept."""
+    return Relinearized.of(filter)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Relinearized(Sequential):
     """A filter whose models are linearized over the beliefs that an epoch brings, ``epoch.about``, instead of over its own.
 
-    The first is of the beginning of the interval, None: the filter's own; the second of its end.
+    The first is of the beginning of the interval, the second of its end.
     """
 
     @classmethod
@@ -91,9 +110,9 @@ class Relinearized(Sequential):
 
     def onward(self, belief: Belief, epoch: Epoch, after: Array) -> Joint:
         """The joint of the state after the interval, as if measured to be ``after``, and of the one before it."""
-        about, motion = belief if epoch.about[0] is None else epoch.about[0], self.motion
+        motion = self.motion
         return over(
-            about,
+            epoch.about[0],
             self.rule,
             belief,
             motion,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from copy import copy
 from datetime import UTC, date, timedelta
 from typing import Any, NamedTuple, Protocol
 
@@ -20,6 +21,7 @@ __all__ = [
     "FilterError",
     "FromFunctions",
     "Info",
+    "Inputs",
     "State",
     "as_seconds",
     "check_interval",
@@ -134,6 +136,13 @@ class Filter(Protocol):
         """State after an epoch, and an `Info` of each sensor."""
 
 
+class Inputs(NamedTuple):
+    """What some epochs have beside measurements: ``(u, about)`` of epochs ``at (K,)``, as columns ``(K, ...)``."""
+
+    at: Array
+    columns: Any
+
+
 class Epochs(Sequence[Epoch]):
     """Epochs made from arrays when they are asked for, one at a time; nothing is copied. See `epochs`.
 
@@ -150,13 +159,11 @@ class Epochs(Sequence[Epoch]):
         rows: range | None = None,
         before: int = -1,
         first: int = 0,
+        about: Any = None,
     ):
         self._times, self._z, self._u, self._truth = times, z, u, truth
-        self._rows, self._before, self._first = (
-            range(len(times)) if rows is None else rows,
-            before,
-            first,
-        )
+        self._rows = range(len(times)) if rows is None else rows
+        self._before, self._first, self._about = before, first, about
 
     def __len__(self) -> int:
         return len(self._rows)
@@ -171,7 +178,7 @@ class Epochs(Sequence[Epoch]):
 
     def __getitem__(self, k: Any) -> Any:
         if isinstance(k, slice):
-            rows, count = self._rows[k], self._rows[k].step
+            rows, count = self._rows[k], k.indices(len(self))[2]
             if count < 1:
                 raise ValueError(f"epochs: expected a slice that runs forward, got {k}")
             if count > 1 and self._u is not None:
@@ -179,14 +186,11 @@ class Epochs(Sequence[Epoch]):
                     f"epochs: an interval of {count} epochs has {count} inputs, got one u for each; make epochs anew"
                 )
             at = k.indices(len(self))[0]
-            return Epochs(
-                self._times,
-                self._z,
-                self._u,
-                self._truth,
-                rows,
-                self._row_before(at),
-                self._first + at,
+            return self._with(
+                _rows=rows,
+                _before=self._row_before(at),
+                _first=self._number(at),
+                _about=_at(self._about, k),
             )
         at = range(len(self))[k]
         i, before = self._rows[at], self._row_before(at)
@@ -194,42 +198,90 @@ class Epochs(Sequence[Epoch]):
         dt, u = (
             (t - float(self._times[before]), _at(self._u, before)) if before >= 0 else (0.0, None)
         )
-        return Epoch(self._first + at, t, dt, u, _at(self._z, i), _at(self._truth, i))
+        about = _at(self._about, at)
+        return Epoch(self._number(at), t, dt, u, _at(self._z, i), _at(self._truth, i), about)
 
-    def columns(self, sensors: int) -> tuple[Array, Array, Array, list[Any], tuple[Any, ...]]:
-        """All epochs at once: ``k``, ``t``, ``dt`` ``(T,)``, inputs, and measurements ``(T, ..., m)`` of each sensor.
-
-        Inputs are a list of T, or an empty one where there are none.
-        """
+    def columns(self, sensors: int) -> tuple[Array, Array, Array, list[Inputs], tuple[Any, ...]]:
+        """All epochs at once: ``k``, ``t``, ``dt`` ``(T,)``, inputs, and measurements ``(T, ..., m)`` of each sensor."""
         at = np.array(self._rows)
         before = np.concatenate([[self._row_before(0)], at[:-1]])
-        t = self._times[at]
-        dt = np.where(before >= 0, t - self._times[before], 0.0)
+        if self._rows.step < 0:
+            before = at + self._rows.step
+        t, moved = self._times[at], before >= 0
+        dt = np.where(moved, t - self._times[before], 0.0)
         z = self._z if isinstance(self._z, tuple) else (self._z,) * max(sensors, 1)
         each = tuple(
             [None] * len(at) if part is None else part[at[0] : at[-1] + 1 : self._rows.step]
             for part in z[:sensors]
         )
-        u: list[Any] = []
-        if self._u is not None:
-            u = [None if i < 0 else _at(self._u, i) for i in before.tolist()]
-        return self._first + np.arange(len(at)), t, dt, u, each
+        known = []
+        for given in (False, True) if self._u is not None else (None,):
+            some = np.arange(len(at)) if given is None else np.flatnonzero(moved == given)
+            u = _at(self._u, before[some]) if given else None
+            if len(some):
+                known.append(Inputs(some, (u, _at(self._about, some))))
+        return self._number(0) + self._sign * np.arange(len(at)), t, dt, known, each
+
+    @property
+    def columnar(self) -> bool:
+        """Whether inputs are arrays of numbers, or a tuple of such."""
+        return _is_columns(self._u)
 
     def unmeasured(self) -> Epochs:
         """The same without measurements and truth."""
-        return Epochs(self._times, None, self._u, None, self._rows, self._before, self._first)
+        return self._with(_z=None, _truth=None)
+
+    def told(self, about: Any) -> Epochs:
+        """The same, and what each is about: a tree of columns ``(T, ...)``."""
+        return self._with(_about=about)
+
+    def backward(self, about: tuple[Any, ...]) -> Epochs:
+        """All but the first, the last one first, without measurements.
+
+        about: columns of what they are about, before what they are about already.
+        """
+        return self.unmeasured()._with(
+            _rows=self._rows[:0:-1],
+            _first=self._number(len(self) - 1),
+            _about=(*about, _at(self._about, slice(None, 0, -1))),
+        )
+
+    @property
+    def _sign(self) -> int:
+        return 1 if self._rows.step > 0 else -1
+
+    def _number(self, at: int) -> int:
+        return self._first + self._sign * at
 
     def _row_before(self, at: int) -> int:
+        if self._sign < 0:
+            return self._rows[at] + self._rows.step if at < len(self) else -1
         return self._rows[at - 1] if at else self._before
+
+    def _with(self, **changes: Any) -> Epochs:
+        other = copy(self)
+        vars(other).update(changes)
+        return other
 
     def __add__(self, other: Iterable[Epoch]) -> list[Epoch]:
         return [*self, *other]
 
 
-def _at(values: Any, k: int) -> Any:
+def _at(values: Any, k: Any) -> Any:
+    """A row of each column of a tree, or some rows."""
     if values is None:
         return None
-    return tuple(_at(v, k) for v in values) if isinstance(values, tuple) else values[k]
+    if isinstance(values, tuple):
+        make: Any = type(values)
+        parts = [_at(v, k) for v in values]
+        return make(*parts) if hasattr(values, "_fields") else tuple(parts)
+    return values[k]
+
+
+def _is_columns(values: Any) -> bool:
+    if isinstance(values, tuple):
+        return all(map(_is_columns, values))
+    return values is None or (isinstance(values, np.ndarray) and values.dtype.kind in "biuf")
 
 
 def epochs(times: ArrayLike, z: Any = None, u: Any = None, truth: Any = None) -> Epochs:

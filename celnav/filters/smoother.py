@@ -20,7 +20,7 @@ from celnav.filters.fallback import Fallback
 from celnav.filters.fixed_lag import FixedLag
 from celnav.filters.imm import InteractingModels
 from celnav.filters.joint import condition
-from celnav.filters.records import Epoch, FilterError, Info, still
+from celnav.filters.records import Epoch, Epochs, FilterError, Info, still
 from celnav.filters.regression import pseudo_gain
 from celnav.filters.run import run
 from celnav.filters.sequential import Sequential, SingleDraw
@@ -84,7 +84,7 @@ def smooth(
             f"filter: expected one that predicts, then updates, such as celnav.ukf, got {kind(chosen)}{reason}"
         )
     epochs = track.epochs
-    if any(b.k != a.k + 1 for a, b in pairwise(epochs)):
+    if not isinstance(epochs, Epochs) and any(b.k != a.k + 1 for a, b in pairwise(epochs)):
         raise ValueError("track: expected every epoch, got some of them; run with every=1")
 
     form, filtered, failed_at = type(track.belief), track.belief, track.failed_at
@@ -93,14 +93,15 @@ def smooth(
     lost = np.isnan(filtered.mean).any(-1)
     G = np.zeros(cov.shape) if gains else None
     if len(mean) > 1:
-        backward = [
-            epochs[k + 1]._replace(
-                z=None,
-                truth=None,
-                about=(form(mean[k], cov[k]), mean[k + 1, ..., :1], epochs[k + 1].about),
-            )
-            for k in range(len(mean) - 2, -1, -1)
-        ]
+        known = form(mean[-2::-1], cov[-2::-1]), mean[:0:-1, ..., :1]
+        backward: Any = (
+            [
+                epoch._replace(z=None, truth=None, about=(form(*belief), there, epoch.about))
+                for epoch, *belief, there in zip(epochs[:0:-1], *known[0], known[1], strict=True)
+            ]
+            if not isinstance(epochs, Epochs)
+            else epochs.backward(known)
+        )
         way = run(
             backwards(chosen, gains),
             form(mean[-1], np.broadcast_to(cov[-1], (*batch, n, n))),

@@ -2,6 +2,7 @@
 
 import tracemalloc
 from datetime import UTC, datetime, timedelta
+from typing import NamedTuple
 from zoneinfo import ZoneInfo
 
 import numpy as np
@@ -9,6 +10,8 @@ import pandas as pd
 import pytest
 
 import celnav
+from celnav.filters import flight
+from celnav.filters.engine import leaves
 
 pytestmark = pytest.mark.usefixtures("eager")
 
@@ -307,3 +310,54 @@ def test_columns_of_a_table_name_the_components(engine):
     assert "NIS 1    up_m" in report
     mixed = celnav.run(celnav.ukf(motion, *sensors), prior, times, (plane, height.to_numpy()))
     assert mixed.measured == ["z0", "z1", "z2"]
+
+
+INPUTS = {
+    "none": None,
+    "numbers": np.arange(6.0),
+    "vectors": np.arange(14.0).reshape(7, 2),
+    "a tuple": (np.arange(7.0), np.arange(12.0).reshape(6, 2)),
+    "a list": [[1.0, 2.0]] * 6,
+}
+PARTS = {
+    "all": lambda epochs: epochs,
+    "the last": lambda epochs: epochs[3:],
+    "one": lambda epochs: epochs[2:3],
+    "backward": lambda epochs: epochs.backward((np.arange(6.0), (np.ones((6, 2)),))),
+    "backward from the middle": lambda epochs: epochs[2:].backward((np.arange(4.0),))[1:],
+    "told": lambda epochs: epochs.told(Named(np.arange(7.0), None))[1:],
+}
+
+
+class Named(NamedTuple):
+    a: object
+    b: object
+
+
+@pytest.mark.parametrize("part", PARTS)
+@pytest.mark.parametrize("u", INPUTS)
+def test_columns_are_those_of_the_epochs_one_by_one(u, part):
+    times = np.array([0.0, 1.0, 1.5, 1.5, 3.0, 4.0, 7.0])
+    filter = celnav.ekf(celnav.Motion(np.eye(1), 1.0), celnav.Sensor(np.eye(1), 1.0))
+    some = PARTS[part](celnav.epochs(times, np.arange(7.0)[:, None], INPUTS[u]))
+    found, known = (flight.as_data(filter, each) for each in (some, list(some)))
+    assert len(found.k) == len(some)
+    for i, epoch in enumerate(some):
+        mine, same = (flight.epoch_of(data, i, lambda x, _: x, ()) for data in (found, known))
+        assert (mine.k, mine.t, mine.dt) == (same.k, same.t, same.dt) == epoch[:3]
+        trees = [leaves((one.u, one.about)) for one in (mine, same, epoch)]
+        for parts in zip(*trees, strict=True):
+            np.testing.assert_array_equal(*(np.asarray(x) for x, _ in parts[:2]))
+            np.testing.assert_array_equal(*(np.asarray(x) for x, _ in parts[1:]))
+        assert type(mine.about) is type(epoch.about)
+
+
+def test_backward_epochs_have_the_intervals_that_led_up_to_them():
+    times, u = np.array([0.0, 1.0, 3.0, 6.0]), np.array([10.0, 20.0, 30.0])
+    some = celnav.epochs(times, np.zeros((4, 1)), u).backward((np.array([3.0, 2.0, 1.0]),))
+    assert [epoch[:5] for epoch in some] == [
+        (3, 6.0, 3.0, 30.0, None),
+        (2, 3.0, 2.0, 20.0, None),
+        (1, 1.0, 1.0, 10.0, None),
+    ]
+    assert [epoch.about for epoch in some] == [(3.0, None), (2.0, None), (1.0, None)]
