@@ -57,7 +57,7 @@ def run(
         length runs in the memory of one step.
     engine: "auto" (unless `ENGINE` says otherwise): machine code where it can be had and repays recording and compiling in this
         flight, or was recorded of the same filter before, else numpy; ``Track.engine`` says which, and why. "numpy"; "compiled":
-        the filter's own step as machine code, see `celnav.compiled`; "cuda": on an NVIDIA device.
+        the filter's own step as machine code, see `celnav.compiled`; "cuda": on an NVIDIA device (experimental).
     jobs: threads of compiled code.
     on_failure: "raise" a `FilterError` for the first run that is lost, or "flag" it: it becomes nan from there
         (``Track.failed_at``), the other runs go on.

@@ -13,6 +13,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import fields, is_dataclass
 from functools import cached_property, partial
+from operator import is_
 from pathlib import Path
 from types import (
     BuiltinFunctionType,
@@ -347,10 +348,10 @@ class Watch:
 
 
 def _same(thing: Any, known: Any) -> bool:
-    """Whether two containers hold the same things."""
+    """Whether two containers of one length hold the same things."""
     if isinstance(thing, dict):
-        return all(a is b for a, b in zip(thing.values(), known.values(), strict=True))
-    return all(a is b for a, b in zip(thing, known, strict=True))
+        return all(map(is_, thing.values(), known.values()))
+    return all(map(is_, thing, known))
 
 
 def changed(before: dict[str, Any], after: dict[str, Any]) -> str:
