@@ -403,12 +403,13 @@ class Augmented(Sequential):
 
     _: KW_ONLY
     sqrt_V: Array
-    runs: tuple[int, ...] = ()
+    Phi: Any
 
     def start(self, prior: Gaussian) -> Any:
         check_prior(prior)
         mean, root, V = prior.mean, prior.sqrt_cov, self.sqrt_V
-        batch = together(prior=mean.shape[:-1], R=V.shape[:-2], Phi=self.runs)
+        runs = () if callable(self.Phi) else self.Phi.shape[:-2]
+        batch = together(prior=mean.shape[:-1], R=V.shape[:-2], Phi=runs)
         both = side_by_side([mean, np.zeros((*batch, V.shape[-1]))])
         return super().start(Gaussian(both, sqrt_cov=block([[root, 0], [0, V]])))
 
@@ -447,11 +448,7 @@ def augmented(
     )
     seen = Sensor(measured, sqrt_R=np.zeros((m, 0)), space=sensor.space)
     made = sigma_point(both, seen, rule=rule, **options)
-    return Augmented(
-        **vars(made),
-        sqrt_V=tria(np.asanyarray(sensor.noise)),
-        runs=() if callable(Phi) else np.shape(Phi)[:-2],
-    )
+    return Augmented(**vars(made), sqrt_V=tria(np.asanyarray(sensor.noise)), Phi=phi)
 
 
 def _augmented_f(motion: Motion, phi: Any, m: int, x: Array, epoch: Any) -> Array:

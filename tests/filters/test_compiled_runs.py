@@ -355,6 +355,7 @@ ODD = {
         celnav.decorrelated(MOTION, celnav.Sensor(EYE, 0.05 * EYE), OWN),
         PRIOR,
     ),
+    "augmented of runs": (celnav.augmented(MOTION, celnav.Sensor(EYE, 0.05 * EYE), OWN), PRIOR),
     "bias of runs": (celnav.two_stage(MOTION, SENSOR, OWN, PRIOR), PRIOR),
     "three hooks": (
         celnav.ukf(MOTION, SENSOR, hooks=[gate(3.0), huber(), innovation_window(2)]),
