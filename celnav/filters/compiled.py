@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import traceback
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from functools import partial
@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from celnav.filters.engine import NONE, TALLY, Data, Engine, Kept, each_run, entries
+from celnav.filters.engine import NONE, TALLY, Data, Engine, Kept, each_run, signature
 from celnav.filters.fixed_lag import FixedLag
 from celnav.filters.flight import Flight, as_data, epoch_of, fly, part_of
 from celnav.filters.joint import by_matrix
@@ -34,8 +34,8 @@ from celnav.filters.sentinels import (
     restorer,
 )
 from celnav.filters.sequential import Sequential
-from celnav.filters.stepper import Plan, signature
-from celnav.filters.track import Track
+from celnav.filters.stepper import Plan, plan_key
+from celnav.filters.track import Track, rows_of
 from celnav.gaussian.checks import choice, integer
 from celnav.gaussian.linalg import Array, Covariance, SquareRoot
 from celnav.tape.cuda import CudaError, device
@@ -111,44 +111,36 @@ class Compiled:
         u: Any = None,
         *,
         every: int = 1,
-        keep: str = "std",
+        keep: str | Collection[str] = "std",
         on_failure: str = "raise",
     ) -> Track:
         """The track, as `celnav.run` gives it with these arguments."""
-        choice("keep", keep, ("std", "cov", "mean", "nothing"))
         choice("on_failure", on_failure, ("raise", "flag"))
         every = integer("every", every)
         epochs = as_epochs(times, z, u)
         epochs = epochs if isinstance(epochs, Epochs) else list(epochs)
-        return self._run(prior, epochs, every=every, keep=keep, on_failure=on_failure)
+        return self._run(prior, epochs, every=every, keep=rows_of(keep), on_failure=on_failure)
 
     def _run(self, prior: Any, epochs: Any, **options: Any) -> Track:
         """The track."""
         every, keep = options["every"], options["keep"]
-        some = [epochs]  # what numpy flies to see what is wrong
-        again: Any = partial(run, engine="numpy", **options)
-        with self._recording(lambda: again(self.filter, prior, some[0])):
-            data = as_data(self.filter, epochs)
-            some[0] = epochs[:CHECKED]
-            engine, flight = self._flown(prior, data, some[0], keep, every)
-        known: Any = ()
-        if keep == "cov" and every == 1 and isinstance(epochs, Epochs):
-            known = epochs.unmeasured()
-        elif keep == "cov":
-            known = tuple(
-                epoch._replace(z=None, truth=None) for epoch in islice(epochs, 0, None, every)
-            )
-        track = replace(
-            _track(engine, data, flight, every),
-            epochs=known,
-            filter=self.filter,
-            engine=self.engine,
+        some: Any = (
+            epochs  # what numpy flies to see what is wrong: all, until they stand in columns
         )
-        if keep == "nothing":
-            nothing: dict[str, Any] = dict.fromkeys(
-                ("mean", "std", "innovation", "whitened", "used")
-            )
-            track = replace(track, **nothing, sensors=())
+        again: Any = partial(run, engine="numpy", **options)
+        with self._recording(lambda: again(self.filter, prior, some)):
+            data = as_data(self.filter, epochs)
+            if not self._kept or not self._flights:
+                some = epochs[:CHECKED]
+            engine, flight = self._flown(prior, data, some, keep, every)
+        known: Any = ()
+        if "cov" in keep and every == 1 and isinstance(epochs, Epochs):
+            known = epochs.unmeasured()
+        elif "cov" in keep:
+            stored = islice(epochs, 0, None, every)
+            known = tuple(epoch._replace(z=None, truth=None) for epoch in stored)
+        about = {"epochs": known, "filter": self.filter, "engine": self.engine}
+        track = _track(engine, data, flight, every, about)
         lost = np.flatnonzero(track.failed_at.ravel() >= 0)
         if not len(lost):
             return track
@@ -164,13 +156,13 @@ class Compiled:
         return recording(holds, by_numpy, restorer(self.filter))
 
     def _flown(
-        self, prior: Any, data: Data, some: Any, keep: str, every: int
+        self, prior: Any, data: Data, some: Any, keep: Collection[str], every: int
     ) -> tuple[Engine, Flight]:
         """The flight, after numpy has taken the same steps at some epochs, or `CannotCompile`."""
         fresh, first = not self._kept, not self._flights
-        rolled, on = self.engine != "cuda", device() if self.engine == "cuda" else None
-        engine = Engine(self.filter, prior, data, keep, self._kept, most=self.most, rolled=rolled)
-        count = int(np.prod(engine.batch))
+        on = device() if self.engine == "cuda" else None
+        engine = self._engine(prior, data)
+        count = engine.runs
         # On a device those of one chunk, which alone is taken through its epochs in pieces.
         watched = sorted({0, count // 2, count - 1}) if on is None else list(range(min(count, 3)))
         if fresh or first:  # numpy goes first: what models keep of their first call is of floats
@@ -183,7 +175,9 @@ class Compiled:
         self._left -= count * len(data.k)
         due = fresh or first or self._left < 0 or count * len(data.k) >= SPARED
         self._flights += 1
-        flight = fly(engine, data, every, self.jobs, on, watched, None if due else self._flights)
+        number = None if due else self._flights
+        names = engine.keeping(keep)
+        flight = fly(engine, prior, data, names, every, self.jobs, on, watched, number)
         why = next(
             (
                 f"step {int(data.k[one.at])}: {name}"
@@ -192,7 +186,7 @@ class Compiled:
             ),
             "",
         )
-        due = due or engine.fresh
+        due = due or flight.fresh
         path = changed(self._watch.holds, held(self.filter)) if due or why else ""
         if not why and not path:
             if due:
@@ -202,6 +196,16 @@ class Compiled:
         if not fresh:  # what was recorded then may not hold now
             return self._flown(prior, data, some, keep, every)
         raise _remembers(self._watch.holds, path) if path else _otherwise(self._watch.holds, why)
+
+    def _engine(self, prior: Any, data: Data) -> Engine:
+        """What records and compiles steps for such priors and epochs."""
+        key, engines = signature(prior, data), self._kept.engines
+        if key not in engines:
+            rolled = self.engine != "cuda"
+            engines[key] = Engine(self.filter, prior, data, self._kept, rolled=rolled)
+        engine = engines[key]
+        engine.most = self.most
+        return engine
 
     def start(self, prior: Any) -> Any:
         """The filter's own state before the first epoch."""
@@ -225,7 +229,7 @@ class Compiled:
         if state.belief.mean.dtype.hasobject:  # recorded itself, as a part of another filter
             return self.filter.step(state, epoch)  # type: ignore[no-any-return]
         plans = self._own.__dict__
-        key, numbers = signature(state, epoch)
+        key, numbers = plan_key(state, epoch)
         plan: Plan = plans.get(key) or self._planned(key, state, epoch)
         found = plan.step(state, epoch, numbers)
         if found is None:
@@ -356,7 +360,7 @@ def _otherwise(holds: dict[str, Any], why: str) -> CannotCompile:
     return CannotCompile(f"{OTHER} ({why}): {LOOKS}{functions_of(holds)}")
 
 
-def _track(engine: Engine, data: Data, flight: Flight, every: int) -> Track:
+def _track(engine: Engine, data: Data, flight: Flight, every: int, about: dict[str, Any]) -> Track:
     """The record of a flight."""
     rows = {name: x.reshape(len(x), *engine.batch, x.shape[-1]) for name, x in flight.rows.items()}
     sensors = [i for i, m in enumerate(engine.innovations) if m]
@@ -366,24 +370,17 @@ def _track(engine: Engine, data: Data, flight: Flight, every: int) -> Track:
         return parts[0] if len(parts) == 1 else np.concatenate(parts, -1) if parts else None
 
     belief = None
-    if "spread" in rows:
-        lower = rows["spread"]
+    if "cov" in rows:
         n = rows["std"].shape[-1]
-        spread = np.zeros((*lower.shape[:-1], n, n))
-        for k, (i, j) in enumerate(
-            entries((n, n), "lower")
-        ):  # one by one, which is several times as fast as all by their indices
-            spread[..., i, j] = lower[..., k]
-            if engine.form is Covariance:
-                spread[..., j, i] = lower[..., k]
-        belief = engine.form(rows["mean"], spread)
+        belief = engine.form(rows["mean"], rows["cov"].reshape(*rows["cov"].shape[:-1], n, n))
     likelihood, missing, rejected, redone, failed = (
         x.reshape(engine.batch) for x in flight.tally.T.copy()
     )
     often = np.bincount(data.kinds, minlength=len(data.known))
     silent = sum(int(count) * m for count, kind in zip(often, data.known, strict=True)
                  for m, what in zip(engine.innovations, kind.z, strict=True) if what == NONE)  # fmt: skip
-    used, R = beside("used"), beside("R")
+    seen = [[rows[name] for name in rows if name.endswith(f"/{i}")] for i in sensors]
+    widths = tuple(some[0].shape[-1] for some in seen if some)
     return Track(
         times=data.t[::every].copy(),
         mean=rows.get("mean"),  # type: ignore[arg-type]
@@ -391,8 +388,8 @@ def _track(engine: Engine, data: Data, flight: Flight, every: int) -> Track:
         belief=belief,
         innovation=beside("innovation"),
         whitened=beside("whitened"),
-        extra={} if R is None else {"R": R},
-        used=None if used is None else used != 0.0,  # type: ignore[arg-type]
+        extra={} if (R := beside("R")) is None else {"R": R},
+        used=beside("used"),
         log_likelihood=likelihood,
         events={
             "missing": missing.astype(int) + silent,
@@ -400,9 +397,8 @@ def _track(engine: Engine, data: Data, flight: Flight, every: int) -> Track:
             "redone": redone.astype(int),
         },
         failed_at=failed.astype(int),
-        sensors=tuple(
-            rows[f"innovation/{i}"].shape[-1] for i in sensors if f"innovation/{i}" in rows
-        ),
+        sensors=widths,
+        **about,
     )
 
 

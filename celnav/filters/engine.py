@@ -7,7 +7,8 @@ takes. Runs that are lost are flown again by the numpy engine, which is the refe
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+import math
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from copy import copy
 from dataclasses import fields, is_dataclass
 from functools import cache, partial
@@ -21,7 +22,7 @@ from celnav.gaussian.belief import Gaussian, settled
 from celnav.gaussian.checks import kind, together
 from celnav.gaussian.linalg import Array, Covariance, SquareRoot
 from celnav.tape import llvm
-from celnav.tape.kernel import Kernel, Split
+from celnav.tape.kernel import Kernel
 from celnav.tape.numbers import Numbers, present
 from celnav.tape.tape import (
     MOST,
@@ -48,12 +49,15 @@ __all__ = [
     "Kind",
     "Recorded",
     "Shape",
+    "Start",
     "each_array",
     "each_run",
     "entries",
     "is_own",
     "leaves",
+    "places",
     "rebuilt",
+    "signature",
 ]
 
 TALLY = ("log_likelihood", "missing", "rejected", "redone", "failed_at")
@@ -92,6 +96,14 @@ def entries(shape: tuple[int, ...], what: str) -> tuple[tuple[int, ...], ...]:
     return tuple(at for at in places if at[-1] <= at[-2]) if lower else places
 
 
+@cache
+def places(shape: tuple[int, ...], what: str) -> Array:
+    """Where the numbers that an array is kept as stand in it, by rows."""
+    index = np.arange(math.prod(shape)).reshape(shape)
+    lower = what in ("lower", "symmetric")
+    return index[np.tril(np.ones(shape, bool))] if lower else index.ravel()
+
+
 class Shape(NamedTuple):
     """Shape of a filter's state: its tree with names for arrays, and of each array shape, kind and which entries may be absent."""
 
@@ -110,7 +122,7 @@ class Shape(NamedTuple):
         for array, what in leaves(state):
             x = np.asanyarray(array)
             kept = entries(x.shape, what)
-            absent = tuple(not what and _absent(x[at]) for at in kept)
+            absent = (False,) * len(kept) if what else tuple(_absent(x[at]) for at in kept)
             found.append((x.shape, what, absent))
         return cls(rebuilt(state, iter(range(len(found)))), tuple(found))
 
@@ -149,13 +161,59 @@ class Data(NamedTuple):
     z: list[Array]
     u: dict[Any, Inputs]
 
+    @property
+    def interval(self) -> float | None:
+        """Its length where it is always the same: then it is a number of the program.
+
+        None also of one epoch alone, whose next one may differ.
+        """
+        moving = self.dt[self.dt != 0.0]
+        same = len(self.dt) > 1 and moving.size and (moving == moving[0]).all()
+        return float(moving[0]) if same else None
+
+
+class Start(NamedTuple):
+    """What is so before the first epoch.
+
+    shape: of the state. numbers: ``(runs, size)`` of the states of all runs, in the order in which they are
+    kept, behind what each counts and the filter's matrices of its own. common: those of the state
+    that all runs have in common.
+    """
+
+    shape: Shape
+    numbers: Array
+    common: frozenset[int]
+
+
+def signature(prior: Any, data: Data) -> tuple[Any, ...]:
+    """What must be alike in priors and epochs for one `Engine` to serve them."""
+    cov: Any = prior[1] if isinstance(prior, SquareRoot | Covariance) else getattr(prior, "cov", 0)
+    shapes = [np.shape(x) for x in (getattr(prior, "mean", 0), cov)]
+    z = tuple(x.shape[1:] for x in data.z)
+    return type(prior), *shapes, z, data.dt.shape[1:], data.interval
+
 
 class Recorded(NamedTuple):
-    """A kernel, the shape of the state after it, and how many operations it has."""
+    """A recorded step: a kernel with all rows, the shape of the state after it, how many operations it has.
+
+    columns: names of what the rows are, in their order, and how many numbers each has.
+    """
 
     kernel: Kernel
     after: Shape
     size: int
+    columns: dict[str, int]
+
+    def keeping(self, names: Sequence[str]) -> Kernel:
+        """The kernel with rows of some columns only, of which each is a field."""
+        rows, fields, first = list[Any](), list[int](), 0
+        for name, size in self.columns.items():
+            if name in names:
+                rows += self.kernel.rows[first : first + size]
+                fields.append(size)
+            first += size
+        flags = frozenset(i for i, name in enumerate(names) if name.startswith("used"))
+        return self.kernel._replace(rows=rows, fields=tuple(fields), flags=flags)
 
 
 class Code(NamedTuple):
@@ -173,19 +231,21 @@ class Code(NamedTuple):
 
 
 class Kept:
-    """What was recorded of a filter's steps, and their machine code, by what they depend on."""
+    """What was recorded of a filter's steps, and what was made of it, by what it depends on."""
 
     def __init__(self) -> None:
-        self.records, self.code = dict[Any, Recorded](), dict[Any, Any]()
+        self.records = dict[Any, Recorded]()
+        self.code, self.engines = dict[Any, Any](), dict[Any, Engine]()
 
     def __bool__(self) -> bool:
         return bool(self.records)
 
 
 class Engine:
-    """Records, compiles and flies the steps of a filter, for runs with the batch axes ``batch``.
+    """Records and compiles the steps of a filter, for runs with the batch axes ``batch``.
 
-    most: operations of a step. rolled: whether long code that is the same for several rows becomes a loop.
+    It holds for all priors and data with the same `signature`. most: operations of a step.
+    rolled: whether long code that is the same for several rows becomes a loop.
     ``stride``: how many numbers of the state stand for one of the filter's.
     """
 
@@ -196,17 +256,14 @@ class Engine:
         filter: Any,
         prior: Any,
         data: Data,
-        keep: str,
         kept: Kept | None = None,
         *,
         most: int = MOST,
         rolled: bool = True,
     ):
-        self.filter, self.fresh = filter, False
+        self.filter, self.most, self.rolled = filter, most, rolled
         self.kept = Kept() if kept is None else kept
-        self.most, self.rolled = most, rolled
-        self.keep = "mean" if keep == "nothing" else keep
-        self.few = keep == "nothing"  # rows of the first epochs only
+        self.schedules, self.named = dict[Any, Any](), dict[frozenset[str], tuple[str, ...]]()
         if not hasattr(prior, "mean"):
             raise TypeError(f"prior: expected one Gaussian, for all models, got {kind(prior)}")
         constants: list[Array] = []
@@ -218,24 +275,24 @@ class Engine:
         )
         if 0 in self.batch:
             raise CannotCompile("there are no runs")
+        self.runs = math.prod(self.batch)
         self.constants = [
             np.broadcast_to(array, (*self.batch, *array.shape[-2:])) for array in constants
         ]
-        self.held = len(TALLY) + sum(int(np.prod(array.shape[-2:])) for array in constants)
-        # The length of an interval is a number of the program where it is always the same: not of one step, whose next may differ.
-        moving = np.unique(data.dt[data.dt != 0.0])
-        self.dt = float(moving[0]) if len(moving) == 1 < len(data.dt) else None
+        tally = np.zeros((self.runs, len(TALLY)))
+        tally[:, TALLY.index("failed_at")] = -1.0
+        parts = [x.reshape(self.runs, -1) for x in self.constants]
+        self.own = np.concatenate([tally, *parts], 1)  # what a run has before its state
+        self.held = self.own.shape[1]
+        self.dt = data.interval
         self.apart = data.dt.ndim > 1  # each run has an interval of its own
         self.widths = [z.shape[-1] for z in data.z]
-        self.innovations = [sensor.space.minus(z[:1], z[:1]).shape[-1] if z.shape[-1] else 0
-                            for sensor, z in zip(data.sensors, data.z, strict=True)]  # fmt: skip
-        state, states = self.started(prior)
-        self.belief, self.form, self.begin = state.belief, type(state.belief), Shape.of(state)
-        own = [shape for shape, _, _ in self.begin.arrays]
-        self.values = [
-            np.broadcast_to(np.asarray(x, np.float64), (*self.batch, *shape))
-            for (x, _), shape in zip(leaves(states), own, strict=True)
+        self.innovations = [
+            sensor.space.minus(z[:1], z[:1]).shape[-1] if z.shape[-1] else 0
+            for sensor, z in zip(data.sensors, data.z, strict=True)
         ]
+        state, _ = self.started(prior)
+        self.belief, self.form, self.begin = state.belief, type(state.belief), Shape.of(state)
 
     def started(self, prior: Any) -> tuple[Any, Any]:
         """The state before the first epoch of one run, and of all."""
@@ -246,30 +303,44 @@ class Engine:
         return one.start(_first_run(prior)), self.filter.start(prior)
 
     def columns(self) -> dict[str, int]:
-        """Names of the rows and how many numbers each has."""
-        (N,), (n, _) = (np.shape(x) for x in (self.belief.mean, self.belief[1]))
-        names = {"mean": N}
-        names |= {"std": n} if self.keep in ("std", "cov") else {}
-        names |= {"spread": n * (n + 1) // 2} if self.keep == "cov" else {}
+        """Names of what can be kept of a step, and how many numbers each has."""
+        (N,), (n, _) = (np.shape(x) for x in self.belief)
+        found = {"mean": N, "std": n, "cov": n * n}
         for i, m in enumerate(self.innovations):
-            names |= {f"{name}/{i}": m for name in ("innovation", "whitened", "used")}
-        return names | {f"R/{i}": self.innovations[i] for i in self.adapted()}
+            found |= {f"{name}/{i}": m for name in ("innovation", "whitened", "used")}
+        return found | {f"R/{i}": self.innovations[i] for i in self.adapted()}
+
+    def keeping(self, rows: Collection[str]) -> tuple[str, ...]:
+        """Names of the columns that a track with such rows keeps; with innovations the noise that hooks left."""
+        wanted = frozenset({*rows, "R"} if "innovation" in rows else rows)
+        if wanted not in self.named:
+            every = self.columns()
+            self.named[wanted] = tuple(x for x in every if x.partition("/")[0] in wanted)
+        return self.named[wanted]
 
     def adapted(self) -> list[int]:
-        """Sensors whose noise hooks may change, where that is kept."""
-        hooks = () if self.few else getattr(self.filter, "hooks", ())
+        """Sensors whose noise hooks may change."""
+        hooks = getattr(self.filter, "hooks", ())
         return [i for i, own in enumerate(hooks) if own and self.innovations[i]]
 
-    def start(self) -> list[Array]:
-        """State of all runs before the first epoch, ``(runs, ...)``, in the order in which it is kept."""
-        runs = int(np.prod(self.batch))
-        tally = np.zeros((runs, len(TALLY)))
-        tally[:, TALLY.index("failed_at")] = -1.0
-        parts = [tally, *(x.reshape(runs, -1) for x in self.constants)]
-        for x, (shape, what, _) in zip(self.values, self.begin.arrays, strict=True):
-            at: Any = (..., *np.array(entries(shape, what), int).reshape(-1, len(shape)).T)
-            parts.append(x[at].reshape(runs, -1))
-        return parts
+    def start(self, prior: Any) -> Start:
+        """What is so before the first epoch."""
+        state, states = self.started(prior)
+        shape = Shape.of(state)
+        axes, first, common = len(self.batch), self.held, set[int]()
+        parts = [self.own]
+        for (x, what), (own, _, _) in zip(leaves(states), shape.arrays, strict=True):
+            values = np.asarray(x, np.float64)
+            if values.shape != (*self.batch, *own):
+                values = np.broadcast_to(values, (*self.batch, *own))
+            whole = values.reshape(self.runs, -1)
+            matrix = what in ("lower", "symmetric")
+            parts.append(whole[:, places(own, what)] if matrix else whole)
+            count = parts[-1].shape[1]
+            if not any(values.strides[:axes]):
+                common.update(range(first, first + count))
+            first += count
+        return Start(shape, np.concatenate(parts, 1), frozenset(common))
 
     def inputs(self, found: Inputs, count: int) -> list[tuple[Array, bool]]:
         """The parts of an input over ``count`` epochs, zeros where there are none, and which of them are of each run."""
@@ -284,15 +355,8 @@ class Engine:
 
     def recorded_as(self, before: Shape, kind: Kind, u: list[tuple[Array, bool]]) -> Recorded:
         """The step, recorded."""
-        shapes = tuple(
-            (x.shape[1 + len(self.batch) * own :], own, bool(np.isfinite(x).all())) for x, own in u
-        )
-        many = bool(self.batch)  # then models may not look at epoch.z
-        key = before, kind, shapes, self.keep, self.dt, tuple(self.widths), many
-        if key in self.kept.records:
-            made = self.kept.records[key]
-        else:
-            made, self.fresh = self.record(before, kind, u), True
+        key = before, kind, self.forms(u), self.dt, tuple(self.widths), bool(self.batch)
+        made = self.kept.records.get(key) or self.record(before, kind, u)
         if made.size > self.most:
             raise TooLong(
                 f"a step of {made.size} operations takes longer than it saves: at most {self.most} "
@@ -301,12 +365,18 @@ class Engine:
         self.kept.records[key] = made
         return made
 
-    def code(self, made: Recorded, lanes: int, split: Split | None = None) -> Code:
-        """Machine code of a recorded step; ``split``: in its two parts."""
-        key = id(made), lanes, id(split)
+    def forms(self, u: list[tuple[Array, bool]]) -> tuple[Any, ...]:
+        """Of each part of an input its shape, whether each run has its own, and whether it is finite."""
+        axes = len(self.batch)
+        return tuple((x.shape[1 + axes * own :], own, bool(np.isfinite(x).all())) for x, own in u)
+
+    def code(self, made: Recorded, lanes: int, names: Sequence[str], split: Any = None) -> Code:
+        """Machine code of a recorded step that keeps some columns; ``split``: in its two parts."""
+        key = id(made), lanes, tuple(names), id(split)
         if key not in self.kept.code:
             if split is None:
-                code = Code(llvm.kernel_address(made.kernel, lanes), made.kernel.cells)
+                kernel = made.keeping(names)
+                code = Code(llvm.kernel_address(kernel, lanes), kernel.cells)
             else:
                 code = Code(
                     llvm.kernel_address(split.each, lanes),
@@ -318,17 +388,6 @@ class Engine:
             self.kept.code[key] = code
         found: Code = self.kept.code[key]
         return found
-
-    def common(self) -> frozenset[int]:
-        """Entries of the state before the first epoch that all runs have in common."""
-        found, first = set[int](), self.held
-        axes = len(self.batch)
-        for x, (own, what, _) in zip(self.values, self.begin.arrays, strict=True):
-            count = len(entries(own, what))
-            if not any(x.strides[:axes]):
-                found.update(range(first, first + count))
-            first += count
-        return frozenset(found)
 
     def record(self, before: Shape, kind: Kind, u: list[tuple[Array, bool]]) -> Recorded:
         """The step from a state of a shape over an epoch of a kind."""
@@ -418,14 +477,11 @@ class Engine:
             for place in entries(x.shape, what):
                 stored.append((at, x[place]))
                 at += 1
-        kernel = Kernel(
-            tape,
-            inputs,
-            stored,
-            list(self._rows(state.belief, infos)),
-            tuple(self.columns().values()),
-        )
-        return Recorded(kernel, after, len(tape.needed([x for *_, x in kernel.results()])))
+        columns = self.columns()
+        rows = list(self._rows(state.belief, infos)) if columns else []
+        kernel = Kernel(tape, inputs, stored, rows)
+        size = len(tape.needed([x for *_, x in kernel.results()]))
+        return Recorded(kernel, after, size, columns)
 
     def _settled(self, belief: Any) -> Any:
         """A belief whose mean is nan if the run is lost. Of one run the matrix is too.
@@ -455,12 +511,10 @@ class Engine:
         return [likelihood, missing, rejected, redone, do("select", lost, k, failed)]
 
     def _rows(self, belief: Any, infos: Sequence[Info]) -> Iterator[Any]:
-        """What is kept of an epoch, in the order in which `columns` names it."""
+        """What may be kept of an epoch, in the order in which `columns` names it."""
         yield from belief.mean
-        if self.keep in ("std", "cov"):
-            yield from belief.std
-        if self.keep == "cov":
-            yield from (belief[1][at] for at in entries(belief[1].shape, "lower"))
+        yield from belief.std
+        yield from np.ravel(belief[1])
         for info, m in zip(infos, self.innovations, strict=True):
             for name, blank in (("innovation", np.nan), ("whitened", 0.0), ("used", 0.0)):
                 value = getattr(info, name)

@@ -14,6 +14,7 @@ from celnav.filters.engine import PART, TALLY, Engine, Kind, Shape, entries
 from celnav.filters.flight import as_data, sensors
 from celnav.filters.model import check_prior
 from celnav.filters.records import Epoch
+from celnav.filters.track import KEEP
 from celnav.gaussian.checks import integers, number
 from celnav.tape import c
 from celnav.tape.tape import CannotCompile
@@ -46,7 +47,7 @@ def export_c(
             f"prior: expected that of one run, a mean (N,), got {np.shape(prior.mean)}"
         )
     every = None if dt is None else number("dt", dt, above=0.0)
-    own = sensors(filter, None)
+    own = sensors(filter)
     widths = (
         [sensor.m for sensor in own] if m is None else list(integers("m", m, 1, count=len(own)))
     )
@@ -58,7 +59,8 @@ def export_c(
     data = as_data(
         filter, [Epoch(0, 0.0, 0.0, None, z), Epoch(1, every or 1.0, every or 1.0, u, z)]
     )
-    engine = Engine(filter, prior, data, "std", rolled=False)
+    engine = Engine(filter, prior, data, rolled=False)
+    names = engine.keeping(KEEP["std"])
     engine.dt = every
     inputs = {shape: engine.inputs(found, 2) for shape, found in data.u.items()}
     part = (PART,) * len(own)
@@ -79,12 +81,12 @@ def export_c(
     size = engine.held + max(shape.size for shape in (engine.begin, first.after, step.after))
     count = 3 + sum(x[0].size for x, _ in inputs[moving.u])
     places = {"state": "state", "shared": "in", "own": "z", "rows": "out"}
-    start = np.concatenate([x.ravel() for x in engine.start()])
+    start = engine.start(prior).numbers[0]
     sizes = {
         "STATE": size,
         "IN": count,
         "Z": sum(engine.widths),
-        "OUT": sum(engine.columns().values()),
+        "OUT": sum(engine.columns()[name] for name in names),
     }
     text = [
         _head(name, engine, first.after, every),
@@ -95,10 +97,16 @@ def export_c(
         *(f"    state[{i}] = 0.0;" for i in range(len(start), size)),
         "}\n",
         c.function(
-            first.kernel, f"{name}_first", places, ["A measurement at the time of the prior."]
+            first.keeping(names),
+            f"{name}_first",
+            places,
+            ["A measurement at the time of the prior."],
         ),
         c.function(
-            step.kernel, f"{name}_step", places, ["An interval, and the measurement at its end."]
+            step.keeping(names),
+            f"{name}_step",
+            places,
+            ["An interval, and the measurement at its end."],
         ),
     ]
     write_text(Path(path), "\n".join(text))
@@ -131,7 +139,8 @@ def _head(name: str, engine: Engine, after: Shape, dt: float | None) -> str:
         f"out[{name.upper()}_OUT]:",
     ]
     at = 0
-    for what, size in engine.columns().items():
+    for what in engine.keeping(KEEP["std"]):
+        size = engine.columns()[what]
         lines.append(f"  {at} to {at + size - 1}: {what}")
         at += size
     return "\n".join(["/*", *(f" * {line}".rstrip() for line in lines), " */"])

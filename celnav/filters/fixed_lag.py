@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from celnav.filters.records import Epoch, Filter, Info
-from celnav.filters.track import Collector, Track
+from celnav.filters.track import KEEP, Collector, Track
 from celnav.gaussian.belief import Gaussian, settled
 from celnav.gaussian.checks import beside, instance, integer, kind, numbers
 from celnav.gaussian.linalg import Array, Belief
@@ -148,7 +148,7 @@ class FixedLag:
         """The `Track` of the epochs kept, late samples included; `celnav.smooth` of it begins with the fixed-lag estimate."""
         if not instance("state", state, Held, "what the filter's last step gave").epochs:
             raise ValueError("state: expected one after a step, got one before the first")
-        collector = Collector(1, "cov")
+        collector = Collector(1, KEEP["cov"])
         for after, epoch, infos in zip(state.states[1:], state.epochs, state.infos, strict=True):
             collector.add(epoch, after.belief, infos, {})
         return collector.track(

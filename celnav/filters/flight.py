@@ -5,7 +5,7 @@ The states of some runs before and after some epochs are kept too, to be compare
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -13,6 +13,7 @@ from zlib import crc32
 
 import numpy as np
 
+from celnav.filters import memory
 from celnav.filters.engine import (
     FULL,
     NONE,
@@ -25,6 +26,7 @@ from celnav.filters.engine import (
     Kind,
     Recorded,
     Shape,
+    Start,
     is_own,
     leaves,
     rebuilt,
@@ -41,19 +43,21 @@ from celnav.tape.tape import CannotCompile, Number
 __all__ = ["Flight", "Sentinel", "as_data", "epoch_of", "fly", "part_of", "sensors"]
 
 DRAWN = 4  # sentinels besides the first, the last and one of each record
-FEW = 3  # rows of a flight that keeps nothing, by which it is checked
+SHORT = 10_000  # epochs, the most of a flight whose schedule is kept
+MOST_SCHEDULES = 16  # of an engine, that are kept
 APART = 100  # operations of a step that all runs have in common, from which on they are done once an epoch
 MOST_COMMON = 1 << 25  # results of them in memory
 CHUNK = 1 << 21  # bytes of the measurements of runs that are flown together: they stay in the cache
 
 
-def sensors(filter: Any, z: Any) -> Sequence[Any]:
-    """Sensors of a filter, or of the first one in it; of another filter what is taken for them, for measurements such as ``z``."""
+def sensors(filter: Any, epochs: Sequence[Epoch] = ()) -> Sequence[Any]:
+    """Sensors of a filter, or of the first one in it; of another filter what is taken for them, for
+    measurements such as those of the first epoch."""
     while not hasattr(filter, "sensors"):
         if (filter := getattr(filter, "first", getattr(filter, "filter", None))) is None:
-            return (Sensor(lambda x, _epoch: x, R=lambda _mean, _epoch: np.eye(1)),) * (
-                len(z) if isinstance(z, tuple) else 1
-            )
+            z = epochs[0].z if len(epochs) else None
+            count = len(z) if isinstance(z, tuple) else 1
+            return (Sensor(lambda x, _epoch: x, R=lambda _mean, _epoch: np.eye(1)),) * count
     return tuple(filter.sensors)
 
 
@@ -61,7 +65,7 @@ def as_data(filter: Any, epochs: Epochs | Sequence[Epoch]) -> Data:
     """Epochs as columns."""
     if not len(epochs):
         raise ValueError("epochs: expected at least one, got none")
-    own = sensors(filter, epochs[0].z)
+    own = sensors(filter, epochs)
     if isinstance(epochs, Epochs) and epochs.columnar:
         k, t, dt, inputs, z = epochs.columns(len(own))
         given: list[Any] = [(one.at, one.columns, _parts(one.columns)) for one in inputs]
@@ -86,12 +90,14 @@ def as_data(filter: Any, epochs: Epochs | Sequence[Epoch]) -> Data:
     code = 2 * which + moves
     for status, _ in found:
         code = 4 * code + status  # of FULL, PART, SILENT and NONE
-    _, first, kinds = np.unique(code, return_index=True, return_inverse=True)
-    shapes = list(u)
-    known = [
-        Kind(bool(moves[i]), tuple(int(status[i]) for status, _ in found), shapes[which[i]])
-        for i in first.tolist()
-    ]
+    there = sorted(set(code.tolist()))
+    kinds, known, shapes = np.zeros(len(k), int), list[Kind](), list(u)
+    for number, one in enumerate(there):
+        alike = code == one
+        i = int(alike.argmax())
+        kinds[alike] = number
+        present = tuple(int(status[i]) for status, _ in found)
+        known.append(Kind(bool(moves[i]), present, shapes[which[i]]))
     return Data(k, t, dt, kinds, known, own, [values for _, values in found], u)
 
 
@@ -192,17 +198,20 @@ class Flight(NamedTuple):
     """What a flight leaves.
 
     rows: ``(K, runs, ...)`` by name. tally: of each run ``(runs, 5 stride)``. sentinels: of the runs
-    that are watched.
+    that are watched. fresh: whether a step was recorded for it.
     """
 
     rows: dict[str, Array]
     tally: Array
     sentinels: list[Sentinel]
+    fresh: bool
 
 
 def fly(
     engine: Engine,
+    prior: Any,
     data: Data,
+    names: Sequence[str],
     every: int,
     jobs: int,
     device: Device | None = None,
@@ -211,43 +220,35 @@ def fly(
 ) -> Flight:
     """All runs through all epochs, on a device, or None: on this processor.
 
-    watched: the runs whose states are kept before and after the sentinels. number: of a flight whose
-    steps were all compared before: it has one sentinel, at an epoch that depends on its number.
+    names: of the columns that are kept. watched: the runs whose states are kept before and after the
+    sentinels. number: of a flight whose steps were all compared before: it has one sentinel, at an
+    epoch that depends on its number.
     """
-    runs, T = int(np.prod(engine.batch)), len(data.k)
+    runs, T = engine.runs, len(data.k)
     lanes = 0 if device else 1 if runs == 1 else llvm.lanes()
+    start = engine.start(prior)
     inputs = {shape: engine.inputs(found, T) for shape, found in data.u.items()}
-    plan = _planned(engine, data, inputs)
-    records, steps = plan.records, plan.steps
-    code, common = _coded(engine, plan, lanes) if lanes else ([], [])
-    size = (engine.held + max(x.size for x in plan.known)) * engine.stride
-    width = max((one.first + one.results for one in code), default=0)
-    shared, own = _shared(data, inputs, width), _own(engine, data, inputs, runs)
-    stored = np.where(np.arange(T) % every == 0, np.arange(T) // every, -1)
-    if engine.few:
-        stored[FEW:] = -1
-    names, K, M = (
-        engine.columns(),
-        int(stored.max()) + 1,
-        max((at + x.shape[-1] for at, x in own), default=1),
-    )
+    plan, fresh = _schedule(engine, data, inputs, start, lanes, names)
+    shared, own = _shared(data, inputs, plan.width), _own(engine, data, inputs, runs)
+    K, M = -(-T // every), max((at + x.shape[-1] for at, x in own), default=1)
+    stored = np.full(T, -1)
+    stored[::every] = np.arange(K)
     unit = lanes or 1
-    kept, whole = (
-        sum(names.values()),
-        -(-runs // unit) * unit,
-    )  # the last run fills a vector that is not full
-    rows = {name: np.empty((K, whole, count)) for name, count in names.items()}
-    counts = len(TALLY) * engine.stride
-    tally, start = np.empty((runs, counts)), np.concatenate(engine.start(), 1)
-    sentinels = _sentinels(steps, None if engine.fresh else number)
-    seen = np.empty((2, len(sentinels), len(watched), size))  # before and after
-    table = np.array(steps, np.int32), stored.astype(np.int64)
-    loop = (
-        _on_device(records, size, device)
-        if device
-        else _on_host([one.each for one in code], max(one.cells for one in code))
-    )
-    once = _once(code, table[0], shared, start[0], size, sentinels)
+    whole = -(-runs // unit) * unit  # the last run fills a vector that is not full
+    columns = engine.columns()
+    rows = {
+        name: memory.empty((K, whole, columns[name]), bool if name.startswith("used") else float)
+        for name in names
+    }
+    tally = np.empty((runs, len(TALLY) * engine.stride))
+    sentinels = _sentinels(plan.steps, None if fresh else number)
+    seen = np.empty((2, len(sentinels), len(watched), plan.size))  # before and after
+    if device:
+        begin = _on_device(plan, names, device)
+    else:
+        cells = max(one.cells for one in plan.code)
+        begin = _on_host([one.each for one in plan.code], cells, plan.steps)
+    once = _once(plan, shared, start.numbers[0], sentinels)
 
     def some(first: int) -> None:
         """A chunk of runs."""
@@ -255,31 +256,35 @@ def fly(
         count = part.stop - first
         vector = lanes or count  # a device has all of them side by side
         width = -(-count // vector) * vector
-        values, state = np.zeros((T, M, width)), np.zeros((width // vector, size, vector))
+        values, state = np.zeros((T, M, width)), np.zeros((width // vector, plan.size, vector))
         for at, x in own:
-            values[:, at : at + x.shape[-1], :count] += (
-                x if x.shape[1] == 1 else x[:, part]
-            ).transpose(0, 2, 1)
+            mine = x if x.shape[1] == 1 else x[:, part]
+            values[:, at : at + x.shape[-1], :count] += mine.transpose(0, 2, 1)
         values[..., count:] = values[..., count - 1 : count]
-        begin = np.concatenate(
-            [start[part], np.repeat(start[part.stop - 1 : part.stop], width - count, 0)]
-        )
-        state[:, : start.shape[1]] = begin.reshape(-1, vector, start.shape[1]).transpose(0, 2, 1)
-        mine = [i for i, run in enumerate(watched) if part.start <= run < part.stop]
-        block, lane = np.divmod(np.array([watched[i] - first for i in mine], int), vector)
-        ends = {end for at in sentinels for end in (at, at + 1)} if mine else set[int]()
-        for start_at, end in pairwise(sorted({0, T, *ends})):
-            here = slice(start_at, end)
-            watch = sentinels.index(start_at) if mine and start_at in sentinels else None
-            if watch is not None:
-                seen[0, watch, mine] = state[block, :, lane]
-            loop(*(x[here] for x in table), state, shared[here], values[here], rows, first)
-            if watch is not None:
-                seen[1, watch, mine] = state[block, :, lane]
+        numbers = start.numbers[part]
+        if width > count:
+            numbers = np.concatenate([numbers, np.repeat(numbers[-1:], width - count, 0)])
+        size = numbers.shape[1]
+        state[:, :size] = numbers.reshape(-1, vector, size).transpose(0, 2, 1)
+        here = [i for i, run in enumerate(watched) if part.start <= run < part.stop]
+        block, lane = np.divmod(np.array([watched[i] - first for i in here], int), vector)
+        through = begin(stored, state, shared, values, rows, first)
+        for at, end in _pieces(T, sentinels if here else []):
+            if here and at in sentinels:
+                k = sentinels.index(at)
+                seen[0, k, here] = state[block, :, lane]
+                through(at, end)
+                seen[1, k, here] = state[block, :, lane]
+            else:
+                through(at, end)
+        counts = tally.shape[1]
         tally[part] = state[:, :counts].transpose(0, 2, 1).reshape(width, -1)[:count]
 
+    kept = sum(x.shape[2] for x in rows.values())
     room = (
-        device.room() // jobs // (8 * (T * M + K * kept + size)) if device else CHUNK // (8 * T * M)
+        device.room() // jobs // (8 * (T * M + K * kept + plan.size))
+        if device
+        else CHUNK // (8 * T * M)
     )
     chunk = max(unit, min(-(-runs // jobs), room) // unit * unit)
     if jobs > 1 and runs > chunk:
@@ -291,21 +296,27 @@ def fly(
     if once is not None:
         for k, at in enumerate(sentinels):
             for side in range(2):
-                entries = common[plan.at[at + side]]
+                entries = plan.common[plan.at[at + side]]
                 seen[side, k][:, entries] = once[side, k, entries]
-    kept_rows = {name: np.ascontiguousarray(x[:, :runs]) for name, x in rows.items()}
-    before_after = zip(sentinels, *seen, strict=True)
+    if whole > runs:
+        rows = {name: np.ascontiguousarray(x[:, :runs]) for name, x in rows.items()}
     return Flight(
-        kept_rows,
+        rows,
         tally,
         [
-            Sentinel(at, plan.known[plan.at[at]], x, plan.known[plan.at[at + 1]], y)
-            for at, x, y in before_after
+            Sentinel(at, plan.shapes[plan.at[at]], x, plan.shapes[plan.at[at + 1]], y)
+            for at, x, y in zip(sentinels, *seen, strict=True)
         ],
+        fresh,
     )
 
 
-def _sentinels(steps: list[int], number: int | None = None) -> list[int]:
+def _pieces(T: int, sentinels: Sequence[int]) -> Iterable[tuple[int, int]]:
+    """Where a flight begins and ends anew, to look at the states around the sentinels."""
+    return pairwise(sorted({0, T, *sentinels, *(at + 1 for at in sentinels)}))
+
+
+def _sentinels(steps: Array, number: int | None = None) -> list[int]:
     """Epochs whose steps are compared with numpy's: the first, the last, one of each record, and some drawn by a hash.
 
     number: of a flight that has one of them only.
@@ -316,89 +327,116 @@ def _sentinels(steps: list[int], number: int | None = None) -> list[int]:
     return sorted({0, len(steps) - 1, *np.unique(steps, return_index=True)[1].tolist(), *drawn})
 
 
-def _on_host(kernels: Sequence[int], cells: int) -> Callable[..., None]:
-    """What takes ``(kinds, at, state, shared, own)`` through all epochs on this processor, and writes the
-    rows of runs from the ``first`` on. kernels: their addresses. cells: of their memory."""
+def _on_host(
+    kernels: Sequence[int], cells: int, steps: Array
+) -> Callable[..., Callable[[int, int], None]]:
+    """What begins a flight on this processor, and gives what takes it from one epoch to another.
+
+    kernels: addresses of machine code. cells: of its memory. steps: which of it each epoch takes.
+    The flight writes the rows of the runs from the ``first`` on.
+    """
     addresses, loop = np.array(kernels, np.uint64), llvm.fly()
 
-    def flown(
-        kinds: Array,
-        at: Array,
-        state: Array,
-        shared: Array,
-        own: Array,
-        rows: dict[str, Array],
-        first: int,
-    ) -> None:
-        blocks, size, lanes = state.shape
-        memory, fields = (
-            llvm.aligned((cells, lanes)),
-            np.array([x.ctypes.data for x in rows.values()], np.uint64),
-        )
-        pointers = (
-            x.ctypes.data for x in (addresses, kinds, at, state, shared, own, fields, memory)
-        )
-        runs = next((x.shape[1] for x in rows.values()), 0)
-        loop(
-            *pointers,
-            size,
-            shared.shape[1],
-            own.shape[1],
-            runs,
-            first,
-            own.shape[2],
-            lanes,
-            0,
-            blocks,
-            len(own),
-        )
+    def begin(
+        stored: Array, state: Array, shared: Array, own: Array, rows: dict[str, Array], first: int
+    ) -> Callable[[int, int], None]:
+        (blocks, size, lanes), (_, M, width) = state.shape, own.shape
+        E, runs = shared.shape[1], next((x.shape[1] for x in rows.values()), 0)
+        fields = np.array([x.ctypes.data for x in rows.values()], np.uint64)
+        fixed = addresses, state, fields, llvm.aligned((cells, lanes))
+        code, states, to, work = (x.ctypes.data for x in fixed)
+        kinds, at_rows, inputs, values = (x.ctypes.data for x in (steps, stored, shared, own))
 
-    return flown
+        def through(at: int, end: int, _alive: Any = fixed) -> None:
+            loop(
+                *(code, kinds + 4 * at, at_rows + 8 * at, states),
+                *(inputs + 8 * E * at, values + 8 * M * width * at, to, work),
+                *(size, E, M, runs, first, width, lanes, 0, blocks, end - at),
+            )
+
+        return through
+
+    return begin
 
 
-def _on_device(records: Sequence[Recorded], size: int, device: Device) -> Callable[..., None]:
-    """The same on a device; a state is of ``size`` numbers."""
-    entry = device.entry(ptx.program([record.kernel for record in records], size))
+def _on_device(
+    plan: Schedule, names: Sequence[str], device: Device
+) -> Callable[..., Callable[[int, int], None]]:
+    """The same on a device."""
+    whole = (made.keeping(names)._replace(flags=frozenset()) for made in plan.records)
+    entry = device.entry(ptx.program([*whole], plan.size))
 
-    def flown(
-        kinds: Array,
-        at: Array,
-        state: Array,
-        shared: Array,
-        own: Array,
-        rows: dict[str, Array],
-        first: int,
-    ) -> None:
-        stored = at[at >= 0]
-        begin, end = (int(stored[0]), int(stored[-1]) + 1) if len(stored) else (0, 0)
-        kept = np.where(at >= 0, at - begin, -1)
-        shapes = [(end - begin, own.shape[2], x.shape[2]) for x in rows.values()]
-        ends = np.cumsum([int(np.prod(shape)) for shape in shapes])
-        out = np.empty(max(1, *ends))
-        device.fly(entry, kinds, kept, state, shared, own, out)
-        for x, shape, part in zip(rows.values(), shapes, np.split(out, ends), strict=False):
-            x[begin:end, first : first + shape[1]] = part.reshape(shape)
+    def begin(
+        stored: Array, state: Array, shared: Array, own: Array, rows: dict[str, Array], first: int
+    ) -> Callable[[int, int], None]:
+        def through(at: int, end: int) -> None:
+            here = slice(at, end)
+            places = stored[here]
+            kept = places[places >= 0]
+            low, high = (int(kept[0]), int(kept[-1]) + 1) if len(kept) else (0, 0)
+            places = np.where(places >= 0, places - low, -1)
+            shapes = [(high - low, own.shape[2], x.shape[2]) for x in rows.values()]
+            ends = np.cumsum([int(np.prod(shape)) for shape in shapes])
+            out = np.empty(max(1, *ends, 1))
+            device.fly(entry, plan.steps[here], places, state, shared[here], own[here], out)
+            for x, shape, part in zip(rows.values(), shapes, np.split(out, ends), strict=False):
+                x[low:high, first : first + shape[1]] = part.reshape(shape)
 
-    return flown
+        return through
+
+    return begin
 
 
-class _Plan(NamedTuple):
+class Schedule(NamedTuple):
     """The records that a flight needs, and which of them each epoch takes.
 
     edges: of each record, the numbers of the shapes before and after it. steps: of each epoch, the
-    number of its record. at: the number of the shape before each epoch, and at the end. known: shapes.
+    number of its record. at: the number of the shape before each epoch, and at the end. shapes: of
+    the state. code: of the records, on this processor. common: of each shape, the entries of the state
+    that all runs have in common. size: of a state. width: of what all runs have in common.
     """
 
     records: list[Recorded]
     edges: list[tuple[int, int]]
-    steps: list[int]
+    steps: Array
     at: list[int]
-    known: list[Shape]
+    shapes: list[Shape]
+    code: list[Code]
+    common: list[list[int]]
+    size: int
+    width: int
 
 
-def _planned(engine: Engine, data: Data, inputs: dict[Any, Any]) -> _Plan:
+def _schedule(
+    engine: Engine,
+    data: Data,
+    inputs: dict[Any, Any],
+    start: Start,
+    lanes: int,
+    names: Sequence[str],
+) -> tuple[Schedule, bool]:
+    """The schedule of a flight, and whether a step was recorded for it."""
+    forms = tuple((shape, engine.forms(u)) for shape, u in inputs.items())
+    about = start.shape, start.common, lanes, tuple(names)
+    key = data.kinds.tobytes(), tuple(data.known), forms, about
+    if key in engine.schedules:
+        return engine.schedules[key], False
+    count = len(engine.kept.records)
+    plan = _planned(engine, data, inputs, start)
+    if lanes:
+        code, common = _coded(engine, plan, start.common, lanes, names)
+        width = max(one.first + one.results for one in code)
+        plan = plan._replace(code=code, common=common, width=width)
+    if len(data.k) <= SHORT:
+        while len(engine.schedules) >= MOST_SCHEDULES:
+            del engine.schedules[next(iter(engine.schedules))]
+        engine.schedules[key] = plan
+    return plan, len(engine.kept.records) > count
+
+
+def _planned(engine: Engine, data: Data, inputs: dict[Any, Any], start: Start) -> Schedule:
     """Steps of all epochs, recorded."""
-    ids: dict[Shape, int] = {engine.begin: 0}
+    ids: dict[Shape, int] = {start.shape: 0}
     numbers: dict[tuple[int, int], int] = {}  # of records, by the shape before and the kind
     records, edges = list[Recorded](), list[tuple[int, int]]()
     steps, places = list[int](), [0]
@@ -418,19 +456,27 @@ def _planned(engine: Engine, data: Data, inputs: dict[Any, Any]) -> _Plan:
                 break
         steps.append(numbers[at, kind])
         places.append(edges[steps[-1]][1])
-    return _Plan(records, edges, steps, places, list(ids))
+    shapes = list(ids)
+    size = (engine.held + max(shape.size for shape in shapes)) * engine.stride
+    return Schedule(records, edges, np.array(steps, np.int32), places, shapes, [], [], size, 0)
 
 
-def _coded(engine: Engine, plan: _Plan, lanes: int) -> tuple[list[Code], list[list[int]]]:
-    """Machine code of all records, and the entries of the state of each shape that all runs have in common."""
-    none: list[list[int]] = [[]] * len(plan.known)
-    if lanes == 1 or engine.stride > 1:
-        return [engine.code(made, lanes) for made in plan.records], none
-    key = "common", tuple(map(id, plan.records)), engine.common()
+def _coded(
+    engine: Engine, plan: Schedule, start: frozenset[int], lanes: int, names: Sequence[str]
+) -> tuple[list[Code], list[list[int]]]:
+    """Machine code of all records, and the entries of the state of each shape that all runs have in common.
+
+    start: those of the state before the first epoch.
+    """
+    whole = [engine.code(made, lanes, names) for made in plan.records] if lanes == 1 else []
+    none: list[list[int]] = [[]] * len(plan.shapes)
+    if whole or engine.stride > 1:
+        return whole or [engine.code(made, lanes, names) for made in plan.records], none
+    key = "common", tuple(map(id, plan.records)), start, tuple(names)
     if key not in engine.kept.code:
-        common = _common(engine, plan)
+        common = _common(engine, plan, start)
         splits = [
-            made.kernel.split(common[before], common[after])
+            made.keeping(names).split(common[before], common[after])
             for made, (before, after) in zip(plan.records, plan.edges, strict=True)
         ]
         engine.kept.code[key] = splits, [sorted(entries) for entries in common]
@@ -439,20 +485,19 @@ def _coded(engine: Engine, plan: _Plan, lanes: int) -> tuple[list[Code], list[li
     saved = sum(int(n) * split.saved for n, split in zip(count, splits, strict=True))
     results = T * max(len(split.once.rows) for split in splits)
     if saved < APART * T or results > MOST_COMMON:
-        return [engine.code(made, lanes) for made in plan.records], none
+        return [engine.code(made, lanes, names) for made in plan.records], none
     pairs = zip(plan.records, splits, strict=True)
-    return [engine.code(made, lanes, split) for made, split in pairs], entries
+    return [engine.code(made, lanes, names, split) for made, split in pairs], entries
 
 
-def _common(engine: Engine, plan: _Plan) -> list[frozenset[int]]:
+def _common(engine: Engine, plan: Schedule, start: frozenset[int]) -> list[frozenset[int]]:
     """Entries of the state of each shape that all runs have in common: the most that every record keeps so."""
-    found: dict[int, frozenset[int]] = {0: engine.common()}
+    found: dict[int, frozenset[int]] = {0: start}
     while True:
         before = dict(found)
         for made, (begin, end) in zip(plan.records, plan.edges, strict=True):
-            uniform = made.kernel.uniform(
-                found[begin]
-            )  # a record stands behind those that lead to it
+            # A record stands behind those that lead to it.
+            uniform = made.kernel.uniform(found[begin])
             same = frozenset(
                 i
                 for i, x in made.kernel.state
@@ -463,35 +508,29 @@ def _common(engine: Engine, plan: _Plan) -> list[frozenset[int]]:
             return [found[i] for i in range(len(found))]
 
 
-def _once(
-    code: list[Code],
-    kinds: Array,
-    shared: Array,
-    start: Array,
-    size: int,
-    sentinels: list[int],
-) -> Array | None:
+def _once(plan: Schedule, shared: Array, start: Array, sentinels: list[int]) -> Array | None:
     """Take what all runs have in common through all epochs, which adds its results to ``shared``.
 
     start: the state before the first epoch of any run. Returns the states before and after the
     sentinels ``(2, sentinels, size)``; None where the runs have nothing in common.
     """
-    kernels = [one.once for one in code if one.once is not None]
+    kernels = [one.once for one in plan.code if one.once is not None]
     if not kernels:
         return None
     T, width = shared.shape
-    at = np.arange(T) * width + np.array([one.first for one in code])[kinds]
-    loop = _on_host(kernels, max(one.cells for one in code))
-    state = np.zeros((1, size, 1))
+    at = np.arange(T) * width + np.array([one.first for one in plan.code])[plan.steps]
+    state = np.zeros((1, plan.size, 1))
     state[0, : len(start), 0] = start
-    seen, none = np.empty((2, len(sentinels), size)), np.zeros((T, 1, 1))
-    for begin, end in pairwise(sorted({0, T, *sentinels, *(k + 1 for k in sentinels)})):
-        here = slice(begin, end)
-        if begin in sentinels:
-            seen[0, sentinels.index(begin)] = state[0, :, 0]
-        loop(kinds[here], at[here], state, shared[here], none[here], {"": shared[:, None]}, 0)
-        if begin in sentinels:
-            seen[1, sentinels.index(begin)] = state[0, :, 0]
+    seen = np.empty((2, len(sentinels), plan.size))
+    rows, none = {"": shared[:, None]}, np.zeros((T, 1, 1))
+    begin = _on_host(kernels, max(one.cells for one in plan.code), plan.steps)
+    through = begin(at, state, shared, none, rows, 0)
+    for first, end in _pieces(T, sentinels):
+        if first in sentinels:
+            seen[0, sentinels.index(first)] = state[0, :, 0]
+        through(first, end)
+        if first in sentinels:
+            seen[1, sentinels.index(first)] = state[0, :, 0]
     return seen
 
 

@@ -14,7 +14,17 @@ from typing import Any
 
 import numpy as np
 
-from celnav.filters.engine import TALLY, Data, Engine, Kept, Kind, Recorded, Shape, each_array
+from celnav.filters.engine import (
+    TALLY,
+    Data,
+    Engine,
+    Kept,
+    Kind,
+    Recorded,
+    Shape,
+    Start,
+    each_array,
+)
 from celnav.filters.flight import as_data, fly
 from celnav.filters.records import Epoch, Epochs
 from celnav.gaussian.linalg import Array
@@ -86,14 +96,14 @@ class Gradient:
             engine.check(engine, *one)
         flown = []
         for engine.slopes in slopes:
-            flown.append(fly(engine, data, 1, 1).tally.reshape(-1, len(TALLY), 2))
+            flown.append(fly(engine, built[1], data, (), 1, 1).tally.reshape(-1, len(TALLY), 2))
         self.kept, self.recorded, self.first = (
             engine.kept,
             self.recorded + engine.recorded,
             self.first or built[0],
         )
         lost = flown[0][:, TALLY.index("failed_at"), 0] >= 0.0
-        batch = Engine(*built, data, "nothing").batch  # without the axis that lifting adds
+        batch = Engine(*built, data).batch  # without the axis that lifting adds
         gradient = np.stack([tally[:, 0, 1] for tally in flown], -1)
         return np.where(lost, np.nan, flown[0][:, 0, 0]).reshape(batch), gradient.reshape(
             *batch, len(x)
@@ -110,15 +120,16 @@ class _WithGradient(Engine):
     flown: float
 
     def __init__(self, built: tuple[Any, Any], data: Data, kept: Kept):
-        super().__init__(*built, data, "nothing", kept, rolled=False)
+        super().__init__(*built, data, kept, rolled=False)
         self.recorded: list[tuple[Shape, Kind, Any, bytes]] = []
 
     def columns(self) -> dict[str, int]:
         return {}
 
-    def start(self) -> list[Array]:
-        values = np.concatenate(super().start(), 1)
-        return [np.stack(np.broadcast_arrays(values, self.slopes), -1).reshape(len(values), -1)]
+    def start(self, prior: Any) -> Start:
+        start = super().start(prior)
+        both = np.stack(np.broadcast_arrays(start.numbers, self.slopes), -1)
+        return start._replace(numbers=both.reshape(self.runs, -1))
 
     def plain(
         self, before: Shape, kind: Kind, u: list[tuple[Array, bool]]
@@ -187,7 +198,7 @@ def _lifted(filter: Any, held: set[int]) -> Any:
 
 def _start(built: tuple[Any, Any], held: set[int], data: Any) -> Array:
     """The state before the first epoch ``(runs, numbers)``, the filter's matrices first."""
-    return np.concatenate(Engine(_lifted(built[0], held), built[1], data, "nothing").start(), 1)
+    return Engine(_lifted(built[0], held), built[1], data).start(built[1]).numbers
 
 
 def alike(a: Any, b: Any, matrices: bool = True) -> bool:

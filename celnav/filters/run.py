@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextvars import ContextVar
 from dataclasses import replace
 from typing import Any
@@ -22,7 +22,7 @@ from celnav.filters.records import (
     without_input,
 )
 from celnav.filters.sequential import Sequential
-from celnav.filters.track import Collector, Track
+from celnav.filters.track import Collector, Track, rows_of
 from celnav.gaussian.belief import settled
 from celnav.gaussian.checks import choice, function, instance, integer, kind
 from celnav.gaussian.linalg import Array
@@ -38,7 +38,7 @@ REPEATED: ContextVar[int] = ContextVar("repeated", default=1)
 
 def run(
     filter: Filter, prior: Any, times: ArrayLike | Iterable[Epoch], z: Any = None, u: Any = None, *,
-    every: int = 1, keep: str = "std", on_failure: str = "raise",
+    every: int = 1, keep: str | Collection[str] = "std", on_failure: str = "raise",
     also: Callable[[Epoch, Any, tuple[Info, ...]], dict[str, Any]] | None = None,
     reduce: Callable[[Any, Epoch, Any, tuple[Info, ...]], Any] | None = None,
     engine: str | None = None, jobs: int = 1,
@@ -50,8 +50,9 @@ def run(
         several sensors) and inputs ``u``, as `celnav.epochs` takes them; or, instead of the three,
         epochs that are made already, or any iterable of `Epoch`.
     every: store each ``every``-th epoch (sums, likelihood and reduction take all of them).
-    keep: what to store: "std" (mean and standard deviations), "cov" (also covariances, for smoothing), "mean", or "nothing" (sums
-        and the reduction only).
+    keep: what to store: "std" (mean, standard deviations, innovations), "cov" (also covariances, for
+        smoothing), "mean" (mean and innovations), or "nothing" (sums and the reduction only); or names of the rows
+        that alone are wanted, such as ("mean", "std"), among "mean", "std", "cov", "innovation", "whitened" and "used".
     also: ``(epoch, state, infos) -> dict`` of further arrays to store, as ``Track.extra``.
     reduce: ``(accumulated, epoch, state, infos) -> accumulated``, from None; the end is ``Track.reduced``. With it a study of any
         length runs in the memory of one step.
@@ -76,9 +77,7 @@ def run(
         given = as_epochs(times, z, u)
         options: Any = {"every": every, "keep": keep, "on_failure": on_failure}
         return with_columns(run_by(engine, filter, prior, given, jobs, also, reduce, **options), z)
-    collector = Collector(
-        integer("every", every), choice("keep", keep, ("std", "cov", "mean", "nothing"))
-    )
+    collector = Collector(integer("every", every), rows_of(keep))
     choice("on_failure", on_failure, ("raise", "flag"))
     reduced, before = None, None
     for epoch, state, infos in steps(filter, prior, as_epochs(times, z, u)):

@@ -36,7 +36,7 @@ from celnav.gaussian.linalg import Array
 from celnav.tape import llvm
 from celnav.tape.tape import CannotCompile
 
-__all__ = ["Plan", "signature"]
+__all__ = ["Plan", "plan_key"]
 
 FLOAT = np.dtype(np.float64)
 FAILED = TALLY.index("failed_at")
@@ -45,7 +45,7 @@ SILENCE = Info(silent=True)
 
 
 # -- what a plan is chosen by --------------------------------------------------------------------
-def signature(state: Any, epoch: Epoch) -> tuple[Any, list[float]]:
+def plan_key(state: Any, epoch: Epoch) -> tuple[Any, list[float]]:
     """What must be alike in steps for one plan to serve them, and the epoch's numbers, of one run.
 
     The numbers are k, t, the interval, those of the inputs, and those of the measurements.
@@ -106,7 +106,7 @@ class _Between(Engine):
 
     def __init__(self, filter: Any, state: Any, data: Data, most: int):
         self.state = state
-        super().__init__(filter, state.belief, data, "nothing", most=most)
+        super().__init__(filter, state.belief, data, most=most)
 
     def started(self, _prior: Any) -> tuple[Any, Any]:
         if not self.batch:
@@ -160,7 +160,7 @@ def _spans(shape: Shape, first: int) -> list[tuple[slice, tuple[int, ...]]]:
 
 # -- the step ------------------------------------------------------------------------------------
 class Plan:
-    """A step of a filter by machine code, from states and over epochs of one `signature`.
+    """A step of a filter by machine code, from states and over epochs of one `plan_key`.
 
     Its buffers belong to one thread. ``left``: steps until numpy is to take the same one, one of each
     ``interval``. ``watch``: what the models held.
@@ -172,6 +172,9 @@ class Plan:
         inputs = engine.inputs(data.u[kind.u], 1)
         lanes = llvm.lanes() if engine.batch else 1
         made = engine.recorded_as(engine.begin, kind, inputs)
+        every = engine.columns().items()
+        columns = {name: m for name, m in every if name.partition("/")[0] in SEEN}
+        kernel = made.keeping([*columns])._replace(flags=frozenset())
         self.left, self.interval = 0, 1
         self.batch, self.runs = engine.batch, math.prod(engine.batch)
         self.begin, self.end = _spans(engine.begin, engine.held), _spans(made.after, engine.held)
@@ -186,7 +189,6 @@ class Plan:
         if engine.constants:
             held = [x.reshape(self.runs, -1) for x in engine.constants]
             self.start[: self.runs, len(TALLY) : engine.held] = np.concatenate(held, 1)
-        columns = engine.columns()
         ends = size * width + np.cumsum([0, *columns.values()]) * width
         at = dict(zip(columns, map(slice, ends[:-1].tolist(), ends[1:].tolist()), strict=True))
         self.memory = llvm.aligned(
@@ -212,10 +214,9 @@ class Plan:
         self.counted = self.start  # what the last step added to the tally
 
         fields = self.memory.ctypes.data + 8 * ends[:-1].astype(np.uint64)
-        cells = llvm.aligned((max(1, made.kernel.cells), lanes))
-        self.call = llvm.caller(
-            engine.code(made, lanes).each, self.work, self.shared, self.own, fields, cells
-        )
+        cells = llvm.aligned((max(1, kernel.cells), lanes))
+        address = llvm.kernel_address(kernel, lanes)
+        self.call = llvm.caller(address, self.work, self.shared, self.own, fields, cells)
         self.watch = Watch(filter)
 
     def step(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from celnav.filters.records import Epoch, Info
 from celnav.gaussian.belief import any_lost
-from celnav.gaussian.checks import integer
+from celnav.gaussian.checks import choice, integer
 from celnav.gaussian.linalg import Array, Belief, SquareRoot
 from celnav.gaussian.spaces import Space
 from celnav.lazy import needed_by
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from celnav.show.report import Report
 
-__all__ = ["Collector", "Track"]
+__all__ = ["KEEP", "Collector", "Track", "rows_of"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,16 +186,35 @@ def _stored(name: str, value: Any, what: str) -> Any:
     return value
 
 
-_KEPT = {"nothing": (), "mean": ("mean",), "std": ("mean", "std"), "cov": ("mean", "std", "cov")}
+INNOVATIONS = ("innovation", "whitened", "used")
+KEEP = {
+    "std": ("mean", "std", *INNOVATIONS),
+    "cov": ("mean", "std", "cov", *INNOVATIONS),
+    "mean": ("mean", *INNOVATIONS),
+    "nothing": (),
+}
+"""Rows of a track, by the word for them."""
 _BLANK = {"innovation": np.nan, "whitened": 0.0, "used": False, "R": np.nan}
 """What stands for components that a sensor has at other epochs."""
 
 
-class Collector:
-    """Gathers the rows of a `Track` by a storage policy; sums go over every epoch."""
+def rows_of(keep: Any) -> tuple[str, ...]:
+    """Names of the rows that ``celnav.run(keep=...)`` asks for, by one word for them or by their own."""
+    if isinstance(keep, str) or not isinstance(keep, Iterable):
+        return KEEP[choice("keep", keep, tuple(KEEP))]
+    asked = list(keep)
+    if not all(isinstance(name, str) and name in KEEP["cov"] for name in asked):
+        names = ", ".join(KEEP["cov"])
+        raise ValueError(f"keep: expected a word, or some of ({names}), got {keep!r:.80}")
+    asked += ["mean", "std"] if "cov" in asked else []
+    return tuple(name for name in KEEP["cov"] if name in asked)
 
-    def __init__(self, every: int, keep: str):
-        self._every, self._keep, self._count = every, keep, 0
+
+class Collector:
+    """Gathers some ``rows`` of a `Track`, of each ``every``-th epoch; sums go over every epoch."""
+
+    def __init__(self, every: int, rows: Collection[str]):
+        self._every, self._kept, self._count = every, rows, 0
         self._form: Any = SquareRoot
         self._rows: defaultdict[tuple[str, int], dict[int, Array]] = defaultdict(
             dict
@@ -257,15 +276,19 @@ class Collector:
         self._times.append(epoch.t)
         for name, value in extra.items():
             self._extra[name].append(value)
-        for name in _KEPT[self._keep]:
-            self._rows[name, 0][row] = belief[1] if name == "cov" else getattr(belief, name)
-        if self._keep == "cov":
+        if "mean" in self._kept:
+            self._rows["mean", 0][row] = belief.mean
+        if "std" in self._kept:
+            self._rows["std", 0][row] = belief.std
+        if "cov" in self._kept:
+            self._rows["cov", 0][row] = belief[1]
             self._epochs.append(epoch._replace(z=None, truth=None))
-        if self._keep != "nothing":
-            for name in _BLANK:
-                for i, info in enumerate(infos):
-                    if (value := getattr(info, name)) is not None:
-                        self._rows[name, i][row] = value
+        for name in _BLANK:
+            if name not in self._kept and not (name == "R" and "innovation" in self._kept):
+                continue
+            for i, info in enumerate(infos):
+                if (value := getattr(info, name)) is not None:
+                    self._rows[name, i][row] = value
 
     def track(self, reduced: Any, filter: Any) -> Track:
         """Everything gathered, stacked over time."""
@@ -284,8 +307,9 @@ class Collector:
             name: np.broadcast_to(value, self._failed_at.shape)
             for name, value in self._sums.items()
         }
-        measured = sorted(key for key in self._rows if key[0] == "innovation")
-        widths = tuple(max(row.shape[-1] for row in self._rows[key].values()) for key in measured)
+        measured = sorted(key for key in self._rows if key[0] in INNOVATIONS)
+        by_sensor = {i: self._rows[name, i].values() for name, i in measured}
+        widths = tuple(max(row.shape[-1] for row in rows) for rows in by_sensor.values())
         rows: dict[str, Any] = {name: self._stacked(name) for name in ("mean", "std", *_BLANK)}
         cov, R = self._stacked("cov", axes=2), rows.pop("R")
         extra = {} if R is None else {"R": R}

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from celnav.filters.engine import Engine
 from celnav.filters.flight import as_data
 from celnav.filters.records import Epoch, Filter
+from celnav.filters.track import KEEP
 from celnav.gaussian.belief import Gaussian
 
 __all__ = ["step_operations"]
@@ -18,13 +19,10 @@ def step_operations(filter: Filter, prior: Gaussian, epochs: Sequence[Epoch]) ->
     >>> count = celnav.study.operations.step_operations(filter, prior, epochs)
     """
     data = as_data(filter, epochs)
-    engine, kind = (
-        Engine(filter, prior, data, "mean", rolled=False),
-        data.known[data.kinds[1]],
-    )
+    engine, kind = Engine(filter, prior, data, rolled=False), data.known[data.kinds[1]]
     inputs, shape = engine.inputs(data.u[kind.u], len(epochs)), engine.begin
     for _ in range(2):  # from the second step on a state has all its parts
         made = engine.record(shape, kind, inputs)
-        kernel, shape = made.kernel, made.after
+        kernel, shape = made.keeping(engine.keeping(KEEP["mean"])), made.after
     needed = kernel.tape.needed([number for *_, number in kernel.results()])
     return sum(kernel.tape.ops[i][0] not in ("in", "const") for i in needed)

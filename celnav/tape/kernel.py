@@ -17,8 +17,9 @@ class Kernel(NamedTuple):
     """A step on a tape.
 
     inputs: ``(place, index)`` of each input, place "state", "shared" or "own". state: ``(index, result)`` of what is written.
-    rows: results that are kept. fields: how many of them stand together, in their order; () for all.
-    pitch: numbers from one row to the next; 0: as many as stand together.
+    rows: results that are kept. fields: of the arrays where they are kept, the numbers of a run; () for one array.
+    at: field and place of each row; None for one beside the other. flags: fields of truth values, which this
+    processor keeps as bytes.
     """
 
     tape: Tape
@@ -26,7 +27,8 @@ class Kernel(NamedTuple):
     state: Sequence[tuple[int, Scalar]]
     rows: Sequence[Scalar]
     fields: tuple[int, ...] = ()
-    pitch: int = 0
+    at: Sequence[tuple[int, int]] | None = None
+    flags: frozenset[int] = frozenset()
 
     def results(self) -> list[tuple[str, int, Number]]:
         """Where each result goes, "state" or "rows" and an index, and the result."""
@@ -45,22 +47,15 @@ class Kernel(NamedTuple):
         tape, known = lowered(self.tape, [x for *_, x in self.results()])
         found = {(place, i): known[x.i] for place, i, x in self.results()}
         state = [(i, found["state", i]) for i, _ in self.state]
-        return Kernel(
-            tape,
-            self.inputs,
-            state,
-            [found["rows", i] for i in range(len(self.rows))],
-            self.fields,
-            self.pitch,
-        )
+        rows = [found["rows", i] for i in range(len(self.rows))]
+        return self._replace(tape=tape, state=state, rows=rows)
 
-    def columns(self) -> list[tuple[int, int]]:
+    def columns(self) -> Sequence[tuple[int, int]]:
         """Field of each row, and its place there."""
-        return [
-            (field, i)
-            for field, count in enumerate(self.fields or (len(self.rows),))
-            for i in range(count)
-        ]
+        if self.at is not None:
+            return self.at
+        counts = self.fields or (len(self.rows),)
+        return [(field, i) for field, count in enumerate(counts) for i in range(count)]
 
     def uniform(self, state: Collection[int]) -> list[bool]:
         """Of each operation whether all runs have the same result, if they have the same ``state`` entries."""
@@ -97,13 +92,15 @@ class Kernel(NamedTuple):
             inputs,
             [(i, known[x.i]) for i, x in common],
             [as_number(known[i]) for i in places],
-            pitch=1,
+            (1,),  # the flight says where the first of them goes
+            [(0, k) for k in range(len(places))],
         )
         rest, inputs, known = self._part([x for *_, x in own], places)
         state = [(i, known[x.i]) for p, i, x in own if p == "state"]
         rows = [known[x.i] for p, _, x in own if p == "rows"]
         saved = sum(not self._is_at_hand(i) for i in tape.needed(common_results))
-        return Split(once, Kernel(rest, inputs, state, rows, self.fields), first, saved)
+        each = self._replace(tape=rest, inputs=inputs, state=state, rows=rows)
+        return Split(once, each, first, saved)
 
     def _is_at_hand(self, i: int) -> bool:
         """Whether an operation is a constant or an input that all runs have in common."""
@@ -155,6 +152,5 @@ class Split(NamedTuple):
 def digest(kernel: Kernel) -> bytes:
     """The same for kernels that are the same operation by operation."""
     results = tuple((place, i, x.i) for place, i, x in kernel.results())
-    return sha256(
-        repr((kernel.inputs, kernel.fields, kernel.pitch, results, kernel.tape.key)).encode()
-    ).digest()
+    layout = kernel.fields, kernel.columns(), sorted(kernel.flags)
+    return sha256(repr((kernel.inputs, layout, results, kernel.tape.key)).encode()).digest()

@@ -48,6 +48,8 @@ LINE = 64  # bytes
 TILE = 16  # blocks that go through an epoch together: what is stored of neighbors then lies on the same pages of memory
 QUICK = 30_000  # lines of a module that are compiled without optimization: a tenth of the time, and code that takes a third more
 BLOCK = 500  # lines of a basic block
+SIZE = {"double": 8, "i8": 1}
+"""Bytes of what is kept."""
 _BINARY = {"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv"}
 _COMPARED = {"lt": "olt", "le": "ole", "eq": "oeq", "ne": "une"}
 
@@ -90,15 +92,22 @@ def source(kernel: Kernel, lanes: int, fused: bool) -> str:
         )
     ]
     if lanes > 1:
-        pointers = f"<{lanes} x ptr>"
-        intrinsics.append(
-            f"declare void @llvm.masked.scatter.{code.suffix}.v{lanes}p0({code.vector}, {pointers}, i32, <{lanes} x i1>)"
-        )
+        for kind in SIZE:
+            intrinsics.append(
+                f"declare void @llvm.masked.scatter.{_suffix(kind, lanes)}.v{lanes}p0("
+                f"<{lanes} x {kind}>, <{lanes} x ptr>, i32, <{lanes} x i1>)"
+            )
     signature = "define void @step(ptr noalias %state, ptr %shared, ptr %own, ptr %rows, i64 %runs, ptr noalias %cells, i64 %at)"
     return "\n".join([
         *intrinsics, *(_libm(name, lanes, code.vector) for name in sorted(called)), *functions,
         signature, "{", *code.lines, "br label %done", "done:", "ret void", "}",
     ])  # fmt: skip
+
+
+def _suffix(kind: str, lanes: int) -> str:
+    """What a vector of numbers of a kind is called in the name of a function."""
+    name = {"double": "f64", "i8": "i8"}[kind]
+    return f"v{lanes}{name}" if lanes > 1 else name
 
 
 def _stage(stage: Any, lanes: int, fused: bool) -> _Code:
@@ -138,9 +147,9 @@ class _Code:
 
     def __init__(self, lanes: int, fused: bool, inputs: Sequence[tuple[str, int]]):
         self.lanes, self.fused, self.inputs, self.lines = lanes, fused, inputs, list[str]()
-        self.vector, self.suffix = (
-            (f"<{lanes} x double>", f"v{lanes}f64") if lanes > 1 else ("double", "f64")
-        )
+        self.vector = f"<{lanes} x double>" if lanes > 1 else "double"
+        self.suffix = _suffix("double", lanes)
+        self.every = "<" + ", ".join(["i1 true"] * lanes) + ">"
         self.blocks, self.cells = 0, 0
         self.called, self.routines = set[str](), dict[Any, None]()
         self.memory = dict[int, int]()  # where that of a call begins
@@ -227,32 +236,38 @@ class _Code:
 
     def keep(self, kernel: Kernel, values: Sequence[int]) -> None:
         """Store what is kept: of each field the numbers of a run stand side by side."""
-        columns = kernel.columns()
-        count = Counter(field for field, _ in columns)
-        for field, n in count.items():
+        columns, count = kernel.columns(), kernel.fields or (len(kernel.rows),)
+        cell = ["i8" if field in kernel.flags else "double" for field in range(len(count))]
+        for field, n in enumerate(count):
             self.lines += [
                 f"%to{field} = getelementptr ptr, ptr %rows, i64 {field}",
                 f"%field{field} = load ptr, ptr %to{field}",
-                f"%from{field} = mul i64 %at, {kernel.pitch or n}",
-                f"%row{field} = getelementptr double, ptr %field{field}, i64 %from{field}",
+                f"%from{field} = mul i64 %at, {n}",
+                f"%row{field} = getelementptr {cell[field]}, ptr %field{field}, i64 %from{field}",
             ]
-        every = "<" + ", ".join(["i1 true"] * self.lanes) + ">"
         for k, ((field, j), i) in enumerate(zip(columns, values, strict=True)):
+            kept, value, kind = f"%kept{k}", self.value(i), cell[field]
+            vector = f"<{self.lanes} x {kind}>" if self.lanes > 1 else kind
+            if kind == "i8":
+                one = vector.replace("i8", "i1")
+                self.lines += [
+                    f"%true{k} = fcmp une {self.vector} {value}, zeroinitializer",
+                    f"%flag{k} = zext {one} %true{k} to {vector}",
+                ]
+                value = f"%flag{k}"
             if self.lanes == 1:
-                self.lines.append(f"%kept{k} = getelementptr double, ptr %row{field}, i64 {j}")
-                self.lines.append(f"store double {self.value(i)}, ptr %kept{k}, align 8")
+                self.lines += [
+                    f"{kept} = getelementptr {kind}, ptr %row{field}, i64 {j}",
+                    f"store {kind} {value}, ptr {kept}",
+                ]
                 continue
             places = ", ".join(f"i64 {lane * count[field] + j}" for lane in range(self.lanes))
-            self.lines.append(
-                f"%kept{k} = getelementptr double, ptr %row{field}, <{self.lanes} x i64> <{places}>"
-            )
-            pointers, scatter = (
-                f"<{self.lanes} x ptr> %kept{k}",
-                f"@llvm.masked.scatter.{self.suffix}.v{self.lanes}p0",
-            )
-            self.lines.append(
-                f"call void {scatter}({self.vector} {self.value(i)}, {pointers}, i32 8, <{self.lanes} x i1> {every})"
-            )
+            self.lines += [
+                f"{kept} = getelementptr {kind}, ptr %row{field}, <{self.lanes} x i64> <{places}>",
+                f"call void @llvm.masked.scatter.{_suffix(kind, self.lanes)}.v{self.lanes}p0("
+                f"{vector} {value}, <{self.lanes} x ptr> {kept}, i32 {SIZE[kind]}, "
+                f"<{self.lanes} x i1> {self.every})",
+            ]
 
     def operation(self, i: int, product: int | None) -> None:
         """One operation; a sum together with its ``product``."""
@@ -284,7 +299,7 @@ class _Code:
         elif name in ("and", "or"):
             put(f"%t{i} = {name} {logical} {value[0]}, {value[1]}")
         elif name == "not":
-            ones = "<" + ", ".join(["i1 true"] * self.lanes) + ">" if self.lanes > 1 else "true"
+            ones = self.every if self.lanes > 1 else "true"
             put(f"%t{i} = xor {logical} {value[0]}, {ones}")
         elif name in ("pow2", "exponent"):
             self.bits(i, name, value[0])

@@ -120,6 +120,13 @@ def test_a_filter_made_anew_takes_what_was_recorded_of_an_equal_one(
     assert np.abs((found.mean - known.mean) / known.std).max() < 1e-6
 
 
+def test_one_record_serves_whatever_is_kept(records):
+    filter = celnav.compiled(filter_of())
+    for keep in ("std", "cov", "mean", "nothing", ("whitened",)):
+        filter.run(PRIOR, *data(20, 8), keep=keep)
+    assert len(records) == 2  # at the time of the prior, and after an interval
+
+
 def test_the_choice_does_not_depend_on_other_filters():
     """A unit of a study gives the same bytes, whichever units its process has done before."""
     long, short = data(100, 3000), data(100, 20)

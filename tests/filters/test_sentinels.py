@@ -193,17 +193,22 @@ def test_sentinels_are_spread_over_the_run():
 
 def test_machine_code_that_goes_wrong_late_is_found(monkeypatch):
     """Its state is spoiled at one epoch of one of the runs that are watched."""
-    fly = flight._on_host
+    on_host = flight._on_host
 
     def spoiled(*arguments):
-        loop = fly(*arguments)
+        begin = on_host(*arguments)
 
-        def run(kinds, at, state, shared, own, rows, first):
-            loop(kinds, at, state, shared, own, rows, first)
-            if shared[-1, 0] == T - 1:
-                state[:, 5] += 1e-3  # the first number after the tally
+        def begun(stored, state, *others):
+            through = begin(stored, state, *others)
 
-        return run
+            def run(at, end):
+                through(at, end)
+                if end == T:
+                    state[:, 5] += 1e-3  # the first number after the tally
+
+            return run
+
+        return begun
 
     monkeypatch.setattr(flight, "_on_host", spoiled)
     told = rf"other values when it is recorded \(step {T - 1}: another mean\)"

@@ -118,3 +118,35 @@ def test_no_components_and_no_runs(form, linear):
         (2, 0, 2),
         (0,),
     )
+
+
+@pytest.mark.parametrize("engine", ["numpy", "compiled"])
+@pytest.mark.parametrize(
+    "keep", [("mean",), ("std", "used"), ["whitened", "mean"], ("cov",), {"innovation"}, ()]
+)
+def test_only_rows_that_are_asked_for_are_kept(engine, keep):
+    """They are those of a track that keeps all. Covariances need their means, and have their deviations."""
+    times, z = np.arange(12.0), np.random.default_rng(0).standard_normal((12, 5, 2))
+    z[3, 2], z[5] = np.nan, np.nan
+    filter = celnav.ukf(MOTION, celnav.Sensor(EYE, EYE))
+    whole = celnav.run(filter, PRIOR, times, z, keep="cov", engine=engine)
+    track = celnav.run(filter, PRIOR, times, z, keep=keep, engine=engine)
+    wanted = {*keep, *(("mean", "std") if "cov" in keep else ())}
+    for name in ("mean", "std", "innovation", "whitened", "used"):
+        row = getattr(track, name)
+        assert (row is not None) == (name in wanted)
+        if row is not None:
+            np.testing.assert_array_equal(row, getattr(whole, name))
+            assert row.dtype == getattr(whole, name).dtype
+    assert (track.belief is not None) == ("cov" in keep)
+    np.testing.assert_array_equal(track.log_likelihood, whole.log_likelihood)
+    assert track.sensors == ((2,) if wanted & {"innovation", "whitened", "used"} else ())
+
+
+def test_rows_that_are_no_rows_are_refused():
+    filter = celnav.ukf(MOTION, celnav.Sensor(EYE, EYE))
+    for keep in (("mean", "nis"), ["cow"]):
+        with pytest.raises(ValueError, match=r"keep: expected a word, or some of \(mean, std, cov"):
+            celnav.run(filter, PRIOR, [0.0], keep=keep)
+    with pytest.raises(ValueError, match="keep: expected one of std, cov, mean, nothing, got 3"):
+        celnav.run(filter, PRIOR, [0.0], keep=3)

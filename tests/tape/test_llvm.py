@@ -148,9 +148,12 @@ EXACT = {
 
 @pytest.mark.parametrize("name", EXACT)
 def test_functions_are_exact_where_their_result_is_a_float(name):
-    """As arithmetic too: a floor or a comparison that follows is that of numpy."""
+    """As arithmetic too: a floor or a comparison that follows is that of numpy.
+
+    numpy's own cube roots of cubes are exact on some processors only.
+    """
     found, expected, _ = operated(name, 4, True, np.array(EXACT[name]))
-    exactly(found, expected)
+    exactly(found, WHOLE if name == "cbrt" else expected)
 
 
 @pytest.mark.parametrize("lanes", LANES)
