@@ -119,6 +119,8 @@ def _gathered(given: list[Any], count: int) -> tuple[Array, dict[Any, Inputs]]:
     which, same = np.zeros(count, int), dict[Any, list[Any]]()
     for at, tree, parts in given:
         shape = rebuilt(tree, iter(range(len(parts)))), tuple(x.shape[1:] for x in parts)
+        if len(given) == 1:
+            return which, {shape: Inputs(at, parts)}
         some = same.setdefault(shape, [])
         some.append((at, parts))
         which[at] = list(same).index(shape)

@@ -203,15 +203,16 @@ class Epochs(Sequence[Epoch]):
 
     def columns(self, sensors: int) -> tuple[Array, Array, Array, list[Inputs], tuple[Any, ...]]:
         """All epochs at once: ``k``, ``t``, ``dt`` ``(T,)``, inputs, and measurements ``(T, ..., m)`` of each sensor."""
-        at = np.array(self._rows)
+        rows = self._rows
+        at = np.arange(rows.start, rows.stop, rows.step)
         before = np.concatenate([[self._row_before(0)], at[:-1]])
-        if self._rows.step < 0:
-            before = at + self._rows.step
+        if rows.step < 0:
+            before = at + rows.step
         t, moved = self._times[at], before >= 0
         dt = np.where(moved, t - self._times[before], 0.0)
         z = self._z if isinstance(self._z, tuple) else (self._z,) * max(sensors, 1)
         each = tuple(
-            [None] * len(at) if part is None else part[at[0] : at[-1] + 1 : self._rows.step]
+            [None] * len(at) if part is None else part[at[0] : at[-1] + 1 : rows.step]
             for part in z[:sensors]
         )
         known = []

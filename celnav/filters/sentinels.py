@@ -128,10 +128,11 @@ def _agree(state: Any, counts: list[Any], rows: Array, tally: Array) -> bool:
         0.25 / n if isinstance(state.belief, SquareRoot) else std[..., column]
     )
     numbers = matrix.reshape(*matrix.shape[:-2], n * n)[..., lower]
-    if any(
-        (np.abs(tally[..., i] - count) > CLOSE * (1.0 + np.abs(count))).any()
-        for i, count in enumerate(counts)
-    ):
+    counted = np.empty(tally.shape)
+    for i, count in enumerate(counts):
+        counted[..., i] = count
+    close = np.abs(tally - counted) <= CLOSE * (1.0 + np.abs(counted))
+    if not close.all():
         return False
     close = np.abs(rows[..., :N] - mean) <= scale
     return bool(close.all() and (np.abs(rows[..., N:] - numbers) <= least).all())
