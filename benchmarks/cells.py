@@ -105,7 +105,6 @@ def shared() -> Iterator[Entry]:
             yield Entry(what, f"celnav {engine}", "celnav.run", arguments, many)
         arguments = (name, runs, epochs)
         yield Entry(what, "dynamax", "dynamax.kalman", arguments, many, apart=JAX)
-        yield Entry(what, "cuthbert", "cuthbert.kalman", arguments, many)
         yield Entry(what, "filterpy, one run", "filterpy.kalman", arguments, epochs)
 
 
@@ -137,21 +136,18 @@ def sizes() -> Iterator[Entry]:
 
 def first() -> Iterator[Entry]:
     """From the start of a process to its first estimates."""
-    for name, runs, epochs in (
-        ("orbit", 1, 300),
-        ("orbit", 100, 240),
-        ("lorenz 8", 128, 40),
-        ("lorenz 16", 128, 40),
-        ("lorenz 32", 128, 40),
-    ):
-        what = f"{name.replace('lorenz ', 'Lorenz-96, n = ')}, {sized(runs, epochs)}"
+    for runs, epochs in SHAPES[:2]:
+        what, arguments = f"orbit, {sized(runs, epochs)}", ("orbit", runs, epochs)
         for engine in ("numpy", "compiled", "auto"):
-            arguments = (name, runs, epochs, engine)
-            yield Entry(what, f"celnav {engine}", "celnav.run", arguments, clock="cold")
-        arguments = (name, runs, epochs)
+            yield Entry(what, f"celnav {engine}", "celnav.run", (*arguments, engine), clock="cold")
         yield Entry(what, "dynamax", "dynamax.unscented", arguments, clock="cold")
         if runs == 1:
-            yield Entry(what, "filterpy", "filterpy.unscented", (name, epochs), clock="cold")
+            yield Entry(what, "filterpy", "filterpy.unscented", ("orbit", epochs), clock="cold")
+    for n in (8, 16, 32):
+        what, arguments = f"Lorenz-96, n = {n}, {sized(128, 40)}", (f"lorenz {n}", 128, 40)
+        yield Entry(what, "celnav compiled", "celnav.compiled", arguments, clock="cold")
+        if n == 8:
+            yield Entry(what, "dynamax", "dynamax.unscented", arguments, clock="cold")
 
 
 def storing() -> Iterator[Entry]:

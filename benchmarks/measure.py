@@ -7,7 +7,6 @@ import os
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import date
@@ -20,7 +19,7 @@ from benchmarks.cells import Cell, Entry
 
 ROOT = Path(__file__).resolve().parents[1]
 HERE, BESIDE = "here", "beside"
-COLD_ROUNDS = 3
+MOST = {"cold": 3, "peak": 1}
 """Rounds of new processes, which take seconds."""
 
 
@@ -30,6 +29,7 @@ class Process:
     def __init__(self, library: str, checkout: Path):
         self.command = [sys.executable, "-m", "benchmarks.serve", library, str(checkout)]
         self.process: subprocess.Popen[str] | None = None
+        self.cpu = self.cold = 0.0  # seconds until now, of it and of its new processes
 
     def ask(self, **request: Any) -> dict[str, Any]:
         """The answer; an error if the process has ended."""
@@ -63,6 +63,7 @@ class Process:
         process.returncode = os.waitstatus_to_exitcode(status)
         if process.returncode:
             return {"error": (said.strip().splitlines() or ["it failed"])[-1][:200]}
+        self.cold += usage.ru_utime + usage.ru_stime
         peak = usage.ru_maxrss / (1e6 if sys.platform == "darwin" else 1e3)
         return {"seconds": usage.ru_utime + usage.ru_stime, "peak": peak}
 
@@ -86,6 +87,13 @@ class Processes:
         if key not in self.known:
             self.known[key] = Process(key[1], self.checkouts[checkout])
         return self.known[key]
+
+    def forget(self) -> float:
+        """What they have prepared. CPU seconds of all of them until now."""
+        for process in self.known.values():
+            if process.process is not None:
+                process.cpu = process.ask(do="forget").get("cpu", process.cpu)
+        return sum(process.cpu + process.cold for process in self.known.values())
 
     def turns(self, entries: list[Entry]) -> list[tuple[Entry, str]]:
         """Each entry with each checkout; beside another one only what is celnav's."""
@@ -112,7 +120,7 @@ def measure(
     cell: Cell, rounds: int, found: Processes, say: Callable[[str], None]
 ) -> dict[str, Any]:
     """A cell: of each problem and method the times of the rounds, or why there are none."""
-    begin, rows = time.monotonic(), []
+    begin, rows = found.forget(), []
     for problem in dict.fromkeys(entry.problem for entry in cell.entries):
         entries = [entry for entry in cell.entries if entry.problem == problem]
         say(f"{cell.name}: {problem}")
@@ -120,7 +128,7 @@ def measure(
     for row in rows:
         scale = 1.0 if row["clock"] == "peak" else cell.scale
         row["values"] = [float(f"{scale * value:.4g}") for value in row["values"]]
-    say(f"{cell.name}: {time.monotonic() - begin:.0f} s")
+    say(f"{cell.name}: {found.forget() - begin:.0f} s of CPU time")
     load = list(os.getloadavg()) if hasattr(os, "getloadavg") else []
     about = {"title": cell.title, "unit": cell.unit, "date": date.today().isoformat()}
     return {"cell": cell.name, **about, "load": load, "rounds": rounds, "rows": rows}
@@ -134,7 +142,7 @@ def measure_problem(entries: list[Entry], rounds: int, found: Processes) -> list
         for i, (entry, checkout) in enumerate(turns):
             row: dict[str, Any] = {"method": entry.method, "checkout": checkout}
             rows.append(row | {"clock": entry.clock, "values": [], "apart": None, "absent": ""})
-            if entry.clock in ("cpu", "wall"):
+            if entry.clock not in MOST:
                 file = Path(folder, f"{i}.npy")
                 named = {"work": entry.work, "arguments": entry.arguments, "file": str(file)}
                 answer = found.of(entry, checkout).ask(do="prepare", key=str(i), **named)
@@ -148,11 +156,10 @@ def measure_problem(entries: list[Entry], rounds: int, found: Processes) -> list
     for k in range(rounds):
         for i in range(len(turns))[:: 1 if k % 2 else -1]:
             entry, checkout = turns[i]
-            cold = entry.clock in ("cold", "peak")
-            if rows[i]["absent"] or (cold and k >= COLD_ROUNDS):
+            if rows[i]["absent"] or k >= MOST.get(entry.clock, rounds):
                 continue
             process = found.of(entry, checkout)
-            if cold:
+            if entry.clock in MOST:
                 answer = process.once(work=entry.work, arguments=entry.arguments)
             else:
                 answer = process.ask(do="pass", key=str(i), clock=entry.clock)
@@ -161,9 +168,7 @@ def measure_problem(entries: list[Entry], rounds: int, found: Processes) -> list
             else:
                 value = answer["peak"] if entry.clock == "peak" else answer["seconds"]
                 rows[i]["values"].append(value / entry.units)
-    for process in found.known.values():
-        if process.process is not None:
-            process.ask(do="forget")
+    found.forget()
     return rows
 
 

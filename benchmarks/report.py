@@ -73,7 +73,7 @@ def shown(value: float) -> str:
     """Two digits, three from 100 on."""
     if value >= 99.5:
         return f"{float(f'{value:.3g}'):.0f}"
-    return f"{value:.1f}" if value >= 9.95 else f"{value:.2g}"
+    return f"{value:.1f}" if value >= 9.95 else f"{value:#.2g}"
 
 
 # -- tables ----------------------------------------------------------------------------------------
@@ -153,7 +153,10 @@ def details(result: Result) -> str:
     for name, cell in result["cells"].items():
         load = f", load {cell['load'][0]:.1f}" if cell["load"] else ""
         texts.append(f"### {cell['title']}: `{name}`\n\n{table(result, name)}\n")
-        about = f"{cell['date']}{load}, medians of {cell['rounds']} rounds"
+        rounds = max(len(row["values"]) for row in cell["rows"])
+        about = f"{cell['date']}{load}, " + (
+            "1 round" if rounds == 1 else f"medians of {rounds} rounds"
+        )
         checked = [row for row in cell["rows"] if row["apart"] is not None]
         if checked:
             worst = max(checked, key=lambda row: row["apart"])
