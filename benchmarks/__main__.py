@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
+from typing import Any
 
 from benchmarks.cells import cells
 from benchmarks.measure import measure, processes
@@ -18,7 +19,9 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("cells", nargs="*", help=f"of {', '.join(known)} (default: all)")
     parser.add_argument("--rounds", type=int, default=5, help="of each cell (default 5)")
     parser.add_argument("--beside", type=Path, help="another checkout of celnav, pass by pass")
-    parser.add_argument("--quote", action="store_true", help="write speed.json and the READMEs")
+    parser.add_argument(
+        "--quote", action="store_true", help="write benchmarks/speed.json and the READMEs"
+    )
     parser.add_argument("--out", type=Path, default=Path("out/benchmarks"), help="a folder")
     options = parser.parse_args(arguments)
     unknown = set(options.cells) - set(known)
@@ -26,24 +29,26 @@ def main(arguments: list[str] | None = None) -> int:
         parser.error(
             f"expected some of {', '.join(known)}; rounds of 1 or more; --quote or --beside"
         )
+    result: dict[str, Any] = {"machine": machine(), "cells": {}}
     with processes(options.beside) as found:
-        measured = {
-            name: measure(cell, options.rounds, found, lambda text: print(text, file=sys.stderr))
-            for name, cell in known.items()
-            if not options.cells or name in options.cells
-        }
-    result = {"machine": machine(), "cells": measured}
+        for name, cell in known.items():
+            if options.cells and name not in options.cells:
+                continue
+            result["cells"][name] = measure(cell, options.rounds, found, say)
+            write(result, options.out)  # after each cell: an interruption loses no other
     print(markdown(result))
-    write(result, options.out)
     if options.quote:
         quote(result)
-    rows = [row for cell in measured.values() for row in cell["rows"]]
+    rows = [row for cell in result["cells"].values() for row in cell["rows"]]
     wrong = [row for row in rows if not row.get("agrees", True)]
     for row in wrong:
-        print(
-            f"other estimates: {row['problem']}, {row['method']}: {row['apart']}", file=sys.stderr
-        )
+        say(f"other estimates: {row['problem']}, {row['method']}: {row['apart']}")
     return 1 if wrong else 0
+
+
+def say(text: str) -> None:
+    """How far it is."""
+    print(text, file=sys.stderr, flush=True)
 
 
 if __name__ == "__main__":

@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.cells import cells
 from benchmarks.measure import BESIDE, HERE, ROOT
 
 MEASURED = ROOT / "benchmarks" / "speed.json"
@@ -198,11 +199,11 @@ def sentences(result: Result) -> str:
     start = [find("first", f"Lorenz-96, n = {n}, 128 runs, 40 epochs", "celnav compiled")
              for n in (8, 16, 32)]  # fmt: skip
     cell = result["cells"]["filtering"]
-    load = f" (load {cell['load'][0]:.1f})" if cell["load"] else ""
+    load, cpu = f", load {cell['load'][0]:.1f}" if cell["load"] else "", result["machine"]["cpu"]
     return "\n".join(
         [
-            f"`python -m benchmarks` on {cell['date']}, one core of an {result['machine']['cpu']}{load}, "
-            f"medians of {cell['rounds']} interleaved rounds.",
+            f"`python -m benchmarks` measured this on {cell['date']} on one core ({cpu}{load}); numbers are medians "
+            f"of {cell['rounds']} interleaved rounds.",
             f"With 4,096 runs compiled filters take 1/{gain[root]:.0f} of numpy's time in square-root form and "
             f"1/{gain[cov]:.0f} in covariance form; dynamax takes {shown(jax)} times the compiled filter's time.",
             f"For one run of 300 epochs dynamax takes {shown(alone)} times the compiled filter's time.",
@@ -250,7 +251,9 @@ def markdown(result: Result) -> str:
 def quote(result: Result) -> None:
     """Put cells among those that READMEs quote, and write READMEs anew."""
     known = json.loads(MEASURED.read_text(encoding="utf-8")) if MEASURED.exists() else {}
-    merged = {"machine": result["machine"], "cells": known.get("cells", {}) | result["cells"]}
+    measured = known.get("cells", {}) | result["cells"]
+    order = [cell.name for cell in cells() if cell.name in measured]
+    merged = {"machine": result["machine"], "cells": {name: measured[name] for name in order}}
     text = json.dumps(merged, ensure_ascii=False)
     MEASURED.write_text(text.replace('{"method"', '\n {"method"') + "\n", encoding="utf-8")
     for path in READMES:
