@@ -82,7 +82,7 @@ def streaming() -> Iterator[Entry]:
 
 
 def smoothing() -> Iterator[Entry]:
-    """There and back. dynamax's 1e-9 is more here, because it is added to the predicted covariance."""
+    """There and back. dynamax adds its 1e-9 to the predicted covariance, which matters more."""
     for runs in (1, 100):
         what, many = sized(runs, 200), runs * 200
         for engine in ("numpy", "compiled"):

@@ -1,4 +1,4 @@
-"""Libraries take turns, each in a process of its own; a disturbance of the machine meets all of them."""
+"""Libraries take turns, each in its own process; a disturbance of the machine meets all of them."""
 
 from __future__ import annotations
 
@@ -173,7 +173,7 @@ def measure_problem(entries: list[Entry], rounds: int, found: Processes) -> list
 
 
 def apart(estimates: Any, reference: Any) -> float:
-    """Largest difference over the largest number of each component; of one run, from the first of many."""
+    """Largest difference over the largest number of a component; of one run, from the first run."""
     if estimates.ndim < reference.ndim:
         reference = reference[:, 0]
     scale = np.abs(reference).reshape(-1, reference.shape[-1]).max(0)

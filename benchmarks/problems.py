@@ -1,7 +1,7 @@
-"""The problems that every library solves: a motion, a measurement matrix, noise, a prior, and simulated measurements.
+"""The problems that every library solves: motion, measurement matrix, noise, prior, and data.
 
-``step(xp)`` gives the motion over one interval as a function of states ``(..., n)``; ``xp`` is numpy or
-jax.numpy. States are drawn by numpy alone, so that all processes have the same measurements.
+``step(xp)`` gives the motion over one interval as a function of states ``(..., n)``; ``xp`` is
+numpy or jax.numpy. Numpy alone simulates, so that all processes have the same measurements.
 """
 
 from __future__ import annotations
@@ -127,7 +127,7 @@ def orbit_step(xp: Any) -> Callable[[Any], Any]:
 
 
 def lorenz(n: int) -> Problem:
-    """Lorenz-96 with a forcing of 8, Runge-Kutta steps of 0.01; every other component is measured."""
+    """Lorenz-96 with a forcing of 8, Runge-Kutta steps of 0.01; every second one is measured."""
 
     def rate(xp: Any, x: Any) -> Any:
         ring = xp.concatenate([x[..., -2:], x, x[..., :1]], -1)

@@ -1,7 +1,7 @@
 """Tables and sentences of what was measured, and where READMEs quote them.
 
-A README quotes between two comments, ``<!-- speed: NAME -->`` and ``<!-- end of speed -->``. NAME is that
-of a cell, "sentences", "machine" or "details".
+A README quotes between two comments, ``<!-- speed: NAME -->`` and ``<!-- end of speed -->``. NAME
+is that of a cell, "sentences", "machine" or "details".
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import json
 import os
 import platform
 import re
-from collections.abc import Callable
+from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from statistics import median
@@ -175,50 +175,51 @@ def machine_line(result: Result) -> str:
     return f"{about['cpu']}, {about['cores']} cores; Python {about['python']}, {packages}."
 
 
+SENTENCES = """\
+`python -m benchmarks` measured this on {date} on one core ({cpu}, load {load}); numbers are
+medians of {rounds} interleaved rounds. With 4,096 runs numpy takes {gain_root} times as long as a
+compiled filter in square-root form and {gain_cov} times in covariance form. dynamax takes
+{jax_many} times the compiled filter's time with 4,096 runs, and {jax_one} times with one run of
+300 epochs. One step at a time, a compiled filter takes {stream} µs and numpy {stream_numpy} µs. A
+smoother of 100 runs, with its filter, takes {smooth} µs per step of a run, and dynamax
+{jax_smooth} times as long. A linear system of 30 states and 512 runs takes dynamax {jax_linear}
+times as long as compiled celnav. With 8, 16 and 32 states a compiled filter is {size_8},
+{size_16} and {size_32} times as fast as numpy, and a new process has its first result after
+{first_8}, {first_16} and {first_32} s. A campaign takes {campaign} µs per step of a run:
+simulated, filtered and judged. At the rate of 2,000 runs, 100,000 runs of 600 epochs are filtered
+in {total} s.
+"""
+
+
 def sentences(result: Result) -> str:
-    """The README's, each with its numbers."""
-    many, one = "4,096 runs, 48 epochs", "1 run, 300 epochs"
-    root, cov = "square root", "covariance"
-    find: Callable[..., float] = lambda *names: value_of(result, *names)  # noqa: E731
-    over: Callable[..., float] = lambda *names: ratio_of(result, *names)  # noqa: E731
-    gain = {
-        form: over("filtering", many, f"celnav numpy, {form}", f"celnav compiled, {form}")
-        for form in (root, cov)
+    """The README's, with their numbers."""
+    find, over = partial(value_of, result), partial(ratio_of, result)
+    one, many, hundred = "1 run, 300 epochs", "4,096 runs, 48 epochs", "100 runs, 200 epochs"
+    root, cov = (f"celnav compiled, {form}" for form in ("square root", "covariance"))
+    unit = "100 runs, 600 epochs, csrukf+z0"
+    numbers = {
+        "gain_root": over("filtering", many, "celnav numpy, square root", root),
+        "gain_cov": over("filtering", many, "celnav numpy, covariance", cov),
+        "jax_many": over("filtering", many, "dynamax", root),
+        "jax_one": over("filtering", one, "dynamax", root),
+        "stream": find("streaming", one, "compiled: step"),
+        "stream_numpy": find("streaming", one, "numpy: step"),
+        "smooth": find("smoothing", hundred, "celnav compiled"),
+        "jax_smooth": over("smoothing", hundred, "dynamax", "celnav compiled"),
+        "jax_linear": over("shared", "n = 30, m = 15", "dynamax", "celnav compiled"),
+        "campaign": find("campaign", unit, "celnav compiled"),
+        "total": 60.0 * find("storing", "2,000 runs, 600 epochs", "nothing"),  # 6e7 steps
     }
-    jax = over("filtering", many, "dynamax", f"celnav compiled, {root}")
-    alone = over("filtering", one, "dynamax", f"celnav compiled, {root}")
-    stream = find("streaming", one, "compiled: step")
-    loop = find("streaming", one, "numpy: step")
-    smooth = find("smoothing", "100 runs, 200 epochs", "celnav compiled")
-    rival = over("smoothing", "100 runs, 200 epochs", "dynamax", "celnav compiled")
-    linear = over("shared", "n = 30, m = 15", "dynamax", "celnav compiled")
-    study = find("campaign", "100 runs, 600 epochs, csrukf+z0", "celnav compiled")
-    total = 60.0 * find("storing", "2,000 runs, 600 epochs", "nothing")
-    size = [over("size", f"n = {n}, m = {n // 2}", "celnav numpy", "celnav compiled")
-            for n in (8, 16, 32)]  # fmt: skip
-    start = [find("first", f"Lorenz-96, n = {n}, 128 runs, 40 epochs", "celnav compiled")
-             for n in (8, 16, 32)]  # fmt: skip
+    for n in (8, 16, 32):
+        ways = f"n = {n}, m = {n // 2}", "celnav numpy", "celnav compiled"
+        numbers[f"size_{n}"] = over("size", *ways)
+        what = f"Lorenz-96, n = {n}, 128 runs, 40 epochs"
+        numbers[f"first_{n}"] = find("first", what, "celnav compiled")
     cell = result["cells"]["filtering"]
-    load, cpu = f", load {cell['load'][0]:.1f}" if cell["load"] else "", result["machine"]["cpu"]
-    return "\n".join(
-        [
-            f"`python -m benchmarks` measured this on {cell['date']} on one core ({cpu}{load}); numbers are medians "
-            f"of {cell['rounds']} interleaved rounds.",
-            f"With 4,096 runs compiled filters take 1/{gain[root]:.0f} of numpy's time in square-root form and "
-            f"1/{gain[cov]:.0f} in covariance form; dynamax takes {shown(jax)} times the compiled filter's time.",
-            f"For one run of 300 epochs dynamax takes {shown(alone)} times the compiled filter's time.",
-            f"One step at a time, a compiled filter takes {shown(stream)} µs per step and numpy {shown(loop)} µs.",
-            f"A smoother of 100 runs, with its filter, takes {shown(smooth)} µs per step of a run; "
-            f"dynamax takes {shown(rival)} times as long.",
-            f"A linear system with 30 states and one covariance for 512 runs takes dynamax {shown(linear)} times "
-            "as long as celnav compiled.",
-            f"With 8, 16 and 32 states a compiled filter is {', '.join(map(shown, size[:2]))} and {shown(size[2])} times "
-            f"as fast as numpy; a new process has its first result after {', '.join(map(shown, start[:2]))} and "
-            f"{shown(start[2])} s.",
-            f"A campaign takes {shown(study)} µs per step of a run: simulated, filtered and judged.",
-            f"At the rate of 2,000 runs, 100,000 runs of 600 epochs are filtered in {shown(total)} s.",
-        ]
-    )  # fmt: skip
+    about = {"cpu": result["machine"]["cpu"], "date": cell["date"], "rounds": cell["rounds"]}
+    load = shown(cell["load"][0]) if cell["load"] else "unknown"
+    texts = {name: shown(number) for name, number in numbers.items()}
+    return SENTENCES.format(load=load, **about, **texts).rstrip()
 
 
 # -- quotations ------------------------------------------------------------------------------------
@@ -237,7 +238,8 @@ def quoted(text: str, result: Result) -> str:
 def write(result: Result, folder: Path) -> None:
     """``speed.json`` and ``speed.md`` in a folder."""
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / "speed.json").write_text(json.dumps(result, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")  # fmt: skip
+    text = json.dumps(result, indent=1, ensure_ascii=False) + "\n"
+    (folder / "speed.json").write_text(text, encoding="utf-8")
     (folder / "speed.md").write_text(markdown(result), encoding="utf-8")
 
 

@@ -1,6 +1,6 @@
-"""A process of one library, which does passes when it is asked to: ``python -m benchmarks.serve LIBRARY CHECKOUT``.
+"""``python -m benchmarks.serve LIBRARY CHECKOUT``: a process of one library, which is asked for passes.
 
-A request is a line of JSON, and so is the answer. With a third argument, a request, it is done once.
+A request is a line of JSON, and so is the answer. A request as a third argument is done once.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """cuthbert: square-root filters in JAX. It has no unscented filter; this is its extended one.
 
-It predicts before every measurement, so the prediction of the first epoch is made to change nothing.
+It predicts before every measurement; the prediction of the first epoch is made to change nothing.
 """
 
 from __future__ import annotations
