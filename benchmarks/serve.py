@@ -1,4 +1,4 @@
-"""``python -m benchmarks.serve LIBRARY CHECKOUT``: a process of one library, which is asked for passes.
+"""``python -m benchmarks.serve LIBRARY CHECKOUT``: a process of one library, asked for passes.
 
 A request is a line of JSON, and so is the answer. A request as a third argument is done once.
 """
