@@ -54,9 +54,17 @@ def row_of(result: Result, cell: str, problem: str, method: str, checkout: str =
     return same[0] if same and same[0]["values"] else None
 
 
+def needed(result: Result, cell: str, problem: str, method: str) -> Any:
+    """A row that a sentence needs."""
+    row = row_of(result, cell, problem, method)
+    if row is None:
+        raise SystemExit(f"not measured, so nothing is quoted: {cell}, {problem}, {method}")
+    return row
+
+
 def value_of(result: Result, cell: str, problem: str, method: str) -> float:
     """The median of the rounds."""
-    return float(median(row_of(result, cell, problem, method)["values"]))
+    return float(median(needed(result, cell, problem, method)["values"]))
 
 
 def ratio(slow: Any, fast: Any) -> float:
@@ -67,7 +75,7 @@ def ratio(slow: Any, fast: Any) -> float:
 
 def ratio_of(result: Result, cell: str, problem: str, slow: str, fast: str) -> float:
     """Of two methods on a problem."""
-    return ratio(*(row_of(result, cell, problem, method) for method in (slow, fast)))
+    return ratio(*(needed(result, cell, problem, method) for method in (slow, fast)))
 
 
 def shown(value: float) -> str:
@@ -256,7 +264,9 @@ def quote(result: Result) -> None:
     measured = known.get("cells", {}) | result["cells"]
     order = [cell.name for cell in cells() if cell.name in measured]
     merged = {"machine": result["machine"], "cells": {name: measured[name] for name in order}}
-    text = json.dumps(merged, ensure_ascii=False)
-    MEASURED.write_text(text.replace('{"method"', '\n {"method"') + "\n", encoding="utf-8")
-    for path in READMES:
-        path.write_text(quoted(path.read_text(encoding="utf-8"), merged), encoding="utf-8")
+    # The texts are made before anything is written, because the sentences need all cells.
+    texts = {path: quoted(path.read_text(encoding="utf-8"), merged) for path in READMES}
+    numbers = json.dumps(merged, ensure_ascii=False)
+    texts[MEASURED] = numbers.replace('{"method"', '\n {"method"') + "\n"
+    for path, text in texts.items():
+        path.write_text(text, encoding="utf-8")
