@@ -1,7 +1,7 @@
-"""Speed of celnav against its peers; see README.md. Not part of the package nor of its tests.
+"""Speed of celnav against its peers; see README.md. Not part of the package.
 
-Importing this package holds every numerical library to one thread, so that CPU time is the cost of the algorithm. That works
-only before numpy is imported: start it with ``python -m benchmarks``.
+Importing this package holds every numerical library to one thread, so that CPU time is the cost of
+the algorithm. That works only before numpy is imported: start it with ``python -m benchmarks``.
 """
 
 import os

@@ -1,67 +1,54 @@
-"""``python -m benchmarks``: CPU time of celnav and its peers on one workload, one thread; more of the compiled engine."""
+"""``python -m benchmarks [CELL ...]``: CPU time of celnav and its peers, one thread each."""
 
 from __future__ import annotations
 
 import argparse
 import sys
 from pathlib import Path
+from typing import Any
 
-from benchmarks import compiled
-from benchmarks.engines import celnav_engines
-from benchmarks.measure import measure
-from benchmarks.peers import peer_engines
-from benchmarks.report import markdown, report, write
-from benchmarks.workload import Workload
+from benchmarks.cells import cells
+from benchmarks.measure import measure, processes
+from benchmarks.report import machine, markdown, quote, write
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Measure, print, write; 1 if two engines disagree on the estimate."""
+    """Measure, print, write; 1 if two methods disagree on the estimates."""
+    known = {cell.name: cell for cell in cells()}
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
+    parser.add_argument("cells", nargs="*", help=f"of {', '.join(known)} (default: all)")
+    parser.add_argument("--rounds", type=int, default=5, help="of each cell (default 5)")
+    parser.add_argument("--beside", type=Path, help="another checkout of celnav, pass by pass")
     parser.add_argument(
-        "--steps",
-        type=int,
-        default=600,
-        help="steps of a run (default 600; large batches take fewer)",
+        "--quote", action="store_true", help="write benchmarks/speed.json and the READMEs"
     )
-    parser.add_argument("--rounds", type=int, default=7, help="interleaved rounds (default 7)")
-    parser.add_argument(
-        "--only",
-        default="",
-        help="comma-separated parts of engine names, such as 'square root,filterpy'",
-    )
-    parser.add_argument(
-        "--runs",
-        default="1,100,512,4096",
-        help="run counts of the batched engines (default 1,100,512,4096)",
-    )
-    parser.add_argument(
-        "--parts",
-        type=int,
-        default=compiled.PARTS,
-        help="of the campaign, 2000 runs each (default 50; 0: none)",
-    )
-    parser.add_argument(
-        "--out", type=Path, default=Path("out/benchmarks"), help="folder of the results"
-    )
+    parser.add_argument("--out", type=Path, default=Path("out/benchmarks"), help="a folder")
     options = parser.parse_args(arguments)
-    counts = [int(count) for count in options.runs.split(",")]
-    if options.steps < 1 or options.rounds < 1 or min(counts) < 1:
-        parser.error("steps, rounds and runs: expected positive integers")
-    engines = [*peer_engines(counts), *celnav_engines(counts)]
-    wanted = [part.strip() for part in options.only.split(",") if part.strip()]
-    engines = [e for e in engines if not wanted or any(part in e.name for part in wanted)]
-    if not engines:
-        parser.error(f"only: no engine is named like {options.only!r}")
-    workload = Workload(options.steps, max(e.runs for e in engines))
-    rows, absent = measure(
-        engines, workload, options.rounds, lambda text: print(text, file=sys.stderr, flush=True)
-    )
-    result = report(rows, absent, options.steps, options.rounds)
-    if not wanted:
-        result["compiled"] = compiled.report(options.rounds, options.parts)
+    unknown = set(options.cells) - set(known)
+    if unknown or options.rounds < 1 or (options.quote and options.beside):
+        parser.error(
+            f"expected some of {', '.join(known)}; rounds of 1 or more; --quote or --beside"
+        )
+    result: dict[str, Any] = {"machine": machine(), "cells": {}}
+    with processes(options.beside) as found:
+        for name, cell in known.items():
+            if options.cells and name not in options.cells:
+                continue
+            result["cells"][name] = measure(cell, options.rounds, found, say)
+            write(result, options.out)  # after each cell: an interruption loses no other
     print(markdown(result))
-    write(result, options.out)
-    return 0 if result["agree"] else 1
+    if options.quote:
+        quote(result)
+    rows = [row for cell in result["cells"].values() for row in cell["rows"]]
+    wrong = [row for row in rows if not row.get("agrees", True)]
+    for row in wrong:
+        say(f"other estimates: {row['problem']}, {row['method']}: {row['apart']}")
+    return 1 if wrong else 0
+
+
+def say(text: str) -> None:
+    """How far it is."""
+    print(text, file=sys.stderr, flush=True)
 
 
 if __name__ == "__main__":

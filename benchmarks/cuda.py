@@ -15,10 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks import peers
-from benchmarks.engines import estimate, orbit_filter, prior
-from benchmarks.workload import Workload
-from celnav.filters.compiled import compiled
+import celnav
+from benchmarks.problems import measurements, problem
+from benchmarks.using_celnav import filter_of
 from celnav.gaussian.linalg import FORMS, Array
 from celnav.tape import cuda
 
@@ -59,23 +58,27 @@ def flights(
     form: str, engine: str, z: Array, runs: int, keep: str, jobs: int
 ) -> Callable[[], object]:
     """All runs, part by part."""
-    flown, times, size = (
-        compiled(orbit_filter(form), jobs=jobs, engine=engine),
-        np.arange(len(z)),
-        z.shape[1],
-    )
+    flown = celnav.filters.compiled.compiled(filter_of("orbit", form), jobs=jobs, engine=engine)
+    times, size = np.arange(len(z)), z.shape[1]
 
     def work() -> None:
         for _ in range(runs // size):
-            flown.run(prior(size), times, z, keep=keep)
+            flown.run(prior(), times, z, keep=keep)
 
     return work
 
 
 def difference(form: str, z: Array) -> float:
     """Of positions from those of the numpy engine, km."""
-    track = compiled(orbit_filter(form), engine="cuda").run(prior(z.shape[1]), np.arange(len(z)), z)
-    return float(np.abs(track.mean - estimate(z))[..., :3].max())
+    data = filter_of("orbit", form), prior(), np.arange(len(z)), z
+    device, numpy = (celnav.run(*data, engine=engine).mean for engine in ("cuda", "numpy"))
+    return float(np.abs(device - numpy)[..., :3].max())
+
+
+def prior() -> celnav.Gaussian:
+    """One for all runs."""
+    given = problem("orbit")
+    return celnav.Gaussian(given.mean, given.P)
 
 
 def jax_flights(z: Array, runs: int) -> Callable[[], object] | None:
@@ -86,9 +89,11 @@ def jax_flights(z: Array, runs: int) -> Callable[[], object] | None:
         import jax
 
         device = jax.devices("gpu")[0]
-        peers.CHUNK = z.shape[1]
+        from benchmarks import using_dynamax
+
+        using_dynamax.CHUNK = z.shape[1]
         with jax.default_device(device):
-            one = peers._dynamax(z)
+            one = using_dynamax.unscented("orbit", z.shape[1], len(z))
     except (ImportError, RuntimeError) as error:
         print(f"JAX: not measured ({error})")
         return None
@@ -120,7 +125,7 @@ def main() -> int:
         return 2
     counts = [int(count) for count in options.runs.split(",")]
     largest = min(max(counts), PART)
-    z, inside = Workload(options.steps, largest).z, Inside()
+    z, inside = measurements(problem("orbit"), largest, options.steps + 1), Inside()
     apart = {form: difference(form, z[:, :COMPARED]) for form in FORMS}
     print(f"positions differ from numpy's by {apart} km at most")
     if max(apart.values()) > LEAST:
