@@ -3,12 +3,16 @@
 import atexit
 import os
 import shutil
+import sys
 import tempfile
 
 import pytest
 
 os.environ.setdefault("CELNAV_EFFORT", "0.03")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+# A hundred processes import the package: each would compile its source anew without bytecode.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 if (
     "PYTEST_XDIST_WORKER" not in os.environ
 ):  # a worker has the folder of the process that started it
