@@ -25,6 +25,22 @@ def pytest_collection_modifyitems(items):
     items.sort(key=lambda item: "papers" not in item.path.parts)
 
 
+@pytest.fixture(autouse=True, scope="module")
+def machine_code(request):
+    """Machine code is not optimized, which takes half of the time, except where a module asks for it.
+
+    A module that compares the code that users get with numpy has ``OPTIMIZED = True``.
+    """
+    from celnav.tape import llvm
+
+    with pytest.MonkeyPatch.context() as patch:
+        if getattr(request.module, "OPTIMIZED", False):
+            patch.setattr(llvm, "_ADDRESSES", {})  # of code that is not
+        else:
+            patch.setattr(llvm, "QUICK", 0)
+        yield
+
+
 @pytest.fixture
 def eager(monkeypatch):
     """`celnav.run` is numpy's where no engine is named, and "auto" compiles whatever can be compiled."""
