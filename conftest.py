@@ -3,12 +3,16 @@
 import atexit
 import os
 import shutil
+import sys
 import tempfile
 
 import pytest
 
 os.environ.setdefault("CELNAV_EFFORT", "0.03")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+# A hundred processes import the package: each would compile its source anew without bytecode.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 if (
     "PYTEST_XDIST_WORKER" not in os.environ
 ):  # a worker has the folder of the process that started it
@@ -19,6 +23,22 @@ if (
 def pytest_collection_modifyitems(items):
     """The papers first: what their tests have flown, notebooks read."""
     items.sort(key=lambda item: "papers" not in item.path.parts)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def machine_code(request):
+    """Machine code is not optimized, which takes half of the time, except where a module asks for it.
+
+    A module that compares the code that users get with numpy has ``OPTIMIZED = True``.
+    """
+    from celnav.tape import llvm
+
+    with pytest.MonkeyPatch.context() as patch:
+        if getattr(request.module, "OPTIMIZED", False):
+            patch.setattr(llvm, "_ADDRESSES", {})  # of code that is not
+        else:
+            patch.setattr(llvm, "QUICK", 0)
+        yield
 
 
 @pytest.fixture

@@ -8,6 +8,7 @@ from __future__ import annotations
 import ctypes
 import math
 import re
+from operator import itemgetter
 from struct import pack, unpack
 
 import numpy as np
@@ -80,81 +81,109 @@ class Machine:
                 guard, op, rest = re.fullmatch(
                     r"(?:@(!?%\w+)\s+)?([\w.:]+)\s*(.*)", line, re.S
                 ).groups()
-                self.code.append((guard, op, [x.strip() for x in rest.split(",")] if rest else []))
+                arguments = [x.strip() for x in rest.split(",")] if rest else []
+                branches = op == "ret" or op.split(".")[0] in ("bra", "brx")
+                do = None if branches else instruction(op, arguments)
+                self.code.append((guard, op, arguments, do))
 
     @np.errstate(all="ignore")
     def __call__(self, *values):
         *given, block, width, thread = values
-        self.parameters = {f"[entry_param_{i}]": x & MASK for i, x in enumerate(given)}
-        self.registers = {"%ctaid.x": block, "%ntid.x": width, "%tid.x": thread}
+        registers = {f"[entry_param_{i}]": x & MASK for i, x in enumerate(given)}
+        registers |= {"%ctaid.x": block, "%ntid.x": width, "%tid.x": thread}
         at = 0
-        while (instruction := self.code[at])[1] != "ret":
-            guard, op, arguments = instruction
+        while True:
+            guard, op, arguments, do = self.code[at]
             at += 1
-            if guard is None or self.registers[guard.lstrip("!")] != guard.startswith("!"):
-                if op.split(".")[0] == "bra":
+            if guard is None or registers[guard.lstrip("!")] != guard.startswith("!"):
+                if do is not None:
+                    do(registers)
+                elif op == "ret":
+                    return
+                elif op.split(".")[0] == "bra":
                     at = self.labels[arguments[0]]
-                elif op == "brx.idx":
-                    at = self.labels[self.tables[arguments[1]][self.registers[arguments[0]]]]
                 else:
-                    self.do(op, arguments)
+                    at = self.labels[self.tables[arguments[1]][registers[arguments[0]]]]
 
-    def value(self, x):
-        """Of a register, or a number that stands there."""
-        return self.registers[x] if x[0] == "%" else bits_of(x)
 
-    def do(self, op, arguments):
-        """One instruction that is no branch."""
-        name, kind = op.rsplit(".", 1)
-        target, *given = arguments
-        if op.startswith("ld.param"):
-            self.registers[target] = self.parameters[given[0]]
-        elif op.startswith(("ld.global", "st.global")):
-            place = given[0] if op[0] == "l" else target
-            register, _, offset = place.strip("[]").partition("+")
-            cell = {"b64": ctypes.c_uint64, "b32": ctypes.c_uint32}[kind].from_address(
-                self.registers[register] + int(offset or 0)
-            )
-            if op[0] == "l":
-                self.registers[target] = cell.value
-            else:
-                cell.value = self.value(given[0])
-        elif name.startswith("setp"):
-            how = name.split(".")[1]
-            pair = [self.typed(x, kind) for x in given]
-            self.registers[target] = COMPARED["neu" if how == "ne" and kind != "f64" else how](
-                *pair
-            )
-        elif name == "selp":
-            self.registers[target] = self.value(given[0] if self.registers[given[2]] else given[1])
-        elif kind == "pred":
-            pair = [self.registers[x] for x in given]
-            self.registers[target] = {
-                "and": all(pair),
-                "or": any(pair),
-                "not": not pair[0],
-                "xor": pair[0] != pair[-1],
-            }[name]
-        elif kind == "f64":
-            base = name.removesuffix(".f64").removesuffix(".rn")
-            self.registers[target] = bits(FLOATS[base](*(real(self.value(x)) for x in given)))
-        else:
-            base = "cvt" if name.startswith("cvt.") else name
-            size = int(kind[1:]) if base != "cvt" else 64
-            self.registers[target] = INTEGERS[base](*(self.value(x) for x in given)) & (
-                (1 << size) - 1
-            )
+def instruction(op, arguments):
+    """A function of the registers that does what one instruction says, which is no branch."""
+    name, kind = op.rsplit(".", 1)
+    target, *given = arguments
+    if op.startswith("ld.param"):
+        return writing(target, itemgetter(given[0]))
+    if op.startswith(("ld.global", "st.global")):
+        register, _, offset = (given[0] if op[0] == "l" else target).strip("[]").partition("+")
+        cell, offset = {"b64": ctypes.c_uint64, "b32": ctypes.c_uint32}[kind], int(offset or 0)
+        if op[0] == "l":
+            return writing(target, lambda r: cell.from_address(r[register] + offset).value)
+        stored = reading(given[0])
 
-    def typed(self, x, kind):
-        """A value as what it is compared."""
-        found = self.value(x)
-        return (
-            real(found)
-            if kind == "f64"
-            else signed(found, int(kind[1:]))
-            if kind[0] == "s"
-            else found
-        )
+        def store(r):
+            cell.from_address(r[register] + offset).value = stored(r)
+
+        return store
+    if name == "selp":
+        a, b, truth = reading(given[0]), reading(given[1]), itemgetter(given[2])
+        return writing(target, lambda r: a(r) if truth(r) else b(r))
+    if kind == "pred":
+        a, b = itemgetter(given[0]), itemgetter(given[-1])
+        function = {
+            "and": lambda r: a(r) and b(r),
+            "or": lambda r: a(r) or b(r),
+            "not": lambda r: not a(r),
+            "xor": lambda r: a(r) != b(r),
+        }[name]
+        return writing(target, function)
+    if name.startswith("setp"):
+        how = name.split(".")[1]
+        function = COMPARED["neu" if how == "ne" and kind != "f64" else how]
+        return writing(target, applied(function, [typed(x, kind) for x in given]))
+    if kind == "f64":
+        base = name.removesuffix(".f64").removesuffix(".rn")
+        function = applied(FLOATS[base], [typed(x, kind) for x in given])
+        return writing(target, lambda r: bits(function(r)))
+    base = "cvt" if name.startswith("cvt.") else name
+    mask = (1 << (int(kind[1:]) if base != "cvt" else 64)) - 1
+    function = applied(INTEGERS[base], [reading(x) for x in given])
+    return writing(target, lambda r: function(r) & mask)
+
+
+def writing(target, function):
+    """What puts a function of the registers into one of them."""
+
+    def do(r):
+        r[target] = function(r)
+
+    return do
+
+
+def applied(function, readers):
+    """A function of one, two or three values, as one of the registers."""
+    if len(readers) == 1:
+        (a,) = readers
+        return lambda r: function(a(r))
+    if len(readers) == 2:
+        a, b = readers
+        return lambda r: function(a(r), b(r))
+    a, b, c = readers
+    return lambda r: function(a(r), b(r), c(r))
+
+
+def reading(x):
+    """The value of a register, or a number that stands there."""
+    if x[0] == "%":
+        return itemgetter(x)
+    number = bits_of(x)
+    return lambda _: number
+
+
+def typed(x, kind):
+    """A value as what it is computed or compared with."""
+    value, size = reading(x), int(kind[1:])
+    if kind == "f64":
+        return lambda r: real(value(r))
+    return (lambda r: signed(value(r), size)) if kind[0] == "s" else value
 
 
 def bits_of(x):

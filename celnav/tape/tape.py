@@ -101,11 +101,12 @@ _OPERANDS: Final = {
     "call": slice(2, None),
     "part": slice(1, 2),
 }
+_ALL: Final = slice(1, None)
 
 
 def operands(op: tuple[Any, ...]) -> tuple[int, ...]:
     """Indices of the earlier operations that one needs."""
-    return op[_OPERANDS.get(op[0], slice(1, None))]
+    return op[_OPERANDS.get(op[0], _ALL)]
 
 
 class Tape:
@@ -153,13 +154,19 @@ class Tape:
                 raise TooLong(f"a step of more than {MOST} operations is too long to be compiled")
             self.ops.append(op)
             self.cells += op[1].cells if op[0] == "call" else 0
-            known, needs = op[0] == "const", operands(op)
-            self.absent.append(op[1] != op[1] if known else any(self.absent[a] for a in needs))
-            wild = self.model and (op[0] in _WILD or any(self.wild[a] for a in needs))
-            self.wild.append(not isfinite(op[1]) if known else wild)
+            if op[0] == "const":
+                self.absent.append(op[1] != op[1])
+                self.wild.append(not isfinite(op[1]))
+            else:
+                absent, wild, needs = False, self.model and op[0] in _WILD, operands(op)
+                for a in needs:
+                    absent = absent or self.absent[a]
+                    wild = wild or (self.model and self.wild[a])
+                self.absent.append(absent)
+                self.wild.append(wild)
+                if self.model and op[0] in _SHARP:
+                    self._sharpen(needs)
             self.modeled.append(self.model)
-            if self.model and op[0] in _SHARP:
-                self._sharpen(needs)
         return Number(self, at)
 
     def _sharpen(self, found: Sequence[int]) -> None:
@@ -187,23 +194,26 @@ class Tape:
         given: operations whose results are known, so that their operands are not needed.
         """
         seen, order = set[int](), list[int]()
-        stack = [(x.i, False) for x in reversed(outputs)]
+        stack = [x.i for x in reversed(outputs)]
         while stack:
-            i, ready = stack.pop()
-            if ready:
-                order.append(i)
+            i = stack.pop()
+            if i < 0:  # its operands are done
+                order.append(~i)
             elif i not in seen:
                 seen.add(i)
-                stack.append((i, True))
+                stack.append(~i)
                 if i not in given:
-                    stack += [(a, False) for a in reversed(operands(self.ops[i]))]
+                    stack += reversed(operands(self.ops[i]))
         return order
 
 
 def do(name: str, *arguments: Scalar) -> Scalar:
     """The result of an operation, done at once where the arguments are known."""
-    recording = next((x.tape for x in arguments if type(x) is Number), None)
-    if recording is None:
+    for x in arguments:
+        if type(x) is Number:
+            recording = x.tape
+            break
+    else:
         with np.errstate(all="ignore"):
             known = _FOLD[name](*arguments)
         return known.item() if isinstance(known, np.generic) else known

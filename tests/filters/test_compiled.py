@@ -27,6 +27,8 @@ from celnav.models.gyro import Gyro
 
 pytest.importorskip("llvmlite")
 
+OPTIMIZED = True  # machine code as users get it
+
 SCALE_M, AWAY_M, GRAVITY, DRAG = 7200.0, 100e3, 9.81, 0.5 * 1.225 / 500.0
 RUNS = 3
 

@@ -141,9 +141,9 @@ def test_a_space_transports_where_it_is_asked_to(a, b):
 
 def test_the_norm_does_not_drift():
     space, q, step = at.attitude(), quaternions(3), np.array([0.01, -0.02, 0.03])
-    for _ in range(100_000):
+    for _ in range(5_000):  # products alone drift by 1e-13
         q = space.plus(q, step)
-    assert np.abs(np.linalg.norm(q, axis=-1) - 1.0).max() < 1e-12
+    assert np.abs(np.linalg.norm(q, axis=-1) - 1.0).max() < 1e-14
 
 
 def test_checks():

@@ -28,29 +28,31 @@ def test_units_go_to_processes_and_are_told_apart(paper):
 
 
 BY_ENGINE = {
-    "csrukf": ["0", "I", "0, many", "stress/I", "sensor/D/I", "linear"],
-    "ssukf": ["augmented", "turns", "drawn", "heads", "components", "vector"],
-    "tstdkf": ["consistency", "forces", "constant, nine", "sweep", "DE440", "covariances"],
-    "aasghqf": ["T3", "mounting", "bound"],
-    "aukf": ["none", "baselines", "matched", "windows, 1 Hz"],
+    "csrukf": ["0", "I", "stress/I", "sensor/D/I", "linear"],
+    "ssukf": ["augmented", "turns", "heads", "components"],
+    "tstdkf": ["constant, nine", "sweep"],
+    "aasghqf": ["bound"],
+    "aukf": ["matched"],
 }
-"""Parts by paper: each filter, and each way to fly one, is in some; the others fly them on other configurations."""
+"""Parts by paper: all those that machine code runs in part, and of each paper one.
+
+The others keep what they need of each state, which only numpy does, whatever the engine.
+"""
 
 
 @pytest.mark.parametrize("paper", PAPERS)
 def test_neither_verdicts_nor_numbers_depend_on_the_engine(paper, monkeypatch):
-    """So few runs repay no compiling: here all is compiled that can be, and then all is numpy's."""
-    study, data = load(paper).STUDY, []
+    """So few runs repay no compiling, so that all is numpy's; here all is compiled that can be."""
+    study = load(paper).STUDY
+    by_numpy = once(study)
     monkeypatch.setattr(compiled, "worth", lambda _steps, _runs: compiled.WORTH)
-    for engine in ("numpy", "auto"):
-        token = ENGINE.set(engine)
-        try:
-            data.append(study.reproduce(effort=effort(), only=BY_ENGINE[paper]).data)
-        finally:
-            ENGINE.reset(token)
-    whole = once(study)
-    by_numpy, by_both = (replace(whole, data={**whole.data, **flown}).claims() for flown in data)
-    for mine, other in zip(by_numpy, by_both, strict=True):
+    token = ENGINE.set("auto")
+    try:
+        again = study.reproduce(effort=effort(), only=BY_ENGINE[paper]).data
+    finally:
+        ENGINE.reset(token)
+    by_both = replace(by_numpy, data={**by_numpy.data, **again})
+    for mine, other in zip(by_numpy.claims(), by_both.claims(), strict=True):
         assert other.verdict == mine.verdict, mine.id
         for a, b in zip(mine.numbers, other.numbers, strict=True):
             ours, theirs = ([one.value, *(one.ci or ())] for one in (a, b))

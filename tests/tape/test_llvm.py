@@ -16,6 +16,8 @@ from celnav.tape.tape import Tape, as_number, do
 
 pytest.importorskip("llvmlite")
 
+OPTIMIZED = True  # machine code as users get it
+
 NAN, INF = np.nan, np.inf
 X = np.array(
     [
