@@ -15,6 +15,7 @@ from importlib.util import find_spec
 from itertools import islice
 from threading import Lock, local
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -436,7 +437,8 @@ def compiled(filter: Any, *, jobs: int = 1, engine: str = "compiled") -> Compile
 def chosen(engine: str, filter: Any, jobs: int, prior: Any, epochs: Any) -> Compiled:
     """A filter by an engine; of "auto" `CannotCompile` where numpy takes less time. What is compiled stays.
 
-    A device is taken only where that is asked for.
+    A filter that flies again and again is compiled once its flights together repay that. A device is
+    taken only where that is asked for.
     """
     if isinstance(filter, Compiled):
         return filter
@@ -451,16 +453,33 @@ def chosen(engine: str, filter: Any, jobs: int, prior: Any, epochs: Any) -> Comp
         raise CannotCompile("the prior has no mean and covariance")
     steps, runs = len(epochs), _runs(prior, epochs)
     shared = runs > 1 and prior.cov.ndim == 2 and _by_matrices(filter)
-    most = worth(steps * REPEATED.get(), runs * (SHARED if shared else 1.0))
+    work = np.array([steps, steps * runs * (SHARED if shared else 1.0)]) * REPEATED.get()
+    if REPEATED.get() == 1:  # who says how many flights there are counts for himself
+        work = _added(filter, work)
+    most = worth(*work.tolist())
     if EXPECTED * prior.cov.shape[-1] ** 2 > most:
         times = f"{steps} steps of " + ("one run" if runs == 1 else f"{runs} runs")
         raise CannotCompile(f"{times} take less time than compiling one")
     return _kept(filter, "compiled", jobs, most)
 
 
-def worth(steps: int, runs: float) -> int:
-    """Operations of a step, the most that repay recording and compiling in one flight."""
-    left = RECORDS * MAKE_S - steps * runs * OPERATION_S
+_WORK: WeakKeyDictionary[Any, Array] = WeakKeyDictionary()
+"""Steps, and steps of runs, of filters that flew by numpy."""
+
+
+def _added(filter: Any, work: Array) -> Array:
+    """The work of all flights of a filter until now, this one included: as much more is to be expected."""
+    try:
+        total: Array = _WORK.get(filter, 0.0) + work
+        _WORK[filter] = total
+    except TypeError:  # it cannot be found again
+        return work
+    return total
+
+
+def worth(steps: float, run_steps: float) -> int:
+    """Operations of a step, the most that repay recording and compiling in so many steps, and steps of runs."""
+    left = RECORDS * MAKE_S - run_steps * OPERATION_S
     return WORTH if left <= 0.0 else int(min(WORTH, steps * STEP_S / left))
 
 

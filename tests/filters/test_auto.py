@@ -55,6 +55,22 @@ def test_ten_epochs_never_wait_for_a_compiler(records):
     assert alone.engine == "numpy: 10 steps of one run take less time than compiling one"
 
 
+def test_a_filter_that_flies_again_and_again_is_compiled(records):
+    """Not one that is made anew each time, nor where it was said how many flights there are."""
+    times, z = data(100, 20)
+    again = filter_of(lambda x, epoch: swing(1.001 * x, epoch))  # which no other test records
+    engines = [celnav.run(again, PRIOR, times, z).engine for _ in range(40)]
+    assert engines[0].startswith("numpy")
+    assert engines[-1] == "compiled"
+    assert engines == sorted(engines, reverse=True)  # and stays so
+    assert len(records) == 2
+    assert all(celnav.run(filter_of(), PRIOR, times, z).engine[:5] == "numpy" for _ in range(40))
+    token = REPEATED.set(2)
+    other = filter_of()
+    assert all(celnav.run(other, PRIOR, times, z).engine[:5] == "numpy" for _ in range(40))
+    REPEATED.reset(token)
+
+
 def test_long_and_many_runs_are_compiled_and_the_record_is_kept(records):
     """Also for a short flight of the same filter, whose numbers are numpy's but for round-off."""
     filter, many = filter_of(), data(100, 3000)
@@ -155,7 +171,8 @@ def test_what_is_kept_is_of_the_last_filters():
 
 def test_more_work_is_worth_longer_steps():
     found = [
-        [compiled.worth(steps, runs) for steps in (1, 30, 1000, 10**5)] for runs in (1, 50, 10**4)
+        [compiled.worth(steps, steps * runs) for steps in (1, 30, 1000, 10**5)]
+        for runs in (1, 50, 10**4)
     ]
     assert (np.diff(found, axis=0) >= 0).all()
     assert (np.diff(found, axis=1) >= 0).all()
