@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
+from importlib.util import find_spec
 from operator import attrgetter
 from typing import Any, NamedTuple
 
@@ -20,7 +21,7 @@ from numpy.typing import ArrayLike
 
 from celnav.filters.model import Linear, Motion, Sensor
 from celnav.filters.records import Epoch, Epochs, Info, State, epochs
-from celnav.filters.run import run
+from celnav.filters.run import ENGINE, run
 from celnav.filters.sequential import Sequential, ekf
 from celnav.filters.two_stage import Plain, TwoStage
 from celnav.gaussian.belief import Gaussian
@@ -279,15 +280,9 @@ def nominal(config: Config) -> Flow:
 
 @lru_cache(maxsize=4)
 def _coasted(start: tuple[float, ...], step_s: float, steps: int, center: str) -> Flow:
-    gravity = GRAVITY[center]
-    # The means of an open loop, which machine code takes through a year in a second.
-    motion = Motion(
-        lambda x, epoch: advance(x, epoch.dt, gravity),
-        np.zeros((6, 6)),
-        jacobian=lambda _x, _epoch: np.eye(6),
-    )
-    prior, times = Gaussian(start, np.zeros((6, 6))), step_s * np.arange(steps + 1)
-    x = run(ekf(motion, form="covariance"), prior, times, keep="mean").mean
+    gravity, when = GRAVITY[center], epochs(step_s * np.arange(steps + 1))
+    prior = Gaussian(start, np.zeros((6, 6)))
+    x = carried(lambda x, epoch: advance(x, epoch.dt, gravity), prior, when)
     pieces = [
         flow(part, step_s, gravity)[1:] for part in np.array_split(x[:-1], 1 + steps // 4096)
     ]  # that stay in the cache
@@ -365,15 +360,15 @@ def simulate(cases: Cases, rngs: Rngs) -> Scenario:
         [np.broadcast_to(error, (len(V), len(rngs), 3)) for error in errors], 1
     ).reshape(V.shape)
     # The disturbance is mapped by the nominal orbit's G, from which that of a run differs by 1e-4 of itself.
-    G, truth, z = nominal(c).G, np.empty_like(Q), np.full_like(V, np.nan)
-    truth[0] = c.orbit
-    for k in range(1, len(truth)):
-        extra = pull(None if bodies is None else bodies[k])
-        truth[k] = (
-            advance(truth[k - 1], c.step_s, GRAVITY[c.center], extra)
-            + (matvec(noise.J, V[k]) + Q[k]) @ G[k - 1].T
-        )
-        z[k] = timing.delay(earth[k] + bias[k] + truth[k, ..., :3], sun[k]) + V[k]
+    pushes = Q[1:]
+    pushes += matvec(noise.J, V[1:])
+    pushes = (pushes.reshape(len(pushes), -1, 6) @ nominal(c).G.mT).reshape(pushes.shape)
+    truth, z = pushed(c, pushes, None if bodies is None else bodies[1:]), V
+    z[0] = np.nan
+    for some in np.array_split(np.arange(1, len(z)), 1 + len(z) // 256):
+        there = (some, *(None,) * (z.ndim - 2))
+        place = earth[there] + bias[some] + truth[some, ..., :3]
+        z[some] += timing.delay(place, sun[there])
     deviation = stacked(cases, lambda case: case.deviation)
     start = np.where(stacked(cases, lambda case: [case.initial == "drawn"]), begun, 1.0)
     prior = Gaussian(c.orbit + start * deviation, deviation[..., None] ** 2 * np.eye(6))
@@ -385,6 +380,37 @@ def simulate(cases: Cases, rngs: Rngs) -> Scenario:
         prior,
         c.step_s,
     )
+
+
+def compiles() -> bool:
+    """Whether machine code can be had, which is taken where it repays."""
+    return ENGINE.get() != "numpy" and find_spec("llvmlite") is not None
+
+
+def carried(f: Callable[[Array, Epoch], Array], prior: Gaussian, when: Epochs) -> Array:
+    """States ``(T, ..., 6)`` that follow from one another, the means of an open loop: machine code takes it."""
+    motion = Motion(f, np.zeros((6, 6)), jacobian=lambda _x, _epoch: np.eye(6))
+    return run(ekf(motion, form="covariance"), prior, when, keep="mean").mean
+
+
+def pushed(config: Config, pushes: Array, bodies: Array | None) -> Array:
+    """Orbits ``(T, ..., 6)`` from the nominal start, pushed at the end of each step by ``(T - 1, ..., 6)`` km, km/s."""
+    gravity, shape = GRAVITY[config.center], () if bodies is None else bodies.shape[1:]
+    start, x = np.broadcast_to(config.orbit, pushes.shape[1:]), list[Array]()
+    flat = None if bodies is None else bodies.reshape(len(bodies), -1)
+
+    def f(x: Array, epoch: Epoch) -> Array:
+        push, seen = epoch.u
+        extra = pull(None if seen is None else seen.reshape(shape))
+        return np.asanyarray(advance(x, epoch.dt, gravity, extra) + push)
+
+    if compiles():
+        when = epochs(config.times, u=(pushes, flat))
+        return carried(f, Gaussian(start, np.zeros((6, 6))), when)
+    for k, push in enumerate(pushes):
+        u = push, None if flat is None else flat[k]
+        x.append(f(x[-1] if x else start, Epoch(k + 1, 0.0, config.step_s, u)))
+    return np.stack([start, *x])
 
 
 def linearized(cases: Sequence[Config], rngs: Rngs) -> Scenario:

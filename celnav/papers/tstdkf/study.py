@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
-from importlib.util import find_spec
 from itertools import product
 from typing import Any, NamedTuple
 
@@ -15,7 +14,7 @@ from celnav.analysis.metrics import ratio as quotient
 from celnav.analysis.metrics import rms
 from celnav.files import data, read_npz
 from celnav.filters.records import FilterError
-from celnav.filters.run import ENGINE, run, steps
+from celnav.filters.run import run, steps
 from celnav.filters.two_stage import Boost
 from celnav.gaussian.belief import Gaussian, nees
 from celnav.gaussian.linalg import Array, cholesky
@@ -250,10 +249,10 @@ def followed(
             rows["nees"][at, ..., some.runs] = nees(whole, root)
             rows["nis"][at, ..., some.runs] = some.nis.reshape(count, -1, *some.nis.shape[-2:])
 
-    if ENGINE.get() == "numpy" or find_spec("llvmlite") is None:
-        by_epoch(take, filter, sim, every, judged)
-    else:
+    if s.compiles():
         by_runs(take, filter, sim, every, judged, len(labels))
+    else:
+        by_epoch(take, filter, sim, every, judged)
     return rows
 
 
