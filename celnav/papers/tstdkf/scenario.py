@@ -309,11 +309,11 @@ class Scenario(NamedTuple):
         """Some of the runs, of several cases."""
         return self._part(slice(None), runs)
 
-    def of(self, cases: slice) -> Scenario:
-        """Some of the cases."""
+    def of(self, cases: list[int]) -> Scenario:
+        """Cases of these numbers."""
         return self._part(cases, slice(None))
 
-    def _part(self, *at: slice) -> Scenario:
+    def _part(self, *at: Any) -> Scenario:
         mean, cov = self.prior.mean, self.prior.cov
         if cov.ndim > 2:  # not one of all runs
             cov = np.broadcast_to(cov, (*mean.shape, mean.shape[-1]))[at]
