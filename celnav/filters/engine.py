@@ -491,7 +491,8 @@ def each_run(thing: Any, function: Callable[[Array], Array]) -> Any:
         if mean.ndim > 1:  # of each run: a matrix (..., n, 1)
             mean = function(mean[..., None])[..., 0]
         own = {"mean": mean, "cov": matrices(one.cov), "sqrt_cov": matrices(one.sqrt_cov)}
-        return _changed(one, own)
+        same: Gaussian = _changed(one, own)
+        return same
 
     return each_array(thing, matrices, gaussian)
 

@@ -63,13 +63,14 @@ def _sparse_ticks(fig: Figure) -> None:
 
 def render(fig: Figure, kind: str, dpi: float = 150) -> bytes:
     """The figure as "png" or "svg"; the same figure gives the same bytes."""
-    buffer, canvas = io.BytesIO(), (FigureCanvasSVG if kind == "svg" else FigureCanvasAgg)(fig)
+    buffer = io.BytesIO()
+    canvas: Any = (FigureCanvasSVG if kind == "svg" else FigureCanvasAgg)(fig)
     _sparse_ticks(fig)
     before = fig.dpi
     fig.dpi = dpi
     # By the canvas itself: `Figure.savefig` goes through all of a figure once more to arrange it.
     with styled():
-        if isinstance(canvas, FigureCanvasSVG):
+        if kind == "svg":
             canvas.print_svg(buffer, metadata={"Date": None})
         else:
             canvas.print_png(buffer, metadata={"Software": None})

@@ -322,11 +322,14 @@ class Scenario(NamedTuple):
 
     def measured(self) -> Epochs:
         """Epochs from the first measurement on, without the truth."""
-        return epochs(self.times, self.z, self.inputs)[1:]
+        every: Epochs = epochs(self.times, self.z, self.inputs)[1:]
+        return every
 
     def epochs(self) -> Epochs:
         """The same; ``truth`` is state and bias ``(..., 9)``."""
-        return epochs(self.times, self.z, self.inputs, side_by_side([self.truth, self.bias]))[1:]
+        truth = side_by_side([self.truth, self.bias])
+        every: Epochs = epochs(self.times, self.z, self.inputs, truth)[1:]
+        return every
 
 
 def drawn(cases: Cases, rngs: Rngs) -> tuple[Array, Array, Array, Array]:
