@@ -502,7 +502,10 @@ def each_array(
     function: Callable[[Array], Array],
     gaussian: Callable[[Gaussian], Gaussian] = lambda one: one,
 ) -> Any:
-    """A filter with other arrays; itself where all stay the same. ``gaussian``: what becomes of the Gaussians in it."""
+    """A filter with other arrays; itself where all stay the same.
+
+    gaussian: what becomes of the Gaussians in it.
+    """
     if isinstance(thing, np.ndarray):
         return function(thing)
     if isinstance(thing, Gaussian):

@@ -209,7 +209,7 @@ def entries(
 
 
 def _mean(x: Array) -> Any:
-    """Mean of a few numbers: `numpy.mean` takes several times as long, and is called for each resample."""
+    """Mean of a few numbers, for each resample: `numpy.mean` takes several times as long."""
     return np.add.reduce(x, None) / x.size
 
 

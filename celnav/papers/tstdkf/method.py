@@ -177,9 +177,10 @@ class Window(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class StrongTracking:
-    """What `strong_tracking` makes. Its numbers are rows, matrices ``(..., 1, m)``, which each run may have of its own.
+    """What `strong_tracking` makes. Its numbers are rows, matrices that runs may have of their own.
 
-    rho: ``(..., 1, m)``. tau: ``(..., 1, 1)``. least: ``(..., 1, m)``, what a factor is where the ratio is 0.
+    rho: ``(..., 1, m)``. tau: ``(..., 1, 1)``.
+    least: ``(..., 1, m)``, what a factor is where the ratio is 0.
     """
 
     rho: Array
@@ -191,7 +192,8 @@ class StrongTracking:
         square = seen.residual * seen.residual
         if square.shape[-1] != rho.shape[-1]:
             raise ValueError(
-                f"rho: expected {square.shape[-1]} numbers to go with the measurement, got {rho.shape[-1]}"
+                f"rho: expected {square.shape[-1]} numbers to go with the measurement, "
+                f"got {rho.shape[-1]}"
             )
         count = 1.0 if memory is None else memory.length + 1.0
         before = np.zeros_like(square) if memory is None else memory.squares

@@ -391,13 +391,16 @@ def compiles() -> bool:
 
 
 def carried(f: Callable[[Array, Epoch], Array], prior: Gaussian, when: Epochs) -> Array:
-    """States ``(T, ..., 6)`` that follow from one another, the means of an open loop: machine code takes it."""
+    """States ``(T, ..., 6)`` that follow from one another: the means of an open loop."""
     motion = Motion(f, np.zeros((6, 6)), jacobian=lambda _x, _epoch: np.eye(6))
     return run(ekf(motion, form="covariance"), prior, when, keep="mean").mean
 
 
 def pushed(config: Config, pushes: Array, bodies: Array | None) -> Array:
-    """Orbits ``(T, ..., 6)`` from the nominal start, pushed at the end of each step by ``(T - 1, ..., 6)`` km, km/s."""
+    """Orbits ``(T, ..., 6)`` from the nominal start.
+
+    pushes: ``(T - 1, ..., 6)`` km, km/s at the end of each step. bodies: see `pull`.
+    """
     gravity, shape = GRAVITY[config.center], () if bodies is None else bodies.shape[1:]
     start, x = np.broadcast_to(config.orbit, pushes.shape[1:]), list[Array]()
     flat = None if bodies is None else bodies.reshape(len(bodies), -1)
@@ -472,7 +475,7 @@ class Orbiting:
         self._last: tuple[Any, Any, Any] = (None, None, None)
 
     def move(self, mean: Array, epoch: Epoch) -> Flow:
-        """What follows, Jacobian and noise input, which come from one integration: the last one is remembered."""
+        """What follows, Jacobian and noise input, of one integration; the last is remembered."""
         x = mean[..., :6]
         if x.dtype.hasobject:  # recorded: what is computed twice is one there
             return self._flow(x, epoch)
@@ -540,7 +543,8 @@ def filters(
     }
 
 
-# Matrices that runs may have of their own are arguments of a `partial`: there the compiled engine finds them.
+# Matrices that runs may have of their own are arguments of a `partial`: the compiled engine finds
+# them there.
 def kalman(seen: Models, Q: Array, R: Array) -> Sequential:
     """An EKF that takes all noise for white, of covariances Q ``(..., 6, 6)`` of the rates and R ``(..., m, m)``."""
     functions = partial(_follows, seen), partial(_transition, seen)
@@ -588,7 +592,7 @@ def nine_states(seen: Models, Q: Array, R: Array, bias: Gaussian, walk: Array) -
 
 @dataclass(frozen=True, eq=False)
 class Appended:
-    """A filter of orbit and further states ``(q,)``, whose covariance at first is ``cov (..., q, q)``."""
+    """A filter of orbit and further states ``(q,)``; ``cov (..., q, q)``: of these at first."""
 
     filter: Sequential
     cov: Array
@@ -635,7 +639,7 @@ def _driven_with(seen: Models, drives: Array, x: Array, epoch: Epoch) -> Array:
 
 
 def _slope_with(seen: Models, noises: int, x: Array, epoch: Epoch) -> Array:
-    """``noises``: how many further states come before the bias; the first three of them are of the timings."""
+    """Slope of a timing; ``noises``: how many states stand between orbit and bias, V first."""
     return block([[seen.H(x, epoch), np.eye(3, noises), seen.Gamma(x, epoch)]])
 
 

@@ -142,8 +142,9 @@ MOST_NUMBERS = 1 << 26
 class Estimates(NamedTuple):
     """Estimates at consecutive epochs from the number ``start`` on, of some runs.
 
-    mean: ``(K, ..., cases, runs, n)``. cov ``(..., cases, runs, n, n)`` and nis ``(..., cases, runs)``:
-    at the last of each ``every`` epochs; None where nothing is judged.
+    mean: ``(K, ..., cases, runs, n)``.
+    cov, nis: ``(..., cases, runs, n, n)`` and ``(..., cases, runs)`` at the last of each ``every``
+        epochs; None where nothing is judged.
     """
 
     runs: slice
@@ -170,7 +171,7 @@ def by_epoch(take: Take, filter: Any, sim: s.Scenario, every: int, judged: bool)
 def by_runs(
     take: Take, filter: Any, sim: s.Scenario, every: int, judged: bool, beside: int
 ) -> None:
-    """Give estimates at all epochs, of as many runs at a time as there is memory for: by machine code, where that repays.
+    """Give estimates at all epochs, of as many runs at a time as there is memory for.
 
     beside: how many filters are side by side in this one.
     """
@@ -220,7 +221,7 @@ def flown(
 def followed(
     filter: Any, sim: s.Scenario, every: int, judged: bool, labels: Sequence[str]
 ) -> Found:
-    """What `flown` gives of a filter with others side by side in it: arrays ``(K, filters, cases, runs, ...)``."""
+    """What `flown` gives of the filters in one, arrays ``(K, filters, cases, runs, ...)``."""
     K, batch = (len(sim.truth) - 1) // every, (len(labels), *sim.truth.shape[1:-1])
     rows: Found = {"error": np.empty((K, *batch, 3)), "first": np.zeros((K, *batch[:-1], 1, 9))}
     rows |= {key: np.empty((K, *batch)) for key in ("nees", "nis") if judged}
@@ -233,8 +234,8 @@ def followed(
         truth, bias = (x[here, None, :, some.runs] for x in (sim.truth, sim.bias))
         mean = some.mean[:steps].reshape(steps, len(labels), *truth.shape[2:-1], -1)
         mean = mean[..., EXACT_PART] if exact else mean
-        error = mean[..., :3] - truth[..., :3], mean[..., 3:6] - truth[..., 3:]
-        error = *error, (mean[..., 6:] if mean.shape[-1] > 6 else 0.0) - bias
+        own: Any = mean[..., 6:] if mean.shape[-1] > 6 else 0.0  # an EKF knows of no bias
+        error = mean[..., :3] - truth[..., :3], mean[..., 3:6] - truth[..., 3:], own - bias
         for i, apart in enumerate(error):
             square = np.vecdot(apart, apart).reshape(count, every, *apart.shape[1:-1]).mean(1)
             rows["error"][at, ..., some.runs, i] = PER_UNIT[i] * np.sqrt(square)
@@ -279,7 +280,7 @@ def five(config: Config, rngs: Rngs) -> Found:
     """The five settings; in the first, EKF and TKF with the stationary covariances too."""
     cases = [replace(config, **changes) for changes in FIVE.values()]
     sim, known, names = simulate(cases, rngs), filters(cases, on=BESIDE), list(FIVE)
-    # The first setting once more beside the others, for filters that are told the stationary covariances.
+    # The first setting once more, for filters that are given the stationary covariances.
     white = [
         np.concatenate([driving, stationary[:1]])
         for driving, stationary in zip(*s.noises(cases).whites, strict=True)
@@ -315,7 +316,10 @@ def forces(config: Config, rngs: Rngs) -> Found:
 # -- filters on errors that are linear about the nominal orbit: all runs share their covariances -------------------------------
 @dataclass(frozen=True, eq=False)
 class Boosts:
-    """Factors of several kinds at once, along a first axis; ``own (..., 1, 1)``: whether of the innovations of the first stage."""
+    """Factors of several kinds at once, along a first axis.
+
+    own: ``(..., 1, 1)``, whether of the innovations of the first stage.
+    """
 
     own: Array
     boost: StrongTracking
