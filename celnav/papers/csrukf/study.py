@@ -141,7 +141,7 @@ def flown(names: Sequence[str], every: int, config: Config, rngs: Rngs) -> dict[
     """Filters and variants by name."""
     one = trial(config, rngs)
     known = {**one.filters, **(variants(config) if config.measured == "positions" else {})}
-    return fly(one._replace(filters=known), names, every)
+    return fly(one._replace(filters=known), names, every, cov=True)
 
 
 def walk(config: Config, rngs: Rngs) -> dict[str, Array]:
