@@ -587,8 +587,8 @@ def parts(effort: float = 1.0) -> dict[str, Part]:
     white, around_mars = replace(month, setting=SETTINGS[5]), replace(month, **MARS)
     sure = replace(ten_days, setting=SETTINGS[5], bias_prior_km=1.0 / np.sqrt(3.0), walk_km=0.0)
     return {
-        "month": Part(five, month, 0, 50, 50, 120.0),
-        "year": Part(partial(linear, TRENDS, 12, ("tkf", "tdkf", "aug9", "aug")), year, 7, 24, 24, 145.0),
+        "month": Part(five, month, 0, 50, 50, 60.0),
+        "year": Part(partial(linear, TRENDS, 12, ("tkf", "tdkf", "aug9", "aug")), year, 7, 24, 24, 45.0),
         "variants": Part(partial(apart, VARIANTS, pair), month, 1, 8, 50, 25.0),
         "ten days": Part(partial(apart, {**COUPLED, **STRONG, **ALONE}, (*pair, "aug"), taken=TAKEN), ten_days, 4, 12, 50, 20.0),
         "forces": Part(forces, ten_days, 6, 20, 50, 10.0),
