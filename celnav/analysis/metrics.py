@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
@@ -88,12 +88,12 @@ def bootstrap(
         0, runs, (resamples, -(-runs // block))
     )
 
-    def value_of(*parts: Array) -> float:
-        return float(numbers("statistic", _samples("statistic", statistic(*parts)), ()))
-
-    value = value_of(*arrays)
-    drawn = (((start[:, None] + np.arange(block)) % runs).ravel()[:runs] for start in starts)
-    values = [value_of(*(array[rows] for array in arrays)) for rows in drawn]
+    value = float(numbers("statistic", _samples("statistic", statistic(*arrays)), ()))
+    drawn: Iterable[Array] = starts
+    if block > 1:
+        drawn = (((start[:, None] + np.arange(block)) % runs).ravel()[:runs] for start in starts)
+    found = [statistic(*(array[rows] for array in arrays)) for rows in drawn]
+    values = numbers("statistic", found, (resamples,))
     upper = 0.5 + level / 2
     low, high = np.quantile(values, [0.5 - level / 2, upper])
     wider = float(

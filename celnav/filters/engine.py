@@ -536,39 +536,64 @@ def _alone(x: Any) -> Any:
 
 def each_run(thing: Any, function: Callable[[Array], Array]) -> Any:
     """A filter with other arrays in place of those that each run has of its own: matrices ``(..., n, m)`` with axes of runs."""
-    return each_array(thing, lambda array: function(array) if array.ndim > 2 else array)
+
+    def matrices(array: Array) -> Array:
+        return function(array) if array.ndim > 2 else array
+
+    def gaussian(one: Gaussian) -> Gaussian:
+        mean = one.mean
+        if mean.ndim > 1:  # of each run: a matrix (..., n, 1)
+            mean = function(mean[..., None])[..., 0]
+        own = {"mean": mean, "cov": matrices(one.cov), "sqrt_cov": matrices(one.sqrt_cov)}
+        same: Gaussian = _changed(one, own)
+        return same
+
+    return each_array(thing, matrices, gaussian)
 
 
-def each_array(thing: Any, function: Callable[[Array], Array]) -> Any:
-    """A filter with other arrays; itself where all stay the same."""
+def each_array(
+    thing: Any,
+    function: Callable[[Array], Array],
+    gaussian: Callable[[Gaussian], Gaussian] = lambda one: one,
+) -> Any:
+    """A filter with other arrays; itself where all stay the same.
+
+    gaussian: what becomes of the Gaussians in it.
+    """
     if isinstance(thing, np.ndarray):
         return function(thing)
+    if isinstance(thing, Gaussian):
+        return gaussian(thing)
     if isinstance(thing, partial):
         given = (thing.func, *thing.args)
         return (
             thing
-            if (inner := each_array(given, function)) is given
+            if (inner := each_array(given, function, gaussian)) is given
             else partial(*inner, **thing.keywords)
         )
     if isinstance(thing, tuple):
         make: Any = type(thing)
-        parts = [each_array(part, function) for part in thing]
+        parts = [each_array(part, function, gaussian) for part in thing]
         if all(a is b for a, b in zip(parts, thing, strict=True)):
             return thing
         return make(*parts) if hasattr(thing, "_fields") else tuple(parts)
-    if not is_dataclass(thing) or isinstance(thing, type | Gaussian):
+    if not is_dataclass(thing) or isinstance(thing, type):
         return thing
     own = {
         name: getattr(thing, name)
         for name in sorted({field.name for field in fields(thing)} | set(vars(thing)))
     }
-    changed = {
-        name: new for name, part in own.items() if (new := each_array(part, function)) is not part
-    }
-    if not changed:
+    return _changed(
+        thing, {name: each_array(part, function, gaussian) for name, part in own.items()}
+    )
+
+
+def _changed(thing: Any, attributes: dict[str, Any]) -> Any:
+    """A copy with other attributes; itself where all stay the same."""
+    if all(getattr(thing, name) is value for name, value in attributes.items()):
         return thing
     other = copy(thing)
-    other.__dict__.update(changed)
+    other.__dict__.update(attributes)
     return other
 
 

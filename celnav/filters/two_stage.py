@@ -209,7 +209,8 @@ class TwoStage:
         *batch, n = known.belief.mean.shape
         own, p = type(known.belief).of(self.bias), self.bias.mean.shape[-1]
         runs = np.broadcast_shapes(own.mean.shape[:-1], own[1].shape[:-2])
-        if runs and runs != tuple(batch):
+        pairs = zip(runs[::-1], batch[::-1], strict=False)
+        if len(runs) > len(batch) or any(a not in (1, b) for a, b in pairs):
             raise ValueError(f"bias: expected one, or one for each run, {tuple(batch)}, got {runs}")
         # Covariance and sensitivity get an axis of runs where the models' matrices have one.
         return TwoStageState(

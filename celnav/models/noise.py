@@ -45,6 +45,11 @@ def ar1(Phi: ArrayLike, increments: ArrayLike, first: ArrayLike) -> Array:
     batch = together(Phi=Phi.shape[:-2], increments=increments.shape[1:-1], first=first.shape[:-1])
     V = np.empty((len(increments) + 1, *batch, m))
     V[0] = first
+    factors = Phi.diagonal(0, -2, -1)
+    if not (Phi - factors[..., None] * np.eye(m)).any():
+        for k, zeta in enumerate(increments):
+            np.add(factors * V[k], zeta, out=V[k + 1])
+        return V
     for k, zeta in enumerate(increments):
         V[k + 1] = np.einsum("...ij,...j->...i", Phi, V[k]) + zeta
     return V

@@ -10,6 +10,8 @@ from celnav.lazy import needed_by
 
 with needed_by("a figure", "papers"):
     from matplotlib import rc_context
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
     from matplotlib.ticker import NullLocator
     from PIL import Image
@@ -62,13 +64,16 @@ def _sparse_ticks(fig: Figure) -> None:
 def render(fig: Figure, kind: str, dpi: float = 150) -> bytes:
     """The figure as "png" or "svg"; the same figure gives the same bytes."""
     buffer = io.BytesIO()
+    canvas: Any = (FigureCanvasSVG if kind == "svg" else FigureCanvasAgg)(fig)
     _sparse_ticks(fig)
+    before = fig.dpi
+    fig.dpi = dpi
+    # By the canvas itself: `Figure.savefig` goes through all of a figure once more to arrange it.
     with styled():
-        fig.savefig(
-            buffer,
-            format=kind,
-            dpi=dpi,
-            metadata={"Date": None} if kind == "svg" else {"Software": None},
-        )
+        if kind == "svg":
+            canvas.print_svg(buffer, metadata={"Date": None})
+        else:
+            canvas.print_png(buffer, metadata={"Software": None})
+    fig.dpi = before
     fig.set_layout_engine("none")  # arranged once, for every kind: it takes as long as the drawing
     return buffer.getvalue()

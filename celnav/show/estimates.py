@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from celnav.filters.run import run
 from celnav.gaussian.linalg import Array
 from celnav.show.figures import Line
 from celnav.study.study import Results
@@ -66,24 +65,21 @@ class Estimate:
 def again(
     results: Results, part: str, lines: Mapping[str, Line]
 ) -> tuple[dict[str, Estimate], Array, Array]:
-    """Filters of a part: the errors of all runs, and the first run flown again in full for its covariances; its truth ``(T, n)``
-    and its measurements ``(T, m)``, of epochs that are the same for all filters."""
+    """Filters of a part, of which `celnav.study.study.fly` kept the covariances of the first run: the errors of all runs; its truth
+    ``(T, n)`` and measurements ``(T, m)``, of epochs that are the same for all filters."""
     first, scale = (
         results.first(part),
         np.ones(results.get(part, f"{next(iter(lines))}/error").shape[-1]),
     )
     for group in results.study.groups:
         scale[group.part] = group.scale
-    n, found = len(scale), {}
+    found, epochs = {}, list(first.epochs(next(iter(lines))))
     for name, line in lines.items():
-        epochs = list(first.epochs(name))
-        cov = np.asarray(run(first.filters[name], first.prior, epochs, keep="cov").cov)[
-            :, 0, :n, :n
-        ]
-        error, nees, nis = (
-            results.get(part, f"{name}/{what}") for what in ("error", "nees", "nis")
+        error, cov, nees, nis = (
+            results.get(part, f"{name}/{what}") for what in ("error", "cov", "nees", "nis")
         )
-        found[name] = Estimate(line.label, line.color, error / scale, cov, nees[:, 0], nis[:, 0])
+        shown = error / scale, cov[:, 0], nees[:, 0], nis[:, 0]
+        found[name] = Estimate(line.label, line.color, *shown)
     return (
         found,
         np.stack([epoch.truth[0] for epoch in epochs]),

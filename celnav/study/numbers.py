@@ -102,7 +102,7 @@ def consistency(
     **more: Any,
 ) -> Decided:
     """Mean over the runs of NEES or NIS."""
-    return lambda r: estimate(label, np.mean, [r.nees(*a, at, what)], accept, **more)
+    return lambda r: estimate(label, _mean, [r.nees(*a, at, what)], accept, **more)
 
 
 def over_time(
@@ -208,8 +208,13 @@ def entries(
     return decide
 
 
+def _mean(x: Array) -> Any:
+    """Mean of a few numbers, for each resample: `numpy.mean` takes several times as long."""
+    return np.add.reduce(x, None) / x.size
+
+
 def _rms(squares: Array) -> float:
-    return float(np.sqrt(squares.mean()))
+    return float(np.sqrt(_mean(squares)))
 
 
 def _medians(a: Array, b: Array) -> float:
@@ -217,4 +222,4 @@ def _medians(a: Array, b: Array) -> float:
 
 
 def _ratio(a: Array, b: Array) -> float:
-    return float(np.sqrt(a.mean() / b.mean()))
+    return float(np.sqrt(_mean(a) / _mean(b)))

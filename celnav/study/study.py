@@ -53,13 +53,16 @@ class Part(NamedTuple):
     cost: float = 1.0
 
 
-def fly(trial: Trial, names: Sequence[str], every: int = 1) -> dict[str, Array]:
+def fly(
+    trial: Trial, names: Sequence[str], every: int = 1, *, cov: bool = False
+) -> dict[str, Array]:
     """Filters of a trial by name, judged at each ``every``-th epoch that has a truth.
 
     Returns
     -------
     times ``(T,)`` s; of each filter ``<name>/error`` and ``<name>/std`` ``(T, runs, n)`` in the units of the groups,
     ``<name>/nees`` and ``<name>/nis`` ``(T, runs)``, the latter nan where nothing was measured. A run that is lost is nan.
+    With ``cov`` also ``<name>/cov (T, 1, n, n)`` of the first run, in the units of the state.
     """
     out: dict[str, Array] = {}
     for name in names:
@@ -74,6 +77,8 @@ def fly(trial: Trial, names: Sequence[str], every: int = 1) -> dict[str, Array]:
             "nees": found.nees,
             "nis": nis,
         }
+        if cov:
+            each["cov"] = found.cov[:, None]
         out |= {"times": found.times} | {f"{name}/{what}": values for what, values in each.items()}
     return out
 

@@ -16,7 +16,7 @@ from celnav.filters.records import Epoch, Filter, Info, epochs
 from celnav.filters.run import ENGINE, explain, steps
 from celnav.gaussian.belief import Gaussian, any_lost, nees
 from celnav.gaussian.checks import choice, finite, instance, integer, sequence
-from celnav.gaussian.linalg import Array, Belief
+from celnav.gaussian.linalg import Array, Belief, outer
 from celnav.gaussian.spaces import EUCLIDEAN, Space
 
 __all__ = [
@@ -125,6 +125,7 @@ class Followed(NamedTuple):
 
     times: ``(K,)`` s. error: ``(K, runs, n)``, and std: what the filter takes for its deviations.
     nees, nis, dof: ``(K, runs)``; ``dof`` is the number of measured components behind ``nis``.
+    cov: ``(K, n, n)``, what it takes for the covariance of the first run's error.
     lost: ``(run, t, why)`` of each run whose estimate ceased to be finite. epochs: of the filter, judged or not.
     """
 
@@ -134,6 +135,7 @@ class Followed(NamedTuple):
     nees: Array
     nis: Array
     dof: Array
+    cov: Array
     lost: list[tuple[int, float, str]]
     epochs: int
 
@@ -191,11 +193,12 @@ def follow(trial: Trial, name: str, every: int = 1) -> Followed:
                     nees(error, root),
                     nis,
                     dof,
+                    outer(root.reshape(len(root), -1, *root.shape[-2:])[:, 0]),
                 )
             )
     if not blocks:
         raise ValueError("epochs: expected some with a truth, got none")
-    times, error, std, normalized, nis, dof = (
+    times, error, std, normalized, nis, dof, cov = (
         np.concatenate(column) for column in zip(*blocks, strict=True)
     )
     return Followed(
@@ -205,6 +208,7 @@ def follow(trial: Trial, name: str, every: int = 1) -> Followed:
         normalized,
         nis,
         dof,
+        cov,
         [(run, *what) for run, what in sorted(lost.items())],
         count,
     )

@@ -357,6 +357,10 @@ ODD = {
     ),
     "augmented of runs": (celnav.augmented(MOTION, celnav.Sensor(EYE, 0.05 * EYE), OWN), PRIOR),
     "bias of runs": (celnav.two_stage(MOTION, SENSOR, OWN, PRIOR), PRIOR),
+    "prior of a bias of runs": (
+        celnav.two_stage(MOTION, SENSOR, EYE, celnav.Gaussian(Z[0], OWN)),
+        celnav.Gaussian(np.tile(PRIOR.mean, (4, 1)), PRIOR.cov),
+    ),
     "three hooks": (
         celnav.ukf(MOTION, SENSOR, hooks=[gate(3.0), huber(), innovation_window(2)]),
         PRIOR,

@@ -130,7 +130,7 @@ def judged(config: Config, rngs: Any) -> trials.Trial:
 
 def flown(names: Sequence[str], config: Config, rngs: Rngs) -> dict[str, Array]:
     """Filters by name, at all epochs."""
-    return fly(judged(config, rngs), names)
+    return fly(judged(config, rngs), names, cov=True)
 
 
 def bound(config: Config, _: Rngs) -> dict[str, Array]:

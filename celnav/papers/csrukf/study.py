@@ -141,7 +141,7 @@ def flown(names: Sequence[str], every: int, config: Config, rngs: Rngs) -> dict[
     """Filters and variants by name."""
     one = trial(config, rngs)
     known = {**one.filters, **(variants(config) if config.measured == "positions" else {})}
-    return fly(one._replace(filters=known), names, every)
+    return fly(one._replace(filters=known), names, every, cov=True)
 
 
 def walk(config: Config, rngs: Rngs) -> dict[str, Array]:
@@ -373,7 +373,7 @@ def parts(effort: float = 1.0) -> dict[str, Part]:
     }  # fmt: skip
     for number, (name, each) in enumerate(cases.items(), 30):
         out[f"forms/{name}"] = Part(
-            partial(compared, each), P, number, 20, 10, 2e-3 * len(each) * each[0][0].steps
+            partial(compared, each), P, number, 20, 20, 2e-3 * len(each) * each[0][0].steps
         )
     for number, (name, c) in ((13, ("P", P)), (14, ("D", D))):
         config = replace(c, steps=200) if effort < BRIEF else c

@@ -110,7 +110,7 @@ VECTOR = replace(STANDARD, gyro_hz=1.0, star_hz=1.0, preintegrated=False, gyro_d
 # -- runs of the paper's scenario --------------------------------------------------------------------------------------------
 def flown(names: Sequence[str], config: Config, rngs: Rngs, **options: Any) -> dict[str, Array]:
     """Filters by name from the paper's initial error; ``options``: see `filters`."""
-    return fly(scenario.trial(config, rngs, drawn=False, **options), names)
+    return fly(scenario.trial(config, rngs, drawn=False, **options), names, cov=True)
 
 
 def isotropic(mean: Array, degrees: float) -> Gaussian:
@@ -288,9 +288,9 @@ def turning(config: Config, rngs: Rngs) -> scenario.Scenario:
 # -- one unit vector, of a magnetic field, instead of the whole attitude: a scenario that separates the filters --------------
 def field(u: float) -> Array:
     """Direction ``(3,)`` of a dipole's field, taken as inertial, ``u`` rad along an orbit that is inclined by 60 deg."""
-    up = np.array([np.cos(u), np.sin(u) * 0.5, np.sin(u) * np.sqrt(0.75)])
+    up = np.stack([np.cos(u), np.sin(u) * 0.5, np.sin(u) * np.sqrt(0.75)])
     direction = 3.0 * up * up[2] - np.array([0.0, 0.0, 1.0])
-    return np.asarray(direction / np.linalg.norm(direction))
+    return np.asanyarray(direction / np.sqrt(np.square(direction).sum()))
 
 
 def vector(config: Config, rngs: Rngs, **options: Any) -> dict[str, Array]:
@@ -641,7 +641,7 @@ def parts(effort: float = 1.0, duration_s: float | None = None) -> dict[str, Par
         "rates": Part(changes, replace(FULL_RATE, duration_s=min(5.0 if brief else 20.0, runs_s)), 2, 20),
         "priors": Part(partial(starts, (180.0, 10.0, 1.0, 20.0 / 3600.0), ("ssukf",), None), minute, 5, 20),
         "turns": Part(partial(starts, (10.0, 179.0), ("ssukf", "mekf"), axis), replace(c, duration_s=1.0), 6, 100, cost=0.2),
-        "vector": Part(vector, VECTOR, 9, 800, 200, 16.0),
+        "vector": Part(vector, VECTOR, 9, 800, 800, 10.0),
         "augmented": Part(partial(flown, (*SIDES, "mekf"), c=15.0), minute, 10, 200, 200, 2.0),
         "drawn": Part(partial(forms, simulate, FORMS[:2]), minute, 11, 1000, 200, 12.0),
         "crossing": Part(partial(forms, turning, FORMS), replace(c, duration_s=20.0), 24, 800, 200, 4.0),

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -28,11 +28,11 @@ from celnav.filters.records import Epoch, Info
 from celnav.filters.two_stage import LINEAR, Boost, Stage
 from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.checks import finite, function, instance, numbers, together, unmasked
-from celnav.gaussian.linalg import Array, Covariance, block, matvec, side_by_side, surely
+from celnav.gaussian.linalg import Array, Covariance, block, cholesky, matvec, side_by_side, surely
 from celnav.gaussian.spaces import EUCLIDEAN
 from celnav.models.noise import Noise
 
-__all__ = ["LARGEST", "Differenced", "strong_tracking"]
+__all__ = ["LARGEST", "Differenced", "StrongTracking", "strong_tracking"]
 
 
 class DifferencedState(NamedTuple):
@@ -133,7 +133,7 @@ class Differenced:
             moved,
             (sensor, KEEP),
             z=y - matvec(H, into),
-            measurement_noise=np.linalg.cholesky(Xi),
+            measurement_noise=cholesky(Xi),
         )
         both, info, _ = condition(Covariance, seen, EUCLIDEAN)
         assert seen.innovation is not None
@@ -175,7 +175,37 @@ class Window(NamedTuple):
     factors: Array
 
 
-def strong_tracking(rho: ArrayLike, tau: ArrayLike, *, proportional: ArrayLike = False) -> Any:
+@dataclass(frozen=True, eq=False)
+class StrongTracking:
+    """What `strong_tracking` makes. Its numbers are rows, matrices that runs may have of their own.
+
+    rho: ``(..., 1, m)``. tau: ``(..., 1, 1)``.
+    least: ``(..., 1, m)``, what a factor is where the ratio is 0.
+    """
+
+    rho: Array
+    tau: Array
+    least: Array
+
+    def __call__(self, memory: Window | None, seen: Boost) -> tuple[Window, Array]:
+        rho, tau, least = (row[..., 0, :] for row in (self.rho, self.tau, self.least))
+        square = seen.residual * seen.residual
+        if square.shape[-1] != rho.shape[-1]:
+            raise ValueError(
+                f"rho: expected {square.shape[-1]} numbers to go with the measurement, "
+                f"got {rho.shape[-1]}"
+            )
+        count = 1.0 if memory is None else memory.length + 1.0
+        before = np.zeros_like(square) if memory is None else memory.squares
+        squares = before + (square - before) / np.minimum(count, tau)
+        found = least + rho * (squares / seen.total.diagonal(0, -2, -1))
+        factors = np.minimum(np.maximum(np.where(np.isfinite(found), found, 1.0), 1.0), LARGEST)
+        return Window(count, squares, factors), factors
+
+
+def strong_tracking(
+    rho: ArrayLike, tau: ArrayLike, *, proportional: ArrayLike = False
+) -> StrongTracking:
     """A boost for `celnav.filters.two_stage.two_stage`: factors ``1 + rho (ratio - 1)``, of squared residuals over variances.
 
     rho: ``(..., m)``, not negative; 0 switches a component off. tau: ``(..., 1)``, length of the window in measurements.
@@ -190,19 +220,5 @@ def strong_tracking(rho: ArrayLike, tau: ArrayLike, *, proportional: ArrayLike =
         raise ValueError(f"rho: expected numbers (..., m) that are not negative, got {rho!r}")
     form = finite("proportional", proportional)
     together(rho=weights.shape, tau=length.shape, proportional=form.shape)
-    least = np.where(form > 0.0, 0.0, 1.0 - weights)
-
-    def boost(memory: Window | None, seen: Boost) -> tuple[Window, Array]:
-        square = seen.residual * seen.residual
-        if square.shape[-1] != weights.shape[-1]:
-            raise ValueError(
-                f"rho: expected {square.shape[-1]} numbers to go with the measurement, got {weights.shape[-1]}"
-            )
-        count = 1.0 if memory is None else memory.length + 1.0
-        before = np.zeros_like(square) if memory is None else memory.squares
-        squares = before + (square - before) / np.minimum(count, length)
-        found = least + weights * (squares / seen.total.diagonal(0, -2, -1))
-        factors = np.minimum(np.maximum(np.where(np.isfinite(found), found, 1.0), 1.0), LARGEST)
-        return Window(count, squares, factors), factors
-
-    return boost
+    rows = weights, np.atleast_1d(length), np.where(form > 0.0, 0.0, 1.0 - weights)
+    return StrongTracking(*(row[..., None, :] for row in rows))

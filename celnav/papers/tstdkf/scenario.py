@@ -9,9 +9,10 @@ Several configurations may be flown together, as *cases* along an axis before th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
+from importlib.util import find_spec
 from operator import attrgetter
 from typing import Any, NamedTuple
 
@@ -19,7 +20,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from celnav.filters.model import Linear, Motion, Sensor
-from celnav.filters.records import Epoch, Filter, FromFunctions
+from celnav.filters.records import Epoch, Epochs, Info, State, epochs
+from celnav.filters.run import ENGINE, run
 from celnav.filters.sequential import Sequential, ekf
 from celnav.filters.two_stage import Plain, TwoStage
 from celnav.gaussian.belief import Gaussian
@@ -278,13 +280,13 @@ def nominal(config: Config) -> Flow:
 
 @lru_cache(maxsize=4)
 def _coasted(start: tuple[float, ...], step_s: float, steps: int, center: str) -> Flow:
-    x, gravity = [np.array(start)], GRAVITY[center]
-    for _ in range(steps):
-        x.append(advance(x[-1], step_s, gravity))
+    gravity, when = GRAVITY[center], epochs(step_s * np.arange(steps + 1))
+    prior = Gaussian(start, np.zeros((6, 6)))
+    x = carried(lambda x, epoch: advance(x, epoch.dt, gravity), prior, when)
     pieces = [
         flow(part, step_s, gravity)[1:] for part in np.array_split(x[:-1], 1 + steps // 4096)
     ]  # that stay in the cache
-    return Flow(np.stack(x), *map(np.concatenate, zip(*pieces, strict=True)))
+    return Flow(x, *map(np.concatenate, zip(*pieces, strict=True)))
 
 
 class Scenario(NamedTuple):
@@ -298,18 +300,36 @@ class Scenario(NamedTuple):
     prior: Gaussian
     step_s: float
 
-    def epochs(self) -> Iterator[Epoch]:
-        """Epochs from the first measurement on; ``truth`` is state and bias ``(..., 9)``."""
-        for k in range(1, len(self.truth)):
-            u = tuple(None if part is None else part[k - 1] for part in self.inputs)
-            yield Epoch(
-                k,
-                k * self.step_s,
-                self.step_s,
-                u,
-                self.z[k],
-                side_by_side([self.truth[k], self.bias[k]]),
-            )
+    @property
+    def times(self) -> Array:
+        """Seconds since the start, ``(T,)``."""
+        return self.step_s * np.arange(len(self.truth))
+
+    def some(self, runs: slice) -> Scenario:
+        """Some of the runs, of several cases."""
+        return self._part(slice(None), runs)
+
+    def of(self, cases: list[int]) -> Scenario:
+        """Cases of these numbers."""
+        return self._part(cases, slice(None))
+
+    def _part(self, *at: Any) -> Scenario:
+        mean, cov = self.prior.mean, self.prior.cov
+        if cov.ndim > 2:  # not one of all runs
+            cov = np.broadcast_to(cov, (*mean.shape, mean.shape[-1]))[at]
+        truth, bias, z = (part[:, *at] for part in (self.truth, self.bias, self.z))
+        return self._replace(truth=truth, bias=bias, z=z, prior=Gaussian(mean[at], cov))
+
+    def measured(self) -> Epochs:
+        """Epochs from the first measurement on, without the truth."""
+        every: Epochs = epochs(self.times, self.z, self.inputs)[1:]
+        return every
+
+    def epochs(self) -> Epochs:
+        """The same; ``truth`` is state and bias ``(..., 9)``."""
+        truth = side_by_side([self.truth, self.bias])
+        every: Epochs = epochs(self.times, self.z, self.inputs, truth)[1:]
+        return every
 
 
 def drawn(cases: Cases, rngs: Rngs) -> tuple[Array, Array, Array, Array]:
@@ -343,15 +363,15 @@ def simulate(cases: Cases, rngs: Rngs) -> Scenario:
         [np.broadcast_to(error, (len(V), len(rngs), 3)) for error in errors], 1
     ).reshape(V.shape)
     # The disturbance is mapped by the nominal orbit's G, from which that of a run differs by 1e-4 of itself.
-    G, truth, z = nominal(c).G, np.empty_like(Q), np.full_like(V, np.nan)
-    truth[0] = c.orbit
-    for k in range(1, len(truth)):
-        extra = pull(None if bodies is None else bodies[k])
-        truth[k] = (
-            advance(truth[k - 1], c.step_s, GRAVITY[c.center], extra)
-            + (matvec(noise.J, V[k]) + Q[k]) @ G[k - 1].T
-        )
-        z[k] = timing.delay(earth[k] + bias[k] + truth[k, ..., :3], sun[k]) + V[k]
+    pushes = Q[1:]
+    pushes += matvec(noise.J, V[1:])
+    pushes = (pushes.reshape(len(pushes), -1, 6) @ nominal(c).G.mT).reshape(pushes.shape)
+    truth, z = pushed(c, pushes, None if bodies is None else bodies[1:]), V
+    z[0] = np.nan
+    for some in np.array_split(np.arange(1, len(z)), 1 + len(z) // 256):
+        there = (some, *(None,) * (z.ndim - 2))
+        place = earth[there] + bias[some] + truth[some, ..., :3]
+        z[some] += timing.delay(place, sun[there])
     deviation = stacked(cases, lambda case: case.deviation)
     start = np.where(stacked(cases, lambda case: [case.initial == "drawn"]), begun, 1.0)
     prior = Gaussian(c.orbit + start * deviation, deviation[..., None] ** 2 * np.eye(6))
@@ -365,14 +385,49 @@ def simulate(cases: Cases, rngs: Rngs) -> Scenario:
     )
 
 
+def compiles() -> bool:
+    """Whether machine code can be had, which is taken where it repays."""
+    return ENGINE.get() != "numpy" and find_spec("llvmlite") is not None
+
+
+def carried(f: Callable[[Array, Epoch], Array], prior: Gaussian, when: Epochs) -> Array:
+    """States ``(T, ..., 6)`` that follow from one another: the means of an open loop."""
+    motion = Motion(f, np.zeros((6, 6)), jacobian=lambda _x, _epoch: np.eye(6))
+    return run(ekf(motion, form="covariance"), prior, when, keep="mean").mean
+
+
+def pushed(config: Config, pushes: Array, bodies: Array | None) -> Array:
+    """Orbits ``(T, ..., 6)`` from the nominal start.
+
+    pushes: ``(T - 1, ..., 6)`` km, km/s at the end of each step. bodies: see `pull`.
+    """
+    gravity, shape = GRAVITY[config.center], () if bodies is None else bodies.shape[1:]
+    start, x = np.broadcast_to(config.orbit, pushes.shape[1:]), list[Array]()
+    flat = None if bodies is None else bodies.reshape(len(bodies), -1)
+
+    def f(x: Array, epoch: Epoch) -> Array:
+        push, seen = epoch.u
+        extra = pull(None if seen is None else seen.reshape(shape))
+        return np.asanyarray(advance(x, epoch.dt, gravity, extra) + push)
+
+    if compiles():
+        when = epochs(config.times, u=(pushes, flat))
+        return carried(f, Gaussian(start, np.zeros((6, 6))), when)
+    for k, push in enumerate(pushes):
+        u = push, None if flat is None else flat[k]
+        x.append(f(x[-1] if x else start, Epoch(k + 1, 0.0, config.step_s, u)))
+    return np.stack([start, *x])
+
+
 def linearized(cases: Sequence[Config], rngs: Rngs) -> Scenario:
     """Runs of errors about the nominal orbit, for `LINEAR` models, whose filters have one covariance for all runs. Cases differ in
     their ephemeris error alone; a constant one is 1 km along an axis in each of the first runs, then along random directions."""
     c, (V, Q, _, constant) = cases[0], drawn(cases[0], rngs)
     (orbit, Phi, G), (earth, sun, _), J = nominal(c), sky(c), c.noise.J
     x, Gamma = np.zeros_like(Q), c.timing.gradient(earth + orbit[:, :3], sun)
-    for k in range(1, len(x)):
-        x[k] = x[k - 1] @ Phi[k - 1].T + (V[k] @ J.T + Q[k]) @ G[k - 1].T
+    x[1:] = (V[1:] @ J.T + Q[1:]) @ G.mT
+    for now, before, transition in zip(x[1:], x, Phi.mT, strict=False):
+        now += before @ transition
     unit, batch = (
         constant / np.linalg.norm(constant, axis=1, keepdims=True),
         (len(x), len(cases), len(rngs)),
@@ -412,31 +467,40 @@ class Models(NamedTuple):
         )
 
 
+class Orbiting:
+    """Functions for `Models` of a configuration. ``pulled``: whether they know of Sun and Moon."""
+
+    def __init__(self, config: Config, pulled: bool):
+        self.timing, self.gravity, self.pulled = config.timing, GRAVITY[config.center], pulled
+        self._last: tuple[Any, Any, Any] = (None, None, None)
+
+    def move(self, mean: Array, epoch: Epoch) -> Flow:
+        """What follows, Jacobian and noise input, of one integration; the last is remembered."""
+        x = mean[..., :6]
+        if x.dtype.hasobject:  # recorded: what is computed twice is one there
+            return self._flow(x, epoch)
+        known, at, found = self._last
+        if at is not epoch or not np.array_equal(known, x):
+            found = self._flow(x, epoch)
+            self._last = x.copy(), epoch, found
+        return found  # type: ignore[no-any-return]
+
+    def _flow(self, x: Array, epoch: Epoch) -> Flow:
+        return flow(x, epoch.dt, self.gravity, pull(epoch.u[2] if self.pulled else None))
+
+    def measure(self, x: Array, epoch: Epoch) -> Array:
+        """Delays ``(..., m)`` km."""
+        return self.timing.delay(epoch.u[0] + x[..., :3], epoch.u[1])
+
+    def Gamma(self, x: Array, epoch: Epoch) -> Array:
+        """Their slope ``(..., m, 3)``."""
+        return self.timing.gradient(epoch.u[0] + x[..., :3], epoch.u[1])
+
+
 def models(config: Config, pulled: bool = False) -> Models:
     """The models of a configuration. ``pulled``: whether they know of Sun and Moon."""
-    timing, last = config.timing, list[Any]([np.zeros(0), None, None])
-
-    def move(
-        mean: Array, epoch: Epoch
-    ) -> Any:  # what follows, Jacobian and noise input come from one integration
-        if last[1] is not epoch or not np.array_equal(last[0], mean[..., :6]):
-            last[:] = (
-                mean[..., :6].copy(),
-                epoch,
-                flow(
-                    mean[..., :6],
-                    epoch.dt,
-                    GRAVITY[config.center],
-                    pull(epoch.u[2] if pulled else None),
-                ),
-            )
-        return last[2]
-
-    return Models(
-        move,
-        lambda x, epoch: timing.delay(epoch.u[0] + x[..., :3], epoch.u[1]),
-        lambda x, epoch: timing.gradient(epoch.u[0] + x[..., :3], epoch.u[1]),
-    )
+    of = Orbiting(config, pulled)
+    return Models(of.move, of.measure, of.Gamma)
 
 
 LINEAR = Models(  # of errors about the nominal orbit; epoch.u is (Phi, G, Gamma)
@@ -479,17 +543,28 @@ def filters(
     }
 
 
+# Matrices that runs may have of their own are arguments of a `partial`: the compiled engine finds
+# them there.
 def kalman(seen: Models, Q: Array, R: Array) -> Sequential:
     """An EKF that takes all noise for white, of covariances Q ``(..., 6, 6)`` of the rates and R ``(..., m, m)``."""
-    move, root = seen.move, np.linalg.cholesky(Q)
-    motion = seen.believed(
-        Motion, lambda x, epoch: move(x[0], epoch).state[None], lambda x, epoch: move(x, epoch).Phi,
-        sqrt_Q=lambda x, epoch: move(x, epoch).G @ root,
-    )  # fmt: skip
+    functions = partial(_follows, seen), partial(_transition, seen)
+    motion = seen.believed(Motion, *functions, sqrt_Q=partial(_driven, seen, np.linalg.cholesky(Q)))
     return ekf(motion, seen.believed(Sensor, seen.measure, seen.H, R=R), form="covariance")
 
 
-def augmented(seen: Models, n: Noise, bias: Gaussian, walk: Array) -> Filter:
+def _follows(seen: Models, x: Array, epoch: Epoch) -> Array:
+    return seen.move(x[0], epoch).state[None]
+
+
+def _transition(seen: Models, x: Array, epoch: Epoch) -> Array:
+    return seen.move(x, epoch).Phi
+
+
+def _driven(seen: Models, root: Array, x: Array, epoch: Epoch) -> Array:
+    return np.asanyarray(seen.move(x, epoch).G @ root)
+
+
+def augmented(seen: Models, n: Noise, bias: Gaussian, walk: Array) -> Appended:
     """The exact filter: 18 states ``(x, V, Q, b)``, the bias a random walk, and no noise left in the measurement. In square-root
     form: after an update V is known from the rest, so the covariance is singular."""
     xi, e, eye = np.sqrt(n.Xi), np.sqrt(n.E), np.eye(3)
@@ -509,49 +584,67 @@ def augmented(seen: Models, n: Noise, bias: Gaussian, walk: Array) -> Filter:
     )
 
 
-def nine_states(seen: Models, Q: Array, R: Array, bias: Gaussian, walk: Array) -> Filter:
+def nine_states(seen: Models, Q: Array, R: Array, bias: Gaussian, walk: Array) -> Appended:
     """`kalman` with the bias appended, ``(x, b)``; ``walk (..., 3, 3)``: root of the covariance of its steps."""
     drives = block([[np.linalg.cholesky(Q), 0], [0, walk]])
     return appended(seen, bias.cov, np.eye(3), np.zeros((6, 3)), drives, "covariance", R=R)
 
 
+@dataclass(frozen=True, eq=False)
+class Appended:
+    """A filter of orbit and further states ``(q,)``; ``cov (..., q, q)``: of these at first."""
+
+    filter: Sequential
+    cov: Array
+
+    def start(self, prior: Gaussian) -> State:
+        """State before the first epoch; the prior is about the orbit."""
+        mean = side_by_side([prior.mean, np.zeros(self.cov.shape[-1])])
+        return self.filter.start(Gaussian(mean, block([[prior.cov, 0], [0, self.cov]])))
+
+    def step(self, state: State, epoch: Epoch) -> tuple[State, tuple[Info, ...]]:
+        """State after an epoch."""
+        return self.filter.step(state, epoch)
+
+
 def appended(
     seen: Models, cov: Array, color: Array, into: Array, drives: Array, form: str, **R: Array
-) -> Filter:
+) -> Appended:
     """An EKF of orbit and ``s (..., q)``, first a timing's noise if q > 3, last a bias: ``s' = color s + w``, N(0, cov) at first,
     noise of the orbit ``into s + w``; ``drives (..., 6 + q, r)``: root of the covariance of w. Others: as of `ekf`."""
-
-    def f(x: Array, epoch: Epoch) -> Array:
-        moved, s = seen.move(x[0], epoch), x[0][..., 6:]
-        return np.concatenate(
-            [moved.state + matvec(moved.G, matvec(into, s)), matvec(color, s)], -1
-        )[None]
-
-    def transition(x: Array, epoch: Epoch) -> Array:
-        _, Phi, G = seen.move(x, epoch)
-        return block([[Phi, G @ into], [0, color]])
-
-    def slope(x: Array, epoch: Epoch) -> Array:
-        return block([[seen.H(x, epoch), np.eye(3, cov.shape[-1] - 3), seen.Gamma(x, epoch)]])
-
-    def h(x: Array, epoch: Epoch) -> Array:
-        return np.asarray(seen.measure(x, epoch) + matvec(slope(x, epoch)[..., 6:], x[..., 6:]))
-
-    def start(prior: Gaussian) -> Any:
-        mean = side_by_side([prior.mean, np.zeros(cov.shape[-1])])
-        return inner.start(Gaussian(mean, block([[prior.cov, 0], [0, cov]])))
-
-    noise = {
-        "sqrt_Q": lambda x, epoch: block(
-            [[seen.move(x, epoch).G @ drives[..., :6, :]], [drives[..., 6:, :]]]
-        )
-    }
-    inner = ekf(
-        seen.believed(Motion, f, transition, **noise),
-        seen.believed(Sensor, h, slope, **R),
-        form=form,
+    slope = partial(_slope_with, seen, cov.shape[-1] - 3)
+    motion = seen.believed(
+        Motion,
+        partial(_follows_with, seen, color, into),
+        partial(_transition_with, seen, color, into),
+        sqrt_Q=partial(_driven_with, seen, drives),
     )
-    return FromFunctions(start, inner.step)
+    sensor = seen.believed(Sensor, partial(_measured_with, seen, slope), slope, **R)
+    return Appended(ekf(motion, sensor, form=form), cov)
+
+
+def _follows_with(seen: Models, color: Array, into: Array, x: Array, epoch: Epoch) -> Array:
+    moved, s = seen.move(x[0], epoch), x[0][..., 6:]
+    orbit = moved.state + matvec(moved.G, matvec(into, s))
+    return np.concatenate([orbit, matvec(color, s)], -1)[None]
+
+
+def _transition_with(seen: Models, color: Array, into: Array, x: Array, epoch: Epoch) -> Array:
+    _, Phi, G = seen.move(x, epoch)
+    return block([[Phi, G @ into], [0, color]])
+
+
+def _driven_with(seen: Models, drives: Array, x: Array, epoch: Epoch) -> Array:
+    return block([[seen.move(x, epoch).G @ drives[..., :6, :]], [drives[..., 6:, :]]])
+
+
+def _slope_with(seen: Models, noises: int, x: Array, epoch: Epoch) -> Array:
+    """Slope of a timing; ``noises``: how many states stand between orbit and bias, V first."""
+    return block([[seen.H(x, epoch), np.eye(3, noises), seen.Gamma(x, epoch)]])
+
+
+def _measured_with(seen: Models, slope: Any, x: Array, epoch: Epoch) -> Array:
+    return np.asanyarray(seen.measure(x, epoch) + matvec(slope(x, epoch)[..., 6:], x[..., 6:]))
 
 
 # -- how they are judged -----------------------------------------------------------------------------------------------------

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache, partial
-from typing import Any
+from itertools import product
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,14 +15,14 @@ from celnav.analysis.metrics import rms
 from celnav.files import data, read_npz
 from celnav.filters.records import FilterError
 from celnav.filters.run import run, steps
-from celnav.filters.two_stage import Boost, TwoStage
+from celnav.filters.two_stage import Boost, Plain, TwoStage
 from celnav.gaussian.belief import Gaussian, nees
-from celnav.gaussian.linalg import Array, cholesky, matvec
+from celnav.gaussian.linalg import Array, cholesky
 from celnav.models.ephemeris import BODIES, GM, Tdb, de421, from_utc
 from celnav.models.noise import ar1_noise
 from celnav.models.orbit import third_body
 from celnav.papers.tstdkf import scenario as s
-from celnav.papers.tstdkf.method import strong_tracking
+from celnav.papers.tstdkf.method import StrongTracking, strong_tracking
 from celnav.papers.tstdkf.scenario import (
     DAY_S,
     KAPPA,
@@ -67,6 +68,8 @@ LENGTHS = (
     Group("bias", "km", slice(2, 3)),
 )
 """What is kept of errors of position, velocity and ephemeris: their lengths."""
+PER_UNIT = (1.0, 1e3, 1.0)
+"""Of these units in km and km/s."""
 EXACT_PART = np.r_[0:6, -3:0]
 TRENDS, LARGER = ("sine", "growing", "triangle"), 20.0 / 3.0
 AMPLIFIED = tuple(LARGER * a for a in TABLE_5.amplitude_km)
@@ -126,22 +129,65 @@ SWEEP |= {f"{form}, τ = {tau:g}": (*FORM[form], *TABLE_5.rho, tau) for form in 
 NINE = {**{f"aug9 {walk:g}": (walk, 0) for walk in WALKS}, "fair": (1e-4, 1)}
 """Filters of nine states by name: steps of the bias (km), and which of `Noise.whites` they believe in."""
 LABELS = {
-    "tkf": ("ekf", "tkf"),
     "tstdkf": ("tdkf", "tstdkf"),
     "tdkf": FORMS,
     "sweep": SWEEP,
     "nine": NINE,
 }
-"""The filters inside of a filter: EKF is the first stage of TKF, TDKF lies beside TSTDKF, others side by side."""
+"""The filters side by side in a filter. EKF is the first stage of TKF, and runs alone."""
+MOST_NUMBERS = 1 << 26
+"""Of the rows of machine code that are in memory at a time: half a gigabyte."""
 
 
-def means(state: Any) -> Array:
-    """Orbit and bias ``(filters, cases, runs, 9)`` of the filters inside of one's state."""
-    if not hasattr(state, "bias"):
-        return np.asarray(state.belief.mean[..., EXACT_PART])
-    x, b = state.first.belief.mean, state.bias.mean
-    b = b if b.ndim > x.ndim else np.stack([0.0 * b, b])
-    return np.concatenate([x + matvec(state.Lambda, b), b], -1)
+class Estimates(NamedTuple):
+    """Estimates at consecutive epochs from the number ``start`` on, of some runs.
+
+    mean: ``(K, ..., cases, runs, n)``.
+    cov, nis: ``(..., cases, runs, n, n)`` and ``(..., cases, runs)`` at the last of each ``every``
+        epochs; None where nothing is judged.
+    """
+
+    runs: slice
+    start: int
+    mean: Array
+    cov: Array | None = None
+    nis: Array | None = None
+
+
+Take = Callable[[Estimates], None]
+
+
+def by_epoch(take: Take, filter: Any, sim: s.Scenario, every: int, judged: bool) -> None:
+    """Give estimates of all runs by numpy, ``every`` epochs at a time."""
+    means: list[Array] = []
+    for at, (_, state, (info,)) in enumerate(steps(filter, sim.prior, sim.measured()), 1):
+        means.append(state.belief.mean)
+        if len(means) == every:
+            more = (state.belief.cov[None], np.asarray(info.nis)[None]) if judged else ()
+            take(Estimates(slice(None), at - every, np.stack(means), *more))
+            means = []
+
+
+def by_runs(
+    take: Take, filter: Any, sim: s.Scenario, every: int, judged: bool, beside: int
+) -> None:
+    """Give estimates at all epochs, of as many runs at a time as there is memory for.
+
+    beside: how many filters are side by side in this one.
+    """
+    *cases, count = sim.truth.shape[1:-1]
+    n = filter.start(sim.prior).belief.mean.shape[-1]
+    row = 3 * n * (n + 1) if judged else n + 9
+    room = MOST_NUMBERS // (beside * len(sim.truth) * int(np.prod(cases)) * row)
+    step = count if room >= count else 1 << max(0, room.bit_length() - 1)
+    last = slice(every - 1, None, every)
+    for first in range(0, count, step):
+        runs = slice(first, first + step)
+        some = sim.some(runs)
+        track: Any = run(filter, some.prior, some.measured(), keep="cov" if judged else "mean")
+        more = (track.cov[last], track.nis[last]) if judged else ()
+        take(Estimates(runs, 0, track.mean, *more))
+        del track, more  # before there is another one
 
 
 def flown(
@@ -151,48 +197,64 @@ def flown(
     of: Sequence[str],
     *,
     every: int = 1,
-    judged: int = 0,
+    judged: bool = False,
 ) -> Found:
     """Filters ``of`` these names (see `LABELS`) over cases of these: errors ``<case>/<filter>/error (K, runs, 3)``, see `LENGTHS`,
-    RMS over ``every`` epochs, and the estimate ``first (K, 1, 9)`` of the first run; FilterError if one is lost. judged: the first
-    cases, whose ``nees`` is kept, for aug of the bias too, and ``nis``."""
+    RMS over ``every`` epochs, and the estimate ``first (K, 1, 9)`` of the first run; FilterError if one is lost. judged: ``nees``
+    is kept too, for aug of the bias too, and ``nis``."""
     out: Found = {"times": sim.step_s * np.arange(every, len(sim.truth), every)}
     for name in of:
-        filter, held, rows = known[name], list[Array](), list[dict[str, Array]]()
-        if isinstance(filter, TwoStage):  # it takes one mean of the bias, or one for each run
-            filter = replace(
-                filter, bias=Gaussian(np.zeros((*sim.prior.mean.shape[:-1], 3)), filter.bias.cov)
-            )
-        for epoch, state, (info,) in steps(filter, sim.prior, sim.epochs()):
-            mean = means(state).reshape(-1, *epoch.truth.shape)
-            held.append(mean - epoch.truth)
-            if len(held) < every:
-                continue
-            square = np.square(held).reshape(every, *mean.shape[:-1], 3, 3).sum(-1).mean(0)
-            rows.append({"error": np.sqrt(square) * [1.0, 1e3, 1.0], "first": mean[..., :1, :]})
-            if judged:
-                part, cov = EXACT_PART if name == "aug" else np.arange(6), state.belief.cov
-                cov = np.stack([state.first.belief.cov, cov[..., :6, :6]]) if name == "tkf" else cov
-                root = cholesky(
-                    cov.reshape(-1, *cov.shape[-4:])[:, :judged, :, part[:, None], part]
-                )
-                rows[-1]["nees"] = nees(held[-1][:, :judged, :, : len(part)], root)
-                rows[-1] |= {"nis": np.asarray(info.nis)[None, :judged]} if name == "aug" else {}
-            held = []
-        for key in rows[0]:
-            track = np.stack([row[key] for row in rows])
-            if not (sound := np.isfinite(track).reshape(len(track), -1).all(1)).all():
-                raise FilterError(
-                    f"{name}/{key}: lost a run at step {every * (1 + int(np.argmin(sound)))}"
-                )
-            cases, inside = (
-                list(enumerate(names[: track.shape[2]])),
-                enumerate(LABELS.get(name, [name])),
-            )
-            out |= {
-                f"{case}/{label}/{key}": track[:, i, j] for i, label in inside for j, case in cases
-            }
+        filter = known[name]
+        each = [(filter, tuple(LABELS.get(name, (name,))))]
+        if name == "tkf":
+            each.insert(0, (filter.first.filter, ("ekf",)))
+        for one, labels in each:
+            for key, values in followed(one, sim, every, judged, labels).items():
+                if not (sound := np.isfinite(values).reshape(len(values), -1).all(1)).all():
+                    at = every * (1 + int(np.argmin(sound)))
+                    raise FilterError(f"{name}/{key}: lost a run at step {at}")
+                for (i, label), (j, case) in product(enumerate(labels), enumerate(names)):
+                    out[f"{case}/{label}/{key}"] = values[:, i, j]
     return out
+
+
+def followed(
+    filter: Any, sim: s.Scenario, every: int, judged: bool, labels: Sequence[str]
+) -> Found:
+    """What `flown` gives of the filters in one, arrays ``(K, filters, cases, runs, ...)``."""
+    K, batch = (len(sim.truth) - 1) // every, (len(labels), *sim.truth.shape[1:-1])
+    rows: Found = {"error": np.empty((K, *batch, 3)), "first": np.zeros((K, *batch[:-1], 1, 9))}
+    rows |= {key: np.empty((K, *batch)) for key in ("nees", "nis") if judged}
+    exact = labels == ("aug",)
+
+    def take(some: Estimates) -> None:
+        count = len(some.mean) // every
+        at, steps = slice(some.start // every, some.start // every + count), count * every
+        here = slice(some.start + 1, some.start + 1 + steps)
+        truth, bias = (x[here, None, :, some.runs] for x in (sim.truth, sim.bias))
+        mean = some.mean[:steps].reshape(steps, len(labels), *truth.shape[2:-1], -1)
+        mean = mean[..., EXACT_PART] if exact else mean
+        own: Any = mean[..., 6:] if mean.shape[-1] > 6 else 0.0  # an EKF knows of no bias
+        error = mean[..., :3] - truth[..., :3], mean[..., 3:6] - truth[..., 3:], own - bias
+        for i, apart in enumerate(error):
+            square = np.vecdot(apart, apart).reshape(count, every, *apart.shape[1:-1]).mean(1)
+            rows["error"][at, ..., some.runs, i] = PER_UNIT[i] * np.sqrt(square)
+        last = slice(every - 1, None, every)
+        if some.runs.start in (None, 0):
+            rows["first"][at, ..., : mean.shape[-1]] = mean[last, ..., :1, :]
+        if some.cov is not None and some.nis is not None:
+            whole = np.concatenate(error if exact else error[:2], -1)[last]
+            part = EXACT_PART if exact else np.arange(6)
+            cov = some.cov[..., part[:, None], part]
+            root = cholesky(cov.reshape(count, -1, *cov.shape[-4:]))
+            rows["nees"][at, ..., some.runs] = nees(whole, root)
+            rows["nis"][at, ..., some.runs] = some.nis.reshape(count, -1, *some.nis.shape[-2:])
+
+    if s.compiles():
+        by_runs(take, filter, sim, every, judged, len(labels))
+    else:
+        by_epoch(take, filter, sim, every, judged)
+    return rows
 
 
 def apart(
@@ -202,7 +264,7 @@ def apart(
     rngs: Rngs,
     *,
     taken: Changes | None = None,
-    judged: int = 0,
+    judged: bool = False,
 ) -> Found:
     """Configurations that differ side by side; ``taken``: what the filters take them for, where that is something else."""
     cases, believed = (
@@ -217,16 +279,20 @@ def apart(
 def five(config: Config, rngs: Rngs) -> Found:
     """The five settings; in the first, EKF and TKF with the stationary covariances too."""
     cases = [replace(config, **changes) for changes in FIVE.values()]
-    sim, known = simulate(cases, rngs), filters(cases, on=BESIDE)
-    truth, bias, z = (part[:, :1] for part in (sim.truth, sim.bias, sim.z))
-    one = sim._replace(
-        truth=truth, bias=bias, z=z, prior=Gaussian(sim.prior.mean[:1], sim.prior.cov[:1])
-    )
-    fair = flown(["fair"], one, {"tkf": filters(cases[:1])["tkf-fair"]}, ["tkf"])
+    sim, known, names = simulate(cases, rngs), filters(cases, on=BESIDE), list(FIVE)
+    # The first setting once more, for filters that are given the stationary covariances.
+    white = [
+        np.concatenate([driving, stationary[:1]])
+        for driving, stationary in zip(*s.noises(cases).whites, strict=True)
+    ]
+    two = known["tkf"]
+    prior = Gaussian(np.zeros(3), np.concatenate([two.bias.cov, two.bias.cov[:1]]))
+    known["tkf"] = TwoStage.of(Plain(s.kalman(s.models(config), *white)), two.Gamma, prior)
     return (
-        fair
-        | flown(list(FIVE), sim, known, ("tkf", "tstdkf"))
-        | flown(list(FIVE), sim, known, ["aug"], judged=1)
+        flown([*names, "fair"], sim.of([*range(len(cases)), 0]), known, ["tkf"])
+        | flown(names, sim, known, ["tstdkf"])
+        | flown(names[:1], sim.of([0]), filters(cases[:1]), ["aug"], judged=True)
+        | flown(names[1:], sim.of([1, 2, 3, 4]), filters(cases[1:]), ["aug"])
     )
 
 
@@ -248,21 +314,27 @@ def forces(config: Config, rngs: Rngs) -> Found:
 
 
 # -- filters on errors that are linear about the nominal orbit: all runs share their covariances -------------------------------
-def boosts(table: Mapping[str, tuple[float, ...]]) -> Callable[[Any, Boost], tuple[Any, Array]]:
-    """All factors of a table at once, along a first axis."""
+@dataclass(frozen=True, eq=False)
+class Boosts:
+    """Factors of several kinds at once, along a first axis.
+
+    own: ``(..., 1, 1)``, whether of the innovations of the first stage.
+    """
+
+    own: Array
+    boost: StrongTracking
+
+    def __call__(self, memory: Any, seen: Boost) -> tuple[Any, Array]:
+        own = self.own > 0.0
+        residual = np.where(own[..., 0, :], seen.innovation, seen.residual)
+        total = np.where(own, seen.own, seen.total)
+        return self.boost(memory, seen._replace(residual=residual, total=total))
+
+
+def boosts(table: Mapping[str, tuple[float, ...]]) -> Boosts:
+    """All factors of a table."""
     own, form, rho, tau = np.split(np.array(list(table.values()))[:, None, None, :], [1, 2, 5], -1)
-    boost = strong_tracking(rho, tau, proportional=form)
-
-    def boosted(memory: Any, seen: Boost) -> Any:
-        residual = np.where(own > 0.0, seen.innovation, seen.residual)
-        return boost(
-            memory,
-            seen._replace(
-                residual=residual, total=np.where(own[..., None] > 0.0, seen.own, seen.total)
-            ),
-        )
-
-    return boosted
+    return Boosts(own[..., None], strong_tracking(rho, tau, proportional=form))
 
 
 def linear(
@@ -294,8 +366,9 @@ that the filters do not model."""
 def response(config: Config, pull: Array) -> Array:
     """What accelerations ``(T, cases, 3)`` km/s^2 do to the nominal orbit, ``(T, cases, 6)``."""
     (_, Phi, G), x = s.nominal(config), np.zeros((*pull.shape[:2], 6))
-    for k in range(1, len(x)):
-        x[k] = x[k - 1] @ Phi[k - 1].T + pull[k] @ G[k - 1, :, 3:].T
+    x[1:] = pull[1:] @ G[:, :, 3:].mT
+    for now, before, transition in zip(x[1:], x, Phi.mT, strict=False):
+        now += before @ transition
     return x
 
 
@@ -514,14 +587,14 @@ def parts(effort: float = 1.0) -> dict[str, Part]:
     white, around_mars = replace(month, setting=SETTINGS[5]), replace(month, **MARS)
     sure = replace(ten_days, setting=SETTINGS[5], bias_prior_km=1.0 / np.sqrt(3.0), walk_km=0.0)
     return {
-        "month": Part(five, month, 0, 50, 50, 120.0),
-        "year": Part(partial(linear, TRENDS, 12, ("tkf", "tdkf", "aug9", "aug")), year, 7, 24, 24, 145.0),
+        "month": Part(five, month, 0, 50, 50, 60.0),
+        "year": Part(partial(linear, TRENDS, 12, ("tkf", "tdkf", "aug9", "aug")), year, 7, 24, 24, 45.0),
         "variants": Part(partial(apart, VARIANTS, pair), month, 1, 8, 50, 25.0),
         "ten days": Part(partial(apart, {**COUPLED, **STRONG, **ALONE}, (*pair, "aug"), taken=TAKEN), ten_days, 4, 12, 50, 20.0),
         "forces": Part(forces, ten_days, 6, 20, 50, 10.0),
         **{f"many {m0:g}": Part(partial(linear, TRENDS[:1], 72, pair), replace(month, bias_prior_km=m0), 9, runs, 400,
                                 8.0 + 0.02 * runs) for m0, runs in PRIORS.items()},
-        "consistency": Part(partial(apart, {i: FIVE[i] for i in "15"}, (*pair, "aug"), judged=2), honest, 5, 40, 50, 6.0),
+        "consistency": Part(partial(apart, {i: FIVE[i] for i in "15"}, (*pair, "aug"), judged=True), honest, 5, 40, 50, 6.0),
         "constant": Part(partial(linear, ["constant"], 12, ["tkf"]), white, 10, 23, 23),
         "constant, Mars": Part(partial(linear, ["constant"], 12, ["tkf"]), replace(white, **MARS),
                                10, 23, 23),
