@@ -175,14 +175,25 @@ class Data(NamedTuple):
 class Start(NamedTuple):
     """What is so before the first epoch.
 
-    shape: of the state. numbers: ``(runs, size)`` of the states of all runs, in the order in which they are
-    kept, behind what each counts and the filter's matrices of its own. common: those of the state
-    that all runs have in common.
+    shape: of the state. parts: ``(runs, k)`` of the states of all runs, or ``(1, k)`` where all have the same, in the
+    order in which they are kept, behind what each counts and the filter's matrices of its own. common:
+    entries of the state that all runs have in common.
     """
 
     shape: Shape
-    numbers: Array
+    parts: list[Array]
     common: frozenset[int]
+
+    @property
+    def numbers(self) -> Array:
+        """All of them, ``(runs, size)``."""
+        runs = max(map(len, self.parts))
+        return np.concatenate([np.broadcast_to(x, (runs, x.shape[1])) for x in self.parts], 1)
+
+    @property
+    def first(self) -> Array:
+        """Those of the first run, ``(size,)``."""
+        return np.concatenate([x[0] for x in self.parts])
 
 
 def signature(prior: Any, data: Data) -> tuple[Any, ...]:
@@ -333,14 +344,17 @@ class Engine:
             values = np.asarray(x, np.float64)
             if values.shape != (*self.batch, *own):
                 values = np.broadcast_to(values, (*self.batch, *own))
-            whole = values.reshape(self.runs, -1)
+            shared = not any(values.strides[:axes])
+            if shared:
+                values = values[(0,) * axes]
+            rows = values.reshape(1 if shared else self.runs, -1)
             matrix = what in ("lower", "symmetric")
-            parts.append(whole[:, places(own, what)] if matrix else whole)
+            parts.append(rows[:, places(own, what)] if matrix else rows)
             count = parts[-1].shape[1]
-            if not any(values.strides[:axes]):
+            if shared:
                 common.update(range(first, first + count))
             first += count
-        return Start(shape, np.concatenate(parts, 1), frozenset(common))
+        return Start(shape, parts, frozenset(common))
 
     def inputs(self, found: Inputs, count: int) -> list[tuple[Array, bool]]:
         """The parts of an input over ``count`` epochs, zeros where there are none, and which of them are of each run."""

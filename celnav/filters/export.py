@@ -81,7 +81,7 @@ def export_c(
     size = engine.held + max(shape.size for shape in (engine.begin, first.after, step.after))
     count = 3 + sum(x[0].size for x, _ in inputs[moving.u])
     places = {"state": "state", "shared": "in", "own": "z", "rows": "out"}
-    start = engine.start(prior).numbers[0]
+    start = engine.start(prior).first
     sizes = {
         "STATE": size,
         "IN": count,

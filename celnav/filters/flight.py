@@ -250,7 +250,7 @@ def fly(
     else:
         cells = max(one.cells for one in plan.code)
         begin = _on_host([one.each for one in plan.code], cells, plan.steps)
-    once = _once(plan, shared, start.numbers[0], sentinels)
+    once = _once(plan, shared, start.first, sentinels)
 
     def some(first: int) -> None:
         """A chunk of runs."""
@@ -263,11 +263,13 @@ def fly(
             mine = x if x.shape[1] == 1 else x[:, part]
             values[:, at : at + x.shape[-1], :count] += mine.transpose(0, 2, 1)
         values[..., count:] = values[..., count - 1 : count]
-        numbers = start.numbers[part]
-        if width > count:
-            numbers = np.concatenate([numbers, np.repeat(numbers[-1:], width - count, 0)])
-        size = numbers.shape[1]
-        state[:, :size] = numbers.reshape(-1, vector, size).transpose(0, 2, 1)
+        size = 0
+        for x in start.parts:
+            mine, k = (x, 1) if len(x) == 1 else (x[part], vector)
+            if k > 1 and width > count:
+                mine = np.concatenate([mine, np.repeat(mine[-1:], width - count, 0)])
+            state[:, size : size + x.shape[1]] = mine.reshape(-1, k, x.shape[1]).transpose(0, 2, 1)
+            size += x.shape[1]
         here = [i for i, run in enumerate(watched) if part.start <= run < part.stop]
         block, lane = np.divmod(np.array([watched[i] - first for i in here], int), vector)
         through = begin(stored, state, shared, values, rows, first)

@@ -129,7 +129,7 @@ class _WithGradient(Engine):
     def start(self, prior: Any) -> Start:
         start = super().start(prior)
         both = np.stack(np.broadcast_arrays(start.numbers, self.slopes), -1)
-        return start._replace(numbers=both.reshape(self.runs, -1))
+        return start._replace(parts=[both.reshape(self.runs, -1)])
 
     def plain(
         self, before: Shape, kind: Kind, u: list[tuple[Array, bool]]

@@ -18,8 +18,9 @@ import ctypes
 import struct
 import sys
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import cache
+from itertools import zip_longest
 from typing import Any
 
 import numpy as np
@@ -50,6 +51,8 @@ QUICK = 30_000  # lines of a module that are compiled without optimization: a te
 BLOCK = 500  # lines of a basic block
 SIZE = {"double": 8, "i8": 1}
 """Bytes of what is kept."""
+LOADED = ("in", "part", "const")
+TURNS = 8  # sums that are added up in turn: half of the registers of a processor
 _BINARY = {"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv"}
 _COMPARED = {"lt": "olt", "le": "ole", "eq": "oeq", "ne": "une"}
 
@@ -142,6 +145,46 @@ def _fused(needed: Sequence[int], tape: Tape, uses: Counter[int]) -> dict[int, i
     return found
 
 
+def _sums(
+    needed: Sequence[int], tape: Tape, uses: Counter[int], joined: dict[int, int]
+) -> list[list[int]]:
+    """Operations in an order in which they can be done, sums of products together, at their last product."""
+    within, units = set(joined.values()), dict[int, list[int]]()  # by their last operation
+    for i in needed:
+        if i in within or tape.ops[i][0] in LOADED:
+            continue
+        before = [a for a in operands(tape.ops[i]) if a != joined.get(i)] if i in joined else []
+        begun = (
+            units.pop(before[0]) if before and uses[before[0]] == 1 and before[0] in units else []
+        )
+        units[i] = [*begun, i]
+    return list(units.values())
+
+
+def _in_turn(units: Sequence[list[int]], tape: Tape, joined: dict[int, int]) -> Iterator[int]:
+    """The operations, those of neighboring sums in turn.
+
+    What several sums multiply, such as a state that a matrix takes, is then taken from memory once, and no
+    sum waits for itself.
+    """
+    group, members = list[list[int]](), set[int]()
+
+    def taken() -> Iterator[int]:
+        for step in zip_longest(*group):
+            yield from (i for i in step if i is not None)
+        group.clear()
+        members.clear()
+
+    for unit in units:
+        needs = {a for i in unit for j in (i, joined.get(i, i)) for a in operands(tape.ops[j])}
+        alike = bool(group) and len(unit) == len(group[0])
+        if len(group) == TURNS or not alike or not needs.isdisjoint(members):
+            yield from taken()
+        group.append(unit)
+        members |= set(unit)
+    yield from taken()
+
+
 class _Code:
     """Lines of a function, as they are written; ``called``: functions of the C library, and ``routines``, that it calls."""
 
@@ -153,6 +196,7 @@ class _Code:
         self.blocks, self.cells = 0, 0
         self.called, self.routines = set[str](), dict[Any, None]()
         self.memory = dict[int, int]()  # where that of a call begins
+        self.loaded = set[int]()
 
     def body(self, tape: Tape, outputs: Sequence[Number]) -> None:
         """All operations that outputs need."""
@@ -160,19 +204,29 @@ class _Code:
         uses = Counter(a for i in needed for a in operands(tape.ops[i]))
         uses.update(x.i for x in outputs)
         joined = _fused(needed, tape, uses) if self.fused else {}
-        within = set(joined.values())
-        for i in needed:
+        for i in _in_turn(_sums(needed, tape, uses, joined), tape, joined):
+            for a in (i, *(operands(self.ops[i])), *(operands(self.ops[joined.get(i, i)]))):
+                self.take(a)
             name, *at = self.ops[i]
-            if name == "in":
-                self.load(i, *self.inputs[at[0]])
-            elif name == "call":
+            if name == "call":
                 self.call(i, *at)
-            elif name == "part":
-                self.load(i, "cells", self.memory[at[0]] + at[1])
-            elif name != "const" and i not in within:
+            elif name not in LOADED:
                 self.operation(i, joined.get(i))
                 self.called |= {name} & set(LIBM)
             self.divide()
+        for x in outputs:
+            self.take(x.i)
+
+    def take(self, i: int) -> None:
+        """Load a number where it is first used."""
+        name, *at = self.ops[i]
+        if name not in LOADED or i in self.loaded:
+            return
+        self.loaded.add(i)
+        if name == "in":
+            self.load(i, *self.inputs[at[0]])
+        elif name == "part":
+            self.load(i, "cells", self.memory[at[0]] + at[1])
 
     def call(self, i: int, routine: Any, *arguments: int) -> None:
         """A routine, on memory of its own."""
