@@ -371,13 +371,17 @@ class Engine:
         """The step, recorded."""
         key = before, kind, self.forms(u), self.dt, tuple(self.widths), bool(self.batch)
         made = self.kept.records.get(key) or self.record(before, kind, u)
+        self.check_length(made)
+        self.kept.records[key] = made
+        return made
+
+    def check_length(self, made: Recorded) -> None:
+        """Raise `TooLong` for a step that may not be compiled, whether another filter's was or not."""
         if made.size > self.most:
             raise TooLong(
                 f"a step of {made.size} operations takes longer than it saves: at most {self.most} "
                 "are compiled"
             )
-        self.kept.records[key] = made
-        return made
 
     def forms(self, u: list[tuple[Array, bool]]) -> tuple[Any, ...]:
         """Of each part of an input its shape, whether each run has its own, and whether it is finite."""

@@ -424,7 +424,10 @@ def _schedule(
     about = start.shape, start.common, lanes, tuple(names)
     key = data.kinds.tobytes(), tuple(data.known), forms, about
     if key in engine.schedules:
-        return engine.schedules[key], False
+        plan = engine.schedules[key]
+        for made in plan.records:
+            engine.check_length(made)
+        return plan, False
     count = len(engine.kept.records)
     plan = _planned(engine, data, inputs, start)
     if lanes:

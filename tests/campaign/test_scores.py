@@ -25,6 +25,7 @@ def followed(error, nis=None, lost=()):
         nees,
         nees if nis is None else nis,
         dof,
+        np.zeros((K, 3, 3)),
         list(lost),
         K,
     )

@@ -54,7 +54,7 @@ def flight(form="square root", rule=None, noisy=False):
 def calls(filter, prior, epochs):
     """Loops in the step that moves."""
     data = as_data(filter, epochs)
-    engine = Engine(filter, prior, data, "std", {})
+    engine = Engine(filter, prior, data)
     kind = data.known[data.kinds[-1]]
     kernel = engine.record(engine.begin, kind, engine.inputs(data.u[kind.u], len(epochs))).kernel
     return {op[1] for op in kernel.tape.ops if op[0] == "call"}

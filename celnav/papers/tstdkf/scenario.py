@@ -40,8 +40,9 @@ from celnav.study.trial import Group, Trial
 
 __all__ = [
     "CITATION", "DAY_S", "GRAVITY", "GROUPS", "JUDGED", "KAPPA", "LINEAR", "PRESETS", "PULLING",
-    "SETTINGS", "TABLE_5", "TITLE", "YEAR", "YEAR_S", "Config", "Scenario", "Setting", "filters",
-    "kalman", "linearized", "models", "nine_states", "nominal", "simulate", "sky", "trial",
+    "SETTINGS", "TABLE_5", "TITLE", "YEAR", "YEAR_S", "Config", "Scenario", "Setting", "compiles",
+    "filters", "kalman", "linearized", "models", "nine_states", "noises", "nominal", "simulate", "sky",
+    "trial",
 ]  # fmt: skip
 
 TITLE = "Two-stage strong-tracking differential Kalman filter for X-ray pulsars"
