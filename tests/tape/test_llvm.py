@@ -403,6 +403,30 @@ def test_what_is_the_same_is_compiled_once():
     assert llvm.kernel_address(made(0.12345), 1) != first
 
 
+def test_neighboring_sums_of_products_take_turns(monkeypatch):
+    """Their numbers are the same bit by bit; a sum that needs another one waits for it."""
+    rng = np.random.default_rng(5)
+    A, B = rng.standard_normal((2, 12, 12))
+    given = rng.standard_normal((12, 7))
+
+    def order_and_numbers():
+        tape = Tape()
+        x = inputs(tape, (12,))[0]
+        y = A @ (B @ x)
+        kernel = llvm.Kernel(tape, [("own", i) for i in range(12)], [], list(y))
+        sums = re.findall(r"%t(\d+) = call .*@llvm.fma", llvm.source(kernel, 4, True))
+        return list(map(int, sums)), computed(tape, y, given, 4, True)
+
+    turns, found = order_and_numbers()
+    monkeypatch.setattr(llvm, "TURNS", 1)
+    alone, expected = order_and_numbers()
+    np.testing.assert_array_equal(found, expected)
+    np.testing.assert_allclose(found, A @ (B @ given), rtol=1e-12)
+    assert sorted(turns) == sorted(alone)
+    assert turns != alone
+    assert alone == sorted(alone)
+
+
 def test_numbers_that_are_known_may_be_results():
     tape = Tape()
     inputs(tape, (1,))
