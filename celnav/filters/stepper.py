@@ -174,7 +174,9 @@ class Plan:
         made = engine.recorded_as(engine.begin, kind, inputs)
         every = engine.columns().items()
         columns = {name: m for name, m in every if name.partition("/")[0] in SEEN}
-        kernel = made.keeping([*columns])._replace(flags=frozenset())
+        kernel = made.keeping([*columns])
+        if engine.batch:
+            kernel = kernel._replace(flags=frozenset())  # truth values as numbers too
         self.left, self.interval = 0, 1
         self.batch, self.runs = engine.batch, math.prod(engine.batch)
         self.begin, self.end = _spans(engine.begin, engine.held), _spans(made.after, engine.held)
@@ -195,13 +197,21 @@ class Plan:
             (int(ends[-1]),)
         )  # states, and behind them what is kept of a step
         self.work = self.memory[: size * width].reshape(width // lanes, size, lanes)
-        self.alone, self.first = self.memory[:size], self.start[0]
-        self.into = [] if self.batch else [self.alone[at].reshape(own) for at, own in self.begin]
+        alone = self.memory[:size]
+        alone[:] = self.start[0]
+        tally = struct.Struct(f"{len(TALLY)}d").pack_into
+        self.begin_tally = partial(tally, self.memory.data, 0, *self.start[0, : len(TALLY)])
+        self.into = [] if self.batch else [alone[at].reshape(own) for at, own in self.begin]
 
         self.seen = [
             None if what == NONE else tuple(at[f"{name}/{i}"] for name in SEEN)
             for i, what in enumerate(kind.z)
         ]
+        if not self.batch:  # a truth value is a byte
+            self.seen = [
+                one and (*one[:2], slice(8 * one[2].start, 7 * one[2].start + one[2].stop))
+                for one in self.seen
+            ]
         self.measured = max(1, sum(one is not None for one in self.seen))
         self.widths, self.apart = engine.widths, engine.apart
         self.given = [own for _, own in inputs]  # which inputs are of each run
@@ -225,7 +235,7 @@ class Plan:
         """The state after an epoch, and an `Info` of each sensor; None where a run is lost."""
         if self.batch:
             return self._step_all(state, epoch)
-        self.alone[:] = self.first
+        self.begin_tally()
         if self.hooks is not None:
             (self.into[0][...], self.into[1][...]) = state.belief
         else:
@@ -239,8 +249,9 @@ class Plan:
         if out.item(FAILED) >= 0.0:
             return None
         self.counted, likelihood = out, out[0] / self.measured
+        truths = out.view(np.bool_)
         infos = [
-            SILENCE if at is None else _info(out[at[0]], out[at[1]], out[at[2]], likelihood)
+            SILENCE if at is None else _info(out[at[0]], out[at[1]], truths[at[2]], likelihood)
             for at in self.seen
         ]
         if self.hooks is None:
@@ -295,7 +306,9 @@ class Plan:
 
         sound = 1.0 - lost.reshape(*batch, 1)
         infos = [
-            SILENCE if at is None else _info(row(at[0]), row(at[1]), sound * row(at[2]), likelihood)
+            SILENCE
+            if at is None
+            else _info(row(at[0]), row(at[1]), sound * row(at[2]) != 0.0, likelihood)
             for at in self.seen
         ]
         after = [out[:, at].reshape(*batch, *own) for at, own in self.end]
@@ -304,4 +317,4 @@ class Plan:
 
 def _info(innovation: Array, whitened: Array, used: Array, likelihood: Any) -> Info:
     """What a step by machine code tells of a sensor."""
-    return Info(innovation, whitened, used != 0.0, None, None, None, None, False, likelihood)
+    return Info(innovation, whitened, used, None, None, None, None, False, likelihood)
