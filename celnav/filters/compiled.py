@@ -9,6 +9,7 @@ import math
 import traceback
 from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager
+from copy import copy
 from dataclasses import replace
 from functools import partial
 from importlib.util import find_spec
@@ -86,15 +87,15 @@ class Compiled:
 
     @property
     def recorded(self) -> bool:
-        """Whether some step was."""
-        return bool(self._kept)
+        """Whether some step was, and compiled."""
+        return bool(self._kept.code)
 
     def adopt(self, other: Compiled) -> Compiled:
         """Itself, with what was recorded of another filter whose models hold the same.
 
         Its first run compares all sentinels with this filter's own steps by numpy.
         """
-        self._kept, self._watch = other._kept, Watch(self.filter)
+        self._kept, self._watch = other._kept.shared(), Watch(self.filter)
         return self
 
     def holds(self, known: dict[str, Any]) -> bool:
@@ -125,15 +126,17 @@ class Compiled:
     def _run(self, prior: Any, epochs: Any, **options: Any) -> Track:
         """The track."""
         every, keep = options["every"], options["keep"]
-        some: Any = (
-            epochs  # what numpy flies to see what is wrong: all, until they stand in columns
-        )
-        again: Any = partial(run, engine="numpy", **options)
-        with self._recording(lambda: again(self.filter, prior, some)):
+        count = len(
+            epochs
+        )  # that numpy flies to see what is wrong: all, until they stand in columns
+
+        def by_numpy() -> None:
+            run(self.filter, prior, epochs[:count], engine="numpy", **options)
+
+        with self._recording(by_numpy):
             data = as_data(self.filter, epochs)
-            if not self._kept or not self._flights:
-                some = epochs[:CHECKED]
-            engine, flight = self._flown(prior, data, some, keep, every)
+            count = CHECKED
+            engine, flight = self._flown(prior, data, epochs, keep, every)
         known: Any = ()
         if "cov" in keep and every == 1 and isinstance(epochs, Epochs):
             known = epochs.unmeasured()
@@ -157,7 +160,7 @@ class Compiled:
         return recording(holds, by_numpy, restorer(self.filter))
 
     def _flown(
-        self, prior: Any, data: Data, some: Any, keep: Collection[str], every: int
+        self, prior: Any, data: Data, epochs: Any, keep: Collection[str], every: int
     ) -> tuple[Engine, Flight]:
         """The flight, after numpy has taken the same steps at some epochs, or `CannotCompile`."""
         fresh, first = not self._kept, not self._flights
@@ -171,7 +174,7 @@ class Compiled:
             try:
                 run(*few, on_failure="flag", engine="numpy")
             except Exception:  # it may hold arrays of all runs
-                run(self.filter, prior, some, on_failure="flag", engine="numpy")
+                run(self.filter, prior, epochs[:CHECKED], on_failure="flag", engine="numpy")
             self._watch = Watch(self.filter)
         self._left -= count * len(data.k)
         due = fresh or first or self._left < 0 or count * len(data.k) >= SPARED
@@ -195,16 +198,18 @@ class Compiled:
             return engine, flight
         self._kept = Kept()
         if not fresh:  # what was recorded then may not hold now
-            return self._flown(prior, data, some, keep, every)
+            return self._flown(prior, data, epochs, keep, every)
         raise _remembers(self._watch.holds, path) if path else _otherwise(self._watch.holds, why)
 
     def _engine(self, prior: Any, data: Data) -> Engine:
         """What records and compiles steps for such priors and epochs."""
         key, engines = signature(prior, data), self._kept.engines
         if key not in engines:
+            for oldest in [*engines][: 1 - MOST_KEPT]:
+                engines.pop(oldest, None)
             rolled = self.engine != "cuda"
             engines[key] = Engine(self.filter, prior, data, self._kept, rolled=rolled)
-        engine = engines[key]
+        engine = copy(engines[key])  # of this flight
         engine.most = self.most
         return engine
 
@@ -453,9 +458,9 @@ def chosen(engine: str, filter: Any, jobs: int, prior: Any, epochs: Any) -> Comp
         raise CannotCompile("the prior has no mean and covariance")
     steps, runs = len(epochs), _runs(prior, epochs)
     shared = runs > 1 and prior.cov.ndim == 2 and _by_matrices(filter)
-    work = np.array([steps, steps * runs * (SHARED if shared else 1.0)]) * REPEATED.get()
-    if REPEATED.get() == 1:  # who says how many flights there are counts for himself
-        work = _added(filter, work)
+    work = np.array([steps, steps * runs * (SHARED if shared else 1.0)])
+    expected = REPEATED.get()
+    work = work * expected if expected else _added(filter, work)
     most = worth(*work.tolist())
     if EXPECTED * prior.cov.shape[-1] ** 2 > most:
         times = f"{steps} steps of " + ("one run" if runs == 1 else f"{runs} runs")

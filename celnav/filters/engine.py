@@ -251,6 +251,12 @@ class Kept:
     def __bool__(self) -> bool:
         return bool(self.records)
 
+    def shared(self) -> Kept:
+        """The same records and code, for a filter of its own."""
+        other = Kept()
+        other.records, other.code = self.records, self.code
+        return other
+
 
 class Engine:
     """Records and compiles the steps of a filter, for runs with the batch axes ``batch``.
@@ -290,11 +296,9 @@ class Engine:
         self.constants = [
             np.broadcast_to(array, (*self.batch, *array.shape[-2:])) for array in constants
         ]
-        tally = np.zeros((self.runs, len(TALLY)))
-        tally[:, TALLY.index("failed_at")] = -1.0
-        parts = [x.reshape(self.runs, -1) for x in self.constants]
-        self.own = np.concatenate([tally, *parts], 1)  # what a run has before its state
-        self.held = self.own.shape[1]
+        self.tally = np.zeros((self.runs, len(TALLY)))
+        self.tally[:, TALLY.index("failed_at")] = -1.0
+        self.held = len(TALLY) + sum(math.prod(x.shape[-2:]) for x in constants)
         self.dt = data.interval
         self.apart = data.dt.ndim > 1  # each run has an interval of its own
         self.widths = [z.shape[-1] for z in data.z]
@@ -339,7 +343,7 @@ class Engine:
         state, states = self.started(prior)
         shape = Shape.of(state)
         axes, first, common = len(self.batch), self.held, set[int]()
-        parts = [self.own]
+        parts = [self.tally, *(x.reshape(self.runs, -1) for x in self.constants)]
         for (x, what), (own, _, _) in zip(leaves(states), shape.arrays, strict=True):
             values = np.asarray(x, np.float64)
             if values.shape != (*self.batch, *own):
@@ -371,8 +375,8 @@ class Engine:
         """The step, recorded."""
         key = before, kind, self.forms(u), self.dt, tuple(self.widths), bool(self.batch)
         made = self.kept.records.get(key) or self.record(before, kind, u)
-        self.check_length(made)
         self.kept.records[key] = made
+        self.check_length(made)
         return made
 
     def check_length(self, made: Recorded) -> None:

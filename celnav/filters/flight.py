@@ -43,6 +43,7 @@ from celnav.tape.tape import CannotCompile, Number
 __all__ = ["Flight", "Sentinel", "as_data", "epoch_of", "fly", "part_of", "sensors"]
 
 DRAWN = 4  # sentinels besides the first, the last and one of each record
+MANY = 20  # sensors, of which there are more kinds of epochs than integers
 SHORT = 10_000  # epochs, the most of a flight whose schedule is kept
 MOST_SCHEDULES = 16  # of an engine, that are kept
 APART = 100  # operations of a step that all runs have in common, from which on they are done once an epoch
@@ -90,6 +91,8 @@ def as_data(filter: Any, epochs: Epochs | Sequence[Epoch]) -> Data:
     code = 2 * which + moves
     for status, _ in found:
         code = 4 * code + status  # of FULL, PART, SILENT and NONE
+        if len(found) > MANY:
+            code = np.unique(code, return_inverse=True)[1]  # which would overflow
     there = sorted(set(code.tolist()))
     kinds, known, shapes = np.zeros(len(k), int), list[Kind](), list(u)
     for number, one in enumerate(there):
@@ -232,7 +235,7 @@ def fly(
     inputs = {shape: engine.inputs(found, T) for shape, found in data.u.items()}
     plan, fresh = _schedule(engine, data, inputs, start, lanes, names)
     shared, own = _shared(data, inputs, plan.width), _own(engine, data, inputs, runs)
-    K, M = -(-T // every), max((at + x.shape[-1] for at, x in own), default=1)
+    K, M = -(-T // every), max([1, *(at + x.shape[-1] for at, x in own)])
     stored = np.full(T, -1)
     stored[::every] = np.arange(K)
     unit = lanes or 1
@@ -435,8 +438,8 @@ def _schedule(
         width = max(one.first + one.results for one in code)
         plan = plan._replace(code=code, common=common, width=width)
     if len(data.k) <= SHORT:
-        while len(engine.schedules) >= MOST_SCHEDULES:
-            del engine.schedules[next(iter(engine.schedules))]
+        for oldest in [*engine.schedules][: 1 - MOST_SCHEDULES]:
+            engine.schedules.pop(oldest, None)
         engine.schedules[key] = plan
     return plan, len(engine.kept.records) > count
 

@@ -32,8 +32,8 @@ __all__ = ["ENGINE", "ENGINES", "REPEATED", "as_epochs", "explain", "run", "step
 ENGINES = ("numpy", "compiled", "cuda", "auto")
 ENGINE: ContextVar[str] = ContextVar("engine", default="auto")
 """What `run` and the studies take where nobody says: ``celnav reproduce --engine`` sets it."""
-REPEATED: ContextVar[int] = ContextVar("repeated", default=1)
-"""How many flights of equal filters are expected: engine="auto" compiles for all of them."""
+REPEATED: ContextVar[int] = ContextVar("repeated", default=0)
+"""How many flights of equal filters are expected: engine="auto" compiles for all of them. 0: nobody says."""
 
 
 def run(
@@ -52,7 +52,8 @@ def run(
     every: store each ``every``-th epoch (sums, likelihood and reduction take all of them).
     keep: what to store: "std" (mean, standard deviations, innovations), "cov" (also covariances, for
         smoothing), "mean" (mean and innovations), or "nothing" (sums and the reduction only); or names of the rows
-        that alone are wanted, such as ("mean", "std"), among "mean", "std", "cov", "innovation", "whitened" and "used".
+        that alone are wanted, such as ("mean", "std"), of "mean", "std", "cov" and "innovation" (whitened, and which
+        were used, too).
     also: ``(epoch, state, infos) -> dict`` of further arrays to store, as ``Track.extra``.
     reduce: ``(accumulated, epoch, state, infos) -> accumulated``, from None; the end is ``Track.reduced``. With it a study of any
         length runs in the memory of one step.

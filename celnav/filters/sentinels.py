@@ -127,7 +127,14 @@ def _agree(state: Any, counts: list[Any], rows: Array, tally: Array) -> bool:
     least = scale[..., row] * (
         0.25 / n if isinstance(state.belief, SquareRoot) else std[..., column]
     )
-    numbers = matrix.reshape(*matrix.shape[:-2], n * n)[..., lower]
+    flat = matrix.reshape(*matrix.shape[:-2], n * n)
+    numbers, above = flat[..., lower], flat[..., column * n + row]
+    # What is not kept of a root is zero, of a covariance the same.
+    kept = (
+        np.where(row == column, numbers, 0.0) if isinstance(state.belief, SquareRoot) else numbers
+    )
+    if (np.abs(above - kept) > least).any():
+        return False
     counted = np.empty(tally.shape)
     for i, count in enumerate(counts):
         counted[..., i] = count

@@ -194,6 +194,13 @@ KEEP = {
     "nothing": (),
 }
 """Rows of a track, by the word for them."""
+NAMED = {
+    "mean": ("mean",),
+    "std": ("std",),
+    "cov": ("mean", "std", "cov"),
+    **dict.fromkeys(INNOVATIONS, INNOVATIONS),
+}
+"""Rows that can be asked for, and what comes with them."""
 _BLANK = {"innovation": np.nan, "whitened": 0.0, "used": False, "R": np.nan}
 """What stands for components that a sensor has at other epochs."""
 
@@ -203,11 +210,11 @@ def rows_of(keep: Any) -> tuple[str, ...]:
     if isinstance(keep, str) or not isinstance(keep, Iterable):
         return KEEP[choice("keep", keep, tuple(KEEP))]
     asked = list(keep)
-    if not all(isinstance(name, str) and name in KEEP["cov"] for name in asked):
-        names = ", ".join(KEEP["cov"])
+    if not all(isinstance(name, str) and name in NAMED for name in asked):
+        names = ", ".join(NAMED)
         raise ValueError(f"keep: expected a word, or some of ({names}), got {keep!r:.80}")
-    asked += ["mean", "std"] if "cov" in asked else []
-    return tuple(name for name in KEEP["cov"] if name in asked)
+    wanted = {row for name in asked for row in NAMED[name]}
+    return tuple(row for row in KEEP["cov"] if row in wanted)
 
 
 class Collector:

@@ -138,7 +138,7 @@ def test_a_filter_made_anew_takes_what_was_recorded_of_an_equal_one(
 
 def test_one_record_serves_whatever_is_kept(records):
     filter = celnav.compiled(filter_of())
-    for keep in ("std", "cov", "mean", "nothing", ("whitened",)):
+    for keep in ("std", "cov", "mean", "nothing", ("innovation",)):
         filter.run(PRIOR, *data(20, 8), keep=keep)
     assert len(records) == 2  # at the time of the prior, and after an interval
 
@@ -274,3 +274,13 @@ def test_the_noise_that_hooks_leave_is_kept_by_machine_code_too(runs):
     )
     assert found.extra["R"].shape == (12, *runs, 1)
     np.testing.assert_allclose(found.extra["R"], known.extra["R"], 1e-9)
+
+
+def test_a_step_that_is_too_long_is_recorded_once(records, monkeypatch):
+    monkeypatch.setattr(compiled, "worth", lambda _steps, _run_steps: 150)
+    monkeypatch.setattr(compiled, "EXPECTED", 0)
+    filter = filter_of(lambda x, epoch: swing(1.002 * x, epoch))
+    for _ in range(3):
+        track = celnav.run(filter, PRIOR, *data(20, 8))
+        assert "operations takes longer than it saves: at most 150" in track.engine
+    assert len(records) == 1

@@ -17,7 +17,10 @@ from twice import FIELDS, assert_same, told, twice
 
 import celnav
 from celnav.filters.adaptive import gate, huber, innovation_window
+from celnav.filters.engine import each_run
 from celnav.filters.fallback import Fallback
+from celnav.filters.records import FromFunctions, Info, State
+from celnav.gaussian.linalg import Covariance, SquareRoot
 from celnav.tape.tape import CannotCompile
 
 pytestmark = pytest.mark.usefixtures("eager")
@@ -574,3 +577,56 @@ def test_a_run_that_keeps_nothing_needs_no_room_for_its_rows():
     rows = 8 * T * runs * n
     assert peak["nothing"] < rows / 2
     assert peak["mean"] > rows
+
+
+def not_lower(form):
+    """A filter whose matrix machine code does not keep whole: a root that is not lower, or a covariance that is not symmetric."""
+    F, turn = np.array([[1.0, 0.1], [0.0, 1.0]]), np.array([[0.8, 0.6], [-0.6, 0.8]])
+
+    def start(prior):
+        return State(form.of(prior), ())
+
+    def step(state, _epoch):
+        mean, matrix = state.belief
+        moved = F @ matrix if form is Covariance else F @ matrix @ turn
+        return State(form((F @ mean[..., None])[..., 0], moved), ()), (Info(silent=True),)
+
+    return FromFunctions(start, step)
+
+
+@pytest.mark.parametrize("form", [Covariance, SquareRoot])
+def test_matrices_that_are_kept_in_part_are_refused(form):
+    prior = celnav.Gaussian(np.zeros(2), np.eye(2))
+    with pytest.raises(CannotCompile, match="another covariance"):
+        celnav.run(not_lower(form), prior, np.arange(6.0), engine="compiled")
+
+
+def test_matrices_of_each_run_are_read_in_every_flight():
+    """They may be changed where they lie; of so many runs the others are not compared."""
+    runs, times = 9000, np.arange(5.0)
+    sensor = celnav.Sensor(np.eye(1), np.ones((runs, 1, 1)))
+    filter = celnav.ukf(celnav.Motion(0.9 * np.eye(1), 0.1), sensor)
+    prior, z = celnav.Gaussian([0.0], 1.0), np.ones((5, runs, 1))
+    kept, own = celnav.compiled(filter), []
+    kept.run(prior, times, z)
+    each_run(filter, lambda array: own.append(array) or array)
+    for array in own:
+        array[3] = 9.0
+    found, known = kept.run(prior, times, z), celnav.run(filter, prior, times, z, engine="numpy")
+    np.testing.assert_allclose(found.mean, known.mean, rtol=1e-12)
+
+
+def test_more_sensors_than_kinds_can_be_numbered():
+    """Four states of each of 34 sensors are more than an integer holds."""
+    filter = celnav.ukf(celnav.Motion(0.9 * np.eye(1), 0.1), *[celnav.Sensor(np.eye(1), 4.0)] * 34)
+    z = np.random.default_rng(0).standard_normal((6, 34, 1))
+    epochs = [
+        celnav.Epoch(
+            k, 0.0, 0.0, None, tuple(None if (i, k) == (0, 0) else z[k, i] for i in range(34))
+        )
+        for k in range(6)
+    ]
+    prior = celnav.Gaussian([0.0], 1.0)
+    known, found = (celnav.run(filter, prior, epochs, engine=x) for x in ("numpy", "compiled"))
+    np.testing.assert_allclose(found.mean, known.mean, rtol=1e-12)
+    assert found.events["missing"] == known.events["missing"] == 1

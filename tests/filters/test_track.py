@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import celnav
+from celnav.analysis.diagnose import diagnose
 
 
 def test_a_track_exports_itself(tmp_path):
@@ -122,7 +123,7 @@ def test_no_components_and_no_runs(form, linear):
 
 @pytest.mark.parametrize("engine", ["numpy", "compiled"])
 @pytest.mark.parametrize(
-    "keep", [("mean",), ("std", "used"), ["whitened", "mean"], ("cov",), {"innovation"}, ()]
+    "keep", [("mean",), ("std", "mean"), ["innovation", "std"], ("cov",), {"innovation"}, ()]
 )
 def test_only_rows_that_are_asked_for_are_kept(engine, keep):
     """They are those of a track that keeps all. Covariances need their means, and have their deviations."""
@@ -132,6 +133,7 @@ def test_only_rows_that_are_asked_for_are_kept(engine, keep):
     whole = celnav.run(filter, PRIOR, times, z, keep="cov", engine=engine)
     track = celnav.run(filter, PRIOR, times, z, keep=keep, engine=engine)
     wanted = {*keep, *(("mean", "std") if "cov" in keep else ())}
+    wanted |= {"whitened", "used"} if "innovation" in keep else set()
     for name in ("mean", "std", "innovation", "whitened", "used"):
         row = getattr(track, name)
         assert (row is not None) == (name in wanted)
@@ -140,13 +142,27 @@ def test_only_rows_that_are_asked_for_are_kept(engine, keep):
             assert row.dtype == getattr(whole, name).dtype
     assert (track.belief is not None) == ("cov" in keep)
     np.testing.assert_array_equal(track.log_likelihood, whole.log_likelihood)
-    assert track.sensors == ((2,) if wanted & {"innovation", "whitened", "used"} else ())
+    assert track.sensors == ((2,) if "innovation" in keep else ())
 
 
 def test_rows_that_are_no_rows_are_refused():
     filter = celnav.ukf(MOTION, celnav.Sensor(EYE, EYE))
     for keep in (("mean", "nis"), ["cow"]):
-        with pytest.raises(ValueError, match=r"keep: expected a word, or some of \(mean, std, cov"):
+        with pytest.raises(
+            ValueError, match=r"keep: expected a word, or some of \(mean, std, cov, innovation"
+        ):
             celnav.run(filter, PRIOR, [0.0], keep=keep)
     with pytest.raises(ValueError, match="keep: expected one of std, cov, mean, nothing, got 3"):
         celnav.run(filter, PRIOR, [0.0], keep=3)
+
+
+def test_reports_and_diagnoses_of_a_few_rows():
+    times, z = np.arange(40.0), np.random.default_rng(3).standard_normal((40, 5, 2))
+    filter = celnav.ukf(MOTION, celnav.Sensor(EYE, EYE))
+    whole = celnav.run(filter, PRIOR, times, z)
+    for keep in (("mean", "std"), ("mean", "std", "innovation")):
+        track = celnav.run(filter, PRIOR, times, z, keep=keep)
+        report = track.report(np.zeros((40, 2)))
+        assert report.components == whole.report(np.zeros((40, 2))).components
+    few = celnav.run(filter, PRIOR, times, z, keep=("innovation",))
+    assert str(diagnose(few)) == str(diagnose(whole))
