@@ -126,11 +126,10 @@ class Compiled:
     def _run(self, prior: Any, epochs: Any, **options: Any) -> Track:
         """The track."""
         every, keep = options["every"], options["keep"]
-        count = len(
-            epochs
-        )  # that numpy flies to see what is wrong: all, until they stand in columns
+        count = len(epochs)
 
         def by_numpy() -> None:
+            """Raise numpy's error; the first epochs suffice once all of them stand in columns."""
             run(self.filter, prior, epochs[:count], engine="numpy", **options)
 
         with self._recording(by_numpy):
@@ -469,11 +468,11 @@ def chosen(engine: str, filter: Any, jobs: int, prior: Any, epochs: Any) -> Comp
 
 
 _WORK: WeakKeyDictionary[Any, Array] = WeakKeyDictionary()
-"""Steps, and steps of runs, of filters that flew by numpy."""
+"""Number of epochs, and of epochs times runs, that each filter was given to run."""
 
 
 def _added(filter: Any, work: Array) -> Array:
-    """The work of all flights of a filter until now, this one included: as much more is to be expected."""
+    """The work of all runs of a filter until now, this one included; as much again is expected."""
     try:
         total: Array = _WORK.get(filter, 0.0) + work
         _WORK[filter] = total
