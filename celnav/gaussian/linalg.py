@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from celnav.gaussian import recorded
 from celnav.lazy import Late
-from celnav.tape.numbers import numbers
+from celnav.tape.numbers import numbers, rarely
 
 __all__ = [
     "EPS", "FORMS", "LEFT_OVER", "NEGLIGIBLE", "POSITIVE", "Array", "Belief", "Covariance", "Form", "SquareRoot", "block",
@@ -443,25 +443,29 @@ class Covariance(NamedTuple):
             precise = S.diagonal(0, -2, -1) > PRECISE * np.sqrt(np.vecdot(noise, noise))
             if surely(~np.logical_or.reduce(precise, None)):
                 return S, U, left
-            again, chosen = (
-                cls.condition(A, sign, m),
-                np.asanyarray(precise.any(-1))[..., None, None],
-            )
-            return (
-                np.where(chosen, again[0], S),
-                np.where(chosen, again[1], U),
-                np.where(chosen, again[2], left),
-            )
+            U, left = rarely(precise.any(-1), cls._explained, (A, sign, S), (U, left))
+            return S, U, left
         if sign.ndim > 1:
             A, sign = factored(A, sign)
         Z, X = A[..., :m, :], A[..., m:, :]
         S = cholesky(weighted(Z, sign) @ Z.mT)
         if gain is not None:
             return S, gain @ S, cls.marginal(X - gain @ Z, sign)
-        # What the first rows explain is taken off the columns: of variances, a difference would have half the digits.
+        return S, *cls._explained(A, sign, S)
+
+    @classmethod
+    def _explained(cls, A: Array, sign: Array, S: Array) -> tuple[Array, Array]:
+        """``K @ S`` and the covariance of the last rows, given those of which S is the root.
+
+        What the first rows explain is taken off the columns: of variances, a difference would have half the digits.
+        """
+        if sign.ndim > 1:
+            A, sign = factored(A, sign)
+        m = S.shape[-1]
+        Z, X = A[..., :m, :], A[..., m:, :]
         W = solve_lower(S, Z)
         U = X @ weighted(W, sign).mT
-        return S, U, cls.marginal(X - U @ W, sign)
+        return U, cls.marginal(X - U @ W, sign)
 
     @staticmethod
     def transported(matrix: Array, cov: Array) -> Array:

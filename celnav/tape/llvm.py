@@ -72,11 +72,13 @@ def source(kernel: Kernel, lanes: int, fused: bool) -> str:
             code.store(place, at, x.i)
     code.lines += ["%none = icmp slt i64 %at, 0", "br i1 %none, label %done, label %keep", "keep:"]
     code.keep(kernel, [x.i for place, _, x in results if place == "rows"])
-    called, functions = code.called, list[str]()
-    for routine in code.routines:
+    called, functions, routines = code.called, list[str](), dict(code.routines)
+    for routine in (pending := list(routines)):
         for k, stage in enumerate(routine.stages):
-            inner = _stage(stage, lanes, fused)
+            inner = _stage(stage, routine.own, lanes, fused)
             called |= inner.called
+            pending += [each for each in inner.routines if each not in routines]
+            routines |= inner.routines
             functions += [
                 f"define internal void @{routine.name}.{k}(ptr noalias %cells) noinline",
                 "{",
@@ -113,9 +115,9 @@ def _suffix(kind: str, lanes: int) -> str:
     return f"v{lanes}{name}" if lanes > 1 else name
 
 
-def _stage(stage: Any, lanes: int, fused: bool) -> _Code:
-    """Lines of a loop over the rows of a routine's stage."""
-    code = _Code(lanes, fused, stage.inputs)
+def _stage(stage: Any, own: int, lanes: int, fused: bool) -> _Code:
+    """Lines of a loop over the rows of a stage of a routine, which has so many cells of its ``own``."""
+    code = _Code(lanes, fused, stage.inputs, own)
     code.lines += ["start:", "br label %loop", "loop:", "%r = phi i64 [0, %start], [%r1, %end]"]
     for place, (first, stride) in stage.places.items():
         code.lines.append(f"%{place}o = mul i64 %r, {stride * lanes}")
@@ -186,14 +188,17 @@ def _in_turn(units: Sequence[list[int]], tape: Tape, joined: dict[int, int]) -> 
 
 
 class _Code:
-    """Lines of a function, as they are written; ``called``: functions of the C library, and ``routines``, that it calls."""
+    """Lines of a function, as they are written; ``called``: functions of the C library, and ``routines``, that it calls.
 
-    def __init__(self, lanes: int, fused: bool, inputs: Sequence[tuple[str, int]]):
+    cells: of its memory that are taken already.
+    """
+
+    def __init__(self, lanes: int, fused: bool, inputs: Sequence[tuple[str, int]], cells: int = 0):
         self.lanes, self.fused, self.inputs, self.lines = lanes, fused, inputs, list[str]()
         self.vector = f"<{lanes} x double>" if lanes > 1 else "double"
         self.suffix = _suffix("double", lanes)
         self.every = "<" + ", ".join(["i1 true"] * lanes) + ">"
-        self.blocks, self.cells = 0, 0
+        self.blocks, self.cells = 0, cells
         self.called, self.routines = set[str](), dict[Any, None]()
         self.memory = dict[int, int]()  # where that of a call begins
         self.loaded = set[int]()
@@ -232,6 +237,17 @@ class _Code:
         """A routine, on memory of its own."""
         self.routines[routine] = None
         self.memory[i] = self.cells
+        if routine.rare:
+            self.lines.append(
+                f"%c{i}any = fcmp une {self.vector} {self.value(arguments[0])}, zeroinitializer"
+            )
+            if self.lanes > 1:
+                self.lines.append(
+                    f"%c{i}bits = bitcast <{self.lanes} x i1> %c{i}any to i{self.lanes}"
+                )
+                self.lines.append(f"%c{i}some = icmp ne i{self.lanes} %c{i}bits, 0")
+            some = f"%c{i}some" if self.lanes > 1 else f"%c{i}any"
+            self.lines += [f"br i1 {some}, label %rare{i}, label %usual{i}", f"rare{i}:"]
         for k, a in enumerate(arguments):
             self.address(f"%c{i}_{k}", "cells", self.cells + k)
             self.lines.append(f"store {self.vector} {self.value(a)}, ptr %c{i}_{k}, align 8")
@@ -240,6 +256,8 @@ class _Code:
         self.lines += [
             f"call void @{routine.name}.{k}(ptr %c{i})" for k in range(len(routine.stages))
         ]
+        if routine.rare:
+            self.lines += [f"br label %usual{i}", f"usual{i}:"]
         self.cells += routine.cells
 
     def divide(self) -> None:

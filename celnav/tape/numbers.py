@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from celnav.tape.routine import rolled
+from celnav.tape.routine import Recorder, Routine, rolled
 from celnav.tape.tape import (
     Number,
     Scalar,
@@ -33,6 +33,7 @@ __all__ = [
     "known_alike",
     "numbers",
     "present",
+    "rarely",
     "recorded",
     "tape_of",
 ]
@@ -521,6 +522,41 @@ def each_row(function: Callable[..., Any], *points: Any, least: int = LONG) -> A
         function(*points)
         if left is None
         else numbers(np.array(left, object).reshape(count, len(outputs)))
+    )
+
+
+def rarely(
+    condition: Any, function: Callable[..., Any], arrays: Sequence[Any], usual: Sequence[Any]
+) -> tuple[Any, ...]:
+    """The ``usual`` matrices, and where a condition ``(...)`` holds those that a function makes of others.
+
+    Machine code computes these only where the condition holds in some run of a vector.
+    """
+    condition, tape = numbers(np.asanyarray(condition)), tape_of(condition)
+    if tape is None or not tape.rolled:
+        found = function(*arrays)
+    else:
+        given = {x.i: x for array in arrays for x in _bare(array).flat if type(x) is Number}
+        first = 1 + len(given)
+        stage = Recorder(1, given=(1, 0), made=(first, 0))
+        inside = {i: stage.take("given", k, tape.absent[i]) for k, i in enumerate(given)}
+        images = [
+            numbers(_each(lambda x: inside[x.i] if type(x) is Number else x, _bare(array)))
+            if recorded(array) is not None
+            else array
+            for array in arrays
+        ]
+        made = [_bare(array) for array in function(*images)]
+        for k, x in enumerate(x for array in made for x in array.flat):
+            stage.put("made", k, x)
+        sizes = [array.size for array in made]
+        cells = range(first, first + sum(sizes))
+        routine = Routine([stage.stage()], cells.stop, cells, rare=True)
+        left = np.array(routine(tape, [condition.flat[0], *given.values()]), object)
+        parts = np.split(left, np.cumsum(sizes)[:-1])
+        found = [numbers(x.reshape(array.shape)) for x, array in zip(parts, made, strict=True)]
+    return tuple(
+        np.where(condition[..., None, None], x, y) for x, y in zip(found, usual, strict=True)
     )
 
 

@@ -1,4 +1,4 @@
-"""The same straight-line code for one row of a memory after the other: what would take long to compile if it were written out.
+"""Code that is called: loops, which would take long to compile if they were written out, and what is rarely needed.
 
 A `Routine` is called with numbers, which are the first cells of its memory, and leaves others there. On a `Tape` its call is one
 operation.
@@ -32,10 +32,16 @@ class Stage(NamedTuple):
 
 
 class Routine:
-    """Stages on one memory of ``cells`` numbers, the first of which are the arguments; ``left``: cells that it gives back."""
+    """Stages on one memory, the first cells of which are the arguments.
 
-    def __init__(self, stages: Sequence[Stage], cells: int, left: Sequence[int]):
-        self.stages, self.cells, self.left = tuple(stages), cells, tuple(left)
+    own: how many cells it has; behind them lie those of the routines that it calls, ``cells`` in all.
+    left: cells that it gives back. rare: whether it is skipped where its first argument is 0 in all runs of a
+    vector; what it gives back is then undefined.
+    """
+
+    def __init__(self, stages: Sequence[Stage], own: int, left: Sequence[int], rare: bool = False):
+        self.stages, self.own, self.left, self.rare = tuple(stages), own, tuple(left), rare
+        self.cells = own + max(stage.tape.cells for stage in self.stages)
 
     @cached_property
     def name(self) -> str:
@@ -44,7 +50,8 @@ class Routine:
             (s.rows, s.places, s.inputs, [(p, i, x.i) for p, i, x in s.results], s.tape.key)
             for s in self.stages
         ]
-        return "r" + sha256(repr((parts, self.cells, self.left)).encode()).hexdigest()[:16]
+        whole = repr((parts, self.own, self.left, self.rare))
+        return "r" + sha256(whole.encode()).hexdigest()[:16]
 
     def __repr__(self) -> str:
         return self.name
@@ -64,7 +71,7 @@ class Routine:
                 (place, i, tape.lift(as_number(known[x.i]))) for place, i, x in stage.results
             ]
             stages.append(stage._replace(tape=tape, results=results))
-        return Routine(stages, self.cells, self.left)
+        return Routine(stages, self.own, self.left, self.rare)
 
     def __call__(self, tape: Tape, arguments: Iterable[Scalar]) -> list[Number]:
         """What is left of arguments, on a tape."""

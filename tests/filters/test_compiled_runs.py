@@ -630,3 +630,17 @@ def test_more_sensors_than_kinds_can_be_numbered():
     known, found = (celnav.run(filter, prior, epochs, engine=x) for x in ("numpy", "compiled"))
     np.testing.assert_allclose(found.mean, known.mean, rtol=1e-12)
     assert found.events["missing"] == known.events["missing"] == 1
+
+
+def test_a_measurement_that_is_precise_for_one_run_changes_no_other_run():
+    filter = celnav.ukf(MOTION, celnav.Sensor(cubic, 1e-4 * EYE), form="covariance")
+    z = np.random.default_rng(7).standard_normal((6, 12, 2))
+    wide = np.where(np.arange(12) == 5, 1e3, 0.3)[:, None, None] * EYE
+    prior = celnav.Gaussian(np.ones((12, 2)), wide)
+    assert_same(*twice(filter, prior, TIMES, z, keep="cov"))
+    whole = celnav.run(filter, prior, TIMES, z, engine="compiled", keep="cov")
+    narrow = celnav.Gaussian(prior.mean, 0.3 * EYE)
+    without = celnav.run(filter, narrow, TIMES, z, engine="compiled", keep="cov")
+    others = np.arange(12) != 5
+    assert whole.mean[:, others].tobytes() == without.mean[:, others].tobytes()
+    assert whole.cov[:, others].tobytes() == without.cov[:, others].tobytes()

@@ -8,8 +8,8 @@ from test_llvm import computed
 
 from celnav.gaussian import recorded
 from celnav.tape import llvm, numbers
-from celnav.tape.numbers import Numbers, each_row
-from celnav.tape.tape import Tape
+from celnav.tape.numbers import Numbers, each_row, rarely
+from celnav.tape.tape import Number, Tape
 
 RUNS = 11
 
@@ -176,4 +176,53 @@ def test_products_and_triangular_systems(lanes):
         flown(tape, solved, given, lanes).transpose(2, 0, 1),
         np.linalg.solve(np.tril(a), b),
         rtol=1e-11,
+    )
+
+
+@pytest.mark.parametrize("fused", [False, True])
+@pytest.mark.parametrize("lanes", [1, 4, 8])
+def test_what_is_rarely_needed_is_a_routine_with_routines_of_its_own(lanes, fused):
+    n = 3
+    given = values(2 * n * n + 1, seed=5)
+    tape = Tape()
+    A, B, c = inputs(tape, n, n), inputs(tape, n, n), inputs(tape)[()]
+    (found,) = rarely(c > 0.0, lambda A, B: (A @ B @ A,), (A, B), (A,))
+    (routine,) = calls(tape)
+    assert routine.rare
+    assert len(inner := calls(routine.stages[0].tape)) == 2
+    assert routine.cells == routine.own + sum(each.cells for each in inner)
+    a, b = (part.reshape(n, n, RUNS).transpose(2, 0, 1) for part in np.split(given[:-1], 2))
+    expected = np.where((given[-1] > 0.0)[:, None, None], a @ b @ a, a)
+    np.testing.assert_allclose(
+        flown(tape, found, given, lanes, fused).transpose(2, 0, 1), expected, rtol=1e-13
+    )
+
+
+@pytest.mark.parametrize("lanes", [1, 4, 8])
+def test_what_is_rarely_needed_is_skipped_where_no_run_of_a_vector_needs_it(lanes):
+    given = np.ones((2, RUNS))
+    given[1] = -1.0
+    given[1, 9] = 1.0
+    tape = Tape()
+    x, c = inputs(tape, 1, 1), inputs(tape)[()]
+    rarely(c > 0.0, lambda x: (2.0 * x,), (x,), (x,))
+    (part,) = (i for i, op in enumerate(tape.ops) if op[0] == "part")
+    left = flown(tape, np.array([Number(tape, part)], object), given, lanes)[0]
+    first = 9 // lanes * lanes
+    assert left[9] == 2.0
+    assert np.isnan(left[:first]).all()  # memory that was not written
+    assert (left[first : first + lanes] == 2.0).all()
+
+
+def test_what_is_rarely_needed_is_written_out_where_a_tape_asks_for_that():
+    tape = Tape(rolled=False)
+    x, c = inputs(tape, 2, 2), inputs(tape)[()]
+    (found,) = rarely(c > 0.0, lambda x: (x + 1.0,), (x,), (x,))
+    assert not calls(tape)
+    given = values(5)
+    expected = np.where(given[4] > 0.0, given[:4] + 1.0, given[:4]).reshape(2, 2, RUNS)
+    np.testing.assert_array_equal(flown(tape, found, given), expected)
+    known = np.eye(2), np.zeros((2, 2))
+    np.testing.assert_array_equal(
+        rarely(np.array(True), lambda x: (x,), known[:1], known[1:])[0], np.eye(2)
     )

@@ -18,6 +18,7 @@ from celnav.filters.joint import Hook
 from celnav.filters.model import Motion, Sensor
 from celnav.filters.records import Epoch, Filter
 from celnav.filters.sequential import Sequential, sigma_point
+from celnav.filters.track import Track
 from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.checks import number
 from celnav.gaussian.linalg import Array
@@ -345,6 +346,12 @@ def filters(config: Config, S: int | None = None, Q: Array | None = None) -> dic
         name: adapted(config, S, rule, *hook, Q=Q) for name, hook in hooks(S, config.window).items()
     }
     return {"ls": least_squares(*ekf.sensors), "ekf": ekf, **known}
+
+
+def noise_factors(track: Track, config: Config, S: int) -> Array:
+    """Factors ``(T, ..., 2 S)`` by which an adaptive filter inflated R, 1 where nothing was measured."""
+    R = track.extra["R"]
+    return np.where(np.isnan(R), 1.0, R / config.R(S).diagonal())
 
 
 GROUPS = (Group("position", "m", slice(0, 3)), Group("velocity", "m/s", slice(3, 6)))

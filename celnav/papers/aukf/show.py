@@ -10,7 +10,15 @@ import numpy as np
 from celnav.filters.run import run
 from celnav.models.gnss import satellites
 from celnav.papers.aukf import study
-from celnav.papers.aukf.scenario import STANDARD, START_S, axes, circle, filters, simulate
+from celnav.papers.aukf.scenario import (
+    STANDARD,
+    START_S,
+    axes,
+    circle,
+    filters,
+    noise_factors,
+    simulate,
+)
 from celnav.papers.aukf.study import (
     AXES,
     DENSITIES,
@@ -21,7 +29,6 @@ from celnav.papers.aukf.study import (
     TILTS_DEG,
     medians,
     rms,
-    watched,
 )
 from celnav.receiver import day
 from celnav.receiver.constellation import synthetic
@@ -386,21 +393,17 @@ def _burst(results: Results) -> Showcase:
         len(sim.satellites.names),
         np.zeros(0),
     )
-    for name, filter in {
-        **{name: filters(c, S)[name] for name in NAMES},
-        "aukf": watched(c, S, c.Q),
-    }.items():
-        also = (
-            (lambda _e, state, _i: {"factor": state.memory[0][0][1][0]}) if name == "aukf" else None
-        )
-        track = run(filter, sim.prior, sim.epochs(), keep="cov", also=also, on_failure="flag")
+    known = filters(c, S)
+    for name in NAMES:
+        track = run(known[name], sim.prior, sim.epochs(), keep="cov", on_failure="flag")
         cov = (
             None if name == "ls" else track.cov[:, 0]
         )  # a line through estimates of single epochs says nothing
         found[name] = Estimate(
             *NAMES[name], np.asarray(track.mean - sim.truth), cov, nis=track.nis[:, 0]
         )
-        factor = track.extra.get("factor", factor)
+        if name == "aukf":
+            factor = noise_factors(track, c, S)[:, 0]
     shades = [KIND_COLORS[kind] for kind in kinds(names)]
     adapt = {half: Plot(f"log10 A of the {half}", {a[2]: Curve(*a) for a in zip(A, shades, names, strict=True)}, log=True)
              for half, A in zip(HALVES, factor.T.reshape(2, S, -1), strict=True)}  # fmt: skip

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from celnav.filters.adaptive import innovation_window
-from celnav.filters.joint import Joint, condition, joint
+from celnav.filters.joint import condition, joint
 from celnav.filters.records import Epoch, Filter, FromFunctions, Info, State
 from celnav.filters.run import run
 from celnav.gaussian.belief import Gaussian, nees
@@ -30,6 +30,7 @@ from celnav.papers.aukf.scenario import (
     adapted,
     burst,
     filters,
+    noise_factors,
     simulate,
     trial,
     ukf,
@@ -66,7 +67,7 @@ from celnav.study.trial import Group
 
 __all__ = [
     "AXES", "DENSITIES", "FILTERS", "HALVES", "INITIAL_KM", "INPUTS", "NORMAL_ERROR", "ROBUST", "STRUCK", "STUDY", "TILTS_DEG",
-    "WINDOWS", "Flight", "counted", "flown", "gap", "later", "medians", "no_redraw", "nodes", "parts", "polar", "rms", "watched",
+    "WINDOWS", "Flight", "counted", "flown", "gap", "later", "medians", "no_redraw", "nodes", "parts", "polar", "rms",
     "windows",
 ]  # fmt: skip
 
@@ -234,61 +235,44 @@ def flown(flight: Flight, drawn: Sequence[Config], config: Config, rngs: Rngs) -
     )
     S, Q = len(sims[0].satellites.names), np.stack([sim.config.Q for sim in sims])[:, None]
     struck = np.stack([burst(sim.config, S)[:, None, :S] > 0.0 for sim in sims], 1)
-    known = {
-        **filters(config, S, Q),
-        "aukf": watched(config, S, Q),
-        "no redraw": no_redraw(config, S),
-    }
+    known = {**filters(config, S, Q), "no redraw": no_redraw(config, S)}
     known |= {f"M {m}": adapted(config, S, ukf(config), innovation_window(m), Q=Q) for m in WINDOWS}
-
-    def also(name: str, epoch: Epoch, state: Any, infos: tuple[Info, ...]) -> Arrays:
-        error = state.belief.mean - epoch.truth
-        out = {
-            "error": error[..., :3],
-            "nis": np.asarray(infos[0].nis),
-            "nees": nees(error, state.belief.sqrt_cov),
-        }
-        for half, A in zip(
-            HALVES, np.split(state.memory[0][0][1], 2, -1) if name == "aukf" else (), strict=False
-        ):
-            out |= {half: A.mean(-1), f"{half} above 1": (A > 1.0).mean(-1)}
-            if half == HALVES[0]:
-                some = (
-                    ("bad", A, bad := struck[epoch.k]),
-                    ("good", A, ~bad),
-                    ("good above 2", A > 2.0, ~bad),
-                )
-                out |= {
-                    what: (values * those).sum(-1) / np.maximum(those.sum(-1), 1)
-                    for what, values, those in some
-                }
-        return out
-
+    epochs = list(sims[0]._replace(truth=truth, z=z).epochs())
     out = {"times": config.times}
     for name in flight.names:
-        epochs = sims[0]._replace(truth=truth, z=z).epochs()
-        track = run(
-            known[name], prior, epochs, keep="nothing", also=partial(also, name), on_failure="flag"
-        ).extra
+        kept = ("mean", "cov", "innovation")
+        track = run(known[name], prior, epochs, keep=kept, on_failure="flag")
+        errors = np.asarray(track.mean) - truth
+        found = {
+            "error": errors[..., :3],
+            "nis": track.nis,
+            "nees": nees(errors, track.sqrt_cov),
+        }
+        if name == "aukf":
+            found |= of_factors(noise_factors(track, config, S), struck)
         for i, case in enumerate(flight.cases):
-            out |= {f"{case}{name}/{what}": values[:, i] for what, values in track.items()}
+            out |= {f"{case}{name}/{what}": values[:, i] for what, values in found.items()}
     return out
 
 
-def watched(config: Config, S: int, Q: Array) -> Filter:
-    """The AUKF, with its factors in its memory."""
-    hook = innovation_window(config.window)
+def of_factors(A: Array, struck: Array) -> Arrays:
+    """Means over the satellites of the AUKF's factors ``A (T, ..., 2 S)``, and shares of them that are large.
 
-    def both(memory: Any, joint: Joint, epoch: Any) -> tuple[Any, Joint]:
-        own, after = hook(None if memory is None else memory[0], joint, epoch)
-        return (
-            own,
-            np.broadcast_to(
-                after.variances()[1] / joint.variances()[1], np.asarray(joint.innovation).shape
-            ),
-        ), after
+    struck: ``(T, ..., S)``, the ranges that are bad.
+    """
+    ranges, rates = np.split(A, 2, -1)
+    out: Arrays = {}
+    for half, some in zip(HALVES, (ranges, rates), strict=True):
+        out |= {half: some.mean(-1), f"{half} above 1": (some > 1.0).mean(-1)}
 
-    return adapted(config, S, ukf(config), both, Q=Q)
+    def over(those: Array, values: Array) -> Array:
+        return np.asarray((values * those).sum(-1) / np.maximum(those.sum(-1), 1))
+
+    return out | {
+        "bad": over(struck, ranges),
+        "good": over(~struck, ranges),
+        "good above 2": over(~struck, ranges > 2.0),
+    }
 
 
 def no_redraw(config: Config, S: int) -> Filter:
