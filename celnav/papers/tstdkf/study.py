@@ -182,7 +182,8 @@ def by_runs(
     step = count if room >= count else 1 << max(0, room.bit_length() - 1)
     last = slice(every - 1, None, every)
     starts = range(0, count, step)
-    before = REPEATED.set(len(starts))  # whether to compile is decided for all of them
+    # Whether to compile is decided for all of them.
+    before = REPEATED.set(len(starts) * max(1, REPEATED.get()))
     for first in starts:
         runs = slice(first, first + step)
         some = sim.some(runs)
