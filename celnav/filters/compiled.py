@@ -47,7 +47,7 @@ __all__ = ["Compiled", "chosen", "compiled", "run_by", "steps_by"]
 
 WORTH = 50_000  # operations of a step, the most that engine="auto" compiles, in some five seconds, and a device takes
 # What decides for engine="auto", CPU seconds measured for 1 to 30 states on a Xeon with vectors of eight:
-STEP_S = 2.3e-4  # of a step by numpy
+STEP_S = 5e-4  # of a step by numpy, with models such as the five studies have
 OPERATION_S = 1.2e-9  # of an operation of it in each run
 MAKE_S = 8e-5  # of recording and compiling an operation
 RECORDS = 2  # steps that a usual flight records: with an interval and without
