@@ -16,7 +16,7 @@ import numpy as np
 
 from celnav.campaign.missions import Study
 from celnav.campaign.scores import Failure, Scores, check_scores, merge, score
-from celnav.filters.run import ENGINE, REPEATED
+from celnav.filters.run import ENGINE, repeated
 from celnav.gaussian.linalg import Array
 from celnav.lazy import needed_by
 from celnav.papers import load
@@ -103,13 +103,12 @@ class Unit:
 
     def do(self) -> dict[str, Array]:
         """Arrays of the `Result`. Exceptions of models and filters are failures of their runs."""
-        token, before = ENGINE.set(self.engine), REPEATED.set(EXPECTED)
+        token = ENGINE.set(self.engine)
         try:
-            with warnings.catch_warnings():
+            with warnings.catch_warnings(), repeated(EXPECTED):
                 warnings.simplefilter("ignore")  # said once, where the study is read
                 return pack(_Flight(self).result())
         finally:
-            REPEATED.reset(before)
             ENGINE.reset(token)
 
     def check(self, arrays: dict[str, Array]) -> None:

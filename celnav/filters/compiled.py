@@ -46,10 +46,10 @@ from celnav.tape.tape import MOST, CannotCompile, place_of
 __all__ = ["Compiled", "chosen", "compiled", "run_by", "steps_by"]
 
 WORTH = 50_000  # operations of a step, the most that engine="auto" compiles, in some five seconds, and a device takes
-# What decides for engine="auto", CPU seconds measured for 1 to 30 states on a Xeon with vectors of eight:
+# What decides for engine="auto": CPU seconds, of filters of 1 to 30 states, measured on processors with vectors of four and eight:
 STEP_S = 5e-4  # of a step by numpy, with models such as the five studies have
 OPERATION_S = 1.2e-9  # of an operation of it in each run
-MAKE_S = 8e-5  # of recording and compiling an operation
+MAKE_S = 6e-5  # of recording and compiling an operation: 4e-5 to 1e-4
 RECORDS = 2  # steps that a usual flight records: with an interval and without
 EXPECTED = 100  # operations of a step, for the square of its states, before it is recorded
 SHARED = 0.02  # of an operation's time, where models are matrices: numpy computes one covariance for all runs

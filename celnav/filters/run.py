@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator
+from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import replace
 from typing import Any
@@ -27,13 +28,23 @@ from celnav.gaussian.belief import settled
 from celnav.gaussian.checks import choice, function, instance, integer, kind
 from celnav.gaussian.linalg import Array
 
-__all__ = ["ENGINE", "ENGINES", "REPEATED", "as_epochs", "explain", "run", "steps"]
+__all__ = ["ENGINE", "ENGINES", "REPEATED", "as_epochs", "explain", "repeated", "run", "steps"]
 
 ENGINES = ("numpy", "compiled", "cuda", "auto")
 ENGINE: ContextVar[str] = ContextVar("engine", default="auto")
 """What `run` and the studies take where nobody says: ``celnav reproduce --engine`` sets it."""
 REPEATED: ContextVar[int] = ContextVar("repeated", default=0)
 """How many flights of equal filters are expected: engine="auto" compiles for all of them. 0: nobody says."""
+
+
+@contextmanager
+def repeated(times: int) -> Iterator[None]:
+    """Where so many times as many flights of equal filters are expected."""
+    token = REPEATED.set(times * max(1, REPEATED.get()))
+    try:
+        yield
+    finally:
+        REPEATED.reset(token)
 
 
 def run(

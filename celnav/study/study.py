@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from celnav.filters.records import Epoch
-from celnav.filters.run import ENGINE, REPEATED
+from celnav.filters.run import ENGINE, repeated
 from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.checks import choice
 from celnav.gaussian.linalg import Array
@@ -244,18 +244,14 @@ class Unit(NamedTuple):
 
     def do(self) -> dict[str, Array]:
         """The arrays of the part, and ``cpu_s (1, 1)``; warnings of its models and filters are errors."""
-        token, before = ENGINE.set(self.engine), REPEATED.set(self.units)
-        start, rngs = (
-            process_time(),
-            [generator(self.seed, self.work.number, run) for run in self.runs],
-        )
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")
-            try:
+        start, token = process_time(), ENGINE.set(self.engine)
+        rngs = [generator(self.seed, self.work.number, run) for run in self.runs]
+        try:
+            with warnings.catch_warnings(), repeated(self.units):
+                warnings.simplefilter("error")
                 arrays = self.work.work(self.work.config, rngs)
-            finally:
-                REPEATED.reset(before)
-                ENGINE.reset(token)
+        finally:
+            ENGINE.reset(token)
         return arrays | {"cpu_s": np.array([[process_time() - start]])}
 
 

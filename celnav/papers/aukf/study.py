@@ -144,6 +144,11 @@ def parts(effort: float = 1.0, rinex: Path | None = None) -> dict[str, Part]:
         {"interval_s": 1.0, **slower},
         {"true_sigma_range_m": 10.0},
     )
+    # Until the burst would begin, and until all that is judged after it.
+    before, judged = (
+        {**quiet, "duration_s": standard.burst_s[0]},
+        {"duration_s": standard.burst_s[1] + AFTER_S},
+    )
     slow, short, one = (
         {**quiet, **second},
         {**quiet, "duration_s": 15.0},
@@ -159,14 +164,14 @@ def parts(effort: float = 1.0, rinex: Path | None = None) -> dict[str, Part]:
     # Number, runs, and what is drawn one after the other; parts in the same braces share their random numbers.
     plan: list[tuple[int, int, list[dict[str, Flight]]]] = [
         (0, many, [{"none": Flight(("ls", *THREE), quiet)}, {"ranges, 10 Hz": Flight((*THREE, "group"))}]),
-        (1, few, [{"baselines": Flight(FILTERS, {}, {**bursts, "mistuned/": {**quiet, **mistuned}}, anew=True)}]),
-        (2, few, [{f"densities, {rate}": Flight(("ekf", "aukf", "group"), slow if rate == "1 Hz" else quiet,
+        (1, few, [{"baselines": Flight(FILTERS, judged, {**bursts, "mistuned/": {**quiet, **mistuned}}, anew=True)}]),
+        (2, few, [{f"densities, {rate}": Flight(("ekf", "aukf", "group"), slow if rate == "1 Hz" else before,
                                                 {f"{q:g}/": {Q: q} for q in some})}
                   for rate, some in DENSITIES.items()]),
         (4, few, [{f"{km:g} km": Flight(("ls", *THREE), {**slow, "deviation": (1e3 * km, *rest), "duration_s": 30.0})}
                   for km in INITIAL_KM]),
         (5, 2 * few, [{"matched": Flight(("ukf", "no redraw"), {**slow, Q: 100.0, "motion": "model"})}]),
-        (6, few, [{"redraw": Flight(("ukf", "no redraw"), quiet)}]),
+        (6, few, [{"redraw": Flight(("ukf", "no redraw"), before)}]),
         (7, many, [{"ranges and rates, 10 Hz": Flight(PAIR, bursts["both/"])}]),
         (8, many, [{part: Flight(PAIR, {**burst, **second})} for part, burst in zip(READINGS[3:], bursts.values(), strict=True)]),
         (9, many, [{"one range, 10 Hz": Flight(PAIR, {**one, "duration_s": 40.0})}]),
@@ -178,7 +183,7 @@ def parts(effort: float = 1.0, rinex: Path | None = None) -> dict[str, Part]:
                                                            "duration_s": 120.0 if true == "1e6" else 60.0})
                          for taken in (true, "10")} for true in ("10", "1e3", "1e5", "1e6")]),
         (14, many, [{f"windows, {rate}": Flight(("ukf", *(f"M {m}" for m in WINDOWS)), change) for rate, change in
-                     (("10 Hz", {"duration_s": 25.0 if brief else 75.0}), ("1 Hz", second))}]),
+                     (("10 Hz", judged), ("1 Hz", second))}]),
         (15, few, [{"struck": Flight(ROBUST, {"mask_deg": 20.0, "burst_s": (5.0, end), "duration_s": end},
                                      {f"{shape} {k}/": {"burst": "one", "burst_shape": shape, "burst_count": k}
                                       for shape in SHAPES for k in STRUCK})}]),
@@ -186,7 +191,7 @@ def parts(effort: float = 1.0, rinex: Path | None = None) -> dict[str, Part]:
                                            {f"{true:g}/{true / k:g}/": {"deviation": (true, *rest), "assumed_m": true / k}
                                             for true in START_M for k in (1, 10)})}]),
         (17, 5 * many, [{"mistuned": Flight(PAIR, {**quiet, **mistuned})}]),
-        (18, 8 * many, [{"quiet": Flight(PAIR, {**quiet, "duration_s": standard.burst_s[0]})}]),
+        (18, 8 * many, [{"quiet": Flight(PAIR, before)}]),
     ]  # fmt: skip
     out: dict[str, Part] = {}
     for number, runs, draws in plan:

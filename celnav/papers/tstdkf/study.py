@@ -14,7 +14,7 @@ from celnav.analysis.metrics import ratio as quotient
 from celnav.analysis.metrics import rms
 from celnav.files import data, read_npz
 from celnav.filters.records import FilterError
-from celnav.filters.run import REPEATED, run, steps
+from celnav.filters.run import repeated, run, steps
 from celnav.filters.two_stage import Boost, Plain, TwoStage
 from celnav.gaussian.belief import Gaussian, nees
 from celnav.gaussian.linalg import Array, cholesky
@@ -182,16 +182,14 @@ def by_runs(
     step = count if room >= count else 1 << max(0, room.bit_length() - 1)
     last = slice(every - 1, None, every)
     starts = range(0, count, step)
-    # Whether to compile is decided for all of them.
-    before = REPEATED.set(len(starts) * max(1, REPEATED.get()))
     for first in starts:
         runs = slice(first, first + step)
         some = sim.some(runs)
-        track: Any = run(filter, some.prior, some.measured(), keep="cov" if judged else "mean")
+        with repeated(len(starts)):
+            track: Any = run(filter, some.prior, some.measured(), keep="cov" if judged else "mean")
         more = (track.cov[last], track.nis[last]) if judged else ()
         take(Estimates(runs, 0, track.mean, *more))
         del track, more  # before there is another one
-    REPEATED.reset(before)
 
 
 def flown(
