@@ -133,7 +133,7 @@ def parts(effort: float = 1.0, rinex: Path | None = None) -> dict[str, Part]:
     """All that is computed; ``rinex``: folder of a station's files. At an effort below `BRIEF` the burst at 10 Hz comes sooner and
     is shorter, and operations are counted with fewer satellites."""
     standard, sky, end, slower = STANDARD, STANDARD, 15.0, {}
-    if brief := effort < BRIEF:
+    if effort < BRIEF:
         standard = replace(STANDARD, burst_s=(15.0, 20.0), duration_s=25.0)
         sky, end = replace(STANDARD, mask_deg=50.0), 8.0
         slower = {"burst_s": STANDARD.burst_s, "duration_s": STANDARD.duration_s}
