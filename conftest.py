@@ -47,7 +47,7 @@ def eager(monkeypatch):
     from celnav.filters import compiled
     from celnav.filters.run import ENGINE
 
-    monkeypatch.setattr(compiled, "worth", lambda _steps, _runs: compiled.WORTH)
+    monkeypatch.setattr(compiled, "worth", lambda *_work: compiled.WORTH)
     monkeypatch.setattr(compiled, "SHARED", 10**6)
     token = ENGINE.set("numpy")
     yield

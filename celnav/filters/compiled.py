@@ -75,7 +75,8 @@ class Compiled:
     >>> track = fast.run(prior, times, z)
     """
 
-    def __init__(self, filter: Any, jobs: int, engine: str, most: int):
+    def __init__(self, filter: Any, jobs: int, engine: str, most: int | Callable[[int], int]):
+        # most: operations of a step, or a function of the number of kinds of epochs.
         self.filter, self.jobs, self.engine, self.most = filter, jobs, engine, most
         self._kept, self._watch = Kept(), Watch(None)
         self._left = 0  # steps of a run until numpy takes all sentinels again
@@ -84,6 +85,10 @@ class Compiled:
 
     def __repr__(self) -> str:
         return f"Compiled({self.filter!r})"
+
+    def limit(self, kinds: int) -> int:
+        """The most operations of a step that are compiled, where epochs are of so many kinds."""
+        return self.most if isinstance(self.most, int) else self.most(kinds)
 
     @property
     def recorded(self) -> bool:
@@ -209,7 +214,7 @@ class Compiled:
             rolled = self.engine != "cuda"
             engines[key] = Engine(self.filter, prior, data, self._kept, rolled=rolled)
         engine = copy(engines[key])  # of this flight
-        engine.most = self.most
+        engine.most = self.limit(len(data.known))
         return engine
 
     def start(self, prior: Any) -> Any:
@@ -251,7 +256,7 @@ class Compiled:
             undo, again = restorer(self.filter), lambda: self.filter.step(state, epoch)
             with recording(holds, again, undo):
                 self.filter.step(state, epoch)  # what models keep of their first call are floats
-                plan = Plan(self.filter, state, epoch, self.most)
+                plan = Plan(self.filter, state, epoch, self.limit(1))
         self._own.__dict__[key] = plan
         return plan
 
@@ -460,8 +465,8 @@ def chosen(engine: str, filter: Any, jobs: int, prior: Any, epochs: Any) -> Comp
     work = np.array([steps, steps * runs * (SHARED if shared else 1.0)])
     expected = REPEATED.get()
     work = work * expected if expected else _added(filter, work)
-    most = worth(*work.tolist())
-    if EXPECTED * prior.cov.shape[-1] ** 2 > most:
+    most: Callable[[int], int] = partial(worth, *work.tolist())
+    if EXPECTED * prior.cov.shape[-1] ** 2 > most(RECORDS):
         times = f"{steps} steps of " + ("one run" if runs == 1 else f"{runs} runs")
         raise CannotCompile(f"{times} take less time than compiling one")
     return _kept(filter, "compiled", jobs, most)
@@ -481,9 +486,12 @@ def _added(filter: Any, work: Array) -> Array:
     return total
 
 
-def worth(steps: float, run_steps: float) -> int:
-    """Operations of a step, the most that repay recording and compiling in so many steps, and steps of runs."""
-    left = RECORDS * MAKE_S - run_steps * OPERATION_S
+def worth(steps: float, run_steps: float, kinds: int) -> int:
+    """Operations of a step, the most that repay recording and compiling in so many steps, and steps of runs.
+
+    kinds: of epochs, each of which has a step of its own.
+    """
+    left = max(kinds, RECORDS) * MAKE_S - run_steps * OPERATION_S
     return WORTH if left <= 0.0 else int(min(WORTH, steps * STEP_S / left))
 
 
@@ -511,7 +519,7 @@ def _equal(filter: Any, engine: str) -> Compiled | None:
     return next((other for other in reversed(alike) if other.holds(holds)), None)
 
 
-def _kept(filter: Any, engine: str, jobs: int, most: int) -> Compiled:
+def _kept(filter: Any, engine: str, jobs: int, most: int | Callable[[int], int]) -> Compiled:
     """The filter as machine code, with what was recorded of the same object or of an equal one.
 
     Only what was recorded is taken over: whether a flight is compiled must not depend on others.
@@ -519,7 +527,8 @@ def _kept(filter: Any, engine: str, jobs: int, most: int) -> Compiled:
     with _KEPT_LOCK:
         found = _KEPT.pop((id(filter), engine, jobs), None)
         made: Compiled = found or compiled(filter, jobs=jobs, engine=engine)
-        made.most = max(most, made.most if made.recorded else 0)
+        if isinstance(most, int) or not made.recorded:
+            made.most = most
         if not made.recorded and (other := _equal(filter, engine)) is not None:
             made.adopt(other)
         _KEPT[id(filter), engine, made.jobs] = made  # the last one that was used stands last

@@ -57,7 +57,7 @@ def test_ten_epochs_never_wait_for_a_compiler(records):
 
 def test_a_filter_that_flies_again_and_again_is_compiled(records):
     """Not one that is made anew each time, nor where it was said how many flights there are."""
-    times, z = data(100, 20)
+    times, z = data(20, 20)
     again = filter_of(lambda x, epoch: swing(1.001 * x, epoch))  # which no other test records
     engines = [celnav.run(again, PRIOR, times, z).engine for _ in range(40)]
     assert engines[0].startswith("numpy")
@@ -145,15 +145,15 @@ def test_one_record_serves_whatever_is_kept(records):
 
 def test_the_choice_does_not_depend_on_other_filters():
     """A unit of a study gives the same bytes, whichever units its process has done before."""
-    long, short = data(100, 3000), data(100, 20)
+    long, short = data(100, 3000), data(20, 20)
     tracks = [celnav.run(filter_of(), PRIOR, *one) for one in (short, long, short)]
     assert [track.engine.partition(":")[0] for track in tracks] == ["numpy", "compiled", "numpy"]
     assert tracks[2].mean.tobytes() == tracks[0].mean.tobytes()
 
 
 def test_flights_that_are_expected_again_are_compiled_sooner():
-    flight = data(100, 200)
-    assert celnav.run(filter_of(), PRIOR, *flight).engine.startswith("numpy: 100 steps of 200 runs")
+    flight = data(20, 200)
+    assert celnav.run(filter_of(), PRIOR, *flight).engine.startswith("numpy: 20 steps of 200 runs")
     token = REPEATED.set(50)
     try:
         assert celnav.run(filter_of(), PRIOR, *flight).engine == "compiled"
@@ -171,7 +171,7 @@ def test_what_is_kept_is_of_the_last_filters():
 
 def test_more_work_is_worth_longer_steps():
     found = [
-        [compiled.worth(steps, steps * runs) for steps in (1, 30, 1000, 10**5)]
+        [compiled.worth(steps, steps * runs, 2) for steps in (1, 30, 1000, 10**5)]
         for runs in (1, 50, 10**4)
     ]
     assert (np.diff(found, axis=0) >= 0).all()
@@ -277,7 +277,7 @@ def test_the_noise_that_hooks_leave_is_kept_by_machine_code_too(runs):
 
 
 def test_a_step_that_is_too_long_is_recorded_once(records, monkeypatch):
-    monkeypatch.setattr(compiled, "worth", lambda _steps, _run_steps: 150)
+    monkeypatch.setattr(compiled, "worth", lambda *_work: 150)
     monkeypatch.setattr(compiled, "EXPECTED", 0)
     filter = filter_of(lambda x, epoch: swing(1.002 * x, epoch))
     for _ in range(3):
