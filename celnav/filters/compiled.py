@@ -51,7 +51,10 @@ STEP_S = 5e-4  # of a step by numpy, with models such as the five studies have
 OPERATION_S = 1.2e-9  # of an operation of it in each run
 MAKE_S = 6e-5  # of recording and compiling an operation: 4e-5 to 1e-4
 RECORDS = 2  # steps that a usual flight records: with an interval and without
-EXPECTED = 100  # operations of a step, for the square of its states, before it is recorded
+EXPECTED = (
+    100,
+    20,
+)  # operations of a step, for the squares of its states and measured components, before it is recorded
 SHARED = 0.02  # of an operation's time, where models are matrices: numpy computes one covariance for all runs
 MOST_KEPT = 16  # filters whose machine code is found again
 SPARED = 65_536  # steps of runs by kept machine code, after which all sentinels are compared again
@@ -460,13 +463,14 @@ def chosen(engine: str, filter: Any, jobs: int, prior: Any, epochs: Any) -> Comp
         return found
     if not (hasattr(prior, "mean") and hasattr(prior, "cov")):
         raise CannotCompile("the prior has no mean and covariance")
-    steps, runs = len(epochs), _runs(prior, epochs)
+    steps, (runs, measured) = len(epochs), _sizes(prior, epochs)
     shared = runs > 1 and prior.cov.ndim == 2 and _by_matrices(filter)
     work = np.array([steps, steps * runs * (SHARED if shared else 1.0)])
     expected = REPEATED.get()
     work = work * expected if expected else _added(filter, work)
     most: Callable[[int], int] = partial(worth, *work.tolist())
-    if EXPECTED * prior.cov.shape[-1] ** 2 > most(RECORDS):
+    sizes = np.square([prior.cov.shape[-1], measured])
+    if sizes @ EXPECTED > most(RECORDS):
         times = f"{steps} steps of " + ("one run" if runs == 1 else f"{runs} runs")
         raise CannotCompile(f"{times} take less time than compiling one")
     return _kept(filter, "compiled", jobs, most)
@@ -495,14 +499,16 @@ def worth(steps: float, run_steps: float, kinds: int) -> int:
     return WORTH if left <= 0.0 else int(min(WORTH, steps * STEP_S / left))
 
 
-def _runs(prior: Any, epochs: Any) -> int:
-    """How many runs there are, as far as the prior and the last epoch tell."""
+def _sizes(prior: Any, epochs: Any) -> tuple[int, int]:
+    """How many runs and measured components there are, as far as the prior and the last epoch tell."""
     z = getattr(epochs[-1], "z", None) if len(epochs) else None
+    shapes = [np.shape(x) for x in (z if isinstance(z, tuple) else (z,)) if x is not None]
     try:
-        parts = [np.shape(x)[:-1] for x in (z if isinstance(z, tuple) else (z,)) if x is not None]
-        return math.prod(np.broadcast_shapes(np.shape(prior.mean)[:-1], *parts))
+        parts = (shape[:-1] for shape in shapes)
+        runs = math.prod(np.broadcast_shapes(np.shape(prior.mean)[:-1], *parts))
     except ValueError:  # the engine says what does not go together
-        return 1
+        runs = 1
+    return runs, sum(shape[-1] for shape in shapes if shape)
 
 
 def _by_matrices(filter: Any) -> bool:

@@ -242,10 +242,13 @@ class Code(NamedTuple):
 
 
 class Kept:
-    """What was recorded of a filter's steps, and what was made of it, by what it depends on."""
+    """What was recorded of a filter's steps, and what was made of it, by what it depends on.
+
+    longer: operations that a step has at least, where it was not recorded to its end.
+    """
 
     def __init__(self) -> None:
-        self.records = dict[Any, Recorded]()
+        self.records, self.longer = dict[Any, Recorded](), dict[Any, int]()
         self.code, self.engines = dict[Any, Any](), dict[Any, Engine]()
 
     def __bool__(self) -> bool:
@@ -254,7 +257,7 @@ class Kept:
     def shared(self) -> Kept:
         """The same records and code, for a filter of its own."""
         other = Kept()
-        other.records, other.code = self.records, self.code
+        other.records, other.longer, other.code = self.records, self.longer, self.code
         return other
 
 
@@ -374,18 +377,30 @@ class Engine:
     def recorded_as(self, before: Shape, kind: Kind, u: list[tuple[Array, bool]]) -> Recorded:
         """The step, recorded."""
         key = before, kind, self.forms(u), self.dt, tuple(self.widths), bool(self.batch)
-        made = self.kept.records.get(key) or self.record(before, kind, u)
-        self.kept.records[key] = made
+        if key not in self.kept.records:
+            if (longer := self.kept.longer.get(key, 0)) >= self.most:
+                raise self._too_long(f"more than {longer}")
+            try:
+                self.kept.records[key] = self.record(before, kind, u)
+            except TooLong:
+                self.kept.longer[key] = self.most
+                if self.most == MOST:
+                    raise
+                raise self._too_long(f"more than {self.most}") from None
+        made = self.kept.records[key]
         self.check_length(made)
         return made
+
+    def _too_long(self, size: Any) -> TooLong:
+        """The error of a step of some size."""
+        return TooLong(
+            f"a step of {size} operations takes longer than it saves: at most {self.most} are compiled"
+        )
 
     def check_length(self, made: Recorded) -> None:
         """Raise `TooLong` for a step that may not be compiled, whether another filter's was or not."""
         if made.size > self.most:
-            raise TooLong(
-                f"a step of {made.size} operations takes longer than it saves: at most {self.most} "
-                "are compiled"
-            )
+            raise self._too_long(made.size)
 
     def forms(self, u: list[tuple[Array, bool]]) -> tuple[Any, ...]:
         """Of each part of an input its shape, whether each run has its own, and whether it is finite."""
@@ -413,7 +428,8 @@ class Engine:
 
     def record(self, before: Shape, kind: Kind, u: list[tuple[Array, bool]]) -> Recorded:
         """The step from a state of a shape over an epoch of a kind."""
-        tape, inputs = Tape(self.rolled), list[tuple[str, int]]()
+        # Some operations will not be needed.
+        tape, inputs = Tape(self.rolled, 2 * self.most), list[tuple[str, int]]()
 
         def take(place: str, at: int, absent: bool = False) -> Number:
             inputs.append((place, at))

@@ -114,15 +114,15 @@ class Tape:
 
     ``ops[i]`` is ``(name, *arguments)``: indices of earlier ones; ``("in", k)`` is the k-th input, ``("const", x)`` a number.
     ``("call", routine, *arguments)`` leaves a memory, ``("part", i, cell)`` is a cell of it; ``rolled``: whether there may be such.
-    ``cells``: how many numbers the routines have in memory.
+    ``cells``: how many numbers the routines have in memory. ``most``: operations, after which `TooLong` is raised.
     ``refusal``: the first thing that was asked for in vain. ``absent[i]``: whether it comes of something
     that may be missing, nan. ``model``: whether what is recorded now is a model's
     own arithmetic, which has the values that numpy gives; of what it made, ``wild[i]``: whether it may be nan or infinite, and
     ``sharp``: numbers that decide a jump, whose products and sums are rounded one by one. ``modeled``: what was recorded so.
     """
 
-    def __init__(self, rolled: bool = True) -> None:
-        self.rolled = rolled
+    def __init__(self, rolled: bool = True, most: int = MOST) -> None:
+        self.rolled, self.most = rolled, min(most, MOST)
         self.refusal: CannotCompile | None = None
         self.ops: list[tuple[Any, ...]] = []
         self.absent: list[bool] = []
@@ -150,8 +150,8 @@ class Tape:
         at = self._known.get(key)
         if at is None:
             at = self._known[key] = len(self.ops)
-            if at == MOST:
-                raise TooLong(f"a step of more than {MOST} operations is too long to be compiled")
+            if at == self.most:
+                raise TooLong(f"a step of more than {at} operations is too long to be compiled")
             self.ops.append(op)
             self.cells += op[1].cells if op[0] == "call" else 0
             if op[0] == "const":

@@ -278,7 +278,7 @@ def test_the_noise_that_hooks_leave_is_kept_by_machine_code_too(runs):
 
 def test_a_step_that_is_too_long_is_recorded_once(records, monkeypatch):
     monkeypatch.setattr(compiled, "worth", lambda *_work: 150)
-    monkeypatch.setattr(compiled, "EXPECTED", 0)
+    monkeypatch.setattr(compiled, "EXPECTED", (0, 0))
     filter = filter_of(lambda x, epoch: swing(1.002 * x, epoch))
     for _ in range(3):
         track = celnav.run(filter, PRIOR, *data(20, 8))

@@ -87,7 +87,7 @@ def test_factorizations_and_products_are_loops_where_they_are_long(form, monkeyp
 def test_what_is_too_long_is_left_to_numpy_unless_it_is_asked_for(monkeypatch):
     filter, prior, epochs = flight()
     monkeypatch.setattr("celnav.filters.compiled.worth", lambda *_work: 1000)
-    monkeypatch.setattr("celnav.filters.compiled.EXPECTED", 0)
+    monkeypatch.setattr("celnav.filters.compiled.EXPECTED", (0, 0))
     track = celnav.run(filter, prior, epochs, engine="auto")
     assert track.engine.startswith("numpy: a step of ")
     assert "at most 1000 are compiled" in track.engine

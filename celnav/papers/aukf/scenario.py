@@ -36,7 +36,7 @@ from celnav.study.trial import Group, Trial
 
 __all__ = [
     "CITATION", "GROUPS", "JUDGED", "PRESETS", "STANDARD", "START_S", "TITLE", "Config", "adapted", "axes", "burst", "circle",
-    "filters", "simulate", "trial", "ukf", "visible",
+    "filters", "noise_factors", "simulate", "trial", "ukf", "visible",
 ]  # fmt: skip
 
 TITLE = "Adaptive unscented Kalman filter for BeiDou positioning"
