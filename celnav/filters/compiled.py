@@ -51,10 +51,8 @@ STEP_S = 5e-4  # of a step by numpy, with models such as the five studies have
 OPERATION_S = 1.2e-9  # of an operation of it in each run
 MAKE_S = 6e-5  # of recording and compiling an operation: 4e-5 to 1e-4
 RECORDS = 2  # steps that a usual flight records: with an interval and without
-EXPECTED = (
-    100,
-    20,
-)  # operations of a step, for the squares of its states and measured components, before it is recorded
+# Operations of a step, for the squares of its states and measured components, before it is recorded:
+EXPECTED = 100, 20
 SHARED = 0.02  # of an operation's time, where models are matrices: numpy computes one covariance for all runs
 MOST_KEPT = 16  # filters whose machine code is found again
 SPARED = 65_536  # steps of runs by kept machine code, after which all sentinels are compared again
