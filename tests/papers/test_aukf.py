@@ -25,7 +25,7 @@ from celnav.gaussian.rules import Taylor, unscented
 from celnav.models import pseudorange
 from celnav.papers import aukf
 from celnav.papers.aukf import PRESETS, filters, scenario, show, simulate, study
-from celnav.papers.aukf.scenario import adapted, axes, circle, ukf, visible
+from celnav.papers.aukf.scenario import adapted, axes, circle, noise_factors, ukf, visible
 from celnav.receiver import day
 from celnav.receiver.filters import hooks
 from celnav.receiver.sky import dilution
@@ -365,16 +365,29 @@ def test_without_satellites_it_is_a_prediction():
 
 def test_the_smallest_window_takes_each_innovation_for_itself():
     sim, S = simulate(replace(SHORT, duration_s=1.0), runs(1)), len(visible(SHORT).names)
-    filter = study.watched(replace(SHORT, window=1), S, SHORT.Q)
+    filter = adapted(SHORT, S, ukf(SHORT), innovation_window(1))
     R, plain = SHORT.R(S).diagonal(), adapted(SHORT, S, ukf(SHORT))
     state = filter.start(sim.prior)
     for epoch in sim.epochs():
         _, (info,) = plain.step(State(state.belief, (None,)), epoch)
         prior = (info.sqrt_S @ info.sqrt_S.mT).diagonal(0, -2, -1) - R
-        state, _ = filter.step(state, epoch)
+        state, (own,) = filter.step(state, epoch)
         np.testing.assert_allclose(
-            state.memory[0][0][1], np.maximum(1.0, (info.innovation**2 - prior) / R), rtol=1e-6
+            own.R / R, np.maximum(1.0, (info.innovation**2 - prior) / R), rtol=1e-6
         )
+
+
+def test_factors_of_the_noise_are_told_by_what_is_struck():
+    """Means over satellites, shares above a bound, and of bad and good ranges apart; 1 where nothing was measured."""
+    S, missing = 3, np.array([[1.0, 9.0, np.nan, 1.0, 4.0, 1.0]])
+    R = np.repeat([SHORT.sigma_range_m, SHORT.sigma_rate_m_per_s], S) ** 2
+    track = SimpleNamespace(extra={"R": missing * R})
+    A = noise_factors(track, SHORT, S)
+    np.testing.assert_allclose(A, [[1.0, 9.0, 1.0, 1.0, 4.0, 1.0]])
+    found = study.of_factors(A, np.array([[False, True, False]]))
+    expected = {"ranges": 11 / 3, "ranges above 1": 1 / 3, "rates": 2.0, "rates above 1": 1 / 3,
+                "bad": 9.0, "good": 1.0, "good above 2": 0.0}  # fmt: skip
+    assert {name: value.item() for name, value in found.items()} == pytest.approx(expected)
 
 
 # -- the state as an error -----------------------------------------------------------------------------------------------------
