@@ -88,8 +88,13 @@ class Compiled:
         return f"Compiled({self.filter!r})"
 
     def limit(self, kinds: int) -> int:
-        """The most operations of a step that are compiled, where epochs are of so many kinds."""
-        return self.most if isinstance(self.most, int) else self.most(kinds)
+        """The most operations of a step that are compiled, where epochs are of so many kinds.
+
+        What flew before has most of its steps already.
+        """
+        if isinstance(self.most, int):
+            return self.most
+        return self.most(RECORDS if self._flights else kinds)
 
     @property
     def recorded(self) -> bool:

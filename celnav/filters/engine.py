@@ -244,7 +244,8 @@ class Code(NamedTuple):
 class Kept:
     """What was recorded of a filter's steps, and what was made of it, by what it depends on.
 
-    longer: operations that a step has at least, where it was not recorded to its end.
+    longer: of steps that were not recorded to their ends, how many operations they exceed. They are
+    recorded again where twice as many are worth it.
     """
 
     def __init__(self) -> None:
@@ -257,7 +258,7 @@ class Kept:
     def shared(self) -> Kept:
         """The same records and code, for a filter of its own."""
         other = Kept()
-        other.records, other.longer, other.code = self.records, self.longer, self.code
+        other.records, other.code = self.records, self.code
         return other
 
 
@@ -378,7 +379,8 @@ class Engine:
         """The step, recorded."""
         key = before, kind, self.forms(u), self.dt, tuple(self.widths), bool(self.batch)
         if key not in self.kept.records:
-            if (longer := self.kept.longer.get(key, 0)) >= self.most:
+            longer = self.kept.longer.get(key, 0)
+            if longer and self.most < 2 * longer:  # more work may be worth it, but not each time
                 raise self._too_long(f"more than {longer}")
             try:
                 self.kept.records[key] = self.record(before, kind, u)
@@ -428,8 +430,7 @@ class Engine:
 
     def record(self, before: Shape, kind: Kind, u: list[tuple[Array, bool]]) -> Recorded:
         """The step from a state of a shape over an epoch of a kind."""
-        # Some operations will not be needed.
-        tape, inputs = Tape(self.rolled, 2 * self.most), list[tuple[str, int]]()
+        tape, inputs = Tape(self.rolled, self.most), list[tuple[str, int]]()
 
         def take(place: str, at: int, absent: bool = False) -> Number:
             inputs.append((place, at))
@@ -518,8 +519,9 @@ class Engine:
         columns = self.columns()
         rows = list(self._rows(state.belief, infos)) if columns else []
         kernel = Kernel(tape, inputs, stored, rows)
-        size = len(tape.needed([x for *_, x in kernel.results()]))
-        return Recorded(kernel, after, size, columns)
+        kernel.results()  # constants among them are on the tape now
+        tape.most = MOST
+        return Recorded(kernel, after, len(tape.ops), columns)
 
     def _settled(self, belief: Any) -> Any:
         """A belief whose mean is nan if the run is lost. Of one run the matrix is too.

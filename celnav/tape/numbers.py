@@ -552,7 +552,7 @@ def rarely(
         sizes = [array.size for array in made]
         cells = range(first, first + sum(sizes))
         routine = Routine([stage.stage()], cells.stop, cells, rare=True)
-        left = np.array(routine(tape, [condition.flat[0], *given.values()]), object)
+        left = np.array(routine(tape, [condition.item(), *given.values()]), object)
         parts = np.split(left, np.cumsum(sizes)[:-1])
         found = [numbers(x.reshape(array.shape)) for x, array in zip(parts, made, strict=True)]
     return tuple(

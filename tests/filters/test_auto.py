@@ -284,3 +284,47 @@ def test_a_step_that_is_too_long_is_recorded_once(records, monkeypatch):
         track = celnav.run(filter, PRIOR, *data(20, 8))
         assert "operations takes longer than it saves: at most 150" in track.engine
     assert len(records) == 1
+
+
+def looped(x, _epoch):
+    """A model whose record as a loop over the points leaves much behind on the tape."""
+    for _ in range(200):
+        x = x + 0.001 * np.sin(x[..., ::-1]) * np.cos(x)
+    return x
+
+
+def test_the_choice_does_not_depend_on_other_filters_where_a_model_is_a_loop():
+    engines = []
+    for steps, runs in ((300, 20), (1000, 200), (300, 20)):
+        track = celnav.run(filter_of(looped), PRIOR, *data(steps, runs))
+        engines.append(track.engine.partition(":")[0])
+    assert engines[0] == engines[2]
+    assert engines[1] == "compiled"
+
+
+def test_a_filter_that_was_compiled_stays_so_where_epochs_are_of_more_kinds():
+    sensors = [
+        celnav.Sensor(lambda x, _e: x[..., :1] + 0.01 * x[..., 1:] ** 2, R) for R in (1.0, 2.0)
+    ]
+    filter = celnav.ukf(celnav.Motion(swing, 0.02), *sensors)
+    rng = np.random.default_rng(0)
+
+    def flight(steps, runs, kinds):
+        for k in range(steps):
+            z = rng.standard_normal((2, runs, 1))
+            z = tuple(None if k % kinds >> i & 1 and k < steps - 1 else z[i] for i in range(2))
+            yield celnav.Epoch(k, float(k), float(k > 0), None, z)
+
+    first = celnav.run(filter, PRIOR, list(flight(400, 20, 1)))
+    assert first.engine == "compiled"
+    assert celnav.run(filter, PRIOR, list(flight(400, 20, 4))).engine == "compiled"
+
+
+def test_a_step_is_seldom_recorded_in_vain_while_work_accumulates(records, monkeypatch):
+    monkeypatch.setattr(compiled, "EXPECTED", (0, 0))
+    monkeypatch.setattr(compiled, "MAKE_S", 1e-3)
+    filter = filter_of(lambda x, epoch: looped(1.003 * x, epoch))
+    times, z = data(20, 20)
+    for _ in range(64):
+        assert celnav.run(filter, PRIOR, times, z).engine.startswith("numpy: a step of more than")
+    assert len(records) <= 2 + np.log2(64)
