@@ -46,12 +46,12 @@ from celnav.tape.tape import MOST, CannotCompile, place_of
 __all__ = ["Compiled", "chosen", "compiled", "run_by", "steps_by"]
 
 WORTH = 50_000  # operations of a step, the most that engine="auto" compiles, in some five seconds, and a device takes
-# What decides for engine="auto": CPU seconds, of filters of 1 to 30 states, measured on processors with vectors of four and eight:
-STEP_S = 5e-4  # of a step by numpy, with models such as the five studies have
+# Constants of engine="auto" in CPU seconds, measured for 1 to 30 states with AVX2 and AVX-512:
+STEP_S = 5e-4  # of a numpy step, for models like those of the five studies
 OPERATION_S = 1.2e-9  # of an operation of it in each run
 MAKE_S = 6e-5  # of recording and compiling an operation: 4e-5 to 1e-4
 RECORDS = 2  # steps that a usual flight records: with an interval and without
-# Operations of a step, for the squares of its states and measured components, before it is recorded:
+# Estimated operations of a step, times n^2 and times m^2, before the step is recorded:
 EXPECTED = 100, 20
 SHARED = 0.02  # of an operation's time, where models are matrices: numpy computes one covariance for all runs
 MOST_KEPT = 16  # filters whose machine code is found again
@@ -88,9 +88,10 @@ class Compiled:
         return f"Compiled({self.filter!r})"
 
     def limit(self, kinds: int) -> int:
-        """The most operations of a step that are compiled, where epochs are of so many kinds.
+        """The largest number of operations of a step that may be compiled.
 
-        What flew before has most of its steps already.
+        kinds: how many kinds of epochs the run has. After the first run most steps are recorded, so
+        further kinds do not lower the limit.
         """
         if isinstance(self.most, int):
             return self.most
@@ -494,16 +495,17 @@ def _added(filter: Any, work: Array) -> Array:
 
 
 def worth(steps: float, run_steps: float, kinds: int) -> int:
-    """Operations of a step, the most that repay recording and compiling in so many steps, and steps of runs.
+    """The largest number of operations of a step for which compiling saves time.
 
-    kinds: of epochs, each of which has a step of its own.
+    steps: epochs. run_steps: epochs times runs. kinds: how many kinds of epochs there are. Each kind
+    is recorded and compiled separately.
     """
     left = max(kinds, RECORDS) * MAKE_S - run_steps * OPERATION_S
     return WORTH if left <= 0.0 else int(min(WORTH, steps * STEP_S / left))
 
 
 def _sizes(prior: Any, epochs: Any) -> tuple[int, int]:
-    """How many runs and measured components there are, as far as the prior and the last epoch tell."""
+    """Numbers of runs and of measured components, from the prior and the last epoch."""
     z = getattr(epochs[-1], "z", None) if len(epochs) else None
     shapes = [np.shape(x) for x in (z if isinstance(z, tuple) else (z,)) if x is not None]
     try:

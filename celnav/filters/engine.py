@@ -244,8 +244,8 @@ class Code(NamedTuple):
 class Kept:
     """What was recorded of a filter's steps, and what was made of it, by what it depends on.
 
-    longer: of steps that were not recorded to their ends, how many operations they exceed. They are
-    recorded again where twice as many are worth it.
+    longer: for steps whose recording stopped at a limit, that limit. Such a step is recorded again
+    only when the limit has doubled.
     """
 
     def __init__(self) -> None:
@@ -380,7 +380,7 @@ class Engine:
         key = before, kind, self.forms(u), self.dt, tuple(self.widths), bool(self.batch)
         if key not in self.kept.records:
             longer = self.kept.longer.get(key, 0)
-            if longer and self.most < 2 * longer:  # more work may be worth it, but not each time
+            if longer and self.most < 2 * longer:  # not recorded again at each run
                 raise self._too_long(f"more than {longer}")
             try:
                 self.kept.records[key] = self.record(before, kind, u)
@@ -396,7 +396,8 @@ class Engine:
     def _too_long(self, size: Any) -> TooLong:
         """The error of a step of some size."""
         return TooLong(
-            f"a step of {size} operations takes longer than it saves: at most {self.most} are compiled"
+            f"a step of {size} operations takes longer than it saves: at most {self.most} "
+            "are compiled"
         )
 
     def check_length(self, made: Recorded) -> None:
@@ -519,7 +520,7 @@ class Engine:
         columns = self.columns()
         rows = list(self._rows(state.belief, infos)) if columns else []
         kernel = Kernel(tape, inputs, stored, rows)
-        kernel.results()  # constants among them are on the tape now
+        kernel.results()  # puts its constants on the tape while the limit still holds
         tape.most = MOST
         return Recorded(kernel, after, len(tape.ops), columns)
 

@@ -39,7 +39,7 @@ REPEATED: ContextVar[int] = ContextVar("repeated", default=0)
 
 @contextmanager
 def repeated(times: int) -> Iterator[None]:
-    """Where so many times as many flights of equal filters are expected."""
+    """A context in which engine="auto" expects ``times`` as many runs of equal filters."""
     token = REPEATED.set(times * max(1, REPEATED.get()))
     try:
         yield

@@ -443,7 +443,7 @@ class Covariance(NamedTuple):
             precise = S.diagonal(0, -2, -1) > PRECISE * np.sqrt(np.vecdot(noise, noise))
             if surely(~np.logical_or.reduce(precise, None)):
                 return S, U, left
-            U, left = rarely(precise.any(-1), cls._explained, (A, sign, S), (U, left))
+            U, left = rarely(precise.any(-1), cls._condition_columns, (A, sign, S), (U, left))
             return S, U, left
         if sign.ndim > 1:
             A, sign = factored(A, sign)
@@ -451,13 +451,14 @@ class Covariance(NamedTuple):
         S = cholesky(weighted(Z, sign) @ Z.mT)
         if gain is not None:
             return S, gain @ S, cls.marginal(X - gain @ Z, sign)
-        return S, *cls._explained(A, sign, S)
+        return S, *cls._condition_columns(A, sign, S)
 
     @classmethod
-    def _explained(cls, A: Array, sign: Array, S: Array) -> tuple[Array, Array]:
-        """``K @ S`` and the covariance of the last rows, given those of which S is the root.
+    def _condition_columns(cls, A: Array, sign: Array, S: Array) -> tuple[Array, Array]:
+        """``U = K @ S`` and the conditioned covariance of the last rows, from the innovation root S.
 
-        What the first rows explain is taken off the columns: of variances, a difference would have half the digits.
+        The explained part is subtracted from the columns. A difference of covariances would lose half
+        of the digits.
         """
         if sign.ndim > 1:
             A, sign = factored(A, sign)

@@ -116,7 +116,7 @@ def _suffix(kind: str, lanes: int) -> str:
 
 
 def _stage(stage: Any, own: int, lanes: int, fused: bool) -> _Code:
-    """Lines of a loop over the rows of a stage of a routine, which has so many cells of its ``own``."""
+    """Lines of a loop over the rows of a stage; ``own``: cells of its routine."""
     code = _Code(lanes, fused, stage.inputs, own)
     code.lines += ["start:", "br label %loop", "loop:", "%r = phi i64 [0, %start], [%r1, %end]"]
     for place, (first, stride) in stage.places.items():
@@ -188,9 +188,10 @@ def _in_turn(units: Sequence[list[int]], tape: Tape, joined: dict[int, int]) -> 
 
 
 class _Code:
-    """Lines of a function, as they are written; ``called``: functions of the C library, and ``routines``, that it calls.
+    """Lines of a function, as they are written.
 
-    cells: of its memory that are taken already.
+    called: functions of the C library that it calls, and routines. cells: how many cells of memory
+    are in use before its first call.
     """
 
     def __init__(self, lanes: int, fused: bool, inputs: Sequence[tuple[str, int]], cells: int = 0):

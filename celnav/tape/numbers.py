@@ -528,9 +528,9 @@ def each_row(function: Callable[..., Any], *points: Any, least: int = LONG) -> A
 def rarely(
     condition: Any, function: Callable[..., Any], arrays: Sequence[Any], usual: Sequence[Any]
 ) -> tuple[Any, ...]:
-    """The ``usual`` matrices, and where a condition ``(...)`` holds those that a function makes of others.
+    """``np.where(condition, function(*arrays), usual)`` for each matrix, with a rare condition ``(...)``.
 
-    Machine code computes these only where the condition holds in some run of a vector.
+    Machine code calls the function only if the condition holds for a run of the vector.
     """
     condition, tape = numbers(np.asanyarray(condition)), tape_of(condition)
     if tape is None or not tape.rolled:

@@ -1,4 +1,4 @@
-"""Code that is called: loops, which would take long to compile if they were written out, and what is rarely needed.
+"""Routines that machine code calls: loops, which would be slow to compile unrolled, and rare branches.
 
 A `Routine` is called with numbers, which are the first cells of its memory, and leaves others there. On a `Tape` its call is one
 operation.
@@ -32,11 +32,11 @@ class Stage(NamedTuple):
 
 
 class Routine:
-    """Stages on one memory, the first cells of which are the arguments.
+    """Stages that share a memory. The arguments are in its first cells.
 
-    own: how many cells it has; behind them lie those of the routines that it calls, ``cells`` in all.
-    left: cells that it gives back. rare: whether it is skipped where its first argument is 0 in all runs of a
-    vector; what it gives back is then undefined.
+    own: number of cells of the routine. The cells of routines that it calls follow, ``cells`` in all.
+    left: cells that are returned. rare: whether the call is skipped if the first argument is 0 for
+    every run of the vector. The returned cells are then undefined.
     """
 
     def __init__(self, stages: Sequence[Stage], own: int, left: Sequence[int], rare: bool = False):

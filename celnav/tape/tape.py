@@ -114,7 +114,8 @@ class Tape:
 
     ``ops[i]`` is ``(name, *arguments)``: indices of earlier ones; ``("in", k)`` is the k-th input, ``("const", x)`` a number.
     ``("call", routine, *arguments)`` leaves a memory, ``("part", i, cell)`` is a cell of it; ``rolled``: whether there may be such.
-    ``cells``: how many numbers the routines have in memory. ``most``: operations, after which `TooLong` is raised.
+    ``cells``: how many numbers the routines have in memory.
+    ``most``: the number of operations beyond which `TooLong` is raised.
     ``refusal``: the first thing that was asked for in vain. ``absent[i]``: whether it comes of something
     that may be missing, nan. ``model``: whether what is recorded now is a model's
     own arithmetic, which has the values that numpy gives; of what it made, ``wild[i]``: whether it may be nan or infinite, and

@@ -298,26 +298,26 @@ def test_the_choice_does_not_depend_on_other_filters_where_a_model_is_a_loop():
     for steps, runs in ((300, 20), (1000, 200), (300, 20)):
         track = celnav.run(filter_of(looped), PRIOR, *data(steps, runs))
         engines.append(track.engine.partition(":")[0])
-    assert engines[0] == engines[2]
-    assert engines[1] == "compiled"
+    assert engines == ["numpy", "compiled", "numpy"]
 
 
 def test_a_filter_that_was_compiled_stays_so_where_epochs_are_of_more_kinds():
-    sensors = [
-        celnav.Sensor(lambda x, _e: x[..., :1] + 0.01 * x[..., 1:] ** 2, R) for R in (1.0, 2.0)
-    ]
+    def bent(x, _epoch):
+        return x[..., :1] + 0.01 * x[..., 1:] ** 2
+
+    sensors = [celnav.Sensor(bent, R) for R in (1.0, 2.0, 3.0)]
     filter = celnav.ukf(celnav.Motion(swing, 0.02), *sensors)
     rng = np.random.default_rng(0)
 
-    def flight(steps, runs, kinds):
-        for k in range(steps):
-            z = rng.standard_normal((2, runs, 1))
-            z = tuple(None if k % kinds >> i & 1 and k < steps - 1 else z[i] for i in range(2))
+    def flight(kinds):
+        for k in range(250):
+            z = rng.standard_normal((3, 20, 1))
+            silent = k % kinds if k < 249 else 0  # a bit for each sensor
+            z = tuple(None if silent >> i & 1 else z[i] for i in range(3))
             yield celnav.Epoch(k, float(k), float(k > 0), None, z)
 
-    first = celnav.run(filter, PRIOR, list(flight(400, 20, 1)))
-    assert first.engine == "compiled"
-    assert celnav.run(filter, PRIOR, list(flight(400, 20, 4))).engine == "compiled"
+    assert celnav.run(filter, PRIOR, list(flight(1))).engine == "compiled"
+    assert celnav.run(filter, PRIOR, list(flight(8))).engine == "compiled"
 
 
 def test_a_step_is_seldom_recorded_in_vain_while_work_accumulates(records, monkeypatch):

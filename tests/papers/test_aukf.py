@@ -378,7 +378,7 @@ def test_the_smallest_window_takes_each_innovation_for_itself():
 
 
 def test_factors_of_the_noise_are_told_by_what_is_struck():
-    """Means over satellites, shares above a bound, and of bad and good ranges apart; 1 where nothing was measured."""
+    """Means and fractions, of disturbed and undisturbed ranges apart; 1 for a missing range."""
     S, missing = 3, np.array([[1.0, 9.0, np.nan, 1.0, 4.0, 1.0]])
     R = np.repeat([SHORT.sigma_range_m, SHORT.sigma_rate_m_per_s], S) ** 2
     track = SimpleNamespace(extra={"R": missing * R})

@@ -349,7 +349,7 @@ def filters(config: Config, S: int | None = None, Q: Array | None = None) -> dic
 
 
 def noise_factors(track: Track, config: Config, S: int) -> Array:
-    """Factors ``(T, ..., 2 S)`` by which an adaptive filter inflated R, 1 where nothing was measured."""
+    """Factors ``(T, ..., 2 S)`` of R in an adaptive filter's track; 1 for missing measurements."""
     R = track.extra["R"]
     return np.where(np.isnan(R), 1.0, R / config.R(S).diagonal())
 

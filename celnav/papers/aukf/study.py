@@ -144,7 +144,7 @@ def parts(effort: float = 1.0, rinex: Path | None = None) -> dict[str, Part]:
         {"interval_s": 1.0, **slower},
         {"true_sigma_range_m": 10.0},
     )
-    # Until the burst would begin, and until all that is judged after it.
+    # One ends where a burst would begin, the other with the last window that is judged.
     before, judged = (
         {**quiet, "duration_s": standard.burst_s[0]},
         {"duration_s": standard.burst_s[1] + AFTER_S},
@@ -261,22 +261,22 @@ def flown(flight: Flight, drawn: Sequence[Config], config: Config, rngs: Rngs) -
 
 
 def of_factors(A: Array, struck: Array) -> Arrays:
-    """Means over the satellites of the AUKF's factors ``A (T, ..., 2 S)``, and shares of them that are large.
+    """Mean factors of the AUKF, and the fraction of factors above 1 or 2, by name.
 
-    struck: ``(T, ..., S)``, the ranges that are bad.
+    A: factors of ranges and rates ``(T, ..., 2 S)``. struck: which ranges are disturbed ``(T, ..., S)``.
     """
     ranges, rates = np.split(A, 2, -1)
     out: Arrays = {}
     for half, some in zip(HALVES, (ranges, rates), strict=True):
         out |= {half: some.mean(-1), f"{half} above 1": (some > 1.0).mean(-1)}
 
-    def over(those: Array, values: Array) -> Array:
+    def mean_over(those: Array, values: Array) -> Array:
         return np.asarray((values * those).sum(-1) / np.maximum(those.sum(-1), 1))
 
     return out | {
-        "bad": over(struck, ranges),
-        "good": over(~struck, ranges),
-        "good above 2": over(~struck, ranges > 2.0),
+        "bad": mean_over(struck, ranges),
+        "good": mean_over(~struck, ranges),
+        "good above 2": mean_over(~struck, ranges > 2.0),
     }
 
 
