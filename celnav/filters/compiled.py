@@ -20,7 +20,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from celnav.filters.engine import NONE, TALLY, Data, Engine, Kept, each_run, signature
+from celnav.filters.engine import NONE, Data, Engine, Kept, each_run, signature
 from celnav.filters.fixed_lag import FixedLag
 from celnav.filters.flight import Flight, as_data, epoch_of, fly, part_of
 from celnav.filters.joint import by_matrix
@@ -56,7 +56,7 @@ EXPECTED = 100, 20
 SHARED = 0.02  # of an operation's time, where models are matrices: numpy computes one covariance for all runs
 MOST_KEPT = 16  # filters whose machine code is found again
 SPARED = 65_536  # steps of runs by kept machine code, after which all sentinels are compared again
-SPAN = 4096  # of steps alone: the most between two comparisons with numpy
+SPAN = 4096  # steps, the most between two comparisons with numpy
 MORE = 4  # by which that interval grows each time
 CHECKED = 3  # epochs of some runs that numpy takes before a step is recorded
 OTHER = "the model gives other values when it is recorded"
@@ -67,10 +67,10 @@ Stepped = tuple[Any, tuple[Info, ...]]
 class Compiled:
     """A filter as machine code; what `celnav.compiled` makes.
 
-    The recorded steps are kept. Each run compares some of them with numpy's, for some of the runs:
-    at epochs spread over the whole of the first run and of long ones, at one epoch of short ones.
-    They are recorded again where what the models hold has changed, such as a global number. A model
-    that changes what it holds whenever it is called cannot be compiled.
+    The recorded steps are kept. Some of them are compared with numpy's, for some of the runs: at epochs
+    spread over the whole of the first run and of long ones; of short ones at one epoch, at first of
+    each, at last of one in 4,096 steps. They are recorded again where what the models hold has changed,
+    such as a global number. A model that changes what it holds whenever it is called cannot be compiled.
 
     >>> fast = celnav.compiled(celnav.ukf(motion, gps), jobs=2)
     >>> track = fast.run(prior, times, z)
@@ -80,7 +80,8 @@ class Compiled:
         # most: operations of a step, or a function of the number of kinds of epochs.
         self.filter, self.jobs, self.engine, self.most = filter, jobs, engine, most
         self._kept, self._watch = Kept(), Watch(None)
-        self._left = 0  # steps of a run until numpy takes all sentinels again
+        self._left = 0  # steps of all runs until numpy takes all sentinels again
+        self._next, self._interval = 0, 1  # steps of all runs until it takes one of them
         self._flights = 0
         self._own, self._lock = local(), Lock()  # plans of steps, of each thread
 
@@ -187,10 +188,14 @@ class Compiled:
             except Exception:  # it may hold arrays of all runs
                 run(self.filter, prior, epochs[:CHECKED], on_failure="flag", engine="numpy")
             self._watch = Watch(self.filter)
-        self._left -= count * len(data.k)
-        due = fresh or first or self._left < 0 or count * len(data.k) >= SPARED
+        steps = count * len(data.k)
+        self._left -= steps
+        self._next -= steps
+        due = fresh or first or self._left < 0 or steps >= SPARED
         self._flights += 1
-        number = None if due else self._flights
+        number = None if due else self._flights if self._next < 0 else 0
+        if number != 0:
+            self._next, self._interval = self._interval, min(MORE * self._interval, SPAN)
         names = engine.keeping(keep)
         flight = fly(engine, prior, data, names, every, self.jobs, on, watched, number)
         why = next(
@@ -243,7 +248,7 @@ class Compiled:
         >>> fast = celnav.compiled(filter)
         >>> state, infos = fast.step(fast.start(prior), celnav.Epoch(t=0.0, z=z[0]))
         """
-        if state.belief.mean.dtype.hasobject:  # recorded itself, as a part of another filter
+        if state.belief[0].dtype.hasobject:  # recorded itself, as a part of another filter
             return self.filter.step(state, epoch)  # type: ignore[no-any-return]
         plans = self._own.__dict__
         key, numbers = plan_key(state, epoch)
@@ -272,7 +277,7 @@ class Compiled:
         if changed(plan.watch.holds, held(self.filter)):
             self._own.__dict__.clear()
             return self.step(state, epoch)
-        *tally, failed = np.moveaxis(plan.counted[..., : len(TALLY)], -1, 0)
+        *tally, failed = np.moveaxis(plan.tally, -1, 0)
         if (failed >= 0.0).any():  # a run that is lost has no numbers to compare
             return found
         try:

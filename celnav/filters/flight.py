@@ -227,7 +227,7 @@ def fly(
 
     names: of the columns that are kept. watched: the runs whose states are kept before and after the
     sentinels. number: of a flight whose steps were all compared before: it has one sentinel, at an
-    epoch that depends on its number.
+    epoch that depends on its number; 0: it has none.
     """
     runs, T = engine.runs, len(data.k)
     lanes = 0 if device else 1 if runs == 1 else llvm.lanes()
@@ -326,8 +326,10 @@ def _pieces(T: int, sentinels: Sequence[int]) -> Iterable[tuple[int, int]]:
 def _sentinels(steps: Array, number: int | None = None) -> list[int]:
     """Epochs whose steps are compared with numpy's: the first, the last, one of each record, and some drawn by a hash.
 
-    number: of a flight that has one of them only.
+    number: of a flight that has one of them only; 0: none.
     """
+    if number == 0:
+        return []
     if number is not None:
         return [crc32(b"flight %d" % number) % len(steps)]
     drawn = [crc32(b"%d of %d" % (i, len(steps))) % len(steps) for i in range(DRAWN)]

@@ -45,7 +45,7 @@ from celnav.filters.flight import Sentinel, epoch_of, part_of
 from celnav.filters.mixing import WATCH
 from celnav.gaussian.belief import settled
 from celnav.gaussian.linalg import EPS, Array, SquareRoot
-from celnav.gaussian.rules import Taylor
+from celnav.gaussian.rules import AnyDimension, Taylor
 from celnav.tape.numbers import Numbers
 from celnav.tape.tape import Number
 
@@ -345,8 +345,9 @@ class Watch:
         self.holds: dict[str, Any] = {}
         _look(filter, "", self.holds, set(), DEEP, things)
         self._names = list[tuple[Any, str, Any]]()
-        self._within = list[tuple[Any, Any]]()
-        self._arrays, self._unsure = list[tuple[Array, bytes]](), False
+        self._within = list[tuple[Any, Callable[[], Any], list[Any]]]()
+        self._arrays, self._contents = list[Array](), list[bytes]()
+        self._unsure = False
         for thing in things.values():
             self._note(thing)
 
@@ -363,18 +364,24 @@ class Watch:
                 if not isinstance(space[name], ModuleType)
             ]
         elif isinstance(thing, np.ndarray):
-            self._arrays.append((thing, thing.tobytes()))
+            self._arrays.append(thing)
+            self._contents.append(thing.tobytes())
             self._unsure |= thing.size > SAMPLE or thing.dtype.hasobject
         elif isinstance(thing, list | deque | dict | set):
-            self._within.append((thing, thing.copy()))
+            self._contain(thing)
         elif any(hasattr(thing, name) for name in GENERATES):
             self._unsure = True
         elif _is_ours(thing) or isinstance(thing, FIXED):
             pass  # what they hold stays, and is looked at by itself
         elif hasattr(thing, "__dict__"):
-            self._within.append((vars(thing), dict(vars(thing))))
+            self._contain(vars(thing))
         else:
             self._unsure = True
+
+    def _contain(self, container: Any) -> None:
+        """Remember the things in a container."""
+        contents = container.values if isinstance(container, dict) else container.__iter__
+        self._within.append((container, contents, [*contents()]))
 
     def is_still(self) -> bool:
         """Whether all is as it was."""
@@ -383,17 +390,10 @@ class Watch:
         for space, name, value in self._names:
             if (space.get(name) if name else space.cell_contents) is not value:
                 return False
-        for thing, known in self._within:
-            if len(thing) != len(known) or not _same(thing, known):
+        for container, contents, known in self._within:
+            if len(container) != len(known) or not all(map(is_, contents(), known)):
                 return False
-        return all(thing.tobytes() == known for thing, known in self._arrays)
-
-
-def _same(thing: Any, known: Any) -> bool:
-    """Whether two containers of one length hold the same things."""
-    if isinstance(thing, dict):
-        return all(map(is_, thing.values(), known.values()))
-    return all(map(is_, thing, known))
+        return [array.tobytes() for array in self._arrays] == self._contents
 
 
 def changed(before: dict[str, Any], after: dict[str, Any]) -> str:
@@ -450,6 +450,8 @@ def _look(
         code = thing.__code__
         place = f"{Path(code.co_filename).name}, line {code.co_firstlineno}"
         found[path] = Function(code, "" if _is_ours(thing) else place, len(parts or ()))
+    if isinstance(thing, AnyDimension):  # a rule that is made stays
+        things = None
     for name, part in (parts or {}).items():
         _look(part, f"{path}.{name}" if path else name, found, seen, deep - 1, things)
 

@@ -142,7 +142,7 @@ def test_a_kept_filter_is_recorded_anew_where_its_model_changed():
             assert_same(celnav.run(kept.filter, PRIOR, TIMES, Z), kept.run(PRIOR, TIMES, Z))
 
 
-def test_a_kept_filter_is_compared_again_in_every_run(monkeypatch):
+def test_a_kept_filter_is_compared_again(monkeypatch):
     """What the model's function holds does not show that numpy's tanh was replaced."""
     kept = celnav.compiled(filter_of(lambda x, epoch: np.tanh(x)))
     kept.run(PRIOR, TIMES, Z)
@@ -151,34 +151,44 @@ def test_a_kept_filter_is_compared_again_in_every_run(monkeypatch):
     assert_same(celnav.run(kept.filter, PRIOR, TIMES, Z), found)
 
 
-def test_each_short_run_of_a_kept_filter_compares_another_epoch(monkeypatch):
+def comparisons(monkeypatch, runs):
+    """Of each run of a kept filter after the first, the epochs that were compared with numpy."""
     compared = []
 
     def noted(_filter, _engine, _data, sentinel, _watched):
-        compared.append(sentinel.at)
+        compared[-1].append(sentinel.at)
         return ""
 
     kept = celnav.compiled(filter_of(lambda x, epoch: np.tanh(x)))
     kept.run(PRIOR, TIMES, Z)
     monkeypatch.setattr("celnav.filters.compiled.difference", noted)
-    for _ in range(40):
+    for _ in range(runs):
+        compared.append([])
         kept.run(PRIOR, TIMES, Z)
-    assert len(compared) == 40
-    assert len(set(compared)) > 20
+    return compared
+
+
+def test_each_comparison_of_a_short_run_is_at_another_epoch(monkeypatch):
+    monkeypatch.setattr("celnav.filters.compiled.SPAN", 1)
+    compared = comparisons(monkeypatch, 40)
+    assert [len(one) for one in compared] == [1] * 40
+    assert len({at for one in compared for at in one}) > 20
+
+
+def test_short_runs_are_compared_each_at_first_then_once_in_4096_steps(monkeypatch):
+    steps, span = T * Z.shape[1], 4096
+    compared = comparisons(monkeypatch, 60)
+    assert all(len(one) <= 1 for one in compared)
+    at = [i for i, one in enumerate(compared) if one]
+    assert at[:4] == [0, 1, 2, 3]
+    apart = np.diff(at)
+    assert (apart[-2:] == -(-span // steps)).all()
+    assert apart.max() * steps <= span + steps
 
 
 def test_long_runs_of_a_kept_filter_compare_all_sentinels(monkeypatch):
-    compared = []
-
-    def noted(_filter, _engine, _data, sentinel, _watched):
-        compared.append(sentinel.at)
-        return ""
-
-    kept = celnav.compiled(filter_of(lambda x, epoch: np.tanh(x)))
-    kept.run(PRIOR, TIMES, Z)
-    monkeypatch.setattr("celnav.filters.compiled.difference", noted)
     monkeypatch.setattr("celnav.filters.compiled.SPARED", T * Z.shape[1])
-    kept.run(PRIOR, TIMES, Z)
+    (compared,) = comparisons(monkeypatch, 1)
     assert {0, T - 1} < set(compared)
 
 
