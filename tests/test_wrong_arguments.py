@@ -47,8 +47,7 @@ pulsar: Timing.delay Timing.shapiro Timing.shapiro_exact Timing.gradient
 gnss: satellites eccentric_anomaly tilted turned spun
 pseudorange: sources emitted measure jacobian
 linalg: block cholesky downdate fan matvec outer semidefinite_root side_by_side solve_lower surely
-    solve_right tria whiten signs weighted factored SquareRoot.lost SquareRoot.factor Covariance.lost
-    Covariance.factor
+    solve_right tria whiten SquareRoot.lost Covariance.lost
 recorded: cholesky semidefinite_root solve_lower tria
 belief: any_lost nees settled
 trial: check_groups squares Noiseless.standard_normal

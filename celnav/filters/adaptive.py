@@ -25,7 +25,6 @@ from celnav.gaussian.linalg import (
     side_by_side,
     solve_lower,
     solve_right,
-    weighted,
     whiten,
 )
 from celnav.tape.numbers import present
@@ -438,7 +437,7 @@ def _consider(n: int, k: int, A: Array, sign: Array, m: int) -> Array:
         raise ValueError(
             f"consider: expected a state of {n} + {k} components, got {A.shape[-2] - m}"
         )
-    C = weighted(A[..., : m + n, :], sign) @ A[..., :m, :].mT
+    C = (A[..., : m + n, :] * sign) @ A[..., :m, :].mT
     S = cholesky(C[..., :m, :])
     K = solve_right(S, solve_lower(S, C[..., m:, :].mT).mT)
     return np.concatenate([K, np.zeros((*K.shape[:-2], k, m))], -2)

@@ -122,7 +122,7 @@ class Relinearized(Sequential):
 
     def moved(self, belief: Belief, epoch: Epoch) -> Joint:
         """The joint of a prediction: the state after the interval."""
-        both = self.onward(belief, epoch, epoch.about[1].mean).factored()
+        both = self.onward(belief, epoch, epoch.about[1].mean)
         noise = both.measurement_noise
         return both._replace(
             innovation=None, measurement=None, state=both.measurement,

@@ -1,13 +1,21 @@
-"""The one joint and the one conditioning, of which every filter here is made.
+"""The joint of a measurement and a state, and its conditioning: every filter here is made of the two.
 
-Push a belief through models, write the deviation columns down, set the noise columns beside them, condition the last n rows on the
-first m::
+An update with a linear measurement ``z = H x + v``, in the letters of the books (``P = L L'``, ``R = V V'``)::
 
-    A = [ D_z  W_z  V ]   m rows       predict: m = 0, g = f          update:   g = (h, identity)
-        [ D_x  W_x  0 ]   n rows       colored: g = (h(f) - Phi h, f)  smoother: g = (f, identity), measured = the next state
+    A = [ H L   V ]                      deviations of z and x, in columns
+        [  L    0 ]
+    tria(A) = [ S   0  ]                 S S'   = H P H' + R          (QR: half of the digits suffice)
+              [ U   L+ ]                 U S'   = P H'                K = U S^-1
+    y  = z - H x                         L+ L+' = P - K S S' K'
+    x+ = x + U (S^-1 y) = x + K y        P+     = L+ L+'
 
-Four things meet here, none of which knows the others: a rule (how g becomes columns), a form (what a covariance is kept as), a
-space (what a difference is) and hooks (what may be changed before conditioning).
+Any functions take the place of H and of the identity: a rule gives the columns D of their images, and noise stands beside them::
+
+    A = [ D_z  W_z  V ]   m rows         predict: m = 0, g = f            update:   g = (h, identity)
+        [ D_x  W_x  0 ]   n rows         colored: g = (h(f) - Phi h, f)   smoother: g = (f, identity), z = the next state
+
+Four things meet here, none of which knows the others: a rule (how a function becomes columns), a form (how a covariance is
+stored), a space (what a difference is) and hooks (what may be changed before conditioning).
 """
 
 from __future__ import annotations
@@ -37,7 +45,6 @@ from celnav.gaussian.linalg import (
     Belief,
     Form,
     block,
-    factored,
     matvec,
     side_by_side,
     solve_right,
@@ -50,9 +57,22 @@ from celnav.tape.numbers import each_row, in_model, known_alike, present
 from celnav.tape.tape import refused
 
 __all__ = [
-    "KEEP", "Gain", "Hook", "Joint", "alike", "at", "by_matrix", "condition", "evaluate", "joint", "linear", "marginal",
-    "over_runs", "rule_for", "whole",
-]  # fmt: skip
+    "KEEP",
+    "Gain",
+    "Hook",
+    "Joint",
+    "alike",
+    "at",
+    "by_matrix",
+    "condition",
+    "evaluate",
+    "joint",
+    "linear",
+    "marginal",
+    "over_runs",
+    "rule_for",
+    "whole",
+]
 
 KEEP: Final = object()
 """Stands for "the state itself" among the outputs of a function: its columns are then exact, on any space."""
@@ -64,12 +84,10 @@ class Joint(NamedTuple):
     innovation: ``(..., m)``, measurement minus prediction; nan where nothing was measured, or a hook leaves it out. None where
         there is nothing to condition on.
     measurement, state: their images, with columns ``(..., m, q)`` and ``(..., n, q)`` from the prior.
-    sign: ``(q,)``, -1 where a weight is negative; one 1 may stand for all. Where a measurement is linear in covariance
-        form, and neither hook nor gain looks on, the covariance ``(..., n, n)`` of the state: its columns are then unit vectors.
+    sign: ``(q,)``, -1 where a weight is negative; one 1 may stand for all.
     process_noise: its columns ``(..., m, r)`` in the measurement, 0 for zeros, and ``(..., n, r)`` in the state; None without.
     measurement_noise: its columns ``(..., m, s)``; None without.
     known: the state's own root or covariance, where the state is that of the belief and nothing was added.
-    noise_first: whether the measurement noise stands first among the `columns`; no sign may be negative then.
     """
 
     innovation: Any
@@ -79,49 +97,35 @@ class Joint(NamedTuple):
     process_noise: tuple[Any, Any] | None = None
     measurement_noise: Array | None = None
     known: Array | None = None
-    noise_first: bool = False
 
-    def columns(self) -> Array:
-        """The pre-array ``(..., m + n, q + r + s)``, drawn above.
+    def columns(self) -> tuple[Array, Array]:
+        """The pre-array ``(..., m + n, q + r + s)``, drawn above, and the signs of its columns.
 
-        Small columns after large ones keep their digits in a QR, and noise is what may be small. Only where the state is kept and
-        its measurement linear V comes first: most reflections are then short or nothing, which takes half the time.
+        Noise may be small. Small columns keep their digits in a QR if they stand after large ones.
         """
-        D = self.state.columns
-        if self.measurement is None:
-            W = None if self.process_noise is None else self.process_noise[1]
-            if W is None:
-                return D
-            return np.concatenate((D, W), -1) if D.ndim == W.ndim == 2 else block([[D, W]])
-        rows: list[list[Any]] = [[self.measurement.columns], [D]]
+        images = (self.state,) if self.measurement is None else (self.measurement, self.state)
+        rows: list[list[Any]] = [[image.columns] for image in images]
         if self.process_noise is not None:
-            for row, part in zip(rows, self.process_noise, strict=True):
-                row.append(part)
+            for row, W in zip(rows, self.process_noise[-len(rows) :], strict=True):
+                row.append(W)
         if self.measurement_noise is not None:
-            at = 0 if self.noise_first else len(rows[0])
-            rows[0].insert(at, self.measurement_noise)
-            rows[1].insert(at, 0)
-        return block(rows)
+            rows[0].append(self.measurement_noise)
+            rows[1].append(0)
+        A = block(rows)
+        return A, _padded(self.sign, A.shape[-1] - len(self.sign))
 
     def covariances(self) -> tuple[Array, Array]:
         """Of the innovation without measurement noise ``(..., m, m)``, and of state and innovation ``(..., n, m)``."""
-        D_z, D_x = self.measurement.columns, self.state.columns
-        S0, cross = (D_z * self.sign) @ D_z.mT, (D_x * self.sign) @ D_z.mT
-        if self.process_noise is not None:
-            W_z, W_x = self.process_noise
-            if type(W_z) is not int:
-                S0 = S0 + W_z @ W_z.mT
-                cross = cross + W_x @ W_z.mT
-        return S0, cross
+        A, sign = self._replace(measurement_noise=None).columns()
+        m = self.measurement.columns.shape[-2]
+        cov = (A * sign) @ A[..., :m, :].mT
+        return cov[..., :m, :], cov[..., m:, :]
 
     def variances(self) -> tuple[Array, Array]:
         """Variances ``(..., m)`` of the innovation without measurement noise, and of that noise."""
-        D = self.measurement.columns
-        prior = np.einsum("...ij,...ij,j->...i", D, D, np.broadcast_to(self.sign, D.shape[-1:]))
-        if self.process_noise is not None and type(self.process_noise[0]) is not int:
-            prior = prior + np.square(self.process_noise[0]).sum(-1)
         V = self.measurement_noise
-        return prior, np.zeros(D.shape[-2]) if V is None else np.einsum("...ij,...ij->...i", V, V)
+        noise = np.zeros(self.measurement.columns.shape[-2]) if V is None else np.vecdot(V, V)
+        return self.covariances()[0].diagonal(0, -2, -1), noise
 
     def leaving_out(self, mask: Array) -> Joint:
         """Without the components of the measurement where ``mask (..., m)`` is True."""
@@ -132,19 +136,6 @@ class Joint(NamedTuple):
         V = self.measurement_noise
         return self if V is None else self._replace(measurement_noise=factor[..., None] * V)
 
-    def factored(self) -> Joint:
-        """With signs in place of a covariance."""
-        if self.sign.ndim < 2 or self.measurement is None:
-            return self
-        (D_z, sign), (D_x, _) = (
-            factored(image.columns, self.sign) for image in (self.measurement, self.state)
-        )
-        return self._replace(
-            measurement=self.measurement._replace(columns=D_z),
-            state=self.state._replace(columns=D_x),
-            sign=sign,
-        )
-
 
 Hook = Callable[[Any, Joint, Any], tuple[Any, Joint]]
 """``(memory, joint, epoch) -> (memory, joint)``; the memory is None at the start."""
@@ -152,11 +143,25 @@ Gain = Array | Callable[[Array, Array, int], Array]
 """A prescribed gain ``(..., n, m)``, or a function of the pre-array ``A``, its ``sign`` and ``m`` that gives it."""
 
 
+def _padded(sign: Array, count: int) -> Array:
+    """The signs of columns with ``count`` more columns of noise; one 1 goes on standing for all."""
+    return sign if len(sign) == 1 or not count else np.append(sign, np.ones(count))
+
+
+# -- pushing a belief through models -----------------------------------------------------------------
 def joint(
-    rule: Any, belief: Belief, outputs: Sequence[Any] | Callable[..., tuple[Any, ...]], epoch: Any = None, *,
-    space: Space = EUCLIDEAN, spaces: Sequence[Space] | None = None, z: Array | None = None,
-    process_noise: Any = None, measurement_noise: Noise = None, augment: Sequence[Array] = (),
-) -> Joint:  # fmt: skip
+    rule: Any,
+    belief: Belief,
+    outputs: Sequence[Any] | Callable[..., tuple[Any, ...]],
+    epoch: Any = None,
+    *,
+    space: Space = EUCLIDEAN,
+    spaces: Sequence[Space] | None = None,
+    z: Array | None = None,
+    process_noise: Any = None,
+    measurement_noise: Noise = None,
+    augment: Sequence[Array] = (),
+) -> Joint:
     """Push a belief through models, and set the noise beside what comes out.
 
     rule: `Rule` or `Taylor`, or a function of the dimension.
@@ -172,97 +177,51 @@ def joint(
     W: Any = at(process_noise, belief.mean, epoch)
     V = at(measurement_noise, belief.mean, epoch)
     W = W if W is None or type(W) is tuple else (0, W)
-    if W is not None and W[1].ndim > 2:
-        belief = over_runs(
-            "Q", W[1].shape[:-2], belief
-        )  # a model may need the axes that only the noise has
-    if V is not None and V.ndim > 2:
-        belief = over_runs("R", V.shape[:-2], belief)
-    for E in augment:
-        belief = over_runs("augment", E.shape[:-2], belief)
-    mean = belief.mean
-
-    noise_first, images = False, []
-    models: Sequence[Any] = () if callable(outputs) else outputs
-    first: Any = models[0] if models else None
-    if models and all(one is KEEP or type(one) is tuple or by_matrix(one, rule) for one in models):
-        found: list[Any] = [
-            (mean, None)
-            if one is KEEP
-            else one
-            if type(one) is tuple
-            else linear(one, rule, mean, epoch, space)
-            for one in models
-        ]
-        # A prediction factors the covariance even so: whether it is definite is to be noticed.
-        root, sign = (
-            belief.factor() if found[-1][1] is None and not augment else (belief.sqrt_cov, POSITIVE)
-        )
-        for value, matrix in found:
-            images.append(_linear_image(value, matrix, root, sign, augment))
-        noise_first = (
-            sign.ndim == 1
-            and isinstance(first, Sensor)
-            and (not callable(first.h) or isinstance(first.h, Linear))
-        )
+    noises = ("Q", W and W[1]), ("R", V), *(("augment", E) for E in augment)
+    for name, columns in noises:
+        if columns is not None:  # a model may need the axes of runs that only the noise has
+            belief = over_runs(name, columns.shape[:-2], belief)
+    m = None if z is None else z.shape[-1]
+    linear_models = not callable(outputs) and all(_is_linear(g, rule) for g in outputs)
+    if not callable(outputs) and linear_models:
+        images = [_linear_image(g, rule, belief, epoch, space, augment) for g in outputs]
     else:
-        root, sign = belief.sqrt_cov, rule.sign
-        x, *noise = rule.points(mean, root, space, augment)
-        values = outputs(x, epoch, *noise) if callable(outputs) else outputs
-        for i, y in enumerate(values):
-            if y is KEEP:
-                images.append(
-                    Image(
-                        mean,
-                        np.zeros(root.shape[-1]),
-                        rule.kept(root, augment),
-                        partial(np.eye, root.shape[-1]),
-                    )
-                )
-            elif isinstance(y, np.ndarray):
-                images.append(rule.image(y, EUCLIDEAN if spaces is None else spaces[i], root))
-            else:
-                images.append(
-                    rule.image(
-                        evaluate(y, x, epoch, noise, None if z is None else z.shape[-1]),
-                        y.space,
-                        root,
-                    )
-                )
-    state = images[-1]
+        images = _point_images(outputs, rule, belief, epoch, space, spaces, augment, m)
+    measurement, state = images[0], images[-1]
+    first: Any = None if callable(outputs) else outputs[0]
     if V is not None and not V.ndim:  # a standard deviation alone
-        V = V * np.eye(images[0].columns.shape[-2])
-    for name, columns, image in (
-        ("Q", W and W[1], state),
-        ("Q" if isinstance(first, Motion) else "R", V, images[0]),
-    ):
-        if columns is not None and columns.shape[-2] != image.columns.shape[-2]:
-            raise ValueError(
-                f"{name}: expected {image.columns.shape[-2]} rows to go with the model, got {columns.shape[-2]}"
-            )
-    known = belief[1] if state.center is mean and W is None else None
+        V = V * np.eye(measurement.columns.shape[-2])
+    _check_rows("Q", W and W[1], state)
+    _check_rows("Q" if isinstance(first, Motion) else "R", V, measurement)
+    sign = POSITIVE if linear_models else rule.sign
+    known = belief[1] if state.center is belief.mean and W is None else None
     if z is None:
         return Joint(None, None, state, sign, W, None, known)
-    measured, m = images[0], images[0].center.shape[-1]
-    own = (
-        spaces[0]
-        if spaces is not None
-        else first.space
-        if isinstance(first, Motion | Sensor)
-        else EUCLIDEAN
-    )
+    z_space = getattr(first, "space", EUCLIDEAN) if spaces is None else spaces[0]
+    innovation = _innovation(z, measurement, z_space, belief)
+    return Joint(innovation, measurement, state, sign, W, V, known)
+
+
+def _check_rows(name: str, columns: Array | None, image: Image) -> None:
+    rows = image.columns.shape[-2]
+    if columns is not None and columns.shape[-2] != rows:
+        raise ValueError(
+            f"{name}: expected {rows} rows to go with the model, got {columns.shape[-2]}"
+        )
+
+
+def _innovation(z: Array, measurement: Image, space: Space, belief: Belief) -> Array:
+    """Measurement minus prediction ``(..., m)``."""
+    center, shift = measurement.center, measurement.shift
+    m = center.shape[-1]
     if z.shape[-1] != m:
         raise ValueError(f"z: expected {m} components to go with h, got {z.shape[-1]}")
-    if z.ndim > 1 and z.shape[:-1] != mean.shape[:-1]:
-        beside("z", z.shape[:-1], mean.shape[:-1], "the belief")
-    if own is EUCLIDEAN:
-        innovation = z - measured.center - measured.shift
-    else:  # the mean may lie across a seam from the center
-        innovation = own.minus(
-            own.plus(measured.center, own.minus(z, measured.center) - measured.shift),
-            measured.center,
-        )
-    return Joint(innovation, measured, state, sign, W, V, known, noise_first)
+    if z.ndim > 1 and z.shape[:-1] != belief.mean.shape[:-1]:
+        beside("z", z.shape[:-1], belief.mean.shape[:-1], "the belief")
+    if space is EUCLIDEAN:
+        return np.asanyarray(z - center - shift)
+    # The mean may lie across a seam from the center.
+    return np.asanyarray(space.minus(space.plus(center, space.minus(z, center) - shift), center))
 
 
 def rule_for(rule: Any, belief: Belief, augment: Sequence[Array] = ()) -> Any:
@@ -278,11 +237,99 @@ def at(noise: Any, mean: Array, epoch: Any) -> Any:
     return in_model(noise, mean, epoch) if callable(noise) else noise
 
 
+# -- by points -------------------------------------------------------------------------------------------
+def _point_images(
+    outputs: Any,
+    rule: Any,
+    belief: Belief,
+    epoch: Any,
+    space: Space,
+    spaces: Sequence[Space] | None,
+    augment: Sequence[Array],
+    m: int | None,
+) -> list[Image]:
+    """Images of outputs, from their values at the points of a rule."""
+    root, n = belief.sqrt_cov, belief[1].shape[-1]
+    x, *noise = rule.points(belief.mean, root, space, augment)
+    values = outputs(x, epoch, *noise) if callable(outputs) else outputs
+    images = []
+    for i, y in enumerate(values):
+        if y is KEEP:
+            kept = rule.kept(root, augment)
+            images.append(Image(belief.mean, np.zeros(n), kept, partial(np.eye, n)))
+        elif isinstance(y, np.ndarray):
+            images.append(rule.image(y, EUCLIDEAN if spaces is None else spaces[i], root))
+        else:
+            images.append(rule.image(evaluate(y, x, epoch, noise, m), y.space, root))
+    return images
+
+
+def evaluate(
+    model: Motion | Sensor, x: Array, epoch: Any, noise: Sequence[Array] = (), m: int | None = None
+) -> Array:
+    """Values ``(p, ..., m)`` of a model at points ``x (p, ..., N)``, guarded.
+
+    ``m``: how many components are measured. A model is checked when it is first called: each point and each run by itself. The
+    function may change its argument: rules make points for one call, and a caller with two hands out a copy.
+    """
+    function: Any = getattr(model, model.name)
+    if not callable(function):
+        return matvec(function, x)
+    if unknown(function, x):
+        copies = [array.copy(order="K") for array in (x, *noise)]
+        y = _values(model, x, epoch, noise, m).copy(order="K")  # it may be a buffer of the model's
+        check_apart(model.name, function, copies, epoch, y)
+    else:
+        y = _values(model, x, epoch, noise, m)
+    if (look := WATCH.get()) is not None:
+        other = look(model.name, y)
+        y = y if other is None else other
+    return np.asanyarray(y)
+
+
+def _values(
+    model: Motion | Sensor, x: Array, epoch: Any, noise: Sequence[Array], m: int | None
+) -> Array:
+    """Values of a model as floats of the shape they must have; an error carries a note of what the model got."""
+    name = model.name
+    function: Any = getattr(model, name)
+    try:
+        if x.dtype.hasobject:
+            y: Any = in_model(
+                partial(each_row, lambda x, *noise: function(x, epoch, *noise)), x, *noise
+            )
+        else:
+            y = function(x, epoch, *noise)
+        if type(y) is not np.ndarray or y.dtype != np.float64:
+            y = as_floats(name, y, x)
+    except (AttributeError, IndexError, TypeError, ValueError) as error:
+        given = "an input" if getattr(epoch, "u", None) is not None else "None"
+        error.add_note(
+            f"{name} is called with points {x.shape} and an Epoch: epoch.dt is its interval, "
+            f"epoch.u ({given}) its input"
+        )
+        error.add_note(POINTS)
+        raise
+    if isinstance(model, Motion):
+        size: int | None = x.shape[-1]
+    else:
+        size = m if model.space is EUCLIDEAN and model.m in (None, m) else None
+    if not y.ndim or y.shape[:-1] != x.shape[:-1] or size not in (None, y.shape[-1]):
+        expected = ", ".join(map(str, (*x.shape[:-1], "m" if size is None else size)))
+        raise ValueError(f"{name} returned shape {y.shape}, expected ({expected}); {POINTS}")
+    return np.asanyarray(y)
+
+
+# -- by matrices -----------------------------------------------------------------------------------------
 def by_matrix(model: Any, rule: Any) -> bool:
     """Whether a model enters by its matrix alone: it is linear, or the rule asks for derivatives that are known."""
     return is_linear(getattr(model, model.name)) or (
         model.jacobian is not None and isinstance(rule, Taylor)
     )
+
+
+def _is_linear(output: Any, rule: Any) -> bool:
+    return output is KEEP or type(output) is tuple or by_matrix(output, rule)
 
 
 def linear(
@@ -291,11 +338,10 @@ def linear(
     """Value at the mean and matrix of a model that enters `by_matrix`; ``space``: that of the state."""
     function: Any = getattr(model, model.name)
     if is_linear(function):
-        matrix = function.at(epoch, mean.shape[-1]) if callable(function) else function
+        matrix = function.at(epoch, mean.shape[-1]) if isinstance(function, Linear) else function
         if model.name == "f" and matrix.shape[-2] != mean.shape[-1]:
-            raise ValueError(
-                f"matrix: expected shape (..., {mean.shape[-1]}, {mean.shape[-1]}), got {matrix.shape}"
-            )
+            n = mean.shape[-1]
+            raise ValueError(f"matrix: expected shape (..., {n}, {n}), got {matrix.shape}")
         value = matvec(matrix, mean)
         if (look := WATCH.get()) is not None:
             look(model.name, value[None])
@@ -306,7 +352,8 @@ def linear(
     J = matrices_of("jacobian", model.jacobian, center, epoch)
     if J.ndim < 2 or (model.space is EUCLIDEAN and J.shape[-2] != value.shape[-1]):
         raise ValueError(
-            f"jacobian: expected shape (..., {value.shape[-1]}, n) to go with {model.name}, got {J.shape}"
+            f"jacobian: expected shape (..., {value.shape[-1]}, n) to go with {model.name}, "
+            f"got {J.shape}"
         )
     if rule.about is None:
         return value, J
@@ -315,37 +362,27 @@ def linear(
 
 
 def _linear_image(
-    value: Array, matrix: Array | None, root: Array, sign: Array, augment: Sequence[Array]
+    output: Any, rule: Any, belief: Belief, epoch: Any, space: Space, augment: Sequence[Array]
 ) -> Image:
-    """The image of a linear function, of its value at the mean and its matrix ``(..., k, n + noises)``; None: the identity."""
+    """The image of a linear function, by its value at the mean and its matrix ``(..., k, n + noises)``."""
+    root, mean = belief.sqrt_cov, belief.mean
     n = root.shape[-1]
-    if matrix is None:
-        columns = (
-            side_by_side([root, *(np.zeros((n, E.shape[-1])) for E in augment)])
-            if augment
-            else root
-        )
-        return Image(value, np.zeros(n), columns, partial(np.eye, n))
-    width = root.shape[-2] + (sum([E.shape[-2] for E in augment]) if augment else 0)
-    if matrix.shape[-1] != width:
+    if output is KEEP:
+        zeros = [np.zeros((n, E.shape[-1])) for E in augment]
+        return Image(mean, np.zeros(n), side_by_side([root, *zeros]), partial(np.eye, n))
+    value, matrix = output if type(output) is tuple else linear(output, rule, mean, epoch, space)
+    roots = (root, *augment)
+    ends = np.cumsum([E.shape[-2] for E in roots])
+    if matrix.shape[-1] != ends[-1]:
         raise ValueError(
-            f"jacobian: expected shape (..., {matrix.shape[-2]}, {width}), got {matrix.shape}"
+            f"jacobian: expected shape (..., {matrix.shape[-2]}, {ends[-1]}), got {matrix.shape}"
         )
-    if augment:
-        ends = np.cumsum([E.shape[-2] for E in (root, *augment)])
-        columns = side_by_side(
-            [
-                matrix[..., end - E.shape[-2] : end] @ E
-                for end, E in zip(ends, (root, *augment), strict=True)
-            ]
-        )
-    else:
-        columns = matrix if sign.ndim > 1 else matrix @ root
-    return Image(
-        value, np.zeros(matrix.shape[-2]), columns, partial(np.asanyarray, matrix[..., :n])
-    )
+    parts = [matrix[..., end - E.shape[-2] : end] @ E for end, E in zip(ends, roots, strict=True)]
+    jacobian = partial(np.asanyarray, matrix[..., :n])
+    return Image(value, np.zeros(matrix.shape[-2]), side_by_side(parts), jacobian)
 
 
+# -- axes of runs ----------------------------------------------------------------------------------------
 def over_runs(name: str, batch: tuple[int, ...], belief: Belief) -> Belief:
     """The belief, with a mean for each of the runs that only an argument has; ValueError names one that does not go with it."""
     runs = belief.mean.shape[:-1]
@@ -357,11 +394,9 @@ def over_runs(name: str, batch: tuple[int, ...], belief: Belief) -> Belief:
             "(runs, n, n) themselves, or put them into u"
         )
     together = beside(name, batch, runs, "the belief")
-    return (
-        belief
-        if together == runs
-        else belief._replace(mean=np.broadcast_to(belief.mean, (*together, belief.mean.shape[-1])))
-    )
+    if together == runs:
+        return belief
+    return belief._replace(mean=np.broadcast_to(belief.mean, (*together, belief.mean.shape[-1])))
 
 
 def whole(form: Form, mean: Array, spread: Array) -> Belief:
@@ -373,68 +408,71 @@ def whole(form: Form, mean: Array, spread: Array) -> Belief:
     )
 
 
+def _belief(form: Form, mean: Array, spread: Array) -> Belief:
+    """The belief; a covariance that all runs share stays one."""
+    if spread.ndim == 2 or spread.shape[:-2] == mean.shape[:-1]:
+        return form(mean, spread)
+    return whole(form, mean, spread)
+
+
+def alike(used: Array) -> Array:
+    """A mask ``(..., m)`` as one, ``(m,)``, where it is that of all runs: what they share then stays one for all."""
+    every: Array = np.logical_and.reduce(used, tuple(range(used.ndim - 1)))
+    return every if used.ndim == 1 or every.all() or (used == every).all() else used
+
+
+# -- conditioning ----------------------------------------------------------------------------------------
 def marginal(form: Form, joint: Joint, space: Space) -> Belief:
     """The belief about the state, with nothing to condition on: a prediction."""
-    mean, spread = (
-        space.plus(joint.state.center, joint.state.shift),
-        form.marginal(joint.columns(), joint.sign),
-    )
-    return (
-        form(mean, spread)
-        if spread.ndim == 2 or spread.shape[:-2] == mean.shape[:-1]
-        else whole(form, mean, spread)
-    )
+    mean = space.plus(joint.state.center, joint.state.shift)
+    return _belief(form, mean, form.marginal(*joint.columns()))
 
 
 def condition(
-    form: Form, joint: Joint, space: Space, *,
-    hooks: Sequence[Hook] = (), memory: Any = None, epoch: Any = None, gain: Gain | None = None,
-) -> tuple[Belief, Info, Any]:  # fmt: skip
+    form: Form,
+    joint: Joint,
+    space: Space,
+    *,
+    hooks: Sequence[Hook] = (),
+    memory: Any = None,
+    epoch: Any = None,
+    gain: Gain | None = None,
+) -> tuple[Belief, Info, Any]:
     """The belief about the state given the innovation, what was done, and the hooks' memory.
 
     Components that are nan are marginalized exactly, in each run by itself. With a prescribed ``gain`` the covariance is that of a
     filter which uses it, whatever it is.
     """
-    given = joint.innovation
-    if hooks or callable(gain):
-        joint = joint.factored()
+    measured = joint.innovation
     if hooks:
         joint, memory = _adapted(joint, hooks, memory, epoch)
-    innovation, measured, state = joint.innovation, joint.measurement, joint.state
-
-    used, m = present(innovation), innovation.shape[-1]
-    A, mask = joint.columns(), alike(used)
+    y, m = joint.innovation, joint.innovation.shape[-1]
+    used = present(y)
+    mask = alike(used)
+    A, sign = joint.columns()
     if not surely(mask.all()):
         # Rows that were not measured: no columns from the prior, a unit noise of their own and a zero innovation.
-        here = mask[..., None]
-        A = block([[A[..., :m, :] * here, np.eye(m) * ~here], [A[..., m:, :], 0]])
-        innovation = np.where(mask, innovation, 0.0)
+        A = block(
+            [[A[..., :m, :] * mask[..., None], np.eye(m) * ~mask[..., None]], [A[..., m:, :], 0]]
+        )
+        sign = _padded(sign, m)
+        y = np.where(mask, y, 0.0)
     K: Any = gain
     if gain is not None:
-        K = (
-            numbers(
-                "gain",
-                gain(A, joint.sign, m) if callable(gain) else gain,
-                (..., A.shape[-2] - m, m),
-            )
-            * mask[..., None, :]
-        )
-    S, U, spread = form.condition(
-        A, joint.sign, m, K, known=joint.known, noise=joint.measurement_noise
-    )
-    whitened = whiten(S, innovation)
-    step = state.shift + (matvec(U, whitened) if K is None else matvec(K, innovation))
+        K = gain(A, sign, m) if callable(gain) else gain
+        K = numbers("gain", K, (..., A.shape[-2] - m, m)) * mask[..., None, :]
+    S, U, spread = form.condition(A, sign, m, K, known=joint.known, noise=joint.measurement_noise)
+    whitened = whiten(S, y)  # S^-1 y
+    step = joint.state.shift + (matvec(U, whitened) if K is None else matvec(K, y))
     if space.transport is not None:
         spread = form.transported(space.transport(step), spread)
 
-    def optimal() -> Array:
+    def gain_used() -> Array:
         return solve_right(S, U) if K is None else K
 
-    R = None if not hooks else joint.variances()[1]
-    info = Info(given, whitened, used, S, optimal, measured.jacobian, R=R)
-    mean = space.plus(state.center, step)
-    together = spread.ndim == 2 or spread.shape[:-2] == mean.shape[:-1]
-    return form(mean, spread) if together else whole(form, mean, spread), info, memory
+    R = joint.variances()[1] if hooks else None
+    info = Info(measured, whitened, used, S, gain_used, joint.measurement.jacobian, R=R)
+    return _belief(form, space.plus(joint.state.center, step), spread), info, memory
 
 
 def _adapted(joint: Joint, hooks: Sequence[Hook], memory: Any, epoch: Any) -> tuple[Joint, Any]:
@@ -450,7 +488,6 @@ def _adapted(joint: Joint, hooks: Sequence[Hook], memory: Any, epoch: Any) -> tu
         state=state,
         process_noise=W and (W[0] if type(W[0]) is int else W[0].copy(), W[1].copy()),
         measurement_noise=None if V is None else V.copy(),
-        noise_first=False,
     )
     for hook, remembered in zip(
         hooks, (None,) * len(hooks) if memory is None else memory, strict=True
@@ -462,57 +499,3 @@ def _adapted(joint: Joint, hooks: Sequence[Hook], memory: Any, epoch: Any) -> tu
     if not same or not known_alike(joint.state.columns, columns):
         joint = joint._replace(known=None)
     return joint, tuple(memories)
-
-
-def alike(used: Array) -> Array:
-    """A mask ``(..., m)`` as one, ``(m,)``, where it is that of all runs: what they share then stays one for all."""
-    every: Array = np.logical_and.reduce(used, tuple(range(used.ndim - 1)))
-    return every if used.ndim == 1 or every.all() or (used == every).all() else used
-
-
-def evaluate(
-    model: Motion | Sensor, x: Array, epoch: Any, noise: Sequence[Array] = (), m: int | None = None
-) -> Array:
-    """Values ``(p, ..., m)`` of a model at points ``x (p, ..., N)``, as floats of the shape they must have.
-
-    ``m``: how many components are measured. The function may change its argument: rules make points for one call, and a caller with
-    two hands out a copy. What it raises carries a note of what it got.
-    """
-    name = model.name
-    function: Any = getattr(model, name)
-    if not callable(function):
-        return matvec(function, x)
-    vectors = not isinstance(model, Motion) and model.space is EUCLIDEAN and model.m in (None, m)
-    dimension = x.shape[-1] if isinstance(model, Motion) else m if vectors else None
-    copies = [array.copy(order="K") for array in (x, *noise)] if unknown(function, x) else None
-    try:
-        if x.dtype.hasobject:
-            y: Any = in_model(
-                partial(each_row, lambda x, *noise: function(x, epoch, *noise)), x, *noise
-            )
-        else:
-            y = function(x, epoch, *noise)
-        if type(y) is not np.ndarray or y.dtype != np.float64:
-            y = as_floats(name, y, x)
-    except (AttributeError, IndexError, TypeError, ValueError) as error:
-        given = "an input" if getattr(epoch, "u", None) is not None else "None"
-        note = f"{name} is called with points {x.shape} and an Epoch: epoch.dt is its interval, epoch.u ({given}) its input"
-        error.add_note(note)
-        error.add_note(POINTS)
-        raise
-    if (
-        y.shape[:-1] != x.shape[:-1]
-        or not y.ndim
-        or (dimension is not None and y.shape[-1] != dimension)
-    ):
-        expected = ", ".join(
-            str(s) for s in (*x.shape[:-1], "m" if dimension is None else dimension)
-        )
-        raise ValueError(f"{name} returned shape {y.shape}, expected ({expected}); {POINTS}")
-    if (look := WATCH.get()) is not None:
-        other = look(name, y)
-        y = y if other is None else other
-    if copies is not None:
-        y = y.copy(order="K")  # it may be a buffer of the model's
-        check_apart(name, function, copies, epoch, y)
-    return np.asanyarray(y)

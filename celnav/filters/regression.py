@@ -18,7 +18,6 @@ from celnav.gaussian.linalg import (
     solve_lower,
     solve_right,
     surely,
-    weighted,
 )
 from celnav.gaussian.rules import Image
 
@@ -56,7 +55,7 @@ def pseudo_gain(
     """
     D_y, D_x = A[..., :m, :], A[..., m:, :]
     S = SquareRoot.marginal(D_y, sign)
-    signed = weighted(D_x, sign)
+    signed = D_x * sign
     std = np.sqrt(np.einsum("...ij,...ij->...i", S, S))
     known = std == 0.0
     unit = np.where(known, 1.0, std)

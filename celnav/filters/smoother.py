@@ -185,7 +185,7 @@ def back(filter: Sequential, before: Belief, after: Belief, epoch: Epoch) -> tup
     form, space = filter.form, filter.motion.space
     both = filter.onward(before, epoch, after.mean)
     center = both.measurement.center
-    if both.sign.ndim == 1 and (both.sign < 0.0).any():
+    if (both.sign < 0.0).any():
         # What the next state tells exactly, such as a constant, cancels to round-off, from which no negative columns can be taken
         # away: the round-off counts as the noise that it is.
         size = np.sqrt(np.vecdot(both.state.columns, both.state.columns))

@@ -9,7 +9,8 @@ directly, since numpy's batched functions spend most of a small one's time on pr
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cache, lru_cache
+from functools import cache
+from itertools import accumulate
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -20,19 +21,40 @@ from celnav.lazy import Late
 from celnav.tape.numbers import numbers, rarely
 
 __all__ = [
-    "EPS", "FORMS", "LEFT_OVER", "NEGLIGIBLE", "POSITIVE", "Array", "Belief", "Covariance", "Form", "SquareRoot", "block",
-    "cholesky", "downdate", "factored", "fan", "matvec", "outer", "semidefinite_root", "side_by_side", "solve_lower", "solve_right",
-    "surely", "tria", "weighted", "whiten",
-]  # fmt: skip
+    "EPS",
+    "FORMS",
+    "LEFT_OVER",
+    "NEGLIGIBLE",
+    "POSITIVE",
+    "Array",
+    "Belief",
+    "Covariance",
+    "Form",
+    "SquareRoot",
+    "block",
+    "cholesky",
+    "downdate",
+    "fan",
+    "matvec",
+    "outer",
+    "semidefinite_root",
+    "side_by_side",
+    "solve_lower",
+    "solve_right",
+    "surely",
+    "tria",
+    "whiten",
+]
 
 Array = NDArray[Any]
 blas, lapack = Late("scipy.linalg.blas"), Late("scipy.linalg.lapack")
 EPS = float(np.finfo(np.float64).eps)
-NEGLIGIBLE = 1e-12  # part of the largest deviation, or variance, below which one is round-off
-PRECISE = 1e3  # deviations of the noise by which an innovation may vary before a difference of covariances loses too many digits
-LEFT_OVER = (
-    PRECISE**2 * EPS
-)  # part of a covariance that is round-off, after a difference that its form allows itself
+NEGLIGIBLE = 1e-12
+"""Part of the largest standard deviation, or variance, below which a value is round-off."""
+PRECISE = 1e3
+"""Ratio of an innovation's σ to that of its noise beyond which a difference of covariances loses too many digits."""
+LEFT_OVER = PRECISE**2 * EPS
+"""Part of a covariance that is round-off after such a difference."""
 POSITIVE: Array = np.broadcast_to(1.0, 1)
 """The sign of columns that all count with +1."""
 
@@ -48,11 +70,8 @@ def matvec(A: Array, x: Array) -> Array:
 
 
 def outer(A: Array) -> Array:
-    """``A @ A.mT``, the covariance of columns ``(..., n, q)``; symmetric to rounding.
-
-    Of a matrix and its own transpose numpy makes one triangle and copies it, which for many small ones takes twice the time.
-    """
-    return np.asanyarray(A @ (A.mT if A.ndim == 2 else A.mT.copy()))
+    """``A @ A.mT``, the covariance of columns ``(..., n, q)``; symmetric to rounding."""
+    return np.asanyarray(A @ A.mT)
 
 
 def side_by_side(parts: Sequence[Array]) -> Array:
@@ -75,25 +94,19 @@ def tria(A: Array) -> Array:
     if q < n:
         A = np.concatenate([A, np.zeros((*A.shape[:-1], n - q))], -1)
     if A.ndim == 2:
-        return np.asanyarray(
-            lapack.dgeqrfp(A.T)[0][:n].T * _lower(n)
-        )  # its diagonal is not negative
+        R = lapack.dgeqrfp(A.T)[0][:n]  # its diagonal is not negative
+        return np.asanyarray(R.T * _lower(n))
     # "raw" leaves R' in the lower triangle and Householder vectors above it.
-    L: Array = np.linalg.qr(A.mT, mode="raw")[0][..., :n]
+    L = np.linalg.qr(A.mT, mode="raw")[0][..., :n] * _lower(n)
     # In C order whatever the order of A: products with L then take the same path for every number of runs.
-    L = np.multiply(L, np.copysign(1.0, L.diagonal(0, -2, -1))[..., None, :], order="C")
-    L *= _lower(n)
-    return L
+    return np.asanyarray(
+        np.multiply(L, np.copysign(1.0, L.diagonal(0, -2, -1))[..., None, :], order="C")
+    )
 
 
 @cache
 def _lower(n: int) -> Array:
-    return np.broadcast_to(np.tri(n), (n, n))  # read-only, as what is handed out must be
-
-
-@cache
-def _identity(n: int) -> Array:
-    return np.broadcast_to(np.eye(n), (n, n))
+    return np.broadcast_to(np.tri(n), (n, n))  # read-only, because it is shared
 
 
 def solve_lower(L: Array, B: Array) -> Array:
@@ -101,35 +114,22 @@ def solve_lower(L: Array, B: Array) -> Array:
     if L.dtype.hasobject or B.dtype.hasobject:
         return np.asanyarray(recorded.solve_lower(L, B))
     diagonal = L.diagonal(0, -2, -1)
-    if L.ndim == B.ndim == 2 and 0.0 not in diagonal.tolist():
-        return np.asanyarray(
-            blas.dtrsm(1.0, L, B, lower=1)
-        )  # LAPACK's dtrtrs would start threads, however small the matrix
-    if not diagonal.all():
-        diagonal = np.where(diagonal == 0.0, np.nan, diagonal)
-    batch = np.broadcast_shapes(L.shape[:-2], B.shape[:-2])
-    X = np.empty(batch + B.shape[-2:])
+    if L.ndim == B.ndim == 2 and diagonal.all():
+        # LAPACK's dtrtrs would start threads, however small the matrix.
+        return np.asanyarray(blas.dtrsm(1.0, L, B, lower=1))
+    diagonal = np.where(diagonal == 0.0, np.nan, diagonal)
+    X = np.empty(np.broadcast_shapes(L.shape[:-2], B.shape[:-2]) + B.shape[-2:])
     for i in range(L.shape[-1]):
-        row = B[..., i, :]
-        if i:
-            row = row - (L[..., i, None, :i] @ X[..., :i, :])[..., 0, :]
-        X[..., i, :] = row / diagonal[..., i, None]
+        explained = (L[..., i, None, :i] @ X[..., :i, :])[..., 0, :]
+        X[..., i, :] = (B[..., i, :] - explained) / diagonal[..., i, None]
     return X
 
 
 def whiten(L: Array, x: Array) -> Array:
     """``L^-1 x`` for lower triangular ``L (..., n, n)`` and vectors ``(..., n)``; a zero on the diagonal gives nan."""
-    if L.ndim == 2:
+    if L.ndim == 2:  # one matrix for all vectors
         return solve_lower(L, x.reshape(-1, x.shape[-1]).T).T.reshape(x.shape)
-    # By rows, for which products of matrices take twice the time.
-    white = np.empty(np.broadcast_shapes(x.shape, L.shape[:-1]))
-    diagonal = L.diagonal(0, -2, -1)
-    if not diagonal.all():
-        diagonal = np.where(diagonal == 0.0, np.nan, diagonal)
-    for i in range(x.shape[-1]):
-        rest = x[..., i] - np.vecdot(L[..., i, :i], white[..., :i]) if i else x[..., i]
-        white[..., i] = rest / diagonal[..., i]
-    return white
+    return solve_lower(L, x[..., None])[..., 0]
 
 
 def solve_right(L: Array, U: Array) -> Array:
@@ -146,9 +146,8 @@ def _root(P: Array) -> Array | None:
         except np.linalg.LinAlgError:
             return None
     L, info = lapack.dpotrf(P, lower=1)
-    return (
-        L if info == 0 and (L.size == 0 or L[-1, -1] > 0.0) else None
-    )  # a nan anywhere leads to one in the last place
+    # A nan anywhere leads to one in the last place.
+    return L if info == 0 and (L.size == 0 or L[-1, -1] > 0.0) else None
 
 
 def _scaled(P: Array) -> tuple[Array, Array]:
@@ -177,15 +176,12 @@ def semidefinite_root(P: Array, round_off: float = 64 * EPS) -> Array:
         return np.asanyarray(
             recorded.semidefinite_root(P, 64 * P.shape[-1] * EPS, round_off * P.shape[-1])
         )
-    root, least = (
-        _root(P),
-        1e-5,
-    )  # below, a singular matrix may have slipped through on a rounding error
-    if (
-        root is not None
-        and (root.diagonal(0, -2, -1) > least * np.sqrt(P.diagonal(0, -2, -1))).all()
-    ):
-        return root
+    root, least = _root(P), 1e-5
+    # Below ``least`` a singular matrix may have passed because of a rounding error.
+    if root is not None:
+        std = np.sqrt(P.diagonal(0, -2, -1))
+        if (root.diagonal(0, -2, -1) > least * std).all():
+            return root
     scale, C = _scaled(P)
     eigenvalues, vectors = np.linalg.eigh(C)
     nothing = 4 * C.shape[-1] * EPS  # what is left of a variance that is none
@@ -208,7 +204,7 @@ def downdate(L: Array, V: Array) -> Array:
     L may be singular where V adds nothing to its range.
     """
     W = solve_lower(L, V)
-    root: Array = L @ cholesky(_identity(L.shape[-1]) - outer(W))
+    root: Array = L @ cholesky(np.eye(L.shape[-1]) - outer(W))
     lost = np.isnan(root[..., 0, 0])
     if root.dtype.hasobject or not lost.any():
         return root
@@ -231,28 +227,21 @@ def downdate(L: Array, V: Array) -> Array:
 
 def block(rows: Sequence[Sequence[Any]]) -> Array:
     """Block matrix of matrices ``(..., k, q)`` whose batch axes broadcast; a plain ``0`` is a block of zeros that fits."""
-    heights, widths, batch, one = [0] * len(rows), [0] * len(rows[0]), None, np.empty(0)
+    heights, widths = [0] * len(rows), [0] * len(rows[0])
+    batches, like = set(), np.empty(0)
     for i, row in enumerate(rows):
         for j, cell in enumerate(row):
             if type(cell) is not int:
-                shape = cell.shape
+                heights[i], widths[j] = cell.shape[-2:]
+                batches.add(cell.shape[:-2])
                 if cell.dtype.hasobject:
-                    one = numbers(cell)
-                heights[i], widths[j] = shape[-2:]
-                if batch is None:
-                    batch = shape[:-2]
-                elif shape[:-2] != batch:
-                    batch = np.broadcast_shapes(batch, shape[:-2])
-    assert batch is not None
-    out = np.zeros((*batch, sum(heights), sum(widths)), like=one)
-    top = 0
-    for row, height in zip(rows, heights, strict=True):
-        left = 0
-        for cell, width in zip(row, widths, strict=True):
+                    like = numbers(cell)
+    batch = batches.pop() if len(batches) == 1 else np.broadcast_shapes(*batches)
+    out = np.zeros((*batch, sum(heights), sum(widths)), like=like)
+    for row, height, bottom in zip(rows, heights, accumulate(heights), strict=True):
+        for cell, width, right in zip(row, widths, accumulate(widths), strict=True):
             if type(cell) is not int:
-                out[..., top : top + height, left : left + width] = cell
-            left += width
-        top += height
+                out[..., bottom - height : bottom, right - width : right] = cell
     return out
 
 
@@ -275,33 +264,6 @@ def fan(E: Array, nodes: Array, batch: int) -> Array:
 
 
 # -- forms ---------------------------------------------------------------------------------------------------------------
-def signs(sign: Array, q: int) -> tuple[Array, Any, Any] | None:
-    """Signs ``(q,)`` of columns, those that ``sign`` lacks +1, and where they are positive and where negative; None if none is."""
-    return _signs(np.asarray(sign, np.float64).tobytes(), q)
-
-
-@lru_cache(maxsize=64)
-def _signs(sign: bytes, q: int) -> tuple[Array, Any, Any] | None:
-    given = np.frombuffer(sign)
-    every = np.concatenate((given, np.ones(q - len(given))))
-    positive, negative = (np.flatnonzero(side) for side in (every > 0.0, every < 0.0))
-    # Slices, so views, where they lie together.
-    first, second = (
-        at if not len(at) or np.ptp(at) >= len(at) else slice(at[0], at[-1] + 1)
-        for at in (positive, negative)
-    )
-    return (every, first, second) if len(negative) else None
-
-
-def weighted(A: Array, sign: Array) -> Array:
-    """Columns ``(..., n, q)`` times their signs; or the first ones times the covariance that they have, see `Covariance.factor`."""
-    if sign.ndim > 1:
-        n = sign.shape[-1]
-        return side_by_side((A[..., :n] @ sign, A[..., n:])) if n < A.shape[-1] else A @ sign
-    found = signs(sign, A.shape[-1])
-    return A if found is None else A * found[0]
-
-
 class SquareRoot(NamedTuple):
     """A belief in square-root form: ``mean (..., N)`` and a lower root ``sqrt_cov (..., n, n)``.
 
@@ -326,10 +288,6 @@ class SquareRoot(NamedTuple):
         """Any Gaussian in this form."""
         return cls(belief.mean, belief.sqrt_cov)
 
-    def factor(self) -> tuple[Array, Array]:
-        """Columns ``(..., n, q)`` that a linear function maps, and their `weighted` sign: here the root."""
-        return self.sqrt_cov, POSITIVE
-
     @staticmethod
     def rounding() -> float:
         """Part of a standard deviation that is round-off."""
@@ -338,18 +296,20 @@ class SquareRoot(NamedTuple):
     @staticmethod
     def marginal(A: Array, sign: Array) -> Array:
         """Root of the columns ``A (..., n, q)``, which count with their ``sign``."""
-        found = signs(sign, A.shape[-1])
-        return tria(A) if found is None else downdate(tria(A[..., found[1]]), A[..., found[2]])
+        if len(sign) == 1:
+            return tria(A)
+        return downdate(tria(A[..., sign > 0.0]), A[..., sign < 0.0])
 
     @classmethod
     def condition(
-        cls, A: Array, sign: Array, m: int, gain: Array | None = None, **_at_hand: Array | None
+        cls, A: Array, sign: Array, m: int, gain: Array | None = None, **_shortcut: Array | None
     ) -> tuple[Array, Array, Array]:
         """Condition the last rows of ``A (..., m + n, q)`` on the first ``m``.
 
         Returns the root ``S (..., m, m)`` of the first rows, ``U = K @ S (..., n, m)`` and the root of the rest. With a
-        prescribed ``gain`` K ``(..., n, m)`` the rest is that of ``last - K @ first`` (Joseph form). ``known``: the root of the
-        last rows by themselves, and ``noise``: the columns ``(..., m, s)`` of what is in the first rows only, if they are at hand.
+        prescribed ``gain`` K ``(..., n, m)`` the rest is that of ``last - K @ first`` (Joseph form).
+        The covariance form has a shortcut where it is given ``known``, the covariance of the last rows,
+        and ``noise (..., m, s)``, the columns that only the first rows have.
         """
         if gain is not None:
             S = cls.marginal(A[..., :m, :], sign)
@@ -411,17 +371,13 @@ class Covariance(NamedTuple):
     def of(cls, belief: Any) -> Self:
         return cls(belief.mean, belief.cov)
 
-    def factor(self) -> tuple[Array, Array]:
-        """Unit columns, which have the covariance itself for a sign: a linear measurement needs no root."""
-        return _identity(self.cov.shape[-1]), self.cov
-
     @staticmethod
     def rounding() -> float:
         return float(EPS**0.5)
 
     @staticmethod
     def marginal(A: Array, sign: Array) -> Array:
-        return outer(A) if signs(sign, A.shape[-1]) is None else weighted(A, sign) @ A.mT
+        return outer(A) if len(sign) == 1 else np.asanyarray((A * sign) @ A.mT)
 
     @classmethod
     def condition(
@@ -435,23 +391,18 @@ class Covariance(NamedTuple):
         noise: Array | None = None,
     ) -> tuple[Array, Array, Array]:
 
-        if gain is None and known is not None and noise is not None:
-            C = weighted(A[..., :m, :], sign) @ A.mT
-            S = cholesky(C[..., :m])
-            U = solve_lower(S, C[..., m:]).mT
-            left = known - outer(U)
-            precise = S.diagonal(0, -2, -1) > PRECISE * np.sqrt(np.vecdot(noise, noise))
-            if surely(~np.logical_or.reduce(precise, None)):
-                return S, U, left
-            U, left = rarely(precise.any(-1), cls._condition_columns, (A, sign, S), (U, left))
-            return S, U, left
-        if sign.ndim > 1:
-            A, sign = factored(A, sign)
         Z, X = A[..., :m, :], A[..., m:, :]
-        S = cholesky(weighted(Z, sign) @ Z.mT)
+        S = cholesky(cls.marginal(Z, sign))
         if gain is not None:
             return S, gain @ S, cls.marginal(X - gain @ Z, sign)
-        return S, *cls._condition_columns(A, sign, S)
+        if known is None or noise is None:
+            return S, *cls._condition_columns(A, sign, S)
+        U = solve_lower(S, (Z * sign) @ X.mT).mT
+        left = known - outer(U)
+        precise = S.diagonal(0, -2, -1) > PRECISE * np.sqrt(np.vecdot(noise, noise))
+        if not surely(~precise.any()):
+            U, left = rarely(precise.any(-1), cls._condition_columns, (A, sign, S), (U, left))
+        return S, U, left
 
     @classmethod
     def _condition_columns(cls, A: Array, sign: Array, S: Array) -> tuple[Array, Array]:
@@ -460,12 +411,10 @@ class Covariance(NamedTuple):
         The explained part is subtracted from the columns. A difference of covariances would lose half
         of the digits.
         """
-        if sign.ndim > 1:
-            A, sign = factored(A, sign)
         m = S.shape[-1]
         Z, X = A[..., :m, :], A[..., m:, :]
         W = solve_lower(S, Z)
-        U = X @ weighted(W, sign).mT
+        U = X @ (W * sign).mT
         return U, cls.marginal(X - U @ W, sign)
 
     @staticmethod
@@ -490,12 +439,6 @@ class Covariance(NamedTuple):
         """Runs ``(...)`` that are not finite, or have a negative variance beyond round-off of the matrix's largest."""
         finite = np.isfinite(self.mean).all(-1) & np.isfinite(self.cov).all((-2, -1))
         return np.asanyarray(~(finite & _negligible(self.cov.diagonal(0, -2, -1)).all(-1)))
-
-
-def factored(A: Array, sign: Array) -> tuple[Array, Array]:
-    """Columns that have a covariance for a sign, as columns that all count with +1."""
-    n = sign.shape[-1]
-    return side_by_side((A[..., :n] @ semidefinite_root(sign, LEFT_OVER), A[..., n:])), POSITIVE
 
 
 def _negligible(variances: Array) -> Array:

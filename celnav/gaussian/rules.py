@@ -61,7 +61,8 @@ class Rule:
     wc: ``(p,)`` weights of the covariance (None: ``wm``); ``sum wc nodes nodes' = I``. They may be negative. A rule without
         nodes in some dimension is a quadrature, but no filter takes it: it would lose that variance.
 
-    They are read-only then; ``n`` is the dimension, ``sign (q,)`` -1 for columns of negative weight, else 1.
+    They are read-only then; ``n`` is the dimension, ``sign (q,)`` -1 for columns of negative weight, else 1;
+    one 1 stands for all where no weight is negative.
 
     >>> rule = celnav.Rule([[0.0], [1.0], [-1.0]], [0.0, 0.5, 0.5])
     """
@@ -101,7 +102,8 @@ class Rule:
             else np.flatnonzero(used)
         )
         self._wm, self._scale = self.wm[used], np.sqrt(np.abs(self.wc[used]))
-        self.sign = np.where(self.wc[used] < 0.0, -1.0, 1.0)
+        negative = self.wc[used] < 0.0
+        self.sign = np.where(negative, -1.0, 1.0) if negative.any() else POSITIVE
         self.sign.flags.writeable = False
         self._transposed = np.ascontiguousarray(self.nodes.T)
         self._unit = (

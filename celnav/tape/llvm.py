@@ -33,6 +33,7 @@ from celnav.tape.tape import Number, Tape, operands
 __all__ = [
     "BLOCK",
     "LIBM",
+    "LINE",
     "aligned",
     "caller",
     "compiled",

@@ -591,12 +591,9 @@ def test_covariances_that_a_hook_sees_are_those_of_the_columns(name, form):
     run(SEEN_BY_HOOKS[name](look, form), prior(3), epochs(np.arange(4), z))
     assert len(seen) >= 3  # a colored filter has its first measurement in its start
     for joint in seen:
-        columns, m = joint.columns(), joint.innovation.shape[-1]
-        signs = np.ones(columns.shape[-1])
-        if not joint.noise_first:
-            signs[: joint.sign.shape[-1]] = joint.sign
+        (columns, sign), m = joint.columns(), joint.innovation.shape[-1]
         V = np.zeros((m, 1)) if joint.measurement_noise is None else joint.measurement_noise
-        whole = (columns * signs) @ columns.mT
+        whole = (columns * sign) @ columns.mT
         S0, cross = joint.covariances()
         np.testing.assert_allclose(S0 + V @ V.mT, whole[..., :m, :m], rtol=0, atol=1e-12)
         np.testing.assert_allclose(cross, whole[..., m:, :m], rtol=0, atol=1e-12)
