@@ -208,7 +208,7 @@ class Colored(Sequential):
         if state.z is None:
             belief, info = state.belief, silent(sensor, z) if self.first_sample else Info()
             if self.first_sample and not missing(z):
-                belief, info, _ = self.see(sensor, belief, z, epoch, (), None)
+                belief, info, _ = self.update_sensor(sensor, belief, z, epoch, (), None)
             return ColoredState(belief, z, state.lagged, state.memory), (info,)
         Phi = self.Phi(epoch) if callable(self.Phi) else self.Phi
         if Phi.ndim > 2:

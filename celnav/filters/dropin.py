@@ -247,7 +247,7 @@ class SigmaPointUKF:
                 Sensor(g, sqrt_R=root, space=measured),
             )
             exact = Sequential(motion, (sensor,), rule=self.rule, form=self._form)
-            after, info, _ = exact.see(sensor, belief, z, Epoch(), (), None)
+            after, info, _ = exact.update_sensor(sensor, belief, z, Epoch(), (), None)
         self._check(belief, after, "hx", h, "the innovation covariance is not positive definite")
         return after, seen[0], outer(np.asarray(info.sqrt_S)), info
 

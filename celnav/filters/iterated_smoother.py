@@ -108,35 +108,40 @@ class Relinearized(Sequential):
             gain=filter.gain,
         )
 
-    def onward(self, belief: Belief, epoch: Epoch, after: Array) -> Joint:
+    def transition(self, belief: Belief, epoch: Epoch, after: Array, rule: Any = None) -> Joint:
         """The joint of the state after the interval, as if measured to be ``after``, and of the one before it."""
         motion = self.motion
         return over(
             epoch.about[0],
-            self.rule,
+            rule or self.rule,
             belief,
             motion,
             motion.space,
-            lambda rule, belief: self.between(rule, belief, epoch, after),
+            lambda rule, belief: super(Relinearized, self).transition(belief, epoch, after, rule),
         )
 
-    def moved(self, belief: Belief, epoch: Epoch) -> Joint:
+    def predicted(self, belief: Belief, epoch: Epoch) -> Joint:
         """The joint of a prediction: the state after the interval."""
-        both = self.onward(belief, epoch, epoch.about[1].mean)
+        both = self.transition(belief, epoch, epoch.about[1].mean)
         noise = both.measurement_noise
         return both._replace(
-            innovation=None, measurement=None, state=both.measurement,
-            process_noise=None if noise is None else (0, noise), measurement_noise=None, known=None,
-        )  # fmt: skip
+            innovation=None,
+            measurement=None,
+            state=both.measurement,
+            process_noise=None if noise is None else (0, noise),
+            measurement_noise=None,
+            known=None,
+        )
 
-    def measured(self, rule: Any, sensor: Sensor, belief: Belief, z: Array, epoch: Epoch) -> Joint:
+    def measured(
+        self, sensor: Sensor, belief: Belief, z: Array, epoch: Epoch, rule: Any = None
+    ) -> Joint:
         """The joint of what a sensor measures and of the state."""
-        about, drawn = epoch.about[1], super().measured
         return over(
-            about,
-            rule,
+            epoch.about[1],
+            rule or self.rule,
             belief,
             sensor,
             self.motion.space,
-            lambda rule, belief: drawn(rule, sensor, belief, z, epoch),
+            lambda rule, belief: super(Relinearized, self).measured(sensor, belief, z, epoch, rule),
         )

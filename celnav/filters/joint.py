@@ -177,37 +177,34 @@ def joint(
     W: Any = at(process_noise, belief.mean, epoch)
     V = at(measurement_noise, belief.mean, epoch)
     W = W if W is None or type(W) is tuple else (0, W)
-    noises = ("Q", W and W[1]), ("R", V), *(("augment", E) for E in augment)
-    for name, columns in noises:
-        if columns is not None:  # a model may need the axes of runs that only the noise has
+    for name, columns in (("Q", W and W[1]), ("R", V), *(("augment", E) for E in augment)):
+        if columns is not None and columns.ndim > 2:
+            # A model may need the axes of runs that only the noise has.
             belief = over_runs(name, columns.shape[:-2], belief)
     m = None if z is None else z.shape[-1]
-    linear_models = not callable(outputs) and all(_is_linear(g, rule) for g in outputs)
-    if not callable(outputs) and linear_models:
-        images = [_linear_image(g, rule, belief, epoch, space, augment) for g in outputs]
-    else:
+    images = None
+    if not callable(outputs):
+        images = _linear_images(outputs, rule, belief, epoch, space, augment)
+    sign = rule.sign if images is None else POSITIVE
+    if images is None:
         images = _point_images(outputs, rule, belief, epoch, space, spaces, augment, m)
     measurement, state = images[0], images[-1]
     first: Any = None if callable(outputs) else outputs[0]
     if V is not None and not V.ndim:  # a standard deviation alone
         V = V * np.eye(measurement.columns.shape[-2])
-    _check_rows("Q", W and W[1], state)
-    _check_rows("Q" if isinstance(first, Motion) else "R", V, measurement)
-    sign = POSITIVE if linear_models else rule.sign
+    owner = "Q" if isinstance(first, Motion) else "R"
+    for name, columns, image in (("Q", W and W[1], state), (owner, V, measurement)):
+        rows = image.columns.shape[-2]
+        if columns is not None and columns.shape[-2] != rows:
+            raise ValueError(
+                f"{name}: expected {rows} rows to go with the model, got {columns.shape[-2]}"
+            )
     known = belief[1] if state.center is belief.mean and W is None else None
     if z is None:
         return Joint(None, None, state, sign, W, None, known)
     z_space = getattr(first, "space", EUCLIDEAN) if spaces is None else spaces[0]
     innovation = _innovation(z, measurement, z_space, belief)
     return Joint(innovation, measurement, state, sign, W, V, known)
-
-
-def _check_rows(name: str, columns: Array | None, image: Image) -> None:
-    rows = image.columns.shape[-2]
-    if columns is not None and columns.shape[-2] != rows:
-        raise ValueError(
-            f"{name}: expected {rows} rows to go with the model, got {columns.shape[-2]}"
-        )
 
 
 def _innovation(z: Array, measurement: Image, space: Space, belief: Belief) -> Array:
@@ -323,13 +320,9 @@ def _values(
 # -- by matrices -----------------------------------------------------------------------------------------
 def by_matrix(model: Any, rule: Any) -> bool:
     """Whether a model enters by its matrix alone: it is linear, or the rule asks for derivatives that are known."""
-    return is_linear(getattr(model, model.name)) or (
-        model.jacobian is not None and isinstance(rule, Taylor)
-    )
-
-
-def _is_linear(output: Any, rule: Any) -> bool:
-    return output is KEEP or type(output) is tuple or by_matrix(output, rule)
+    if isinstance(rule, Taylor) and model.jacobian is not None:
+        return True
+    return is_linear(getattr(model, model.name))
 
 
 def linear(
@@ -361,25 +354,50 @@ def linear(
     return model.space.plus(value, matvec(J[..., : way.shape[-1]], way)), J
 
 
-def _linear_image(
-    output: Any, rule: Any, belief: Belief, epoch: Any, space: Space, augment: Sequence[Array]
-) -> Image:
-    """The image of a linear function, by its value at the mean and its matrix ``(..., k, n + noises)``."""
+def _linear_images(
+    outputs: Sequence[Any],
+    rule: Any,
+    belief: Belief,
+    epoch: Any,
+    space: Space,
+    augment: Sequence[Array],
+) -> list[Image] | None:
+    """Images of linear functions; None where one of them is not."""
+    for output in outputs:
+        if output is not KEEP and type(output) is not tuple and not by_matrix(output, rule):
+            return None
     root, mean = belief.sqrt_cov, belief.mean
-    n = root.shape[-1]
-    if output is KEEP:
-        zeros = [np.zeros((n, E.shape[-1])) for E in augment]
-        return Image(mean, np.zeros(n), side_by_side([root, *zeros]), partial(np.eye, n))
-    value, matrix = output if type(output) is tuple else linear(output, rule, mean, epoch, space)
-    roots = (root, *augment)
-    ends = np.cumsum([E.shape[-2] for E in roots])
-    if matrix.shape[-1] != ends[-1]:
-        raise ValueError(
-            f"jacobian: expected shape (..., {matrix.shape[-2]}, {ends[-1]}), got {matrix.shape}"
+    images = []
+    for output in outputs:
+        if output is KEEP:
+            images.append(_kept_image(mean, root, augment))
+            continue
+        value, J = output if type(output) is tuple else linear(output, rule, mean, epoch, space)
+        images.append(_linear_image(value, J, root, augment))
+    return images
+
+
+def _kept_image(mean: Array, root: Array, augment: Sequence[Array]) -> Image:
+    """The image of the identity; noise through the points does not enter."""
+    n, columns = root.shape[-1], root
+    if augment:
+        columns = side_by_side([root, *(np.zeros((n, E.shape[-1])) for E in augment)])
+    return Image(mean, np.zeros(n), columns, partial(np.eye, n))
+
+
+def _linear_image(value: Array, J: Array, root: Array, augment: Sequence[Array]) -> Image:
+    """The image of a linear function, by its value at the mean and its matrix ``(..., k, n + noises)``."""
+    n, k = root.shape[-1], J.shape[-2]
+    ends = np.cumsum([E.shape[-2] for E in (root, *augment)]) if augment else (n,)
+    if J.shape[-1] != ends[-1]:
+        raise ValueError(f"jacobian: expected shape (..., {k}, {ends[-1]}), got {J.shape}")
+    columns = J[..., :n] @ root
+    if augment:
+        noise = (
+            J[..., end - E.shape[-2] : end] @ E for end, E in zip(ends[1:], augment, strict=True)
         )
-    parts = [matrix[..., end - E.shape[-2] : end] @ E for end, E in zip(ends, roots, strict=True)]
-    jacobian = partial(np.asanyarray, matrix[..., :n])
-    return Image(value, np.zeros(matrix.shape[-2]), side_by_side(parts), jacobian)
+        columns = side_by_side([columns, *noise])
+    return Image(value, np.zeros(k), columns, partial(np.asanyarray, J[..., :n]))
 
 
 # -- axes of runs ----------------------------------------------------------------------------------------

@@ -106,7 +106,7 @@ class Sequential:
         if still(epoch):
             return state
         return state._replace(
-            belief=marginal(self.form, self.moved(state.belief, epoch), self.motion.space)
+            belief=marginal(self.form, self.predicted(state.belief, epoch), self.motion.space)
         )
 
     def update(self, state: State, epoch: Epoch) -> tuple[State, tuple[Info, ...]]:
@@ -120,13 +120,13 @@ class Sequential:
                 belief = belief if z is None else over_runs("z", z.shape[:-1], belief)
                 continue
             hooks = self.hooks[i] if self.hooks else ()
-            belief, info, memory[i] = self.see(
+            belief, info, memory[i] = self.update_sensor(
                 sensor, belief, checked(z, sensor), epoch, hooks, memory[i]
             )
             infos.append(info)
         return State(belief, tuple(memory)), tuple(infos)
 
-    def moved(self, belief: Belief, epoch: Epoch) -> Joint:
+    def predicted(self, belief: Belief, epoch: Epoch) -> Joint:
         """The joint of a prediction: the state after the interval."""
         motion = self.motion
         return joint(
@@ -139,26 +139,32 @@ class Sequential:
             augment=motion.augment,
         )
 
-    def onward(self, belief: Belief, epoch: Epoch, after: Array) -> Joint:
+    def measured(
+        self, sensor: Sensor, belief: Belief, z: Array, epoch: Epoch, rule: Any = None
+    ) -> Joint:
+        """The joint of what a sensor measures and of the state; ``rule``: in place of the filter's."""
+        return self._with_state(rule, sensor, belief, z, epoch)
+
+    def transition(self, belief: Belief, epoch: Epoch, after: Array, rule: Any = None) -> Joint:
         """The joint of the state after the interval, as if measured to be ``after``, and of the one before it: what smooths."""
-        return self.between(self.rule, belief, epoch, after)
+        return self._with_state(rule, self.motion, belief, after, epoch)
 
-    def between(self, rule: Any, belief: Belief, epoch: Epoch, after: Array) -> Joint:
-        """That joint by any rule."""
-        motion = self.motion
+    def _with_state(
+        self, rule: Any, model: Motion | Sensor, belief: Belief, z: Array, epoch: Epoch
+    ) -> Joint:
+        """The joint of a model's values and of the state that they come from."""
         return joint(
-            rule, belief, (motion, KEEP), epoch, space=motion.space,
-            z=after, measurement_noise=motion.noise, augment=motion.augment,
-        )  # fmt: skip
+            self.rule if rule is None else rule,
+            belief,
+            (model, KEEP),
+            epoch,
+            space=self.motion.space,
+            z=z,
+            measurement_noise=model.noise,
+            augment=model.augment,
+        )
 
-    def measured(self, rule: Any, sensor: Sensor, belief: Belief, z: Array, epoch: Epoch) -> Joint:
-        """The joint of what a sensor measures and of the state."""
-        return joint(
-            rule, belief, (sensor, KEEP), epoch, space=self.motion.space,
-            z=z, measurement_noise=sensor.noise, augment=sensor.augment,
-        )  # fmt: skip
-
-    def see(
+    def update_sensor(
         self,
         sensor: Sensor,
         belief: Belief,
@@ -168,7 +174,7 @@ class Sequential:
         memory: Any,
     ) -> tuple[Belief, Info, Any]:
         """The belief given one measurement, what that did, and the memory of the hooks."""
-        seen = self.measured(self.rule, sensor, belief, z, epoch)
+        seen = self.measured(sensor, belief, z, epoch)
         after, info, memory = condition(
             self.form,
             seen,
@@ -179,10 +185,10 @@ class Sequential:
             gain=self.gain,
         )
         if not sensor.noisy and self.gain is None:
-            after = self._told(sensor, belief, seen, after, info, epoch)
+            after = self._reject_redundant(sensor, belief, seen, after, info, epoch)
         return after, info, memory
 
-    def _told(
+    def _reject_redundant(
         self, sensor: Sensor, belief: Belief, seen: Joint, after: Belief, info: Info, epoch: Epoch
     ) -> Belief:
         """The belief, but nan for runs in which a measurement without noise is of what was known already."""
@@ -424,7 +430,7 @@ class Iterated(Sequential):
         if self.first is not None:
             function("first", self.first, "(belief, z, epoch)")
 
-    def see(
+    def update_sensor(
         self,
         sensor: Sensor,
         belief: Belief,
@@ -457,7 +463,7 @@ class Iterated(Sequential):
             belief,
             sensor,
             space,
-            lambda rule, belief: self.measured(rule, sensor, belief, z, epoch),
+            lambda rule, belief: self.measured(sensor, belief, z, epoch, rule),
         )
 
 

@@ -183,7 +183,7 @@ def backwards(filter: Sequential, gains: bool) -> Backward:
 def back(filter: Sequential, before: Belief, after: Belief, epoch: Epoch) -> tuple[Belief, Array]:
     """The belief before an epoch's interval given everything, from the one given the past and the smoothed one after it."""
     form, space = filter.form, filter.motion.space
-    both = filter.onward(before, epoch, after.mean)
+    both = filter.transition(before, epoch, after.mean)
     center = both.measurement.center
     if (both.sign < 0.0).any():
         # What the next state tells exactly, such as a constant, cancels to round-off, from which no negative columns can be taken

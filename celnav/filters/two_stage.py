@@ -80,7 +80,7 @@ class Plain:
         """State after the interval, and the transition matrix ``(..., n, n)``."""
         if still(epoch):
             return state, None
-        moved = self.filter.moved(state.belief, epoch)
+        moved = self.filter.predicted(state.belief, epoch)
         return state._replace(
             belief=marginal(self.filter.form, moved, EUCLIDEAN)
         ), moved.state.jacobian()

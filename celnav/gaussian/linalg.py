@@ -76,9 +76,9 @@ def outer(A: Array) -> Array:
 
 def side_by_side(parts: Sequence[Array]) -> Array:
     """Arrays ``(..., k)`` joined along their last axis; their batch axes broadcast."""
-    batch = parts[0].shape[:-1]
-    if any(part.shape[:-1] != batch for part in parts):
-        batch = np.broadcast_shapes(*(part.shape[:-1] for part in parts))
+    batches = {part.shape[:-1] for part in parts}
+    if len(batches) > 1:
+        batch = np.broadcast_shapes(*batches)
         parts = [np.broadcast_to(part, (*batch, part.shape[-1])) for part in parts]
     return np.concatenate(parts, -1)
 
