@@ -77,7 +77,7 @@ def test_each_parameter_on_a_line_of_a_docstring_has_its_entry():
     assert found["prior"].startswith("a `celnav.Gaussian`")
     found = described(Track)
     assert found["mean"] == "``(T, ..., N)``.\n"
-    assert found["std"].startswith("``(T, ..., n)``. None: not kept.")
+    assert " ".join(found["std"].split()).startswith("``(T, ..., n)``. None: not kept.")
     assert {
         "times",
         "belief",

@@ -1,4 +1,6 @@
-"""What can be known of a filter without flying it, and how its numbers are judged: bounds, metrics, observability, tuning."""
+"""What can be known of a filter without flying it, and how its numbers are judged: bounds, metrics,
+observability, tuning.
+"""
 
 from celnav.lazy import modules
 

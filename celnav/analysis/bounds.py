@@ -1,7 +1,8 @@
 """Linear covariance analysis: what a filter's errors are, or could be at best, without drawing any.
 
-The system is ``x' = F x + w``, ``w ~ N(0, Q)``, measured by ``z = H x + V``. Transitions ``F (T, n, n)`` are those along the true
-trajectory, ``H (m, n)`` is constant, and everything else may have leading batch axes, which broadcast.
+The system is ``x' = F x + w``, ``w ~ N(0, Q)``, measured by ``z = H x + V``. Transitions
+``F (T, n, n)`` are those along the true trajectory, ``H (m, n)`` is constant, and everything else
+may have leading batch axes, which broadcast.
 """
 
 from __future__ import annotations
@@ -19,14 +20,17 @@ __all__ = ["actual_covariance", "colored_bound", "riccati"]
 
 
 class Riccati(NamedTuple):
-    """Gains ``(T, ..., n, m)`` and covariances after the update ``(T + 1, ..., n, n)``, the prior first."""
+    """Gains ``(T, ..., n, m)`` and covariances after the update ``(T + 1, ..., n, n)``, the prior
+    first.
+    """
 
     gains: Array
     covariances: Array
 
 
 def riccati(F: ArrayLike, H: ArrayLike, Q: ArrayLike, R: ArrayLike, P0: ArrayLike) -> Riccati:
-    """Gains ``(T, ..., n, m)`` and covariances ``(T + 1, ..., n, n)`` of the Kalman filter, for white noise; see `Riccati`.
+    """Gains ``(T, ..., n, m)`` and covariances ``(T + 1, ..., n, n)`` of the Kalman filter, for
+    white noise; see `Riccati`.
 
     >>> bound = celnav.analysis.bounds.riccati(np.tile(F, (100, 1, 1)), H, Q, R, P0).covariances
     """
@@ -49,13 +53,15 @@ def actual_covariance(
     P0: ArrayLike,
     Sigma0: ArrayLike,
 ) -> Array:
-    """True error covariances ``(T + 1, ..., n, n)`` of a filter with given gains when its noise is really colored.
+    """True error covariances ``(T + 1, ..., n, n)`` of a filter with given gains when its noise is
+    really colored.
 
-    Exact for linear models: the covariance of ``[x_hat - x; V]`` is carried through prediction and update, with
-    ``V' = Phi V + zeta``, ``zeta ~ N(0, R)``, ``V_0 ~ N(0, Sigma0)``.
+    Exact for linear models: the covariance of ``[x_hat - x; V]`` is carried through prediction and
+    update, with ``V' = Phi V + zeta``, ``zeta ~ N(0, R)``, ``V_0 ~ N(0, Sigma0)``.
 
-    >>> gains = celnav.analysis.bounds.riccati(Fs, H, Q, R, P0).gains  # of a filter that takes the noise for white
-    >>> cov = celnav.analysis.bounds.actual_covariance(Fs, H, gains, Q, 0.9 * np.eye(3), 0.19 * R, P0, R)
+    >>> gains = celnav.analysis.bounds.riccati(Fs, H, Q, R, P0).gains  # assumes white noise
+    >>> Phi, W = 0.9 * np.eye(3), 0.19 * R
+    >>> cov = celnav.analysis.bounds.actual_covariance(Fs, H, gains, Q, Phi, W, P0, R)
     """
     transitions, h, q, phi, r, P, V = _system(F, H, Q=Q, Phi=Phi, R=R, P0=P0, Sigma0=Sigma0)
     m, n = h.shape
@@ -86,12 +92,14 @@ def colored_bound(
     P0: ArrayLike,
     Sigma0: ArrayLike | None = None,
 ) -> Array:
-    """Posterior Cramer-Rao bounds ``(T + 1, ..., n, n)`` under colored measurement noise, for small process noise.
+    """Posterior Cramer-Rao bounds ``(T + 1, ..., n, n)`` under colored measurement noise, for small
+    process noise.
 
-    ``Sigma0``: covariance of the first noise sample, if the first measurement is used; without it only differences of measurements
-    inform. ``Phi`` and ``R``: as in `actual_covariance`.
+    ``Sigma0``: covariance of the first noise sample, if the first measurement is used; without it
+    only differences of measurements inform. ``Phi`` and ``R``: as in `actual_covariance`.
 
-    >>> cov = celnav.analysis.bounds.colored_bound(Fs, H, 0.9 * np.eye(3), Q, 0.19 * R, P0, Sigma0=R)
+    >>> Phi, W = 0.9 * np.eye(3), 0.19 * R
+    >>> cov = celnav.analysis.bounds.colored_bound(Fs, H, Phi, Q, W, P0, Sigma0=R)
     """
     first = R if Sigma0 is None else Sigma0
     transitions, h, q, phi, r, P, sigma = _system(F, H, Q=Q, Phi=Phi, R=R, P0=P0, Sigma0=first)
@@ -109,7 +117,9 @@ def colored_bound(
 
 
 def _system(F: ArrayLike, H: ArrayLike, **given: ArrayLike) -> list[Array]:
-    """Checked ``F``, ``H`` and what else is given, in this order; P0 gets the batch axes of all of it."""
+    """Checked ``F``, ``H`` and what else is given, in this order; P0 gets the batch axes of all of
+    it.
+    """
     f = finite("F", F, ("T", "n", "n"))
     h = finite("H", H, ("m", f.shape[-1]))
     m, n = h.shape

@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-__all__ = ["page"]
-
 WIDTH = 110
 
 if TYPE_CHECKING:

@@ -1,4 +1,6 @@
-"""How good, and how honest, an estimate is: RMSE with intervals, and bands in which a consistent filter stays."""
+"""How good, and how honest, an estimate is: RMSE with intervals, and bands in which a consistent
+filter stays.
+"""
 
 from __future__ import annotations
 
@@ -14,8 +16,6 @@ from celnav.lazy import Late
 
 special = Late("scipy.special")
 
-__all__ = ["bootstrap", "chi_square_band", "ratio", "rms", "rmse", "rmse_interval"]
-
 
 def rms(squares: ArrayLike) -> float:
     """Root of the mean of ``squares`` of any shape over everything, a number."""
@@ -28,13 +28,16 @@ def ratio(a: ArrayLike, b: ArrayLike) -> float:
 
 
 def rmse(error: ArrayLike, axis: int = 1) -> Array:
-    """Root mean square over the runs; errors are ``(T, runs, n)`` unless ``axis`` says otherwise."""
+    """Root mean square over the runs; errors are ``(T, runs, n)`` unless ``axis`` says
+    otherwise."""
     array, axis = _runs(error, axis)
     return np.asarray(np.sqrt(np.mean(np.square(array), axis=axis)))
 
 
 def rmse_interval(error: ArrayLike, level: float = 0.95, axis: int = 1) -> tuple[Array, Array]:
-    """Confidence interval of `rmse`, its ends of the same shape, for Gaussian errors of mean zero, independent from run to run."""
+    """Confidence interval of `rmse`, its ends of the same shape, for Gaussian errors of mean zero,
+    independent from run to run.
+    """
     array, axis = _runs(error, axis)
     runs, value = array.shape[axis], rmse(array, axis)
     low, high = _chi_square(level, runs)
@@ -42,11 +45,13 @@ def rmse_interval(error: ArrayLike, level: float = 0.95, axis: int = 1) -> tuple
 
 
 def chi_square_band(dof: float, runs: float, level: float = 0.95) -> tuple[float, float]:
-    """Band, its two ends, in which the mean over ``runs`` of a chi-square variable of ``dof`` lies with probability ``level``.
+    """Band, its two ends, in which the mean over ``runs`` of a chi-square variable of ``dof`` lies
+    with probability ``level``.
 
-    For the NEES of a consistent filter ``dof`` is the dimension of the state, for the NIS that of the measurement.
+    For the NEES of a consistent filter ``dof`` is the dimension of the state, for the NIS that of
+    the measurement.
 
-    >>> celnav.analysis.metrics.chi_square_band(3, 100)  # of the mean NIS of three components over 100 runs
+    >>> celnav.analysis.metrics.chi_square_band(3, 100)  # mean NIS, 3 components, 100 runs
     (2.539..., 3.498...)
     """
     runs = number("runs", runs, above=0.0)
@@ -62,14 +67,17 @@ def bootstrap(
     resamples: int = 400,
     seed: int = 0,
 ) -> tuple[float, float]:
-    """Expanded percentile interval, its two ends, of ``statistic(*samples)``: the runs of all samples are resampled together.
+    """Expanded percentile interval, its two ends, of ``statistic(*samples)``: the runs of all
+    samples are resampled together.
 
-    Each sample has its runs first, at least two. The same runs are drawn for all of them, so ratios of paired quantities keep what
-    they gain from common noise. The interval is widened about the value as Student's t asks for few runs [Hesterberg2015];
-    that of a positive statistic of samples that are not negative, such as an RMSE, in the logarithm.
+    Each sample has its runs first, at least two. The same runs are drawn for all of them, so ratios
+    of paired quantities keep what they gain from common noise. The interval is widened about the
+    value as Student's t asks for few runs [Hesterberg2015]; that of a positive statistic of samples
+    that are not negative, such as an RMSE, in the logarithm.
 
-    block: how many that follow one another are drawn together, in a circle [Politis1992]: for samples that are epochs of one run
-        instead of runs. Several times as long as errors are correlated; the samples must be many blocks long.
+    block: how many that follow one another are drawn together, in a circle [Politis1992]: for
+        samples that are epochs of one run instead of runs. Several times as long as errors are
+        correlated; the samples must be many blocks long.
 
     >>> low, high = bootstrap(ratio, squares_of_one_filter, squares_of_another)
     """
@@ -78,7 +86,8 @@ def bootstrap(
     runs = min((len(array) for array in arrays), default=0)
     if runs < 2 or any(len(array) != runs for array in arrays):
         raise ValueError(
-            f"samples: expected two runs or more, as many in each, got {[len(array) for array in arrays]}"
+            "samples: expected two runs or more, as many in each, got "
+            f"{[len(array) for array in arrays]}"
         )
     block = integer("block", block, 1, runs // 2)
     blocks = runs / block

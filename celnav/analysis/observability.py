@@ -1,8 +1,9 @@
-"""Observability of nonlinear systems, also along a track, degrees of it, and what they suggest for the weights of a sparse grid.
+"""Observability of nonlinear systems, also along a track, degrees of it, and what they suggest for
+the weights of a sparse grid.
 
-Functions take points ``(p, n)`` to ``(p, m)``; where a batch of states is given, ``(p, ..., n)`` to ``(p, ..., m)``. Derivatives
-are taken by complex step, exact to round-off: where they are, functions must accept complex points (numpy's own do; `abs`,
-comparisons and `arctan2` do not).
+Functions take points ``(p, n)`` to ``(p, m)``; where a batch of states is given, ``(p, ..., n)`` to
+``(p, ..., m)``. Derivatives are taken by complex step, exact to round-off: where they are,
+functions must accept complex points (numpy's own do; `abs`, comparisons and `arctan2` do not).
 """
 
 from __future__ import annotations
@@ -20,9 +21,16 @@ from celnav.gaussian.checks import finite, integer, number, sequence
 from celnav.gaussian.linalg import Array
 
 __all__ = [
-    "hysteresis", "information_degree", "jacobian", "lie_gradients", "nonlinearity_degree", "nonlinearity_weights",
-    "observability_matrix", "state_singular_values", "threshold_weights",
-]  # fmt: skip
+    "hysteresis",
+    "information_degree",
+    "jacobian",
+    "lie_gradients",
+    "nonlinearity_degree",
+    "nonlinearity_weights",
+    "observability_matrix",
+    "state_singular_values",
+    "threshold_weights",
+]
 
 Function = Callable[[Array], Array]
 
@@ -60,16 +68,20 @@ def _slopes(name: str, function: Function, points: Array) -> Array:
 def lie_gradients(
     f: Function, h: Function, x: ArrayLike, order: int, *, window: float = 1.0
 ) -> Array:
-    """Gradients of the Lie derivatives ``L_f^k h``, k = 0 to ``order`` (at most 6), ``(order + 1, m, n)`` [Hermann1977].
+    """Gradients of the Lie derivatives ``L_f^k h``, k = 0 to ``order`` (at most 6),
+    ``(order + 1, m, n)`` [Hermann1977].
 
-    They are the derivatives with respect to time of ``h`` along the flow of ``f``, differentiated by the start: flow and
-    gradient are computed at Chebyshev nodes of ``[-window, window]`` s, and a polynomial through them is differentiated. The
-    system is observable at ``x`` where the rows together have rank n. At an equilibrium they are ``H A^k``.
+    They are the derivatives with respect to time of ``h`` along the flow of ``f``, differentiated
+    by the start: flow and gradient are computed at Chebyshev nodes of ``[-window, window]`` s, and
+    a polynomial through them is differentiated. The system is observable at ``x`` where the rows
+    together have rank n. At an equilibrium they are ``H A^k``.
 
     f: rate of the state, of time itself independent. h: measurement. x: ``(n,)``.
-    window: half the time, s, over which flow and measurement are smooth; k-th derivatives lose ``window^-k`` of their digits.
+    window: half the time, s, over which flow and measurement are smooth; k-th derivatives lose
+        ``window^-k`` of their digits.
 
-    >>> rows = celnav.analysis.observability.lie_gradients(lambda x: x @ A.T, lambda x: x[..., :1], [0.0, 1.0], order=1)
+    >>> f, h = lambda x: x @ A.T, lambda x: x[..., :1]
+    >>> rows = celnav.analysis.observability.lie_gradients(f, h, [0.0, 1.0], order=1)
     >>> bool(np.linalg.matrix_rank(rows.reshape(-1, 2)) == 2)  # observable
     True
     """
@@ -78,7 +90,8 @@ def lie_gradients(
     rate = np.shape(checks.function("f", f, "(points)")(at[None]))
     if rate != (1, len(at)):
         raise ValueError(
-            f"f: expected rates (p, {len(at)}) at points (p, {len(at)}), got shape {rate} of one point"
+            f"f: expected rates (p, {len(at)}) at points (p, {len(at)}), got shape {rate} of one "
+            "point"
         )
     checks.function("h", h, "(points)")
     nodes = np.cos(np.pi * (np.arange(_NODES) + 0.5) / _NODES)
@@ -99,7 +112,9 @@ def lie_gradients(
 
 
 def _flow(f: Function, x: Array, times: Array) -> list[Array]:
-    """States at ``times``, which go away from 0, by Runge-Kutta steps so short that their error is near round-off."""
+    """States at ``times``, which go away from 0, by Runge-Kutta steps so short that their error is
+    near round-off.
+    """
     out, now = [], 0.0
     longest = np.abs(times[-1]) / 300.0
     for t in times:
@@ -117,11 +132,14 @@ def _flow(f: Function, x: Array, times: Array) -> list[Array]:
 
 
 def information_degree(P0: ArrayLike, F: ArrayLike, H: ArrayLike, R: ArrayLike) -> Array:
-    """Prior over posterior standard deviation ``(n,)`` after a window of K epochs without process noise: 1 is not observed.
+    """Prior over posterior standard deviation ``(n,)`` after a window of K epochs without process
+    noise: 1 is not observed.
 
-    P0: ``(n, n)``. F: ``(K - 1, n, n)``, transitions between the epochs. H: ``(K, m, n)``. R: ``(m, m)`` or ``(K, m, m)``.
+    P0: ``(n, n)``. F: ``(K - 1, n, n)``, transitions between the epochs. H: ``(K, m, n)``. R:
+    ``(m, m)`` or ``(K, m, m)``.
 
-    >>> degree = celnav.analysis.observability.information_degree(P0, np.tile(F, (9, 1, 1)), np.tile(H, (10, 1, 1)), R)
+    >>> Fs, Hs = np.tile(F, (9, 1, 1)), np.tile(H, (10, 1, 1))
+    >>> degree = celnav.analysis.observability.information_degree(P0, Fs, Hs, R)
     """
     rows = finite("H", H, ("K", "m", "n"))
     K, m, n = rows.shape
@@ -149,13 +167,15 @@ def nonlinearity_weights(
     tolerance: float = 1e-6,
     coarse: int = 2,
 ) -> tuple[int, ...]:
-    """Weights of a sparse grid by nonlinearity: 1 for the states that enter the functions nonlinearly, ``coarse`` for the rest.
+    """Weights of a sparse grid by nonlinearity: 1 for the states that enter the functions
+    nonlinearly, ``coarse`` for the rest.
 
-    A state counts as nonlinear if an output bends along it: if the second difference over one standard deviation exceeds
-    ``tolerance`` of the output's whole first difference. States that only multiply such a one do not count: given it, the
-    functions are linear in them.
+    A state counts as nonlinear if an output bends along it: if the second difference over one
+    standard deviation exceeds ``tolerance`` of the output's whole first difference. States that
+    only multiply such a one do not count: given it, the functions are linear in them.
 
-    functions: of real points, such as the step and the measurement. mean, std: ``(n,)`` of the belief.
+    functions: of real points, such as the step and the measurement. mean, std: ``(n,)`` of the
+        belief.
 
     >>> rule = celnav.smolyak(6, 3, nonlinearity_weights([step, measure], prior.mean, prior.std))
     """
@@ -182,14 +202,18 @@ def nonlinearity_weights(
 def nonlinearity_degree(
     function: Function, mean: ArrayLike, std: ArrayLike, scale: ArrayLike
 ) -> Array:
-    """Degrees of nonlinearity ``(..., n)``: how far a function bends over one deviation of a state, in units of a scale.
+    """Degrees of nonlinearity ``(..., n)``: how far a function bends over one deviation of a state,
+    in units of a scale.
 
-    The largest second difference of an output along each axis. Unlike `nonlinearity_weights` it asks whether that matters: what
-    bends by less than the noise of a measurement needs no points, however nonlinear it is.
+    The largest second difference of an output along each axis. Unlike `nonlinearity_weights` it
+    asks whether that matters: what bends by less than the noise of a measurement needs no points,
+        however nonlinear it is.
 
-    mean, std: ``(..., n)`` of the beliefs. scale: ``(..., m)``, such as the deviations of the measurement's noise.
+    mean, std: ``(..., n)`` of the beliefs. scale: ``(..., m)``, such as the deviations of the
+        measurement's noise.
 
-    >>> celnav.analysis.observability.nonlinearity_degree(lambda x: x**2, [1.0, 1.0], [0.1, 1.0], [0.1, 0.1])
+    >>> mean, sigma = [1.0, 1.0], [0.1, 1.0]
+    >>> celnav.analysis.observability.nonlinearity_degree(lambda x: x**2, mean, sigma, [0.1, 0.1])
     array([ 0.1, 10. ])
     """
     checks.function("function", function, "(points)")
@@ -211,10 +235,12 @@ def _positive(name: str, value: ArrayLike, shape: tuple[Any, ...]) -> Array:
 
 
 def observability_matrix(A: ArrayLike, H: ArrayLike, order: int) -> Array:
-    """``H A^k``, k = 0 to ``order``, one below the other: ``((order + 1) m, n)`` of a linear system with any batch in front.
+    """``H A^k``, k = 0 to ``order``, one below the other: ``((order + 1) m, n)`` of a linear system
+    with any batch in front.
 
-    Along a track it is that of each of its pieces, where `jacobian` linearizes; those of all pieces so far, one below the other,
-    are what has become observable if the state stays as it is ("stripped" of the transitions between them) [Goshen1992].
+    Along a track it is that of each of its pieces, where `jacobian` linearizes; those of all pieces
+    so far, one below the other, are what has become observable if the state stays as it is
+    ("stripped" of the transitions between them) [Goshen1992].
 
     A: ``(..., n, n)``, 1/s. H: ``(..., m, n)``.
 
@@ -230,11 +256,13 @@ def observability_matrix(A: ArrayLike, H: ArrayLike, order: int) -> Array:
 
 
 def state_singular_values(matrix: ArrayLike, cov: ArrayLike | None = None) -> Array:
-    """Singular values ``(..., n)`` of observability matrices ``(..., rows, n)``, one for each state.
+    """Singular values ``(..., n)`` of observability matrices ``(..., rows, n)``, one for each
+    state.
 
-    Over that of a reference state they are its degrees of observability [Liang2014, Eq. 15]. A state gets the value whose right
-    vector has its largest component there; 0 if nothing is seen of that vector. ``cov (..., n, n)``: of the initial state, which
-    then weighs the vectors by how much it has of them, in the mean square. All depends on the units of the states, which
+    Over that of a reference state they are its degrees of observability [Liang2014, Eq. 15]. A
+    state gets the value whose right vector has its largest component there; 0 if nothing is seen of
+    that vector. ``cov (..., n, n)``: of the initial state, which then weighs the vectors by how
+    much it has of them, in the mean square. All depends on the units of the states, which
     `information_degree` does not.
 
     >>> celnav.analysis.observability.state_singular_values([[2.0, 0.0], [0.0, 0.5]])
@@ -254,7 +282,8 @@ def state_singular_values(matrix: ArrayLike, cov: ArrayLike | None = None) -> Ar
 
 
 def threshold_weights(degree: ArrayLike, threshold: float) -> tuple[int, ...]:
-    """Weights of a sparse grid by degrees of observability ``(n,)``: 1 above the threshold, 2 up to it [Liang2014, Eq. 19].
+    """Weights of a sparse grid by degrees of observability ``(n,)``: 1 above the threshold, 2 up to
+    it [Liang2014, Eq. 19].
 
     >>> celnav.analysis.observability.threshold_weights([9.6, 1.0, 0.2], 5.0)
     (1, 2, 2)
@@ -265,7 +294,8 @@ def threshold_weights(degree: ArrayLike, threshold: float) -> tuple[int, ...]:
 
 
 def hysteresis(degree: ArrayLike, threshold: float, before: ArrayLike, band: float = 1.1) -> Array:
-    """Which degrees ``(..., n)`` are above a threshold: within a factor ``band`` of it they stay as ``before (..., n)``.
+    """Which degrees ``(..., n)`` are above a threshold: within a factor ``band`` of it they stay as
+    ``before (..., n)``.
 
     >>> celnav.analysis.observability.hysteresis([9.6, 5.2, 5.2], 5.0, before=[0, 0, 1])
     array([ True, False,  True])

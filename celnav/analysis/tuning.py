@@ -1,4 +1,6 @@
-"""Noise tuning by the likelihood of the innovations [Schweppe1965]: the parameters under which the data are most probable."""
+"""Noise tuning by the likelihood of the innovations [Schweppe1965]: the parameters under which the
+data are most probable.
+"""
 
 from __future__ import annotations
 
@@ -36,22 +38,28 @@ DOMAINS = {"positive": (0.0, np.inf), "unit interval": (0.0, 1.0)}
 STEP = 2e-3  # of differences, in logarithms
 WIDE = 3e-3  # of differences of the fourth order, part of each parameter
 FLIGHTS = 20  # that a search takes, about, for each parameter twice and once more
-ROUGH = 1e-3  # what the last step of the search has gained of the log-likelihood when Newton's method takes over
+# what the last step of the search has gained of the log-likelihood when Newton's method takes over
+ROUGH = 1e-3
 STEPS = 4  # of Newton's method, at most
 
 
 class Tuned(NamedTuple):
     """The maximum of a likelihood.
 
-    parameters: ``(d,)`` where the likelihood is largest. log_likelihood: there, of all runs together.
-    standard_errors: ``(d,)`` of the parameters, by the curvature; inf where ``converged`` is False for want of one.
-    covariance: ``(d, d)`` of the parameters' *logarithms* (in an interval, of ``log((p - low) / (high - p))``): an interval of a
-        positive parameter is ``parameters * exp(+-2 sqrt(diagonal))``.
+    parameters: ``(d,)`` where the likelihood is largest. log_likelihood: there, of all runs
+        together.
+    standard_errors: ``(d,)`` of the parameters, by the curvature; inf where ``converged`` is False
+        for want of one.
+    covariance: ``(d, d)`` of the parameters' *logarithms* (in an interval, of
+        ``log((p - low) / (high - p))``): an interval of a positive parameter is
+        ``parameters * exp(+-2 sqrt(diagonal))``.
     evaluations: parameters that were tried, those for gradient and curvature included.
     converged: whether the parameters are an inner maximum of the likelihood.
     message: what the optimizer said, or why there is no such maximum.
-    failures: how many of the parameters tried made no filter, or one that failed; they count as improbable.
-    engine: "compiled" where one flight gave likelihood and gradient, "numpy" where differences did; with "auto" also why.
+    failures: how many of the parameters tried made no filter, or one that failed; they count as
+        improbable.
+    engine: "compiled" where one flight gave likelihood and gradient, "numpy" where differences did;
+        with "auto" also why.
     """
 
     parameters: Array
@@ -66,7 +74,9 @@ class Tuned(NamedTuple):
 
 
 class LikelihoodGradient(NamedTuple):
-    """The log-likelihood ``value (...)`` of each run, and its ``gradient (..., d)``. engine: as of `Tuned`."""
+    """The log-likelihood ``value (...)`` of each run, and its ``gradient (..., d)``. engine: as of
+    `Tuned`.
+    """
 
     value: Array
     gradient: Array
@@ -78,10 +88,12 @@ def likelihood_gradient(
 ) -> LikelihoodGradient:
     """The log-likelihood ``(...)`` of each run, and its derivatives ``(..., d)`` by parameters.
 
-    build: ``parameters (d,) -> (filter, prior)``; it is called beside the parameters too, up to a hundredth of each away.
+    build: ``parameters (d,) -> (filter, prior)``; it is called beside the parameters too, up to a
+        hundredth of each away.
     parameters: ``(d,)``. epochs: the data.
-    engine: "compiled": one flight gives both, exactly, where the parameters are in matrices of the filter or in the prior; "numpy":
-        by differences of flights, to some seven digits; "auto": compiled where that can be.
+    engine: "compiled": one flight gives both, exactly, where the parameters are in matrices of the
+        filter or in the prior; "numpy": by differences of flights, to some seven digits; "auto":
+        compiled where that can be.
 
     >>> value, gradient, engine = likelihood_gradient(build, [0.1, 0.5], epochs)
     """
@@ -109,27 +121,39 @@ def likelihood_gradient(
 
 
 def maximize_likelihood(
-    build: Build, start: ArrayLike, epochs: Iterable[Epoch], *,
-    domain: Domain | Sequence[Domain] = "positive", factor: float = 1e3, tolerance: float = 1e-6, max_iterations: int = 100,
+    build: Build,
+    start: ArrayLike,
+    epochs: Iterable[Epoch],
+    *,
+    domain: Domain | Sequence[Domain] = "positive",
+    factor: float = 1e3,
+    tolerance: float = 1e-6,
+    max_iterations: int = 100,
     engine: str = "auto",
-) -> Tuned:  # fmt: skip
-    """`Tuned`: parameters, such as deviations and correlations, that maximize ``Track.log_likelihood``, summed over the runs.
+) -> Tuned:
+    """`Tuned`: parameters, such as deviations and correlations, that maximize
+    ``Track.log_likelihood``, summed over the runs.
 
-    The search is on logarithms, so parameters may be of any size. Parameters at which ``build`` or the filter fails count as
-    improbable. For example, of a deviation and a correlation::
+    The search is on logarithms, so parameters may be of any size. Parameters at which ``build`` or
+    the filter fails count as improbable. For example, of a deviation and a correlation::
 
         maximize_likelihood(build, [0.1, 0.5], epochs, domain=["positive", "unit interval"])
 
     build: ``parameters (d,) -> (filter, prior)``.
     start: ``(d,)``, within the domain, where the filter works.
     epochs: the data; the same for all parameters.
-    domain: what parameters can be, one for all or one for each: "positive", "unit interval" (0 to 1) or ``(low, high)``.
-    factor: the search stays within ``start / factor`` and ``start * factor``; in an interval, of the distances to its ends.
-    tolerance: how much of the log-likelihood may be left to gain; a parameter one standard error off loses 0.5.
+    domain: what parameters can be, one for all or one for each: "positive", "unit interval" (0 to
+        1) or ``(low, high)``.
+    factor: the search stays within ``start / factor`` and ``start * factor``; in an interval, of
+        the distances to its ends.
+    tolerance: how much of the log-likelihood may be left to gain; a parameter one standard error
+        off loses 0.5.
     max_iterations: of the optimizer.
-    engine: as of `likelihood_gradient`; "auto" is "numpy" also where compiling would take longer than it saves.
+    engine: as of `likelihood_gradient`; "auto" is "numpy" also where compiling would take longer
+        than it saves.
 
-    >>> tuned = celnav.analysis.tuning.maximize_likelihood(build, [0.1, 0.5], epochs, domain=["positive", "unit interval"])
+    >>> domain = ["positive", "unit interval"]
+    >>> tuned = celnav.analysis.tuning.maximize_likelihood(build, [0.1, 0.5], epochs, domain=domain)
     """
     from scipy.optimize import minimize  # takes a second to import
 
@@ -149,9 +173,17 @@ def maximize_likelihood(
         choice("engine", engine, ENGINES),
     )
     found = minimize(
-        likelihood.cost, np.zeros(len(x0)), jac=True, method="L-BFGS-B", bounds=[(-reach, reach)] * len(x0),
-        options={"maxiter": max_iterations, "gtol": 1e-9, "ftol": ROUGH / max(1.0, abs(likelihood.first))},
-    )  # fmt: skip
+        likelihood.cost,
+        np.zeros(len(x0)),
+        jac=True,
+        method="L-BFGS-B",
+        bounds=[(-reach, reach)] * len(x0),
+        options={
+            "maxiter": max_iterations,
+            "gtol": 1e-9,
+            "ftol": ROUGH / max(1.0, abs(likelihood.first)),
+        },
+    )
     s = (
         found.x if found.success else likelihood.best()
     )  # beside failures a line search may give up what it has found
@@ -222,7 +254,9 @@ def _flight(build: Build, parameters: Array, epochs: Sequence[Epoch]) -> Array:
 
 
 def _checked(compiled: Gradient, x: Array, lengths: Array, known: Array) -> tuple[Array, Array]:
-    """What a compiled flight gives, if the value is the numpy engine's, and differences of values are as the gradient says."""
+    """What a compiled flight gives, if the value is the numpy engine's, and differences of values
+    are as the gradient says.
+    """
     value, gradient = compiled(x, lengths)
     above, below = (compiled(x + step * lengths, lengths)[0].sum() for step in (STEP, -STEP))
     rise, each = (above - below) / (2.0 * STEP), gradient.reshape(-1, len(x)).sum(0) * lengths
@@ -243,7 +277,9 @@ def _measured(epoch: Any) -> bool:
 
 
 class _Scale:
-    """Logarithms ``(d,)``, relative to the start, to parameters: of the distance to the ends of their domain."""
+    """Logarithms ``(d,)``, relative to the start, to parameters: of the distance to the ends of
+    their domain.
+    """
 
     def __init__(self, domain: Domain | Sequence[Domain], start: Array):
         alone = isinstance(domain, str) or (
@@ -256,7 +292,8 @@ class _Scale:
         )
         if len(each) != len(start):
             raise ValueError(
-                f"domain: expected one for all or {len(start)}, one for each parameter, got {len(each)}"
+                f"domain: expected one for all or {len(start)}, one for each parameter, got "
+                f"{len(each)}"
             )
         pairs = [DOMAINS.get(one) if isinstance(one, str) else one for one in each]
         for i, (one, pair) in enumerate(zip(each, pairs, strict=True)):
@@ -271,7 +308,8 @@ class _Scale:
             if not pair[0] < start[i] < pair[1]:
                 interval = f"parameter {i} between {pair[0]:g} and {pair[1]:g}"
                 raise ValueError(
-                    f"start: expected {'positive parameters' if one == 'positive' else interval}, got {start[i]:g}"
+                    f"start: expected {'positive parameters' if one == 'positive' else interval}, "
+                    f"got {start[i]:g}"
                 )
         self._low, self._high = low, high = np.array(pairs, np.float64).T
         self._bounded = np.isfinite(high)
@@ -290,7 +328,9 @@ class _Scale:
 
 
 class _Likelihood:
-    """Log-likelihood as a function of logarithms relative to the start, nan where there is none, with its derivatives."""
+    """Log-likelihood as a function of logarithms relative to the start, nan where there is none,
+    with its derivatives.
+    """
 
     def __init__(self, build: Build, epochs: Sequence[Epoch], scale: _Scale, d: int, engine: str):
         self._build, self._epochs, self._scale, self._ones = build, epochs, scale, np.ones(d)
@@ -363,7 +403,9 @@ class _Likelihood:
         )
 
     def gradient(self, s: Array) -> Array:
-        """First derivatives ``(d,)``; by differences those of the side where the filter works, 0 where it does on none."""
+        """First derivatives ``(d,)``; by differences those of the side where the filter works, 0
+        where it does on none.
+        """
         if (found := self.exact(s)) is not None:
             return found
         above, below = self._beside(s)

@@ -1,8 +1,10 @@
-"""Hooks, which adapt what a filter believes of a measurement before it uses it: gates, windows, weights, parity; and a gain.
+"""Hooks, which adapt what a filter believes of a measurement before it uses it: gates, windows,
+weights, parity; and a gain.
 
-A hook sees the `Joint` of measurement and state before the update and may replace it; hooks act one after the other, each with its
-own memory, and on each run by itself. Noise is taken to be of independent components, and what a correction of the state explains
-of an innovation to be given by the measurement's (statistical) Jacobian.
+A hook sees the `Joint` of measurement and state before the update and may replace it; hooks act one
+after the other, each with its own memory, and on each run by itself. Noise is taken to be of
+independent components, and what a correction of the state explains of an innovation to be given by
+the measurement's (statistical) Jacobian.
 """
 
 from __future__ import annotations
@@ -30,17 +32,30 @@ from celnav.gaussian.linalg import (
 from celnav.tape.numbers import present
 
 __all__ = [
-    "channel_parity", "chi_square_gate", "consider", "correntropy", "gate", "group_parity", "huber", "innovation_window",
-    "range_basis", "sage_husa", "student_t", "underweighting", "variational_bayes",
-]  # fmt: skip
+    "channel_parity",
+    "chi_square_gate",
+    "consider",
+    "correntropy",
+    "gate",
+    "group_parity",
+    "huber",
+    "innovation_window",
+    "range_basis",
+    "sage_husa",
+    "student_t",
+    "underweighting",
+    "variational_bayes",
+]
 
 
-# -- gates ---------------------------------------------------------------------------------------------------------------
+# -- gates -----------------------------------------------------------------------------------------
 def gate(gamma: float) -> Hook:
-    """Leave out each component whose innovation exceeds ``gamma`` of its standard deviations (``inf`` leaves out nothing).
+    """Leave out each component whose innovation exceeds ``gamma`` of its standard deviations
+    (``inf`` leaves out nothing).
 
-    What is left out is nan for the hooks that follow and for the update, and counts in ``Track.events["rejected"]``. A gate that is
-    too narrow for the model's errors locks the filter out of its measurements.
+    What is left out is nan for the hooks that follow and for the update, and counts in
+    ``Track.events["rejected"]``. A gate that is too narrow for the model's errors locks the filter
+    out of its measurements.
 
     >>> filter = celnav.ukf(motion, sensor, hooks=[celnav.filters.adaptive.gate(4.0)])
     """
@@ -57,10 +72,12 @@ def _gate(gamma: float, memory: Any, joint: Joint, _epoch: Any) -> tuple[Any, Jo
 
 
 def chi_square_gate(probability: float = 0.999) -> Hook:
-    """Leave out the whole measurement of a run whose normalized innovation squared is improbably large.
+    """Leave out the whole measurement of a run whose normalized innovation squared is improbably
+    large.
 
-    ``probability``, between 0 and 1, is that of keeping a measurement which the model describes: the bound is the chi-square
-    quantile with as many degrees of freedom as the run has measured components.
+    ``probability``, between 0 and 1, is that of keeping a measurement which the model describes:
+    the bound is the chi-square quantile with as many degrees of freedom as the run has measured
+    components.
 
     >>> filter = celnav.ukf(motion, sensor, hooks=[celnav.filters.adaptive.chi_square_gate(0.999)])
     """
@@ -86,9 +103,11 @@ def _chi_square_bounds(probability: float, m: int) -> Array:
     return np.concatenate([[np.inf], 2.0 * gammaincinv(0.5 * np.arange(1, m + 1), probability)])
 
 
-# -- windows -------------------------------------------------------------------------------------------------------------
+# -- windows ---------------------------------------------------------------------------------------
 class Window(NamedTuple):
-    """Memory of a window: the last samples ``(M, ..., m)``, nan before there were any, and the index of the last epoch."""
+    """Memory of a window: the last samples ``(M, ..., m)``, nan before there were any, and the
+    index of the last epoch.
+    """
 
     samples: Array
     k: Any
@@ -97,14 +116,15 @@ class Window(NamedTuple):
 def innovation_window(M: int, gaps: str = "restart") -> Hook:
     """Inflate the measurement noise of each component to what its last ``M`` innovations show.
 
-    With C their mean square, the present one included, S0 the innovation's variance without measurement noise and R that noise's,
-    ``C = S0 + A R`` gives the factor ``A = max(1, (C - S0) / R)`` of R; it is 1 until there are M. The noise is only ever inflated,
+    With C their mean square, the present one included, S0 the innovation's variance without
+    measurement noise and R that noise's, ``C = S0 + A R`` gives the factor
+    ``A = max(1, (C - S0) / R)`` of R; it is 1 until there are M. The noise is only ever inflated,
     and a maneuver inflates it too: it needs a process noise that covers those.
 
     ``Track.extra["R"]`` has the variances that it used.
 
-    ``gaps``: "restart": a missing sample restarts its component's window. "skip": the last M there were, for sensors that are
-    slower than the epochs.
+    ``gaps``: "restart": a missing sample restarts its component's window. "skip": the last M there
+    were, for sensors that are slower than the epochs.
 
     >>> filter = celnav.ukf(motion, sensor, hooks=[celnav.filters.adaptive.innovation_window(10)])
     """
@@ -129,7 +149,8 @@ def _moved(
     if memory is None:
         if size * values.size > LIMIT:
             raise ValueError(
-                f"M: expected a window of at most {LIMIT} numbers, got {size} samples of {values.size} each"
+                f"M: expected a window of at most {LIMIT} numbers, got {size} samples of "
+                f"{values.size} each"
             )
         memory = Window(np.full((size, *values.shape), np.nan), None)
     before = memory.samples.reshape(
@@ -139,15 +160,17 @@ def _moved(
     moved = np.concatenate([ring[1:], np.broadcast_to(values, ring.shape[1:])[None]])
     if gaps == "skip":
         moved = np.where(present(values), moved, ring)
-    # A hook is not called where the whole block has no measurement: that is a gap of every component as well.
+    # A hook is not called where the whole block has no measurement: that is a gap of every
+    # component as well.
     elif k is not None and memory.k is not None:
         moved[:-1] = np.where(k > memory.k + 1, np.nan, moved[:-1])
     return Window(moved, k)
 
 
-# -- robust weights ------------------------------------------------------------------------------------------------------
+# -- robust weights --------------------------------------------------------------------------------
 def huber(threshold: float = 1.345, rounds: int = 6) -> Hook:
-    """Weigh a component by ``min(1, threshold / u)``, u its residual after the update in deviations of its noise [Huber1964].
+    """Weigh a component by ``min(1, threshold / u)``, u its residual after the update in deviations
+    of its noise [Huber1964].
 
     ``rounds`` of reweighting; the noise variance of a component is divided by its weight.
 
@@ -161,7 +184,8 @@ def _huber(bound: float, u: Array) -> Array:
 
 
 def student_t(dof: float = 4.0, rounds: int = 6) -> Hook:
-    """Weigh a component by ``(dof + 1) / (dof + u^2)``, as for noise of Student's t distribution; see `huber`.
+    """Weigh a component by ``(dof + 1) / (dof + u^2)``, as for noise of Student's t distribution;
+    see `huber`.
 
     >>> filter = celnav.ukf(motion, sensor, hooks=[celnav.filters.adaptive.student_t(4.0)])
     """
@@ -173,9 +197,11 @@ def _student_t(nu: float, u: Array) -> Array:
 
 
 def correntropy(bandwidth: float = 2.0, rounds: int = 6) -> Hook:
-    """Weigh a component by ``exp(-u^2 / (2 bandwidth^2))``: the maximum correntropy criterion [Chen2017]; see `huber`.
+    """Weigh a component by ``exp(-u^2 / (2 bandwidth^2))``: the maximum correntropy criterion
+    [Chen2017]; see `huber`.
 
-    Chen's filter weighs the prediction in the same way; here only the measurement is doubted. No weight is below 1e-9.
+    Chen's filter weighs the prediction in the same way; here only the measurement is doubted. No
+    weight is below 1e-9.
 
     >>> filter = celnav.ukf(motion, sensor, hooks=[celnav.filters.adaptive.correntropy()])
     """
@@ -206,14 +232,18 @@ def _reweight(
 
 
 def _noisy(joint: Joint) -> tuple[Array, Array, Array]:
-    """Innovation and variances of the noise, 0 and 1 where a component was not measured or has no noise; where it was and has."""
+    """Innovation and variances of the noise, 0 and 1 where a component was not measured or has no
+    noise; where it was and has.
+    """
     e, noise = np.asanyarray(joint.innovation), joint.variances()[1]
     used = present(e) & (noise > 0.0)
     return np.where(used, e, 0.0), np.where(used, noise, 1.0), used
 
 
 class Estimated(NamedTuple):
-    """Memory of `sage_husa`: variances of the noise ``(..., m)`` as estimated, and how many epochs they come from."""
+    """Memory of `sage_husa`: variances of the noise ``(..., m)`` as estimated, and how many epochs
+    they come from.
+    """
 
     noise: Array
     epochs: Array
@@ -222,9 +252,9 @@ class Estimated(NamedTuple):
 def sage_husa(forgetting: float = 0.95, least: float = 0.25, smallest: float = 0.01) -> Hook:
     """Estimate the noise's variances from innovations with fading memory [Sage1969].
 
-    ``R_k+1 = (1 - d) R_k + d max(e^2 - S0, smallest R)`` where measured, with ``d = (1 - b) / (1 - b^(k+1))`` and b the
-    ``forgetting``, between 0 and 1. What is used is at least ``least R``, with R the nominal variance, and may lie below that:
-    ``Track.extra["R"]``.
+    ``R_k+1 = (1 - d) R_k + d max(e^2 - S0, smallest R)`` where measured, with
+    ``d = (1 - b) / (1 - b^(k+1))`` and b the ``forgetting``, between 0 and 1. What is used is at
+    least ``least R``, with R the nominal variance, and may lie below that: ``Track.extra["R"]``.
 
     >>> filter = celnav.ukf(motion, sensor, hooks=[celnav.filters.adaptive.sage_husa(0.98)])
     """
@@ -250,21 +280,26 @@ def _sage_husa(
 
 
 class InverseGamma(NamedTuple):
-    """Memory of `variational_bayes`: shape and scale ``(..., m)`` of the variances' distribution, in nominal variances."""
+    """Memory of `variational_bayes`: shape and scale ``(..., m)`` of the variances' distribution,
+    in nominal variances.
+    """
 
     alpha: Array
     beta: Array
 
 
 def variational_bayes(forgetting: float = 0.95, samples: float = 2.0, rounds: int = 3) -> Hook:
-    """Estimate the noise's variances together with the state, by variational Bayes [Sarkka2009; nonlinear: Sarkka2013].
+    """Estimate the noise's variances together with the state, by variational Bayes [Sarkka2009;
+    nonlinear: Sarkka2013].
 
-    The variance of a component has an inverse-gamma distribution; the update takes ``R = beta / alpha``. A sample turns these into
-    ``(b alpha + 1/2, b beta + E[v^2] / 2)``, with b the ``forgetting``, above 0 and at most 1, and the mean square of the noise v
-    given the innovation e, ``E[v^2] = (R S^-1 e)^2 + R - R S^-1 R``, in ``rounds`` of a fixed-point iteration. (Of a linear h these
-    are the paper's terms, ``z - h`` and the variance of h after the update; of others its integral, with h linearized
-    statistically as it was for the update.) At first the nominal variances are worth ``samples``. What was not measured forgets
-    nothing. The estimates are in the track of the numpy engine, ``Track.extra["R"]``.
+    The variance of a component has an inverse-gamma distribution; the update takes
+    ``R = beta / alpha``. A sample turns these into ``(b alpha + 1/2, b beta + E[v^2] / 2)``, with b
+    the ``forgetting``, above 0 and at most 1, and the mean square of the noise v given the
+    innovation e, ``E[v^2] = (R S^-1 e)^2 + R - R S^-1 R``, in ``rounds`` of a fixed-point
+    iteration. (Of a linear h these are the paper's terms, ``z - h`` and the variance of h after the
+    update; of others its integral, with h linearized statistically as it was for the update.) At
+    first the nominal variances are worth ``samples``. What was not measured forgets nothing. The
+    estimates are in the track of the numpy engine, ``Track.extra["R"]``.
 
     >>> filter = celnav.ukf(motion, sensor, hooks=[celnav.filters.adaptive.variational_bayes(0.98)])
     >>> sigma = np.sqrt(celnav.run(filter, prior, times, z).extra["R"])  # (T, ..., m)
@@ -295,13 +330,16 @@ def _variational_bayes(
     return InverseGamma(alpha, beta), joint.inflated(np.sqrt(factor))
 
 
-# -- underweighting ------------------------------------------------------------------------------------------------------
+# -- underweighting --------------------------------------------------------------------------------
 def underweighting(beta: float = 0.2, share: float = 0.5) -> Hook:
-    """Lear's underweighting: of a poor prior ``beta`` times its part of the innovation covariance counts as noise [Carpenter2018].
+    """Lear's underweighting: of a poor prior ``beta`` times its part of the innovation covariance
+    counts as noise [Carpenter2018].
 
-    ``S = (1 + beta) S0 + R``, with S0 the innovation covariance without measurement noise, in runs where S0 is more than ``share``,
-    below 1, of the variance of any measured component (0: always). Precise measurements then pull a poor prior in by steps, which
-    leaves room for what a linearization neglects. The covariance after the update is that of the gain used. It comes after gates.
+    ``S = (1 + beta) S0 + R``, with S0 the innovation covariance without measurement noise, in runs
+    where S0 is more than ``share``, below 1, of the variance of any measured component (0: always).
+    Precise measurements then pull a poor prior in by steps, which leaves room for what a
+    linearization neglects. The covariance after the update is that of the gain used. It comes after
+    gates.
 
     >>> filter = celnav.ukf(motion, sensor, hooks=[celnav.filters.adaptive.underweighting()])
     """
@@ -323,18 +361,21 @@ def _underweight(
     )
 
 
-# -- parity --------------------------------------------------------------------------------------------------------------
+# -- parity ----------------------------------------------------------------------------------------
 def _residual(joint: Joint) -> tuple[Array, Array, Array, Array]:
-    """Residuals of an innovation's weighted fit by all states, their variances, the noise's, and which components there are.
+    """Residuals of an innovation's weighted fit by all states, their variances, the noise's, and
+    which components there are.
 
-    A maneuver, or any other error of the prediction, lies in the range of the measurement matrix and changes nothing here.
+    A maneuver, or any other error of the prediction, lies in the range of the measurement matrix
+    and changes nothing here.
     """
     e, R, used = _noisy(joint)
     root = np.where(used, np.sqrt(1.0 / R), 0.0)
     D, W = joint.state.columns, joint.process_noise
     variance = np.einsum("...ij,...ij,j->...i", D, D, np.broadcast_to(joint.sign, D.shape[-1:]))
     std = np.sqrt(np.maximum(variance if W is None else variance + np.square(W[1]).sum(-1), 0.0))
-    # A state that moves a measurement by less than 1e-6 deviations of its noise explains nothing of it.
+    # A state that moves a measurement by less than 1e-6 deviations of its noise explains nothing of
+    # it.
     Q = range_basis(root[..., None] * joint.measurement.jacobian() * std[..., None, :], 1e-6)
     y = root * e
     left = y - matvec(Q, matvec(Q.mT, y))
@@ -343,12 +384,15 @@ def _residual(joint: Joint) -> tuple[Array, Array, Array, Array]:
 
 
 def range_basis(A: Array, least: float) -> Array:
-    """Orthonormal columns ``(..., m, n)`` that span the range of tall matrices ``(..., m, n)``: ``Q @ Q.mT`` projects on it.
+    """Orthonormal columns ``(..., m, n)`` that span the range of tall matrices ``(..., m, n)``:
+    ``Q @ Q.mT`` projects on it.
 
-    Directions in which A is not larger than ``least`` (a singular value) have a column of zeros; what is not finite gives nan.
+    Directions in which A is not larger than ``least`` (a singular value) have a column of zeros;
+    what is not finite gives nan.
     """
     Q, R = np.linalg.qr(A)
-    # Far from dependence QR will do. Near it a column without a direction of its own would lend an arbitrary one to the others.
+    # Far from dependence QR will do. Near it a column without a direction of its own would lend an
+    # arbitrary one to the others.
     lost = np.asanyarray(~np.isfinite(A).all((-2, -1)))
     clear = lost | (np.abs(R.diagonal(0, -2, -1)).min(-1) > 1e3 * least)
     if clear.all():
@@ -358,13 +402,15 @@ def range_basis(A: Array, least: float) -> Array:
 
 
 def group_parity(groups: Sequence[ArrayLike], unknowns: int, *, deviations: float = 3.0) -> Hook:
-    """Inflate the noise of a whole group of components to what no error of the state explains, at once and without a window.
+    """Inflate the noise of a whole group of components to what no error of the state explains, at
+    once and without a window.
 
-    ``groups``: index arrays of components, such as ranges and rates. ``unknowns``: how many states a group determines. Over the
-    residuals r of its N measured components ``s = sum r^2 / R / (N - unknowns)``; the noise is inflated by s where that exceeds
+    ``groups``: index arrays of components, such as ranges and rates. ``unknowns``: how many states
+    a group determines. Over the residuals r of its N measured components
+    ``s = sum r^2 / R / (N - unknowns)``; the noise is inflated by s where that exceeds
     ``1 + deviations sqrt(2 / (N - unknowns))``, and N is at least ``unknowns + 2``.
 
-    >>> hook = celnav.filters.adaptive.group_parity([[0, 1, 2, 3, 4, 5]], unknowns=4)  # six pseudoranges
+    >>> hook = celnav.filters.adaptive.group_parity([[0, 1, 2, 3, 4, 5]], unknowns=4)
     """
     members = [
         list(integers("groups", group))
@@ -399,9 +445,11 @@ def _group_parity(
 
 
 def channel_parity(M: int) -> Hook:
-    """Inflate the noise of each component to what its last ``M`` residuals of that fit show: by ``max(1, mean r^2 / C)``.
+    """Inflate the noise of each component to what its last ``M`` residuals of that fit show: by
+    ``max(1, mean r^2 / C)``.
 
-    C is the variance of the residual r. A component has factor 1 until it has M samples of consecutive epochs.
+    C is the variance of the residual r. A component has factor 1 until it has M samples of
+    consecutive epochs.
 
     >>> filter = celnav.ukf(motion, sensor, hooks=[celnav.filters.adaptive.channel_parity(10)])
     """
@@ -418,16 +466,17 @@ def _channel_parity(
     return window, joint.inflated(np.sqrt(np.fmax(1.0, window.samples.mean(0))))
 
 
-# -- a gain --------------------------------------------------------------------------------------------------------------
+# -- a gain ----------------------------------------------------------------------------------------
 def consider(n: int, k: int) -> Gain:
-    """Schmidt's gain: optimal for the first ``n`` states, 0 for the ``k`` considered ones after them.
+    """Schmidt's gain: optimal for the first ``n`` states, 0 for the ``k`` considered ones after
+    them.
 
-    Considered states (biases, constants of a model) are not estimated, but their uncertainty, and what the others owe to
-    them, is carried along exactly. A fixed gain needs no function: with ``gain=K (n, m)`` a filter has the covariance that goes
-    with K, whatever it is.
+    Considered states (biases, constants of a model) are not estimated, but their uncertainty, and
+    what the others owe to them, is carried along exactly. A fixed gain needs no function: with
+    ``gain=K (n, m)`` a filter has the covariance that goes with K, whatever it is.
 
     >>> filter = celnav.ukf(motion, sensor, gain=consider(6, 3))
-    >>> steady = celnav.ukf(motion, sensor, gain=np.array([[0.4], [0.1]]))  # an alpha-beta filter that knows its own errors
+    >>> alpha_beta = celnav.ukf(motion, sensor, gain=np.array([[0.4], [0.1]]))
     """
     return partial(_consider, integer("n", n), integer("k", k, 0))
 

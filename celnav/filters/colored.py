@@ -1,9 +1,10 @@
-"""Filters for colored measurement noise ``V' = Phi V + zeta``: whiten it by differencing, or carry it in the state.
+"""Filters for colored measurement noise ``V' = Phi V + zeta``: whiten it by differencing, or carry
+it in the state.
 
-The difference ``z* = z' - Phi z`` of consecutive measurements has white noise, correlated with the process noise. `colored`
-conditions on it in one transform; `decorrelated` does in two steps what [Sun2015] does; `augmented` carries V in the state: the
-exact reference. All take any rule and both forms, and a ``Phi`` that may be full, differ from run to run, or be a function of the
-epoch.
+The difference ``z* = z' - Phi z`` of consecutive measurements has white noise, correlated with the
+process noise. `colored` conditions on it in one transform; `decorrelated` does in two steps what
+[Sun2015] does; `augmented` carries V in the state: the exact reference. All take any rule and both
+forms, and a ``Phi`` that may be full, differ from run to run, or be a function of the epoch.
 
 A missing sample costs `colored` two differences, the one that ends and the one that begins with it.
 """
@@ -63,52 +64,75 @@ from celnav.gaussian.spaces import EUCLIDEAN
 from celnav.tape.numbers import present
 
 __all__ = [
-    "Colored", "Decorrelated", "Decorrelation", "augmented", "colored", "coloring", "decorrelated", "decorrelation", "zeta_of",
-]  # fmt: skip
+    "Colored",
+    "Decorrelated",
+    "Decorrelation",
+    "augmented",
+    "colored",
+    "coloring",
+    "decorrelated",
+    "decorrelation",
+    "zeta_of",
+]
 
 Coloring = ArrayLike | Callable[[Any], Array]
 """``Phi (..., m, m)`` or ``epoch -> Phi``."""
 
 
 def colored(
-    motion: Motion, sensor: Sensor, Phi: Coloring, *,
-    increments: Any = None, first: bool = True, rule: Any = UNSCENTED, **options: Any,
-) -> Colored:  # fmt: skip
-    """A filter for colored measurement noise, in one transform: condition ``x' = f(x) + w`` on ``z' - Phi z`` directly.
+    motion: Motion,
+    sensor: Sensor,
+    Phi: Coloring,
+    *,
+    increments: Any = None,
+    first: bool = True,
+    rule: Any = UNSCENTED,
+    **options: Any,
+) -> Colored:
+    """A filter for colored measurement noise, in one transform: condition ``x' = f(x) + w`` on
+    ``z' - Phi z`` directly.
 
-    motion, sensor: what is believed; ``sensor.R`` is the covariance ``(m, m)`` of the colored noise itself. States and measurements
-        are vectors: the difference of two measurements knows nothing of a seam. Where an angle is measured, use `augmented`.
-    Phi: ``(..., m, m)``, or a function of the epoch: what carries the noise from one measurement to the next; its spectral radius
-        is at most 1. A number is that multiple of the identity, where R or h is a matrix.
-    increments: covariance ``(..., m, m)`` of ``V' - Phi V``, or a function ``(mean, epoch)`` of it; None: that of stationary noise,
-        ``R - Phi R Phi'``. Where V is not stationary (``Phi = I`` is a random walk) R is the covariance of its first sample.
-    first: whether the first measurement updates the prior. Otherwise it only anchors the first difference, as in the paper, which
-        is the limit of a large R.
-    rule, options: as in `celnav.sigma_point`. Where ``h`` is a function the process noise goes through the points with the state.
+    motion, sensor: what is believed; ``sensor.R`` is the covariance ``(m, m)`` of the colored noise
+        itself. States and measurements are vectors: the difference of two measurements knows
+        nothing of a seam. Where an angle is measured, use `augmented`.
+    Phi: ``(..., m, m)``, or a function of the epoch: what carries the noise from one measurement to
+        the next; its spectral radius is at most 1. A number is that multiple of the identity, where
+        R or h is a matrix.
+    increments: covariance ``(..., m, m)`` of ``V' - Phi V``, or a function ``(mean, epoch)`` of it;
+        None: that of stationary noise, ``R - Phi R Phi'``. Where V is not stationary (``Phi = I``
+        is a random walk) R is the covariance of its first sample.
+    first: whether the first measurement updates the prior. Otherwise it only anchors the first
+        difference, as in the paper, which is the limit of a large R.
+    rule, options: as in `celnav.sigma_point`. Where ``h`` is a function the process noise goes
+        through the points with the state.
 
     >>> filter = celnav.colored(motion, celnav.Sensor(H, R), 0.9 * np.eye(3))
     """
     plain = sigma_point(motion, sensor, rule=rule, **options)
     if type(plain) is not Sequential:
         raise ValueError(
-            "iterations: expected 1, since process and measurement are one function here; celnav.augmented takes more"
+            "iterations: expected 1, since process and measurement are one function here; "
+            "celnav.augmented takes more"
         )
     if motion.space != EUCLIDEAN or sensor.space != EUCLIDEAN:
         raise ValueError(
-            "space: expected states and measurements that are vectors; carry the noise in the state: celnav.augmented"
+            "space: expected states and measurements that are vectors; carry the noise in the "
+            "state: celnav.augmented"
         )
     phi, once = coloring(Phi, sensor.m), bool(choice("first", first, (False, True)))
     return Colored(**vars(plain), Phi=phi, zeta=zeta_of(sensor, Phi, increments), first_sample=once)
 
 
 def decorrelated(motion: Motion, sensor: Sensor, Phi: Coloring, **options: Any) -> Decorrelated:
-    """The filter of [Sun2015] with its errata corrected: update the past state, then predict; arguments as in `colored`.
+    """The filter of [Sun2015] with its errata corrected: update the past state, then predict;
+    arguments as in `colored`.
 
-    ``x* = f(x) + J (z* - h(x))`` and ``h(x) = H f(x) - Phi H x`` [Sun2015, Eqs. 8, 14]. The state after an epoch holds two
-    estimates: ``belief`` of the present state, and ``lagged`` of the previous one, each given all measurements so far. With a
-    linear model the first is what `colored` gives in one step. The measurement is a matrix. Hooks may leave measurements out, as
-    gates do; those that change the noise are for `colored`, since here the noise also decides how the measurement enters the
-    prediction.
+    ``x* = f(x) + J (z* - h(x))`` and ``h(x) = H f(x) - Phi H x`` [Sun2015, Eqs. 8, 14]. The state
+    after an epoch holds two estimates: ``belief`` of the present state, and ``lagged`` of the
+    previous one, each given all measurements so far. With a linear model the first is what
+    `colored` gives in one step. The measurement is a matrix. Hooks may leave measurements out, as
+    gates do; those that change the noise are for `colored`, since here the noise also decides how
+    the measurement enters the prediction.
 
     >>> filter = celnav.decorrelated(motion, gps, 0.9 * np.eye(3))
     """
@@ -120,7 +144,9 @@ def decorrelated(motion: Motion, sensor: Sensor, Phi: Coloring, **options: Any) 
 
 
 def coloring(Phi: Coloring, m: int | None = None) -> Array | Callable[[Any], Array]:
-    """Phi ``(..., m, m)``, checked, or a function of the epoch that checks it. A spectral radius of 1 is that of a random walk."""
+    """Phi ``(..., m, m)``, checked, or a function of the epoch that checks it. A spectral radius of
+    1 is that of a random walk.
+    """
     shape = (..., m or "m", m or "m")
     if callable(Phi):
         return partial(_coloring_at, function("Phi", Phi, "(epoch)"), shape)
@@ -144,12 +170,15 @@ def _coloring_at(Phi: Callable[[Any], Array], shape: Shape, epoch: Any) -> Array
 
 
 def zeta_of(sensor: Sensor, Phi: Coloring, increments: Any) -> Noise:
-    """Columns of the increments, given, or of a stationary noise of covariance R; or a function ``(mean, epoch)`` of them."""
+    """Columns of the increments, given, or of a stationary noise of covariance R; or a function
+    ``(mean, epoch)`` of them.
+    """
     if increments is not None:
         given = noise_of("increments", increments, None, sensor.m)
         if isinstance(given, np.ndarray) and sensor.m not in (None, given.shape[-2]):
             raise ValueError(
-                f"increments: expected {sensor.m} rows to go with the sensor's R, got {given.shape[-2]}"
+                f"increments: expected {sensor.m} rows to go with the sensor's R, got "
+                f"{given.shape[-2]}"
             )
         return given
     phi = coloring(Phi, sensor.m)
@@ -168,7 +197,9 @@ def _stationary(noise: Noise, Phi: Any, mean: Array, epoch: Any) -> Array:
 
 
 def difference(Phi: Array, z: Array, z_next: Array) -> Array:
-    """``z_next - Phi z (..., m)``. A missing component spoils those differences that it enters, not the others."""
+    """``z_next - Phi z (..., m)``. A missing component spoils those differences that it enters, not
+    the others.
+    """
     absent = ~present(z)
     if surely(~absent.any()):
         return np.asanyarray(z_next - matvec(Phi, z))
@@ -177,10 +208,11 @@ def difference(Phi: Array, z: Array, z_next: Array) -> Array:
 
 
 class ColoredState(NamedTuple):
-    """State of a filter for colored noise: the estimate, the last measurement, the memory of its hooks.
+    """State of a filter for colored noise: the estimate, the last measurement, the memory of its
+    hooks.
 
-    ``lagged`` is the estimate of the *previous* state given the present measurement (the prior at the first epoch, and where
-    a filter does not compute it).
+    ``lagged`` is the estimate of the *previous* state given the present measurement (the prior at
+    the first epoch, and where a filter does not compute it).
     """
 
     belief: Any
@@ -191,7 +223,9 @@ class ColoredState(NamedTuple):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Colored(Sequential):
-    """What `colored` makes. ``Phi``, ``zeta``: coefficient, and columns of the increments, or functions of them."""
+    """What `colored` makes. ``Phi``, ``zeta``: coefficient, and columns of the increments, or
+    functions of them.
+    """
 
     _: KW_ONLY
     Phi: Array | Callable[[Any], Array]
@@ -218,7 +252,8 @@ class Colored(Sequential):
     def advance(
         self, state: Any, Phi: Array, z_star: Array, epoch: Epoch, z: Array
     ) -> tuple[Any, tuple[Info, ...]]:
-        """State after an interval, given the difference ``z_star`` of the measurements at its ends."""
+        """State after an interval, given the difference ``z_star`` of the measurements at
+        its ends."""
         both, (hooks,) = self.fused(state.belief, Phi, z_star, epoch), self.hooks
         belief, info, memory = condition(
             self.form,
@@ -232,7 +267,9 @@ class Colored(Sequential):
         return ColoredState(belief, z, state.lagged, memory), (info,)
 
     def fused(self, belief: Any, Phi: Array, z_star: Array, epoch: Epoch) -> Joint:
-        """The joint of the difference ``h(f(x) + w) - Phi h(x) + zeta`` and the next state ``f(x) + w``."""
+        """The joint of the difference ``h(f(x) + w) - Phi h(x) + zeta`` and the next state
+        ``f(x) + w``.
+        """
         motion, (sensor,), mean = self.motion, self.sensors, belief.mean
         W, Z, rule = (
             at(motion.noise, mean, epoch),
@@ -300,7 +337,9 @@ class Colored(Sequential):
 
 
 class Decorrelation(NamedTuple):
-    """Gain ``J (..., n, m)`` and the roots of ``Q* (..., n, n)`` and ``R* (..., m, m)`` [Sun2015, Eqs. 10-20]."""
+    """Gain ``J (..., n, m)`` and the roots of ``Q* (..., n, n)`` and ``R* (..., m, m)`` [Sun2015,
+    Eqs. 10-20].
+    """
 
     J: Array
     sqrt_Q: Array
@@ -310,8 +349,9 @@ class Decorrelation(NamedTuple):
 def decorrelation(H: Array, sqrt_Q: Array, sqrt_R: Array) -> Decorrelation:
     """Decorrelate process noise and differenced measurement noise by one QR, without subtraction.
 
-    The lower root of ``[[R^1/2, H Q^1/2], [0, Q^1/2]]`` is ``[[R*^1/2, 0], [J R*^1/2, Q*^1/2]]``. Subtracting covariances
-    instead, ``Q* = Q - Q H' R*^-1 H Q``, loses every digit once the process noise is 1e8 times the measurement noise.
+    The lower root of ``[[R^1/2, H Q^1/2], [0, Q^1/2]]`` is ``[[R*^1/2, 0], [J R*^1/2, Q*^1/2]]``.
+    Subtracting covariances instead, ``Q* = Q - Q H' R*^-1 H Q``, loses every digit once the process
+    noise is 1e8 times the measurement noise.
     """
     both = block([[sqrt_R, H @ sqrt_Q], [0, sqrt_Q]])
     sqrt_R_star, U, sqrt_Q_star = SquareRoot.condition(both, POSITIVE, H.shape[-2])
@@ -326,8 +366,9 @@ class Decorrelated(Colored):
     def _constant(self) -> Decorrelation | None:
         """The decorrelated system where it is the same at every epoch."""
         W, Z = self.motion.noise, self.zeta
-        constant = isinstance(W, np.ndarray) and isinstance(Z, np.ndarray)
-        return decorrelation(self.sensors[0].h, W, Z) if constant else None  # type: ignore[arg-type]
+        if isinstance(W, np.ndarray) and isinstance(Z, np.ndarray):
+            return decorrelation(self.sensors[0].h, W, Z)
+        return None
 
     def advance(
         self, state: Any, Phi: Array, z_star: Array, epoch: Epoch, z: Array
@@ -369,7 +410,9 @@ class Decorrelated(Colored):
         return ColoredState(ahead, z, lagged, memory), (info,)
 
     def system(self, mean: Array, epoch: Epoch, used: Array) -> Decorrelation:
-        """The decorrelated system; a row that was not measured has no part in ``J`` (its noise is its own)."""
+        """The decorrelated system; a row that was not measured has no part in ``J`` (its noise is
+        its own).
+        """
         if surely(used.all()) and self._constant is not None:
             return self._constant
         H, W, Z = self.sensors[0].h, at(self.motion.noise, mean, epoch), at(self.zeta, mean, epoch)
@@ -391,12 +434,13 @@ def _leaving_out(hook: Hook, memory: Any, joint: Joint, epoch: Any) -> tuple[Any
         if part != "innovation"
     ):
         raise ValueError(
-            "hooks: expected hooks that only leave measurements out, got one that changes noise; `colored` takes it"
+            "hooks: expected hooks that only leave measurements out, got one that changes noise; "
+            "`colored` takes it"
         )
     return memory, after
 
 
-# -- the noise among the states ------------------------------------------------------------------------------------------
+# -- the noise among the states --------------------------------------------------------------------
 @dataclass(frozen=True, eq=False, repr=False)
 class Augmented(Sequential):
     """What `augmented` makes: a filter on ``[x; V] (n + m)``, started from a prior of x alone."""
@@ -423,10 +467,12 @@ def augmented(
     rule: Any = UNSCENTED,
     **options: Any,
 ) -> Augmented:
-    """The exact reference for colored noise: a filter on ``[x; V] (n + m)`` with no measurement noise of its own.
+    """The exact reference for colored noise: a filter on ``[x; V] (n + m)`` with no measurement
+    noise of its own.
 
-    Arguments as in `colored`; the measurement may be an angle, R is a constant. The belief is that of ``[x; V]``; start it from a
-    prior of ``x`` alone. Its covariance is singular after each measurement. A missing sample costs nothing but itself.
+    Arguments as in `colored`; the measurement may be an angle, R is a constant. The belief is that
+    of ``[x; V]``; start it from a prior of ``x`` alone. Its covariance is singular after each
+    measurement. A missing sample costs nothing but itself.
 
     >>> filter = celnav.augmented(motion, gps, 0.9 * np.eye(3))
     """

@@ -1,4 +1,5 @@
-"""A filter as machine code: `celnav.compiled`, and what ``celnav.run`` does with ``engine="compiled"`` or ``"cuda"``.
+"""A filter as machine code: `celnav.compiled`, and what ``celnav.run`` does with
+``engine="compiled"`` or ``"cuda"``.
 
 Runs that are lost are flown again by the numpy engine, which is the reference and knows why.
 """
@@ -45,7 +46,9 @@ from celnav.tape.tape import MOST, CannotCompile, place_of
 
 __all__ = ["Compiled", "chosen", "compiled", "run_by", "steps_by"]
 
-WORTH = 50_000  # operations of a step, the most that engine="auto" compiles, in some five seconds, and a device takes
+# operations of a step, the most that engine="auto" compiles, in some five seconds, and a device
+# takes
+WORTH = 50_000
 # Constants of engine="auto" in CPU seconds, measured for 1 to 30 states with AVX2 and AVX-512:
 STEP_S = 5e-4  # of a numpy step, for models like those of the five studies
 OPERATION_S = 1.2e-9  # of an operation of it in each run
@@ -53,7 +56,8 @@ MAKE_S = 6e-5  # of recording and compiling an operation: 4e-5 to 1e-4
 RECORDS = 2  # steps that a usual flight records: with an interval and without
 # Estimated operations of a step, times n^2 and times m^2, before the step is recorded:
 EXPECTED = 100, 20
-SHARED = 0.02  # of an operation's time, where models are matrices: numpy computes one covariance for all runs
+# of an operation's time, where models are matrices: numpy computes one covariance for all runs
+SHARED = 0.02
 MOST_KEPT = 16  # filters whose machine code is found again
 SPARED = 65_536  # steps of runs by kept machine code, after which all sentinels are compared again
 SPAN = 4096  # steps, the most between two comparisons with numpy
@@ -67,10 +71,11 @@ Stepped = tuple[Any, tuple[Info, ...]]
 class Compiled:
     """A filter as machine code; what `celnav.compiled` makes.
 
-    The recorded steps are kept. Some of them are compared with numpy's, for some of the runs: at epochs
-    spread over the whole of the first run and of long ones; of short ones at one epoch, at first of
-    each, at last of one in 4,096 steps. They are recorded again where what the models hold has changed,
-    such as a global number. A model that changes what it holds whenever it is called cannot be compiled.
+    The recorded steps are kept. Some of them are compared with numpy's, for some of the runs: at
+    epochs spread over the whole of the first run and of long ones; of short ones at one epoch, at
+    first of each, at last of one in 4,096 steps. They are recorded again where what the models hold
+    has changed, such as a global number. A model that changes what it holds whenever it is called
+    cannot be compiled.
 
     >>> fast = celnav.compiled(celnav.ukf(motion, gps), jobs=2)
     >>> track = fast.run(prior, times, z)
@@ -163,7 +168,9 @@ class Compiled:
         return self._again(track, engine, prior, data, lost, **options)
 
     def _recording(self, by_numpy: Callable[[], Any]) -> AbstractContextManager[None]:
-        """Where steps may be recorded; what was recorded of models that have changed since is forgotten."""
+        """Where steps may be recorded; what was recorded of models that have changed since is
+        forgotten.
+        """
         if self._kept and self._watch.is_still():
             return recording(self._watch.holds, by_numpy, lambda: None)
         holds = held(self.filter)
@@ -241,9 +248,9 @@ class Compiled:
     def step(self, state: Any, epoch: Epoch) -> Stepped:
         """State after an epoch, and an `Info` of each sensor with an equal part of the likelihood.
 
-        The first step of a kind is recorded and compiled. It is compared with numpy's, and so are the
-        fourth after it, the 16th, and so on, at last each 4096th; where what the models hold has changed,
-        at once. Runs that are lost in a step are taken through it by numpy.
+        The first step of a kind is recorded and compiled. It is compared with numpy's, and so are
+        the fourth after it, the 16th, and so on, at last each 4096th; where what the models hold
+        has changed, at once. Runs that are lost in a step are taken through it by numpy.
 
         >>> fast = celnav.compiled(filter)
         >>> state, infos = fast.step(fast.start(prior), celnav.Epoch(t=0.0, z=z[0]))
@@ -273,7 +280,9 @@ class Compiled:
         return plan
 
     def _compared(self, plan: Plan, state: Any, epoch: Epoch, found: Stepped) -> Stepped:
-        """What a step has found, if numpy finds it too; taken anew where what models hold has changed."""
+        """What a step has found, if numpy finds it too; taken anew where what models hold has
+        changed.
+        """
         if changed(plan.watch.holds, held(self.filter)):
             self._own.__dict__.clear()
             return self.step(state, epoch)
@@ -330,8 +339,11 @@ class Compiled:
         if track.belief is not None and again.belief is not None:
             n = track.belief[1].shape[-1]
             track.belief[1].reshape(len(track.times), -1, n, n)[:, lost] = again.belief[1]
-        for mine, theirs in ((track.failed_at, again.failed_at), (track.log_likelihood, again.log_likelihood),
-                             *((track.events[name], again.events[name]) for name in track.events)):  # fmt: skip
+        for mine, theirs in (
+            (track.failed_at, again.failed_at),
+            (track.log_likelihood, again.log_likelihood),
+            *((track.events[name], again.events[name]) for name in track.events),
+        ):
             mine.reshape(-1)[lost] = theirs
         return track
 
@@ -399,8 +411,12 @@ def _track(engine: Engine, data: Data, flight: Flight, every: int, about: dict[s
         x.reshape(engine.batch) for x in flight.tally.T.copy()
     )
     often = np.bincount(data.kinds, minlength=len(data.known))
-    silent = sum(int(count) * m for count, kind in zip(often, data.known, strict=True)
-                 for m, what in zip(engine.innovations, kind.z, strict=True) if what == NONE)  # fmt: skip
+    silent = sum(
+        int(count) * m
+        for count, kind in zip(often, data.known, strict=True)
+        for m, what in zip(engine.innovations, kind.z, strict=True)
+        if what == NONE
+    )
     seen = [[rows[name] for name in rows if name.endswith(f"/{i}")] for i in sensors]
     widths = tuple(some[0].shape[-1] for some in seen if some)
     return Track(
@@ -427,10 +443,13 @@ def _track(engine: Engine, data: Data, flight: Flight, every: int, about: dict[s
 def _of(
     filter: Any, prior: Any, data: Data, batch: tuple[int, ...], runs: Any, count: int | None = None
 ) -> tuple[Any, Any, Any]:
-    """Filter, prior and the first epochs, None: all, of some runs, numbered over all axes of a batch, or of one run alone."""
+    """Filter, prior and the first epochs, None: all, of some runs, numbered over all axes of a
+    batch, or of one run alone.
+    """
 
     part = partial(part_of, batch=batch, runs=runs)
-    # What all runs share stays one: where a covariance is singular its root depends on how it is computed.
+    # What all runs share stays one: where a covariance is singular its root depends on how it is
+    # computed.
     mean = prior.mean if prior.mean.ndim == 1 else part(prior.mean, 1)
     form = Covariance if isinstance(prior, Covariance) else SquareRoot
     spread = form.of(prior)[1]
@@ -440,14 +459,16 @@ def _of(
 
 
 def compiled(filter: Any, *, jobs: int = 1, engine: str = "compiled") -> Compiled:
-    """A filter as machine code, compiled when it first runs; needs ``.venv/bin/pip install -c constraints.txt -e ".[compiled]"``.
+    """A filter as machine code, compiled when it first runs; needs
+    ``.venv/bin/pip install -c constraints.txt -e ".[compiled]"``.
 
-    filter: of `celnav.ukf` and its siblings, `celnav.colored`, `augmented`, `two_stage`, `imm`. Its models are recorded as they
-        are: arithmetic, and numpy's functions of it. What asks for the value of a number, an ``if`` or a ``float(x)``, cannot be:
-        `CannotCompile` says which line.
+    filter: of `celnav.ukf` and its siblings, `celnav.colored`, `augmented`, `two_stage`, `imm`. Its
+        models are recorded as they are: arithmetic, and numpy's functions of it. What asks for the
+        value of a number, an ``if`` or a ``float(x)``, cannot be: `CannotCompile` says which line.
     jobs: threads. The bytes of the result do not depend on them.
-    engine: "compiled" for this processor; "cuda" for an NVIDIA device (compute capability 7.0 or higher), with a run in each of its
-        threads, while ``jobs`` arrange and copy. RuntimeError says what is missing, or which call of the driver failed.
+    engine: "compiled" for this processor; "cuda" for an NVIDIA device (compute capability 7.0 or
+        higher), with a run in each of its threads, while ``jobs`` arrange and copy. RuntimeError
+        says what is missing, or which call of the driver failed.
 
     >>> flown = celnav.compiled(celnav.ukf(motion, gps)).run(prior, times, z)
     """
@@ -456,10 +477,11 @@ def compiled(filter: Any, *, jobs: int = 1, engine: str = "compiled") -> Compile
 
 
 def chosen(engine: str, filter: Any, jobs: int, prior: Any, epochs: Any) -> Compiled:
-    """A filter by an engine; of "auto" `CannotCompile` where numpy takes less time. What is compiled stays.
+    """A filter by an engine; of "auto" `CannotCompile` where numpy takes less time. What is
+    compiled stays.
 
-    A filter that flies again and again is compiled once its flights together repay that. A device is
-    taken only where that is asked for.
+    A filter that flies again and again is compiled once its flights together repay that. A device
+    is taken only where that is asked for.
     """
     if isinstance(filter, Compiled):
         return filter
@@ -502,8 +524,8 @@ def _added(filter: Any, work: Array) -> Array:
 def worth(steps: float, run_steps: float, kinds: int) -> int:
     """The largest number of operations of a step for which compiling saves time.
 
-    steps: epochs. run_steps: epochs times runs. kinds: how many kinds of epochs there are. Each kind
-    is recorded and compiled separately.
+    steps: epochs. run_steps: epochs times runs. kinds: how many kinds of epochs there are. Each
+    kind is recorded and compiled separately.
     """
     left = max(kinds, RECORDS) * MAKE_S - run_steps * OPERATION_S
     return WORTH if left <= 0.0 else int(min(WORTH, steps * STEP_S / left))
@@ -579,7 +601,9 @@ def run_by(
     reduce: Any,
     **options: Any,
 ) -> Track:
-    """`celnav.run` with an engine that is "compiled" or "cuda", or "auto": compiled, and numpy where that cannot be."""
+    """`celnav.run` with an engine that is "compiled" or "cuda", or "auto": compiled, and numpy
+    where that cannot be.
+    """
     by_numpy: Callable[..., Track] = partial(
         run, also=also, reduce=reduce, engine="numpy", **options
     )
@@ -590,7 +614,8 @@ def run_by(
     try:
         if also is not None or reduce is not None:
             raise CannotCompile(
-                f"also, reduce: expected none with engine={engine!r}, which keeps no states between epochs"
+                f"also, reduce: expected none with engine={engine!r}, which keeps no states "
+                "between epochs"
             )
         return chosen(engine, filter, jobs, prior, epochs).run(prior, epochs, **options)
     except (CannotCompile, ImportError) as error:
@@ -603,7 +628,9 @@ def run_by(
 def steps_by(
     engine: str, filter: Any, prior: Any, epochs: Iterable[Epoch]
 ) -> Iterable[tuple[Epoch, State, tuple[Info, ...]]]:
-    """`celnav.steps` likewise; by numpy too where a run is lost, since why is to be told. An `Info` is of all sensors together."""
+    """`celnav.steps` likewise; by numpy too where a run is lost, since why is to be told. An `Info`
+    is of all sensors together.
+    """
     epochs = _listed(filter, prior, epochs)
     try:
         made = chosen(engine, filter, 1, prior, epochs)

@@ -1,7 +1,8 @@
 """A drop-in for filterpy's ``UnscentedKalmanFilter``: change one import, keep the rest.
 
-`SquareRootUKF` carries a root from step to step, `SigmaPointUKF` a covariance; both are thin doors to the one joint and its
-conditioning. State, covariances and everything else are plain attributes, as in filterpy 2.0: assign them, or change them in place.
+`SquareRootUKF` carries a root from step to step, `SigmaPointUKF` a covariance; both are thin doors
+to the one joint and its conditioning. State, covariances and everything else are plain attributes,
+as in filterpy 2.0: assign them, or change them in place.
 """
 
 from __future__ import annotations
@@ -41,7 +42,9 @@ Model = Callable[[Array, Any], Array]
 
 
 def _late(name: str, doc: str) -> Any:
-    """An attribute that may be assigned; where a step left a function, it is called when the attribute is first asked for."""
+    """An attribute that may be assigned; where a step left a function, it is called when the
+    attribute is first asked for.
+    """
 
     def get(self: Any) -> Any:
         value = self._made[name]
@@ -53,26 +56,43 @@ def _late(name: str, doc: str) -> Any:
 
 
 class SigmaPointUKF:
-    """filterpy's UKF in covariance form, its constructor, attributes and methods; see filterpy's documentation for their use.
+    """filterpy's UKF in covariance form, its constructor, attributes and methods; see filterpy's
+    documentation for their use.
 
-    ``points``: a filterpy sigma-point object or a celnav `Rule`. ``vectorized``: ``fx`` and ``hx`` take all points ``(p, n)`` at
-    once. Points lie along the lower Cholesky root, as with filterpy's default, and every update draws its own (filterpy's takes
-    those of the prediction), so that a second one in a row sees what the first has learned. A number as ``Q`` or ``R`` counts in
-    every element, as in filterpy, and a warning says so; as ``P`` or as the ``R`` of one `update` it is a variance of every
-    component; None is no noise. What is refused changes nothing. Speed: ``python -m benchmarks.dropin``; many runs: `celnav.run`.
+    ``points``: a filterpy sigma-point object or a celnav `Rule`. ``vectorized``: ``fx`` and ``hx``
+    take all points ``(p, n)`` at once. Points lie along the lower Cholesky root, as with filterpy's
+    default, and every update draws its own (filterpy's takes those of the prediction), so that a
+    second one in a row sees what the first has learned. A number as ``Q`` or ``R`` counts in every
+    element, as in filterpy, and a warning says so; as ``P`` or as the ``R`` of one `update` it is a
+    variance of every component; None is no noise. What is refused changes nothing. Speed:
+    ``python -m benchmarks.dropin``; many runs: `celnav.run`.
 
-    >>> ukf = celnav.filters.dropin.SquareRootUKF(dim_x=6, dim_z=3, dt=1.0, fx=fx, hx=lambda x: x[:3], points=celnav.unscented(6))
+    >>> points = celnav.unscented(6)
+    >>> ukf = celnav.filters.dropin.SquareRootUKF(6, 3, 1.0, lambda x: x[:3], fx, points)
     """
 
     _form: Form = Covariance
 
     def __init__(
-        self, dim_x: int, dim_z: int, dt: float, hx: Function, fx: Function, points: Any, sqrt_fn: Function | None = None,
-        x_mean_fn: Function | None = None, z_mean_fn: Function | None = None, residual_x: Function | None = None,
-        residual_z: Function | None = None, state_add: Function | None = None, *, vectorized: bool = False,
-    ):  # fmt: skip
+        self,
+        dim_x: int,
+        dim_z: int,
+        dt: float,
+        hx: Function,
+        fx: Function,
+        points: Any,
+        sqrt_fn: Function | None = None,
+        x_mean_fn: Function | None = None,
+        z_mean_fn: Function | None = None,
+        residual_x: Function | None = None,
+        residual_z: Function | None = None,
+        state_add: Function | None = None,
+        *,
+        vectorized: bool = False,
+    ):
         self._dim_x, self._dim_z, self._dt, self._vectorized = dim_x, dim_z, dt, vectorized
-        # What is made when asked for, and what is no array: filterpy's Saver makes arrays of all other attributes.
+        # What is made when asked for, and what is no array: filterpy's Saver makes arrays of all
+        # other attributes.
         self._made: dict[str, Any] = {
             "log_likelihood": float(np.log(sys.float_info.min)),
             "mahalanobis": 0.0,
@@ -142,7 +162,9 @@ class SigmaPointUKF:
     def predict(
         self, dt: Any = None, UT: Function | None = None, fx: Function | None = None, **fx_args: Any
     ) -> None:
-        """Predict over ``dt``, which goes to ``fx``; the points are then drawn anew, as in filterpy 2.0."""
+        """Predict over ``dt``, which goes to ``fx``; the points are then drawn anew, as in filterpy
+        2.0.
+        """
         belief, process, function = (
             self._belief(),
             self._root("Q", self.Q, self._dim_x),
@@ -222,7 +244,9 @@ class SigmaPointUKF:
     def _conditioned(
         self, belief: Any, z: Array, h: Model, root: Array
     ) -> tuple[Any, Array, Array, Info]:
-        """By celnav's own step: the belief, images of the points, the covariance of the innovation, and what was done."""
+        """By celnav's own step: the belief, images of the points, the covariance of the innovation,
+        and what was done.
+        """
         space, measured = self._space(), _space_of(np.add, self.residual_z, self.z_mean)
         seen: list[Array] = []
 
@@ -280,7 +304,9 @@ class SigmaPointUKF:
     def _through(
         self, UT: Any, belief: Any, function: Model, noise: Any, mean: Any, residual: Any
     ) -> tuple[Any, Any, Any, Any]:
-        """The images of the points, the mean and the covariance that a transform makes of them, and the gain on these."""
+        """The images of the points, the mean and the covariance that a transform makes of them, and
+        the gain on these.
+        """
         points = self._points(belief)
         images = function(points, None)
         y, S = UT(images, self.Wm, self.Wc, noise, mean, residual)
@@ -292,7 +318,9 @@ class SigmaPointUKF:
         )
 
     def compute_process_sigmas(self, dt: Any, fx: Function | None = None, **fx_args: Any) -> None:
-        """Put the propagated points in ``sigmas_f``. (An update always draws its points from the present state.)"""
+        """Put the propagated points in ``sigmas_f``. (An update always draws its points from the
+        present state.)
+        """
         self.sigmas_f = self._motion(dt, fx, fx_args)(self._points(self._belief()), None)
 
     def cross_variance(self, x: Array, z: Array, sigmas_f: Array, sigmas_h: Array) -> Array:
@@ -311,7 +339,9 @@ class SigmaPointUKF:
         UT: Function | None = None,
         saver: Any = None,
     ) -> tuple[Array, Array]:
-        """Predict and update over all ``zs`` (None where missing): means ``(T, n)`` and covariances ``(T, n, n)``."""
+        """Predict and update over all ``zs`` (None where missing): means ``(T, n)`` and covariances
+        ``(T, n, n)``.
+        """
         count = len(zs)
         Rs, dts = self._each("Rs", Rs, self.R, count), self._each("dts", dts, self._dt, count)
         means, covs = np.zeros((count, self._dim_x)), np.zeros((count, self._dim_x, self._dim_x))
@@ -356,11 +386,16 @@ class SigmaPointUKF:
 
     @property
     def likelihood(self) -> float:
-        """Density of the last measurement, or the smallest normal number where it is too small for any."""
+        """Density of the last measurement, or the smallest normal number where it is too small for
+        any.
+        """
         return float(np.exp(self.log_likelihood)) or sys.float_info.min
 
     def __repr__(self) -> str:
-        names = "x P x_prior P_prior Q R S K y log_likelihood likelihood mahalanobis sigmas_f sigmas_h Wm Wc residual_x residual_z"
+        names = (
+            "x P x_prior P_prior Q R S K y log_likelihood likelihood mahalanobis sigmas_f sigmas_h "
+            "Wm Wc residual_x residual_z"
+        )
         names += " msqrt hx fx x_mean z_mean"
         return "\n".join(
             [
@@ -389,7 +424,9 @@ class SigmaPointUKF:
         return self._form(x, known[1])
 
     def _root(self, name: str, cov: Any, n: int) -> Array:
-        """Lower root ``(n, n)`` of a noise as filterpy takes it, made anew only where it is another one than before."""
+        """Lower root ``(n, n)`` of a noise as filterpy takes it, made anew only where it is another
+        one than before.
+        """
         given = np.zeros((n, n)) if cov is None else numbers(name, cov)
         key = n, given.shape, given.tobytes()
         known = self._roots.get(name)
@@ -397,7 +434,10 @@ class SigmaPointUKF:
             if given.size == 1:
                 if n > 1 and given.any():
                     one, alike = f"the number {given.item():g}", f"{given.item():g} * np.eye({n})"
-                    text = f"{name}: {one} counts in every element, as in filterpy; {alike} is a variance of every component"
+                    text = (
+                        f"{name}: {one} counts in every element, as in filterpy; {alike} is a "
+                        "variance of every component"
+                    )
                     warnings.warn(text, stacklevel=3)
                 given = np.full((n, n), given.item())
             known = self._roots[name] = key, symmetric(given, name, n)[1]
@@ -405,7 +445,8 @@ class SigmaPointUKF:
 
     def _motion(self, dt: Any, fx: Function | None, options: dict[str, Any]) -> Model:
         dt = self._dt if dt is None else dt
-        # Anything but a number is for fx to understand, as in filterpy: dates of numpy would count as numbers there.
+        # Anything but a number is for fx to understand, as in filterpy: dates of numpy would count
+        # as numbers there.
         if isinstance(dt, (np.datetime64, np.timedelta64)) or (
             isinstance(dt, (float, int, np.number)) and not isfinite(dt)
         ):
@@ -441,7 +482,9 @@ class SigmaPointUKF:
 
 
 class SquareRootUKF(SigmaPointUKF):
-    """filterpy's UKF in square-root form: a root goes from step to step, ``P`` is made from it. See `SigmaPointUKF`."""
+    """filterpy's UKF in square-root form: a root goes from step to step, ``P`` is made from it. See
+    `SigmaPointUKF`.
+    """
 
     _form: Form = SquareRoot
 
@@ -451,7 +494,7 @@ class SquareRootUKF(SigmaPointUKF):
         return np.array(self._belief()[1])
 
 
-# -- filterpy's functions of one vector as functions of all points -------------------------------------------------------
+# -- filterpy's functions of one vector as functions of all points ---------------------------------
 def _model_of(
     vectorized: bool,
     name: str,
@@ -460,7 +503,9 @@ def _model_of(
     given: tuple[Any, ...],
     options: dict[str, Any],
 ) -> Model:
-    """A model ``(p, n) -> (p, m)`` of all points from filterpy's of one, or, if it is ``vectorized``, of all."""
+    """A model ``(p, n) -> (p, m)`` of all points from filterpy's of one, or, if it is
+    ``vectorized``, of all.
+    """
 
     def model(points: Array, epoch: Any) -> Array:  # noqa: ARG001
         own = points.copy()  # which the function may change
@@ -495,7 +540,9 @@ def _space_of(add: Function, residual: Function, mean: Function | None) -> Space
     )
 
     def plus(point: Array, tangent: Any) -> Array:
-        """Sums of a point and all tangents; ``add`` may change its first argument. A mean of its own needs none, with 0."""
+        """Sums of a point and all tangents; ``add`` may change its first argument. A mean of its
+        own needs none, with 0.
+        """
         return _by_row(lambda row: add(point.copy(), row), tangent) if np.ndim(tangent) else point
 
     return Space(EUCLIDEAN.plus if add is np.add else plus, _differences(residual), None, own)

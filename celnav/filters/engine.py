@@ -1,8 +1,10 @@
-"""The compiled engine: a filter's own step is recorded, on numbers that have no values yet, compiled, and flown over all epochs.
+"""The compiled engine: a filter's own step is recorded, on numbers that have no values yet,
+compiled, and flown over all epochs.
 
-What is recorded is `Sequential.step`, or that of another filter, as it stands: there is no second copy. A step is recorded anew for
-each *kind* of epoch (with an interval or none; each sensor complete, in parts or silent) and each shape that the filter's memory
-takes. Runs that are lost are flown again by the numpy engine, which is the reference and knows why.
+What is recorded is `Sequential.step`, or that of another filter, as it stands: there is no second
+copy. A step is recorded anew for each *kind* of epoch (with an interval or none; each sensor
+complete, in parts or silent) and each shape that the filter's memory takes. Runs that are lost are
+flown again by the numpy engine, which is the reference and knows why.
 """
 
 from __future__ import annotations
@@ -36,37 +38,15 @@ from celnav.tape.tape import (
     refused,
 )
 
-__all__ = [
-    "FULL",
-    "NONE",
-    "PART",
-    "SILENT",
-    "TALLY",
-    "Code",
-    "Data",
-    "Engine",
-    "Kept",
-    "Kind",
-    "Recorded",
-    "Shape",
-    "Start",
-    "each_array",
-    "each_run",
-    "entries",
-    "is_own",
-    "leaves",
-    "places",
-    "rebuilt",
-    "signature",
-]
-
 TALLY = ("log_likelihood", "missing", "rejected", "redone", "failed_at")
 """What each run counts, first in its state."""
 
 
-# -- trees: nested tuples of arrays ----------------------------------------------------------------------------------------
+# -- trees: nested tuples of arrays ----------------------------------------------------------------
 def leaves(tree: Any, what: str = "") -> Iterator[tuple[Any, str]]:
-    """Arrays of a tree, and what each is: "lower" a root, "symmetric" a covariance, "belief" a mean, "" anything else."""
+    """Arrays of a tree, and what each is: "lower" a root, "symmetric" a covariance, "belief" a
+    mean, "" anything else.
+    """
     if isinstance(tree, SquareRoot | Covariance):
         yield tree[0], "belief"
         yield tree[1], "lower" if isinstance(tree, SquareRoot) else "symmetric"
@@ -90,7 +70,8 @@ def rebuilt(tree: Any, parts: Iterator[Any]) -> Any:
 
 @cache
 def entries(shape: tuple[int, ...], what: str) -> tuple[tuple[int, ...], ...]:
-    """Places of the numbers that an array is kept as: of a root or covariance the lower triangle."""
+    """Places of the numbers that an array is kept as: of a root or covariance the lower
+    triangle."""
     places = tuple(np.ndindex(*shape))
     lower = what in ("lower", "symmetric")
     return tuple(at for at in places if at[-1] <= at[-2]) if lower else places
@@ -105,7 +86,9 @@ def places(shape: tuple[int, ...], what: str) -> Array:
 
 
 class Shape(NamedTuple):
-    """Shape of a filter's state: its tree with names for arrays, and of each array shape, kind and which entries may be absent."""
+    """Shape of a filter's state: its tree with names for arrays, and of each array shape, kind and
+    which entries may be absent.
+    """
 
     tree: Any
     arrays: tuple[tuple[tuple[int, ...], str, tuple[bool, ...]], ...]
@@ -132,13 +115,15 @@ def _absent(x: Any) -> bool:
     return x.tape.absent[x.i] if isinstance(x, Number) else bool(x != x)
 
 
-# -- kinds of epochs -------------------------------------------------------------------------------------------------------
+# -- kinds of epochs -------------------------------------------------------------------------------
 FULL, PART, SILENT, NONE = range(4)
 """What an epoch has of a sensor: all components of all runs; some; nan only; nothing at all."""
 
 
 class Kind(NamedTuple):
-    """What must be alike in epochs for one record to serve them. ``z``: what there is of each sensor; ``u``: shape of inputs."""
+    """What must be alike in epochs for one record to serve them. ``z``: what there is of each
+    sensor; ``u``: shape of inputs.
+    """
 
     moves: bool
     z: tuple[int, ...]
@@ -148,8 +133,10 @@ class Kind(NamedTuple):
 class Data(NamedTuple):
     """Epochs as columns.
 
-    k, t, dt: ``(T,)``. kinds: of each epoch, an index into ``known``. z: ``(T, ..., m)`` of each sensor.
-    u: by the shape of an input, ``about`` included, the epochs that have one of it, and a list of its arrays ``(K, ...)``.
+    k, t, dt: ``(T,)``. kinds: of each epoch, an index into ``known``. z: ``(T, ..., m)`` of each
+        sensor.
+    u: by the shape of an input, ``about`` included, the epochs that have one of it, and a list of
+        its arrays ``(K, ...)``.
     """
 
     k: Array
@@ -175,9 +162,9 @@ class Data(NamedTuple):
 class Start(NamedTuple):
     """What is so before the first epoch.
 
-    shape: of the state. parts: ``(runs, k)`` of the states of all runs, or ``(1, k)`` where all have the same, in the
-    order in which they are kept, behind what each counts and the filter's matrices of its own. common:
-    entries of the state that all runs have in common.
+    shape: of the state. parts: ``(runs, k)`` of the states of all runs, or ``(1, k)`` where all
+    have the same, in the order in which they are kept, behind what each counts and the filter's
+    matrices of its own. common: entries of the state that all runs have in common.
     """
 
     shape: Shape
@@ -205,7 +192,8 @@ def signature(prior: Any, data: Data) -> tuple[Any, ...]:
 
 
 class Recorded(NamedTuple):
-    """A recorded step: a kernel with all rows, the shape of the state after it, how many operations it has.
+    """A recorded step: a kernel with all rows, the shape of the state after it, how many operations
+    it has.
 
     columns: names of what the rows are, in their order, and how many numbers each has.
     """
@@ -231,7 +219,8 @@ class Code(NamedTuple):
     """Machine code of a recorded step.
 
     each: address of what each vector of runs does. once: address of what is done once for all runs;
-    None: nothing. ``results`` of that are shared inputs of ``each`` from the ``first`` on. cells: of memory.
+    None: nothing. ``results`` of that are shared inputs of ``each`` from the ``first`` on. cells:
+    of memory.
     """
 
     each: int
@@ -288,7 +277,12 @@ class Engine:
         if not hasattr(prior, "mean"):
             raise TypeError(f"prior: expected one Gaussian, for all models, got {kind(prior)}")
         constants: list[Array] = []
-        each_run(filter, lambda array: constants.append(array) or array)  # type: ignore[func-returns-value]
+
+        def collect(array: Array) -> Array:
+            constants.append(array)
+            return array
+
+        each_run(filter, collect)
         axes = {f"z{i}": z.shape[1:-1] for i, z in enumerate(data.z)}
         axes |= {f"matrix {i}": array.shape[:-2] for i, array in enumerate(constants)}
         self.batch = together(
@@ -330,7 +324,9 @@ class Engine:
         return found | {f"R/{i}": self.innovations[i] for i in self.adapted()}
 
     def keeping(self, rows: Collection[str]) -> tuple[str, ...]:
-        """Names of the columns that a track with such rows keeps; with innovations the noise that hooks left."""
+        """Names of the columns that a track with such rows keeps; with innovations the noise that
+        hooks left.
+        """
         wanted = frozenset({*rows, "R"} if "innovation" in rows else rows)
         if wanted not in self.named:
             every = self.columns()
@@ -365,7 +361,9 @@ class Engine:
         return Start(shape, parts, frozenset(common))
 
     def inputs(self, found: Inputs, count: int) -> list[tuple[Array, bool]]:
-        """The parts of an input over ``count`` epochs, zeros where there are none, and which of them are of each run."""
+        """The parts of an input over ``count`` epochs, zeros where there are none, and which of
+        them are of each run.
+        """
         out = []
         for x in found.columns:
             values = x
@@ -401,12 +399,15 @@ class Engine:
         )
 
     def check_length(self, made: Recorded) -> None:
-        """Raise `TooLong` for a step that may not be compiled, whether another filter's was or not."""
+        """Raise `TooLong` for a step that may not be compiled, whether another filter's was
+        or not."""
         if made.size > self.most:
             raise self._too_long(made.size)
 
     def forms(self, u: list[tuple[Array, bool]]) -> tuple[Any, ...]:
-        """Of each part of an input its shape, whether each run has its own, and whether it is finite."""
+        """Of each part of an input its shape, whether each run has its own, and whether it is
+        finite.
+        """
         axes = len(self.batch)
         return tuple((x.shape[1 + axes * own :], own, bool(np.isfinite(x).all())) for x, own in u)
 
@@ -534,7 +535,9 @@ class Engine:
         return type(belief)(np.where(belief.lost()[..., None], np.nan, belief.mean), belief[1])
 
     def _counted(self, tally: list[Any], belief: Any, infos: Sequence[Info], k: Any) -> list[Any]:
-        """Likelihood, missing and rejected components, and when the run was lost; see `celnav.filters.track.Collector`."""
+        """Likelihood, missing and rejected components, and when the run was lost; see
+        `celnav.filters.track.Collector`.
+        """
         likelihood, missing, rejected, redone, failed = tally
         for info in infos:
             if (more := info.log_likelihood) is not None:
@@ -576,7 +579,9 @@ def _alone(x: Any) -> Any:
 
 
 def each_run(thing: Any, function: Callable[[Array], Array]) -> Any:
-    """A filter with other arrays in place of those that each run has of its own: matrices ``(..., n, m)`` with axes of runs."""
+    """A filter with other arrays in place of those that each run has of its own: matrices
+    ``(..., n, m)`` with axes of runs.
+    """
 
     def matrices(array: Array) -> Array:
         return function(array) if array.ndim > 2 else array

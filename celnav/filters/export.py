@@ -23,19 +23,30 @@ __all__ = ["export_c"]
 
 
 def export_c(
-    filter: Any, path: str | Path, prior: Any, *, u: Any = None, m: Sequence[int] | None = None, dt: float | None = None,
+    filter: Any,
+    path: str | Path,
+    prior: Any,
+    *,
+    u: Any = None,
+    m: Sequence[int] | None = None,
+    dt: float | None = None,
     name: str = "filter",
-) -> None:  # fmt: skip
-    """Write a filter's step as one C99 file: no allocation, no loop, no branch, no library but ``math.h``.
+) -> None:
+    """Write a filter's step as one C99 file: no allocation, no loop, no branch, no library but
+    ``math.h``.
 
-    filter: as for `celnav.compiled`. path: of the file. prior: of one run; it becomes ``<name>_start``.
-    u: an example of the input, where the models take one. m: length of each measurement, where the sensors' R does not say it.
-    dt: length of every interval, s; None: it is an argument of ``<name>_step``. name: what the functions' names begin with.
+    filter: as for `celnav.compiled`. path: of the file. prior: of one run; it becomes
+        ``<name>_start``.
+    u: an example of the input, where the models take one. m: length of each measurement, where the
+        sensors' R does not say it.
+    dt: length of every interval, s; None: it is an argument of ``<name>_step``. name: what the
+        functions' names begin with.
 
-    The functions are ``<name>_start(state)``, ``<name>_first(state, in, z, out)`` for a measurement at the time of the prior, and
-    ``<name>_step(state, in, z, out)`` for the end of an interval; sizes and orders stand at the head of the file. A component of
-    ``z`` that is nan was not measured. A state of nan is a run that is lost. ValueError names an argument that is not as it should
-    be, `CannotCompile` the line of a model that cannot be recorded.
+    The functions are ``<name>_start(state)``, ``<name>_first(state, in, z, out)`` for a measurement
+    at the time of the prior, and ``<name>_step(state, in, z, out)`` for the end of an interval;
+    sizes and orders stand at the head of the file. A component of ``z`` that is nan was not
+    measured. A state of nan is a run that is lost. ValueError names an argument that is not as it
+    should be, `CannotCompile` the line of a model that cannot be recorded.
 
     >>> celnav.export_c(celnav.ukf(motion, gps), "filter.c", celnav.Gaussian(x0, P0), dt=1.0)
     """

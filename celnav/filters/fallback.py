@@ -22,11 +22,13 @@ Step = tuple[State, tuple[Info, ...]]
 
 @dataclass(frozen=True, eq=False)
 class Fallback:
-    """Does again, with a second filter, those runs which the first one loses in a prediction or an update.
+    """Does again, with a second filter, those runs which the first one loses in a prediction or an
+    update.
 
-    ``first``, ``second``: filters of the same motion, sensors and hooks with different rules: one of negative weights, say, and one
-    without. The other runs keep the first one's result bit for bit, and the memory of hooks is the first one's. `Info.redone` says
-    which runs were done again, and the `Track` counts them in ``events["redone"]``. A run that both lose stays lost.
+    ``first``, ``second``: filters of the same motion, sensors and hooks with different rules: one
+    of negative weights, say, and one without. The other runs keep the first one's result bit for
+    bit, and the memory of hooks is the first one's. `Info.redone` says which runs were done again,
+    and the `Track` counts them in ``events["redone"]``. A run that both lose stays lost.
 
     >>> filter = Fallback(celnav.sparse_grid_filter(motion, sensor), celnav.ckf(motion, sensor))
     """
@@ -70,7 +72,9 @@ class Fallback:
     def _done(
         self, before: State, step: Callable[[Sequential], Step]
     ) -> tuple[State, tuple[Info, ...], Array]:
-        """A step of the first filter, of the second in runs that the first one loses, and which these are."""
+        """A step of the first filter, of the second in runs that the first one loses, and which
+        these are.
+        """
         after, infos = step(self.first)
         lost = _unsound(after.belief)
         if not surely(~lost.any()):

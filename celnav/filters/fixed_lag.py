@@ -1,7 +1,8 @@
 """A filter that keeps its last epochs: samples may come late, and the recent past can be smoothed.
 
-A late sample goes back to its epoch, and the filter flies again from there: it ends where it would have ended with the sample on
-time. (Formulas of linear models [BarShalom2002] spare the flight.) `celnav.smooth` of what is kept is a fixed-lag one [Moore1973].
+A late sample goes back to its epoch, and the filter flies again from there: it ends where it would
+have ended with the sample on time. (Formulas of linear models [BarShalom2002] spare the flight.)
+`celnav.smooth` of what is kept is a fixed-lag one [Moore1973].
 """
 
 from __future__ import annotations
@@ -23,7 +24,9 @@ MOST_KEPT = 1_000_000
 
 
 class Held(NamedTuple):
-    """State of a `FixedLag`: states of its filter before and after each of the epochs kept, these epochs, and what each did."""
+    """State of a `FixedLag`: states of its filter before and after each of the epochs kept, these
+    epochs, and what each did.
+    """
 
     states: tuple[Any, ...]
     epochs: tuple[Epoch, ...] = ()
@@ -37,19 +40,22 @@ class Held(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class FixedLag:
-    """A filter that keeps its last ``lag`` epochs and the present one, with their measurements and states.
+    """A filter that keeps its last ``lag`` epochs and the present one, with their measurements and
+    states.
 
-    filter: any filter; what it gives is not changed. lag: how many epochs a sample may be late, and how many are smoothed.
+    filter: any filter; what it gives is not changed. lag: how many epochs a sample may be late, and
+        how many are smoothed.
 
-    A step costs what the filter's does; a late sample a step for each epoch since its own. It holds ``lag + 2`` states. Epochs are
-    numbered on, as those of `celnav.epochs` are. Of `celnav.compiled(filter)` steps are machine code.
+    A step costs what the filter's does; a late sample a step for each epoch since its own. It holds
+    ``lag + 2`` states. Epochs are numbered on, as those of `celnav.epochs` are. Of
+    `celnav.compiled(filter)` steps are machine code.
 
     >>> filter = celnav.filters.fixed_lag.FixedLag(celnav.ukf(motion, gps, camera), lag=20)
     >>> state = filter.start(prior)
     >>> for epoch in celnav.epochs(times, (z, pictures)):
     ...     state, infos = filter.step(state, epoch)
-    >>> state, infos = filter.late(state, epoch.k - 12, (None, picture))  # it was taken 12 epochs ago
-    >>> smoothed = celnav.smooth(filter.track(state))  # the last 21 epochs given everything until now
+    >>> state, infos = filter.late(state, epoch.k - 12, (None, picture))  # 12 epochs late
+    >>> smoothed = celnav.smooth(filter.track(state))  # the last 21 epochs
     """
 
     filter: Filter
@@ -60,7 +66,8 @@ class FixedLag:
             hasattr(self.filter, "start") and hasattr(self.filter, "step")
         ):
             raise ValueError(
-                f"filter: expected a filter, such as celnav.ukf(motion, sensor), got {kind(self.filter)}"
+                "filter: expected a filter, such as celnav.ukf(motion, sensor), got "
+                f"{kind(self.filter)}"
             )
         object.__setattr__(self, "lag", integer("lag", self.lag, 0, MOST_KEPT))
 
@@ -100,10 +107,13 @@ class FixedLag:
         ), infos
 
     def late(self, state: Held, k: Any, z: Any) -> tuple[Held, tuple[Info, ...]]:
-        """State as if a sample had come on time, and what the sensors did to it in the present epoch.
+        """State as if a sample had come on time, and what the sensors did to it in the present
+        epoch.
 
-        k: index of the epoch of the sample, ``epoch.k``; of runs whose samples are of different epochs ``(...)``.
-        z: measurement ``(..., m)``, or a tuple of them, one for each sensor; nan or None where nothing has come.
+        k: index of the epoch of the sample, ``epoch.k``; of runs whose samples are of different
+            epochs ``(...)``.
+        z: measurement ``(..., m)``, or a tuple of them, one for each sensor; nan or None where
+            nothing has come.
 
         ValueError if an epoch is not kept any more, or has a measurement of that component already.
         """
@@ -145,7 +155,9 @@ class FixedLag:
         return held, held.infos[-1] if held.infos else ()
 
     def track(self, state: Held) -> Track:
-        """The `Track` of the epochs kept, late samples included; `celnav.smooth` of it begins with the fixed-lag estimate."""
+        """The `Track` of the epochs kept, late samples included; `celnav.smooth` of it begins with
+        the fixed-lag estimate.
+        """
         if not instance("state", state, Held, "what the filter's last step gave").epochs:
             raise ValueError("state: expected one after a step, got one before the first")
         collector = Collector(1, KEEP["cov"])
@@ -194,6 +206,7 @@ def _both(known: Any, late: Array | None, here: Any, k: int) -> Any:
     if twice.any():
         which = ", ".join(str(int(i)) for i in np.argwhere(twice)[0])
         raise ValueError(
-            f"z: expected what epoch {k} does not have yet, got component [{which}] a second time; make it nan"
+            f"z: expected what epoch {k} does not have yet, got component [{which}] a second time; "
+            "make it nan"
         )
     return np.where(np.isnan(new), known, new)

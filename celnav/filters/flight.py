@@ -1,6 +1,8 @@
-"""The flight of a compiled step: epochs as columns, blocks of runs through all of them, and what is kept of it.
+"""The flight of a compiled step: epochs as columns, blocks of runs through all of them, and what is
+kept of it.
 
-The states of some runs before and after some epochs are kept too, to be compared with numpy's steps.
+The states of some runs before and after some epochs are kept too, to be compared with numpy's
+steps.
 """
 
 from __future__ import annotations
@@ -40,13 +42,12 @@ from celnav.tape import llvm, ptx
 from celnav.tape.cuda import Device
 from celnav.tape.tape import CannotCompile, Number
 
-__all__ = ["Flight", "Sentinel", "as_data", "epoch_of", "fly", "part_of", "sensors"]
-
 DRAWN = 4  # sentinels besides the first, the last and one of each record
 MANY = 20  # sensors, of which there are more kinds of epochs than integers
 SHORT = 10_000  # epochs, the most of a flight whose schedule is kept
 MOST_SCHEDULES = 16  # of an engine, that are kept
-APART = 100  # operations of a step that all runs have in common, from which on they are done once an epoch
+# operations of a step that all runs have in common, from which on they are done once an epoch
+APART = 100
 MOST_COMMON = 1 << 25  # results of them in memory
 CHUNK = 1 << 21  # bytes of the measurements of runs that are flown together: they stay in the cache
 
@@ -136,7 +137,9 @@ def _gathered(given: list[Any], count: int) -> tuple[Array, dict[Any, Inputs]]:
 
 
 def part_of(x: Array, own: int, batch: tuple[int, ...], runs: Any) -> Array:
-    """Some runs of an array with ``own`` axes after those of the runs, which are numbered over all axes of a batch."""
+    """Some runs of an array with ``own`` axes after those of the runs, which are numbered over all
+    axes of a batch.
+    """
     if not batch:
         return x
     whole: Array = np.broadcast_to(x, (*batch, *x.shape[x.ndim - own :]))
@@ -146,7 +149,9 @@ def part_of(x: Array, own: int, batch: tuple[int, ...], runs: Any) -> Array:
 def epoch_of(
     data: Data, i: int, part: Callable[[Array, int], Array], batch: tuple[int, ...]
 ) -> Epoch:
-    """The epoch at an index, of the runs that ``part`` takes of an array with so many axes of its own."""
+    """The epoch at an index, of the runs that ``part`` takes of an array with so many axes of its
+    own.
+    """
     kind = data.known[data.kinds[i]]
     z = tuple(
         None if what == NONE else part(values[i], 1)
@@ -190,7 +195,8 @@ def _measured(sensor: Any, parts: Any) -> tuple[Array, Array]:
 
 
 class Sentinel(NamedTuple):
-    """An epoch ``at`` an index, and the states of some runs ``(runs, size)`` before and after it."""
+    """An epoch ``at`` an index, and the states of some runs ``(runs, size)`` before and
+    after it."""
 
     at: int
     shape: Shape
@@ -202,7 +208,8 @@ class Sentinel(NamedTuple):
 class Flight(NamedTuple):
     """What a flight leaves.
 
-    rows: ``(K, runs, ...)`` by name. tally: of each run ``(runs, 5 stride)``. sentinels: of the runs
+    rows: ``(K, runs, ...)`` by name. tally: of each run ``(runs, 5 stride)``. sentinels: of the
+        runs
     that are watched. fresh: whether a step was recorded for it.
     """
 
@@ -225,7 +232,8 @@ def fly(
 ) -> Flight:
     """All runs through all epochs, on a device, or None: on this processor.
 
-    names: of the columns that are kept. watched: the runs whose states are kept before and after the
+    names: of the columns that are kept. watched: the runs whose states are kept before and after
+        the
     sentinels. number: of a flight whose steps were all compared before: it has one sentinel, at an
     epoch that depends on its number; 0: it has none.
     """
@@ -324,7 +332,8 @@ def _pieces(T: int, sentinels: Sequence[int]) -> Iterable[tuple[int, int]]:
 
 
 def _sentinels(steps: Array, number: int | None = None) -> list[int]:
-    """Epochs whose steps are compared with numpy's: the first, the last, one of each record, and some drawn by a hash.
+    """Epochs whose steps are compared with numpy's: the first, the last, one of each record, and
+    some drawn by a hash.
 
     number: of a flight that has one of them only; 0: none.
     """
@@ -401,7 +410,8 @@ class Schedule(NamedTuple):
 
     edges: of each record, the numbers of the shapes before and after it. steps: of each epoch, the
     number of its record. at: the number of the shape before each epoch, and at the end. shapes: of
-    the state. code: of the records, on this processor. common: of each shape, the entries of the state
+    the state. code: of the records, on this processor. common: of each shape, the entries of the
+    state
     that all runs have in common. size: of a state. width: of what all runs have in common.
     """
 
@@ -476,7 +486,8 @@ def _planned(engine: Engine, data: Data, inputs: dict[Any, Any], start: Start) -
 def _coded(
     engine: Engine, plan: Schedule, start: frozenset[int], lanes: int, names: Sequence[str]
 ) -> tuple[list[Code], list[list[int]]]:
-    """Machine code of all records, and the entries of the state of each shape that all runs have in common.
+    """Machine code of all records, and the entries of the state of each shape that all runs have in
+    common.
 
     start: those of the state before the first epoch.
     """
@@ -503,7 +514,9 @@ def _coded(
 
 
 def _common(engine: Engine, plan: Schedule, start: frozenset[int]) -> list[frozenset[int]]:
-    """Entries of the state of each shape that all runs have in common: the most that every record keeps so."""
+    """Entries of the state of each shape that all runs have in common: the most that every record
+    keeps so.
+    """
     found: dict[int, frozenset[int]] = {0: start}
     while True:
         before = dict(found)
@@ -547,7 +560,9 @@ def _once(plan: Schedule, shared: Array, start: Array, sentinels: list[int]) -> 
 
 
 def _shared(data: Data, inputs: dict[Any, list[tuple[Array, bool]]], width: int) -> Array:
-    """What all runs have in common at each epoch ``(T, E)``: index, time, interval, inputs, and room for at least ``width``."""
+    """What all runs have in common at each epoch ``(T, E)``: index, time, interval, inputs, and
+    room for at least ``width``.
+    """
     T = len(data.k)
     flat = [
         np.concatenate([np.zeros((T, 0)), *(x.reshape(T, -1) for x, own in parts if not own)], 1)
@@ -565,7 +580,9 @@ def _shared(data: Data, inputs: dict[Any, list[tuple[Array, bool]]], width: int)
 def _own(
     engine: Engine, data: Data, inputs: dict[Any, list[tuple[Array, bool]]], runs: int
 ) -> list[tuple[int, Array]]:
-    """What each run has of its own at each epoch, ``(T, runs or 1, ...)``, and where it stands: measurements, interval, inputs."""
+    """What each run has of its own at each epoch, ``(T, runs or 1, ...)``, and where it stands:
+    measurements, interval, inputs.
+    """
     T, out, at = len(data.k), list[tuple[int, Array]](), 0
     values = [*data.z, data.dt[..., None]] if engine.apart else data.z
     for x in values:

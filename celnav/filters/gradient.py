@@ -1,7 +1,9 @@
-"""The log-likelihood of data and its gradient by parameters of a filter, from one flight of the compiled step.
+"""The log-likelihood of data and its gradient by parameters of a filter, from one flight of the
+compiled step.
 
-The arrays of a filter that depend on the parameters, and its prior, are numbers of the state before the first epoch; their
-derivatives come of differences, which cost no flight. From there on the step carries them by the chain rule.
+The arrays of a filter that depend on the parameters, and its prior, are numbers of the state before
+the first epoch; their derivatives come of differences, which cost no flight. From there on the step
+carries them by the chain rule.
 """
 
 from __future__ import annotations
@@ -33,23 +35,27 @@ from celnav.tape.derivative import with_slopes
 from celnav.tape.kernel import digest
 from celnav.tape.tape import CannotCompile
 
-__all__ = ["Gradient", "alike", "fourth_order"]
-
 STEP = 1e-3
-"""Of the differences of arrays, of fourth order: round-off and what they leave out are below 1e-12."""
+"""Of the differences of arrays, of fourth order: round-off and what they leave out are below 1e-12.
+"""
 SMOOTH = 1e-3  # of the largest derivative, that differences of two steps may be apart
 COMPILE_S, CALL_S, OPERATION_S = 3e-4, 3e-4, 1.4e-9
-"""What compiling takes for an operation of a step, and numpy for a step and for an operation of it in one run; about, s."""
+"""What compiling takes for an operation of a step, and numpy for a step and for an operation of it
+in one run; about, s.
+"""
 Build = Callable[[Array], tuple[Any, Any]]
 
 
 class Gradient:
-    """Log-likelihood and gradient as a function of parameters, of a filter and prior that ``build (d,)`` makes of them.
+    """Log-likelihood and gradient as a function of parameters, of a filter and prior that
+    ``build (d,)`` makes of them.
 
-    What was compiled is kept. At other parameters the step is recorded again and must be the same, operation by operation, unless
-    the models are known to be the same functions of the same numbers.
+    What was compiled is kept. At other parameters the step is recorded again and must be the same,
+    operation by operation, unless the models are known to be the same functions of the same
+    numbers.
 
-    flights: how many flights of the numpy engine one of these is to stand for; what takes longer to compile is refused.
+    flights: how many flights of the numpy engine one of these is to stand for; what takes longer to
+        compile is refused.
     """
 
     def __init__(self, build: Build, epochs: Epochs | Sequence[Epoch], flights: float = np.inf):
@@ -62,9 +68,10 @@ class Gradient:
     def __call__(self, x: Array, lengths: Array) -> tuple[Array, Array]:
         """Value ``(...)`` of each run, nan where it is lost, and gradient ``(..., d)``.
 
-        lengths: ``(d,)``, over which the arrays of a filter are smooth; their differences take thousandths. `CannotCompile` says
-        why there is no gradient: a model that cannot be recorded, or that knows the parameters otherwise than by matrices of the
-        filter. ImportError says that there is no compiler.
+        lengths: ``(d,)``, over which the arrays of a filter are smooth; their differences take
+            thousandths. `CannotCompile` says
+        why there is no gradient: a model that cannot be recorded, or that knows the parameters
+        otherwise than by matrices of the filter. ImportError says that there is no compiler.
         """
         built, beside = (
             self.build(x),
@@ -111,7 +118,9 @@ class Gradient:
 
 
 class _WithGradient(Engine):
-    """An engine whose state has beside each number its derivative, before the first epoch ``slopes (runs, numbers)``."""
+    """An engine whose state has beside each number its derivative, before the first epoch
+    ``slopes (runs, numbers)``.
+    """
 
     stride = 2
     slopes: Array
@@ -172,9 +181,14 @@ class _WithGradient(Engine):
 
 
 def _arrays(filter: Any) -> list[Array]:
-    found: list[Array] = []
-    each_array(filter, lambda array: found.append(array) or array)  # type: ignore[func-returns-value]
-    return found
+    arrays: list[Array] = []
+
+    def collect(array: Array) -> Array:
+        arrays.append(array)
+        return array
+
+    each_array(filter, collect)
+    return arrays
 
 
 def _varying(filters: Sequence[Any]) -> set[int]:
@@ -202,8 +216,9 @@ def _start(built: tuple[Any, Any], held: set[int], data: Any) -> Array:
 
 
 def alike(a: Any, b: Any, matrices: bool = True) -> bool:
-    """Whether parts of two filters are known to be the same program: the same data, but for the filters' own ``matrices``, and
-    functions of the same code with the same values in their closures."""
+    """Whether parts of two filters are known to be the same program: the same data, but for the
+    filters' own ``matrices``, and functions of the same code with the same values in their
+    closures."""
     if a is b:
         return True
     if type(a) is not type(b):
@@ -237,7 +252,9 @@ def alike(a: Any, b: Any, matrices: bool = True) -> bool:
 
 
 def fourth_order(values: Sequence[Array], step: float, smooth: float | None = None) -> Array:
-    """The derivative by values at -2, -1, 1 and 2 steps; `CannotCompile` where those of one and of two are too far apart."""
+    """The derivative by values at -2, -1, 1 and 2 steps; `CannotCompile` where those of one and of
+    two are too far apart.
+    """
     far, near = (values[3] - values[0]) / (4.0 * step), (values[2] - values[1]) / (2.0 * step)
     if (
         smooth

@@ -1,4 +1,6 @@
-"""Interacting multiple models: a system that switches between models, of which one holds at a time [Blom1988]."""
+"""Interacting multiple models: a system that switches between models, of which one holds at a time
+[Blom1988].
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,9 @@ LEAST = -float(np.finfo(float).max)  # what can be taken off minus infinity
 
 
 class ImmState(NamedTuple):
-    """The belief of all models together, logarithms of their probabilities ``(..., k)``, and the state of each model's filter."""
+    """The belief of all models together, logarithms of their probabilities ``(..., k)``, and the
+    state of each model's filter.
+    """
 
     belief: Any
     log_probabilities: Array
@@ -58,12 +62,14 @@ class InteractingModels:
         )
         if len(priors) != len(self.filters):
             raise ValueError(
-                f"prior: expected one Gaussian, or one for each of {len(self.filters)} models, got {len(priors)}"
+                f"prior: expected one Gaussian, or one for each of {len(self.filters)} models, got "
+                f"{len(priors)}"
             )
         states = tuple(filter.start(own) for filter, own in zip(self.filters, priors, strict=True))
         if not all("belief" in getattr(one, "_fields", ()) for one in states):
             raise ValueError(
-                "filters: expected states with a belief that can be replaced, as those of celnav.ukf have"
+                "filters: expected states with a belief that can be replaced, as those of "
+                "celnav.ukf have"
             )
         if (
             len(
@@ -80,7 +86,9 @@ class InteractingModels:
         return self._state(states, self.log_initial)
 
     def step(self, state: ImmState, epoch: Epoch) -> tuple[ImmState, tuple[Info, ...]]:
-        """State after an epoch, and what each sensor did to it; models take turns at the beginning of an interval."""
+        """State after an epoch, and what each sensor did to it; models take turns at the beginning
+        of an interval.
+        """
         weights, states = state.log_probabilities, state.states
         if not still(epoch):
             stay, chances = np.where(np.eye(len(states)), 0.0, -np.inf), self.log_transition
@@ -136,7 +144,9 @@ def mixed(space: Space, beliefs: Sequence[Belief], weights: Array) -> Belief:
 
 
 def _weighed(infos: Sequence[Any], weights: Array) -> tuple[Info, Array]:
-    """What a sensor did to all models together, with innovation and covariance of their mixture, and their weights after it."""
+    """What a sensor did to all models together, with innovation and covariance of their mixture,
+    and their weights after it.
+    """
     if any(info.sqrt_S is None for info in infos):
         return infos[0], weights
     both = weights + np.stack(np.broadcast_arrays(*(info.log_likelihood for info in infos)), -1)
@@ -178,18 +188,22 @@ def imm(
 ) -> InteractingModels:
     """A filter of several models that take turns as a Markov chain [Blom1988].
 
-    filters: one for each model, such as `celnav.ukf`, of the same state and sensors and of one form. Hooks that leave measurements
-        out are to do so for all models alike, since likelihoods are compared.
-    transition: ``(k, k)``, ``[i, j]`` the probability that model j follows model i from one epoch to the next; rows sum to 1. Over
-        an interval of no length models stay.
+    filters: one for each model, such as `celnav.ukf`, of the same state and sensors and of one
+        form. Hooks that leave measurements out are to do so for all models alike, since likelihoods
+        are compared.
+    transition: ``(k, k)``, ``[i, j]`` the probability that model j follows model i from one epoch
+        to the next; rows sum to 1. Over an interval of no length models stay.
     initial: ``(k,)``, probabilities before the first epoch; None: all alike.
 
-    The prior may be a list of one for each model. Mean and covariance are moments of the mixture, so are innovation and NIS; the
-    likelihood is its own. ``state.probabilities (..., k)`` are those of the models, and ``also`` brings them into a `Track`. A run
-    is lost when one of its models is. ValueError names an argument that cannot be meant.
+    The prior may be a list of one for each model. Mean and covariance are moments of the mixture,
+    so are innovation and NIS; the likelihood is its own. ``state.probabilities (..., k)`` are those
+    of the models, and ``also`` brings them into a `Track`. A run is lost when one of its models is.
+    ValueError names an argument that cannot be meant.
 
-    >>> filter = celnav.imm([celnav.ukf(cruise, radar), celnav.ukf(turn, radar)], [[0.95, 0.05], [0.1, 0.9]])
-    >>> track = celnav.run(filter, prior, times, z, also=lambda epoch, state, infos: {"probabilities": state.probabilities})
+    >>> models = [celnav.ukf(cruise, radar), celnav.ukf(turn, radar)]
+    >>> filter = celnav.imm(models, [[0.95, 0.05], [0.1, 0.9]])
+    >>> also = lambda epoch, state, infos: {"probabilities": state.probabilities}
+    >>> track = celnav.run(filter, prior, times, z, also=also)
     """
     made = tuple(
         sequence("filters", filters, "[celnav.ukf(cruise, radar), celnav.ukf(turn, radar)]", 1)

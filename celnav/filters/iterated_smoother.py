@@ -1,9 +1,11 @@
-"""A smoother that linearizes its models again over what it found: the posterior linearization smoother, and its extended kin.
+"""A smoother that linearizes its models again over what it found: the posterior linearization
+smoother, and its extended kin.
 
-A filter linearizes over what it knows on the way. Once all is smoothed, more is known of every state: linearize motion and sensors
-over the smoothed beliefs, filter and smooth with these, and do so again. Of points it is the iterated posterior linearization
-smoother [Garcia2017]; of Taylor's rule the iterated extended Kalman smoother, which is Gauss and Newton's method for the most
-probable trajectory [Bell1994].
+A filter linearizes over what it knows on the way. Once all is smoothed, more is known of every
+state: linearize motion and sensors over the smoothed beliefs, filter and smooth with these, and do
+so again. Of points it is the iterated posterior linearization smoother [Garcia2017]; of Taylor's
+rule the iterated extended Kalman smoother, which is Gauss and Newton's method for the most probable
+trajectory [Bell1994].
 """
 
 from __future__ import annotations
@@ -31,20 +33,34 @@ __all__ = ["iterated_smoother"]
 
 
 def iterated_smoother(
-    filter: Sequential, prior: Gaussian, times: ArrayLike | Iterable[Epoch], z: Any = None, u: Any = None, *,
-    iterations: int = 10, gains: bool = False, on_failure: str = "raise", engine: str | None = None, jobs: int = 1,
-) -> Track:  # fmt: skip
-    """Estimates of all states given all measurements, from models that are linearized over these estimates.
+    filter: Sequential,
+    prior: Gaussian,
+    times: ArrayLike | Iterable[Epoch],
+    z: Any = None,
+    u: Any = None,
+    *,
+    iterations: int = 10,
+    gains: bool = False,
+    on_failure: str = "raise",
+    engine: str | None = None,
+    jobs: int = 1,
+) -> Track:
+    """Estimates of all states given all measurements, from models that are linearized over these
+    estimates.
 
-    filter: one that predicts, then updates, such as `celnav.ukf` or `celnav.ekf`. prior, times, z, u: as `celnav.run` has them.
-    iterations: flights there and back; one is `celnav.smooth` of the filter's own track. A count, not a tolerance, so that what a
-        run gives does not depend on its neighbors: look whether more of them change anything.
+    filter: one that predicts, then updates, such as `celnav.ukf` or `celnav.ekf`. prior, times, z,
+        u: as `celnav.run` has them.
+    iterations: flights there and back; one is `celnav.smooth` of the filter's own track. A count,
+        not a tolerance, so that what a run gives does not depend on its neighbors: look whether
+            more of them change anything.
     gains, on_failure: as `celnav.smooth` has them.
     engine, jobs: of the flights there and back, as `celnav.run` has them; gains are numpy's.
 
-    Returns the `Track` of the last flight, smoothed; its innovations, likelihood and events are of that flight.
+    Returns the `Track` of the last flight, smoothed; its innovations, likelihood and events are of
+    that flight.
 
-    >>> smoothed = celnav.iterated_smoother(celnav.ukf(motion, radar), prior, times, z, iterations=5)
+    >>> filter = celnav.ukf(motion, radar)
+    >>> smoothed = celnav.iterated_smoother(filter, prior, times, z, iterations=5)
     """
     plain("filter", filter)
     count = integer("iterations", iterations, 1, MOST_ITERATIONS)
@@ -66,7 +82,9 @@ def iterated_smoother(
 
 
 def _ends(prior: Gaussian, track: Track) -> tuple[Belief, Belief]:
-    """The beliefs at the beginning and at the end of each interval, that of the first from the prior on."""
+    """The beliefs at the beginning and at the end of each interval, that of the first from the
+    prior on.
+    """
     after: Any = track.belief
     form = type(after)
     first = form.of(prior)
@@ -91,7 +109,8 @@ def relinearized(filter: Sequential) -> Relinearized:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Relinearized(Sequential):
-    """A filter whose models are linearized over the beliefs that an epoch brings, ``epoch.about``, instead of over its own.
+    """A filter whose models are linearized over the beliefs that an epoch brings, ``epoch.about``,
+    instead of over its own.
 
     The first is of the beginning of the interval, the second of its end.
     """
@@ -109,7 +128,9 @@ class Relinearized(Sequential):
         )
 
     def transition(self, belief: Belief, epoch: Epoch, after: Array, rule: Any = None) -> Joint:
-        """The joint of the state after the interval, as if measured to be ``after``, and of the one before it."""
+        """The joint of the state after the interval, as if measured to be ``after``, and of the one
+        before it.
+        """
         motion = self.motion
         return over(
             epoch.about[0],

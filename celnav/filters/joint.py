@@ -1,21 +1,27 @@
-"""The joint of a measurement and a state, and its conditioning: every filter here is made of the two.
+"""The joint of a measurement and a state, and its conditioning: every filter here is made of the
+two.
 
-An update with a linear measurement ``z = H x + v``, in the letters of the books (``P = L L'``, ``R = V V'``)::
+An update with a linear measurement ``z = H x + v``, in the letters of the books (``P = L L'``,
+``R = V V'``)::
 
     A = [ H L   V ]                      deviations of z and x, in columns
         [  L    0 ]
-    tria(A) = [ S   0  ]                 S S'   = H P H' + R          (QR: half of the digits suffice)
+    tria(A) = [ S   0  ]                 S S'   = H P H' + R
               [ U   L+ ]                 U S'   = P H'                K = U S^-1
     y  = z - H x                         L+ L+' = P - K S S' K'
     x+ = x + U (S^-1 y) = x + K y        P+     = L+ L+'
 
-Any functions take the place of H and of the identity: a rule gives the columns D of their images, and noise stands beside them::
+Any functions take the place of H and of the identity: a rule gives the columns D of their images,
+and noise stands beside them::
 
-    A = [ D_z  W_z  V ]   m rows         predict: m = 0, g = f            update:   g = (h, identity)
-        [ D_x  W_x  0 ]   n rows         colored: g = (h(f) - Phi h, f)   smoother: g = (f, identity), z = the next state
+    A = [ D_z  W_z  V ]   m rows         predict:  m = 0, g = f
+        [ D_x  W_x  0 ]   n rows         update:   g = (h, identity)
+                                         colored:  g = (h(f) - Phi h, f)
+                                         smoother: g = (f, identity), z = the next state
 
-Four things meet here, none of which knows the others: a rule (how a function becomes columns), a form (how a covariance is
-stored), a space (what a difference is) and hooks (what may be changed before conditioning).
+Four things meet here, none of which knows the others: a rule (how a function becomes columns), a
+form (how a covariance is stored), a space (what a difference is) and hooks (what may be changed
+before conditioning).
 """
 
 from __future__ import annotations
@@ -56,38 +62,25 @@ from celnav.gaussian.spaces import EUCLIDEAN, Space
 from celnav.tape.numbers import each_row, in_model, known_alike, present
 from celnav.tape.tape import refused
 
-__all__ = [
-    "KEEP",
-    "Gain",
-    "Hook",
-    "Joint",
-    "alike",
-    "at",
-    "by_matrix",
-    "condition",
-    "evaluate",
-    "joint",
-    "linear",
-    "marginal",
-    "over_runs",
-    "rule_for",
-    "whole",
-]
-
 KEEP: Final = object()
-"""Stands for "the state itself" among the outputs of a function: its columns are then exact, on any space."""
+"""Stands for "the state itself" among the outputs of a function: its columns are then exact, on any
+space.
+"""
 
 
 class Joint(NamedTuple):
     """The joint of a measurement (m rows) and a state (n rows): what a hook sees and may replace.
 
-    innovation: ``(..., m)``, measurement minus prediction; nan where nothing was measured, or a hook leaves it out. None where
-        there is nothing to condition on.
-    measurement, state: their images, with columns ``(..., m, q)`` and ``(..., n, q)`` from the prior.
+    innovation: ``(..., m)``, measurement minus prediction; nan where nothing was measured, or a
+        hook leaves it out. None where there is nothing to condition on.
+    measurement, state: their images, with columns ``(..., m, q)`` and ``(..., n, q)`` from the
+        prior.
     sign: ``(q,)``, -1 where a weight is negative; one 1 may stand for all.
-    process_noise: its columns ``(..., m, r)`` in the measurement, 0 for zeros, and ``(..., n, r)`` in the state; None without.
+    process_noise: its columns ``(..., m, r)`` in the measurement, 0 for zeros, and ``(..., n, r)``
+        in the state; None without.
     measurement_noise: its columns ``(..., m, s)``; None without.
-    known: the state's own root or covariance, where the state is that of the belief and nothing was added.
+    known: the state's own root or covariance, where the state is that of the belief and nothing was
+        added.
     """
 
     innovation: Any
@@ -115,7 +108,9 @@ class Joint(NamedTuple):
         return A, _padded(self.sign, A.shape[-1] - len(self.sign))
 
     def covariances(self) -> tuple[Array, Array]:
-        """Of the innovation without measurement noise ``(..., m, m)``, and of state and innovation ``(..., n, m)``."""
+        """Of the innovation without measurement noise ``(..., m, m)``, and of state and innovation
+        ``(..., n, m)``.
+        """
         A, sign = self._replace(measurement_noise=None).columns()
         m = self.measurement.columns.shape[-2]
         cov = (A * sign) @ A[..., :m, :].mT
@@ -140,7 +135,9 @@ class Joint(NamedTuple):
 Hook = Callable[[Any, Joint, Any], tuple[Any, Joint]]
 """``(memory, joint, epoch) -> (memory, joint)``; the memory is None at the start."""
 Gain = Array | Callable[[Array, Array, int], Array]
-"""A prescribed gain ``(..., n, m)``, or a function of the pre-array ``A``, its ``sign`` and ``m`` that gives it."""
+"""A prescribed gain ``(..., n, m)``, or a function of the pre-array ``A``, its ``sign`` and ``m``
+that gives it.
+"""
 
 
 def _padded(sign: Array, count: int) -> Array:
@@ -148,7 +145,7 @@ def _padded(sign: Array, count: int) -> Array:
     return sign if len(sign) == 1 or not count else np.append(sign, np.ones(count))
 
 
-# -- pushing a belief through models -----------------------------------------------------------------
+# -- pushing a belief through models ---------------------------------------------------------------
 def joint(
     rule: Any,
     belief: Belief,
@@ -165,13 +162,15 @@ def joint(
     """Push a belief through models, and set the noise beside what comes out.
 
     rule: `Rule` or `Taylor`, or a function of the dimension.
-    outputs: the measurement (if any) and the state, each a `Motion`, a `Sensor`, `KEEP` (the state itself) or ``(value, matrix)``
-        of what is linear, if both are; or a function ``(points, epoch, *noise points)`` of both.
+    outputs: the measurement (if any) and the state, each a `Motion`, a `Sensor`, `KEEP` (the state
+        itself) or ``(value, matrix)`` of what is linear, if both are; or a function
+        ``(points, epoch, *noise points)`` of both.
     space: of the belief. spaces: of what a function gives; None: vectors.
     z: ``(..., m)``, what was measured; None: there is no measurement among the outputs.
-    process_noise: columns ``(..., n, r)`` beside the state, a function ``(mean, epoch)`` of them, or a pair of those beside the
-        measurement and beside the state.
-    measurement_noise: columns ``(..., m, s)``, or a function of them. augment: roots of the noises that go through the points.
+    process_noise: columns ``(..., n, r)`` beside the state, a function ``(mean, epoch)`` of them,
+        or a pair of those beside the measurement and beside the state.
+    measurement_noise: columns ``(..., m, s)``, or a function of them. augment: roots of the noises
+        that go through the points.
     """
     rule = rule_for(rule, belief, augment)
     W: Any = at(process_noise, belief.mean, epoch)
@@ -222,7 +221,9 @@ def _innovation(z: Array, measurement: Image, space: Space, belief: Belief) -> A
 
 
 def rule_for(rule: Any, belief: Belief, augment: Sequence[Array] = ()) -> Any:
-    """The rule of a belief and of the noises through its points, where it is a function of the dimension."""
+    """The rule of a belief and of the noises through its points, where it is a function of the
+    dimension.
+    """
     if hasattr(rule, "image"):
         return rule
     n: int = belief[1].shape[-1]
@@ -234,7 +235,7 @@ def at(noise: Any, mean: Array, epoch: Any) -> Any:
     return in_model(noise, mean, epoch) if callable(noise) else noise
 
 
-# -- by points -------------------------------------------------------------------------------------------
+# -- by points -------------------------------------------------------------------------------------
 def _point_images(
     outputs: Any,
     rule: Any,
@@ -266,8 +267,9 @@ def evaluate(
 ) -> Array:
     """Values ``(p, ..., m)`` of a model at points ``x (p, ..., N)``, guarded.
 
-    ``m``: how many components are measured. A model is checked when it is first called: each point and each run by itself. The
-    function may change its argument: rules make points for one call, and a caller with two hands out a copy.
+    ``m``: how many components are measured. A model is checked when it is first called: each point
+    and each run by itself. The function may change its argument: rules make points for one call,
+    and a caller with two hands out a copy.
     """
     function: Any = getattr(model, model.name)
     if not callable(function):
@@ -287,7 +289,9 @@ def evaluate(
 def _values(
     model: Motion | Sensor, x: Array, epoch: Any, noise: Sequence[Array], m: int | None
 ) -> Array:
-    """Values of a model as floats of the shape they must have; an error carries a note of what the model got."""
+    """Values of a model as floats of the shape they must have; an error carries a note of what the
+    model got.
+    """
     name = model.name
     function: Any = getattr(model, name)
     try:
@@ -317,9 +321,11 @@ def _values(
     return np.asanyarray(y)
 
 
-# -- by matrices -----------------------------------------------------------------------------------------
+# -- by matrices -----------------------------------------------------------------------------------
 def by_matrix(model: Any, rule: Any) -> bool:
-    """Whether a model enters by its matrix alone: it is linear, or the rule asks for derivatives that are known."""
+    """Whether a model enters by its matrix alone: it is linear, or the rule asks for derivatives
+    that are known.
+    """
     if isinstance(rule, Taylor) and model.jacobian is not None:
         return True
     return is_linear(getattr(model, model.name))
@@ -328,7 +334,9 @@ def by_matrix(model: Any, rule: Any) -> bool:
 def linear(
     model: Motion | Sensor, rule: Any, mean: Array, epoch: Any, space: Space = EUCLIDEAN
 ) -> tuple[Array, Array]:
-    """Value at the mean and matrix of a model that enters `by_matrix`; ``space``: that of the state."""
+    """Value at the mean and matrix of a model that enters `by_matrix`; ``space``: that of the
+    state.
+    """
     function: Any = getattr(model, model.name)
     if is_linear(function):
         matrix = function.at(epoch, mean.shape[-1]) if isinstance(function, Linear) else function
@@ -386,7 +394,9 @@ def _kept_image(mean: Array, root: Array, augment: Sequence[Array]) -> Image:
 
 
 def _linear_image(value: Array, J: Array, root: Array, augment: Sequence[Array]) -> Image:
-    """The image of a linear function, by its value at the mean and its matrix ``(..., k, n + noises)``."""
+    """The image of a linear function, by its value at the mean and its matrix
+    ``(..., k, n + noises)``.
+    """
     n, k = root.shape[-1], J.shape[-2]
     ends = np.cumsum([E.shape[-2] for E in (root, *augment)]) if augment else (n,)
     if J.shape[-1] != ends[-1]:
@@ -400,15 +410,18 @@ def _linear_image(value: Array, J: Array, root: Array, augment: Sequence[Array])
     return Image(value, np.zeros(k), columns, partial(np.asanyarray, J[..., :n]))
 
 
-# -- axes of runs ----------------------------------------------------------------------------------------
+# -- axes of runs ----------------------------------------------------------------------------------
 def over_runs(name: str, batch: tuple[int, ...], belief: Belief) -> Belief:
-    """The belief, with a mean for each of the runs that only an argument has; ValueError names one that does not go with it."""
+    """The belief, with a mean for each of the runs that only an argument has; ValueError names one
+    that does not go with it.
+    """
     runs = belief.mean.shape[:-1]
     if not batch or batch == runs:
         return belief
     if belief.mean.dtype.hasobject:
         raise refused(
-            f"{name}: a function that gives a matrix for each run is not recorded; give the matrices "
+            f"{name}: a function that gives a matrix for each run is not recorded; give the "
+            "matrices "
             "(runs, n, n) themselves, or put them into u"
         )
     together = beside(name, batch, runs, "the belief")
@@ -434,12 +447,14 @@ def _belief(form: Form, mean: Array, spread: Array) -> Belief:
 
 
 def alike(used: Array) -> Array:
-    """A mask ``(..., m)`` as one, ``(m,)``, where it is that of all runs: what they share then stays one for all."""
+    """A mask ``(..., m)`` as one, ``(m,)``, where it is that of all runs: what they share then
+    stays one for all.
+    """
     every: Array = np.logical_and.reduce(used, tuple(range(used.ndim - 1)))
     return every if used.ndim == 1 or every.all() or (used == every).all() else used
 
 
-# -- conditioning ----------------------------------------------------------------------------------------
+# -- conditioning ----------------------------------------------------------------------------------
 def marginal(form: Form, joint: Joint, space: Space) -> Belief:
     """The belief about the state, with nothing to condition on: a prediction."""
     mean = space.plus(joint.state.center, joint.state.shift)
@@ -458,8 +473,8 @@ def condition(
 ) -> tuple[Belief, Info, Any]:
     """The belief about the state given the innovation, what was done, and the hooks' memory.
 
-    Components that are nan are marginalized exactly, in each run by itself. With a prescribed ``gain`` the covariance is that of a
-    filter which uses it, whatever it is.
+    Components that are nan are marginalized exactly, in each run by itself. With a prescribed
+    ``gain`` the covariance is that of a filter which uses it, whatever it is.
     """
     measured = joint.innovation
     if hooks:
@@ -469,7 +484,8 @@ def condition(
     mask = alike(used)
     A, sign = joint.columns()
     if not surely(mask.all()):
-        # Rows that were not measured: no columns from the prior, a unit noise of their own and a zero innovation.
+        # Rows that were not measured: no columns from the prior, a unit noise of their own and a
+        # zero innovation.
         A = block(
             [[A[..., :m, :] * mask[..., None], np.eye(m) * ~mask[..., None]], [A[..., m:, :], 0]]
         )
@@ -494,7 +510,9 @@ def condition(
 
 
 def _adapted(joint: Joint, hooks: Sequence[Hook], memory: Any, epoch: Any) -> tuple[Joint, Any]:
-    """The joint after its hooks, which may replace its arrays or write into them, and their memories."""
+    """The joint after its hooks, which may replace its arrays or write into them, and their
+    memories.
+    """
     columns, memories = joint.state.columns, []
     measurement, state = (
         image._replace(columns=image.columns.copy()) for image in (joint.measurement, joint.state)

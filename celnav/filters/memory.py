@@ -1,7 +1,8 @@
 """Memory of rows that is used again.
 
-The system hands out fresh memory a page at a time and zeroes each, which takes as long as a filter's
-arithmetic. So what a track held goes to the next rows of the same size, once nobody holds it any more.
+The system hands out fresh memory a page at a time and zeroes each, which takes as long as a
+filter's arithmetic. So what a track held goes to the next rows of the same size, once nobody holds
+it any more.
 """
 
 from __future__ import annotations
@@ -14,13 +15,13 @@ import numpy as np
 
 from celnav.gaussian.linalg import Array
 
-__all__ = ["empty"]
-
 LEAST = 1 << 20  # bytes of what is used again: smaller arrays are used again by the allocator
 MOST = 1 << 28  # bytes that wait to be used
 
 _FREE: dict[int, list[Any]] = {}
-"""Blocks that nobody uses, by size. What is given back may come from any thread, at any line: there are no locks."""
+"""Blocks that nobody uses, by size. What is given back may come from any thread, at any line: there
+are no locks.
+"""
 
 
 def empty(shape: tuple[int, ...], dtype: type) -> Array:

@@ -1,8 +1,8 @@
 """A model must treat each sigma point, and each run, by itself.
 
-``x[0] += epoch.dt * x[1]`` adds *points*, not components, and ``F @ x`` multiplies runs. Both return
-arrays of the right shape. So each model is checked when a filter first calls it, on copies: its
-values must follow the points when their order is reversed, and some points of one run must give
+``x[0] += epoch.dt * x[1]`` adds *points*, not components, and ``F @ x`` multiplies runs. Both
+return arrays of the right shape. So each model is checked when a filter first calls it, on copies:
+its values must follow the points when their order is reversed, and some points of one run must give
 what they gave among all others. Where a model holds arrays of all runs, and one run cannot be
 evaluated alone, some runs are exchanged for others instead, and the rest must not change.
 """
@@ -17,8 +17,6 @@ from typing import Any
 import numpy as np
 
 from celnav.gaussian.linalg import Array
-
-__all__ = ["LOOKED_AT", "POINTS", "WATCH", "check_apart", "check_matrices_apart", "unknown"]
 
 MOST = 16  # models checked in a run of a filter: some are made anew at every step
 LOOKED_AT: ContextVar[list[Any] | None] = ContextVar("looked_at", default=None)
@@ -206,7 +204,8 @@ def _of_runs(part: Any, runs: tuple[int, ...]) -> bool:
 
 
 def _value(function: Model, arrays: Sequence[Array], epoch: Any, like: Array) -> Array | str:
-    """Values of a model; its error, or nothing, where it cannot be evaluated or has another shape."""
+    """Values of a model; its error, or nothing, where it cannot be evaluated or has another
+    shape."""
     points, *noise = (np.array(a, order="K") for a in arrays)  # it may change its argument
     try:
         with np.errstate(all="ignore"):

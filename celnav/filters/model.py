@@ -1,7 +1,9 @@
-"""What a filter believes of the world: `Motion` and `Sensor`, with their noise, and how they are called.
+"""What a filter believes of the world: `Motion` and `Sensor`, with their noise, and how they are
+called.
 
-Models are functions of *points*: ``f(x, epoch)`` takes points ``x (p, ..., N)`` and gives points. The point axis leads, so that the
-inputs of each run broadcast by themselves; a component is ``x[..., 0]``, a product with a matrix ``x @ F.T``.
+Models are functions of *points*: ``f(x, epoch)`` takes points ``x (p, ..., N)`` and gives points.
+The point axis leads, so that the inputs of each run broadcast by themselves; a component is
+``x[..., 0]``, a product with a matrix ``x @ F.T``.
 """
 
 from __future__ import annotations
@@ -22,23 +24,38 @@ from celnav.gaussian.spaces import EUCLIDEAN, Space
 from celnav.tape.numbers import in_model
 
 __all__ = [
-    "Linear", "Model", "Motion", "Noise", "Sensor", "as_floats", "check_matrices", "check_prior", "check_roots", "given_back",
-    "is_linear", "matrices_of", "noise_of",
-]  # fmt: skip
+    "Linear",
+    "Model",
+    "Motion",
+    "Noise",
+    "Sensor",
+    "as_floats",
+    "check_matrices",
+    "check_prior",
+    "check_roots",
+    "given_back",
+    "is_linear",
+    "matrices_of",
+    "noise_of",
+]
 
 Model = Callable[..., Any]
 """``(points (p, ..., N), epoch, *noise points (p, ..., k)) -> (p, ..., M)``."""
 Jacobian = Callable[[Array, Any], Any]
-"""``(mean (..., N), epoch) -> (..., k, n)``; with noise through the points its columns follow those of the state."""
+"""``(mean (..., N), epoch) -> (..., k, n)``; with noise through the points its columns follow those
+of the state.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class Linear:
-    """A linear model whose matrix changes with the epoch: exact and cheap under any rule, as a constant matrix is.
+    """A linear model whose matrix changes with the epoch: exact and cheap under any rule, as a
+    constant matrix is.
 
     ``matrix``: ``epoch -> (..., m, n)``.
 
-    >>> motion = celnav.Motion(celnav.Linear(lambda epoch: np.array([[1.0, epoch.dt], [0.0, 1.0]])), Q)
+    >>> F = celnav.Linear(lambda epoch: np.array([[1.0, epoch.dt], [0.0, 1.0]]))
+    >>> motion = celnav.Motion(F, Q)
     """
 
     matrix: Callable[[Any], Array]
@@ -61,7 +78,9 @@ def is_linear(model: Any) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class _Model:
-    """What a `Motion` and a `Sensor` have in common: a function or a matrix, whose space is one, and a noise that is said."""
+    """What a `Motion` and a `Sensor` have in common: a function or a matrix, whose space is one,
+    and a noise that is said.
+    """
 
     name: ClassVar[str]
     noise_name: ClassVar[str]
@@ -78,19 +97,22 @@ class _Model:
             if matrix.ndim < 2 or (name == "f" and matrix.shape[-1] != matrix.shape[-2]):
                 shape = "(..., n, n)" if name == "f" else "(..., m, n)"
                 raise ValueError(
-                    f"{name}: expected a function (points, epoch) or a matrix {shape}, got shape {matrix.shape}"
+                    f"{name}: expected a function (points, epoch) or a matrix {shape}, got shape "
+                    f"{matrix.shape}"
                 )
             object.__setattr__(self, name, matrix)
             columns = self.noise
             if isinstance(columns, np.ndarray) and columns.shape[-2] != matrix.shape[-2]:
                 raise ValueError(
-                    f"{noise}: expected {matrix.shape[-2]} rows to go with {name}, got {columns.shape[-2]}"
+                    f"{noise}: expected {matrix.shape[-2]} rows to go with {name}, got "
+                    f"{columns.shape[-2]}"
                 )
         elif not any(
             takes(model, count) for count in range(2, 10)
         ):  # how many noises go through it only the filter knows
             raise ValueError(
-                f"{name}: expected a function (points, epoch, *noise), got {kind(model)} of other arguments"
+                f"{name}: expected a function (points, epoch, *noise), got {kind(model)} of other "
+                "arguments"
             )
         if self.jacobian is not None:
             function(
@@ -103,11 +125,13 @@ class _Model:
         roots = check_roots("augment", self.augment)
         if len(roots) and is_linear(model):
             raise ValueError(
-                f"augment: expected a function {name}(points, epoch, *noise) with it, got a matrix; {noise} is its noise"
+                f"augment: expected a function {name}(points, epoch, *noise) with it, got a "
+                f"matrix; {noise} is its noise"
             )
         if self.noise is None and not len(roots):
             raise ValueError(
-                f"{noise}: expected the noise's covariance, {noise} or sqrt_{noise}; without noise it is np.zeros((k, k))"
+                f"{noise}: expected the noise's covariance, {noise} or sqrt_{noise}; without noise "
+                "it is np.zeros((k, k))"
             )
 
     @cached_property
@@ -122,7 +146,9 @@ class _Model:
         return noise_of(name, getattr(self, name), getattr(self, f"sqrt_{name}"), rows)
 
     def columns(self, mean: Array, epoch: Any, rows: int) -> Any:
-        """Columns ``(..., rows, r)`` of the noise at an epoch; None: all of it goes through the points."""
+        """Columns ``(..., rows, r)`` of the noise at an epoch; None: all of it goes through the
+        points.
+        """
         columns = self.noise(mean, epoch) if callable(self.noise) else self.noise
         return None if columns is None else _widened(columns, rows)
 
@@ -131,14 +157,17 @@ class _Model:
 class Motion(_Model):
     """What is believed of the dynamics: ``x' = f(x, epoch) + w``, ``w ~ N(0, Q)``.
 
-    f: function ``(points (p, ..., N), epoch) -> (p, ..., N)``, or a matrix ``(..., n, n)``, or a `Linear` one of the epoch.
-        ``epoch.dt`` is the interval, ``epoch.u`` the input.
-    Q: covariance ``(..., n, n)`` of the process noise of an interval, or a function ``(mean, epoch)`` of it. Without noise it is
-        ``np.zeros((n, n))``. A number is that multiple of the identity.
-    sqrt_Q: columns ``(..., n, r)`` of the noise instead of ``Q``, or a function of them; a number is a
-        standard deviation.
-    space: what a difference of states is, where they are no vectors: `celnav.angles`, `celnav.gaussian.attitude`.
-    jacobian: ``(mean, epoch) -> (..., n, n)``, which an extended filter uses instead of differences.
+    f: function ``(points (p, ..., N), epoch) -> (p, ..., N)``, or a matrix ``(..., n, n)``, or a
+        `Linear` one of the epoch. ``epoch.dt`` is the interval, ``epoch.u`` the input.
+    Q: covariance ``(..., n, n)`` of the process noise of an interval, or a function
+        ``(mean, epoch)`` of it. Without noise it is ``np.zeros((n, n))``. A number is that multiple
+        of the identity.
+    sqrt_Q: columns ``(..., n, r)`` of the noise instead of ``Q``, or a function of them; a number
+        is a standard deviation.
+    space: what a difference of states is, where they are no vectors: `celnav.angles`,
+        `celnav.gaussian.attitude`.
+    jacobian: ``(mean, epoch) -> (..., n, n)``, which an extended filter uses instead of
+        differences.
     augment: roots ``(k, k)`` of noises that go *through* the points: ``f(x, epoch, *noise)``.
 
     >>> motion = celnav.Motion(lambda x, epoch: orbit.step(x, epoch.dt), Q=1e-8 * np.eye(6))
@@ -160,10 +189,11 @@ class Motion(_Model):
 class Sensor(_Model):
     """What is believed of a measurement: ``z = h(x, epoch) + v``, ``v ~ N(0, R)``.
 
-    h: function ``(points (p, ..., N), epoch) -> (p, ..., m)``, or a matrix ``(..., m, n)``: a linear measurement is exact and cheap
-        under any rule.
-    R, sqrt_R, jacobian, augment: as of a `Motion`, with m rows. Noises through the points may be all the noise there is.
-    space: what a difference of measurements is, where they are no vectors: ``celnav.angles([1])`` wraps component 1.
+    h: function ``(points (p, ..., N), epoch) -> (p, ..., m)``, or a matrix ``(..., m, n)``: a
+        linear measurement is exact and cheap under any rule.
+    R, sqrt_R, jacobian, augment: as of a `Motion`, with m rows. Noises through the points may be
+    all the noise there is. space: what a difference of measurements is, where they are no vectors:
+    ``celnav.angles([1])`` wraps component 1.
 
     >>> gps = celnav.Sensor(np.eye(3, 6), R=0.04 * np.eye(3))
     """
@@ -188,7 +218,9 @@ class Sensor(_Model):
 
     @cached_property
     def noisy(self) -> bool:
-        """Whether each component is known to have noise of its own: only what is exact can be of what is known already."""
+        """Whether each component is known to have noise of its own: only what is exact can be of
+        what is known already.
+        """
         return bool(len(self.augment)) or (
             isinstance(self.noise, np.ndarray) and bool(self.noise.any(-1).all())
         )
@@ -197,14 +229,16 @@ class Sensor(_Model):
 Noise = Array | Callable[[Array, Any], Array] | None
 """Columns ``(..., k, r)`` of a noise, or a function ``(mean, epoch)`` of them; None: without.
 
-A standard deviation alone, ``()``, is that multiple of the identity, with the rows that the model has."""
+A standard deviation alone, ``()``, is that multiple of the identity, with the rows that the model
+has."""
 Rows = int | Space | None
 
 
 def noise_of(name: str, cov: Any, sqrt: Any, rows: Rows = None) -> Noise:
     """Columns of a noise, from a covariance or a root, a constant (checked once) or a function.
 
-    rows: of the columns that a number stands for, or the space of the mean; None: it stays a number.
+    rows: of the columns that a number stands for, or the space of the mean; None: it stays a
+        number.
     """
     if cov is not None and sqrt is not None:
         raise ValueError(f"{name}: expected one of {name} and sqrt_{name}, got both")
@@ -250,18 +284,23 @@ def matrices_of(name: str, function: Any, mean: Array, epoch: Any) -> Array:
 
 
 def check_roots(name: str, roots: Any) -> Sequence[Array]:
-    """Noises through the points are a sequence of their roots, matrices ``(..., k, k)``; ValueError names other things."""
+    """Noises through the points are a sequence of their roots, matrices ``(..., k, k)``; ValueError
+    names other things.
+    """
     if not isinstance(roots, tuple | list) or not all(
         isinstance(root, np.ndarray) and root.ndim >= 2 for root in roots
     ):
         raise ValueError(
-            f"{name}: expected a sequence of matrices, a root (k, k) for each noise, such as (np.eye(2),)"
+            f"{name}: expected a sequence of matrices, a root (k, k) for each noise, such as "
+            "(np.eye(2),)"
         )
     return roots
 
 
 def check_matrices(N: int, n: int, *models: Motion | Sensor) -> None:
-    """Matrices among models go with a state of N components and n deviations; ValueError names one that does not."""
+    """Matrices among models go with a state of N components and n deviations; ValueError names one
+    that does not.
+    """
     for name, matrix in ((model.name, getattr(model, model.name)) for model in models):
         if n != N and is_linear(matrix):
             raise ValueError(
@@ -270,7 +309,8 @@ def check_matrices(N: int, n: int, *models: Motion | Sensor) -> None:
             )
         if not callable(matrix) and matrix.shape[-1] != n:
             raise ValueError(
-                f"{name}: expected a matrix ({'n' if name == 'f' else 'm'}, {n}), got {matrix.shape[-2:]}"
+                f"{name}: expected a matrix ({'n' if name == 'f' else 'm'}, {n}), got "
+                f"{matrix.shape[-2:]}"
             )
 
 
@@ -285,19 +325,26 @@ def check_prior(prior: Any) -> None:
 
 
 def given_back(name: str, value: Any, what: str) -> Any:
-    """What a function from outside gave back, if it is a tuple of what ``what`` names; ValueError otherwise."""
+    """What a function from outside gave back, if it is a tuple of what ``what`` names; ValueError
+    otherwise.
+    """
     if not isinstance(value, tuple | list) or len(value) != what.count(",") + 1:
         raise ValueError(f"{name}: expected ({what}) from the function, got {kind(value)}")
     return value
 
 
 def as_floats(name: str, values: Any, points: Array) -> Array:
-    """What a model gave as float64, with a warning of single precision whose differences are hardly more than round-off."""
+    """What a model gave as float64, with a warning of single precision whose differences are hardly
+    more than round-off.
+    """
     dtype, y = np.asarray(values).dtype, numbers(name, unmasked(name, values))
     if dtype.kind == "f" and dtype.itemsize < y.itemsize and len(points) > 1 and y.size:
         differences, moved = np.ptp(y, 0), np.ptp(points, 0) > 0.0
         moved = moved if moved.shape == differences.shape else moved.any(-1, keepdims=True)
         if (moved & (differences < 1e3 * np.finfo(dtype).eps * np.abs(y).max(0))).any():
-            text = "its values differ from point to point by little more than round-off. Compute in float64."
+            text = (
+                "its values differ from point to point by little more than round-off. "
+                "Compute in float64."
+            )
             warn(f"{name} returns {dtype}: {text}", RuntimeWarning, stacklevel=4)
     return y

@@ -1,4 +1,6 @@
-"""What passes between the parts of a step: `Epoch` (and `epochs`, made of arrays), `Info`, `State`, and what a filter is."""
+"""What passes between the parts of a step: `Epoch` (and `epochs`, made of arrays), `Info`, `State`,
+and what a filter is.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,9 @@ _LOG_2PI = float(np.log(2.0 * np.pi))
 
 
 class FilterError(ArithmeticError):
-    """A run lost definiteness or met numbers that are not finite; the message says which run, when and why."""
+    """A run lost definiteness or met numbers that are not finite; the message says which run, when
+    and why.
+    """
 
 
 class Epoch(NamedTuple):
@@ -42,9 +46,11 @@ class Epoch(NamedTuple):
 
     k: index. t: time, s. dt: length of the interval, s.
     u: the input that acts over the interval.
-    z: one measurement ``(..., m)`` or a tuple of them, one for each sensor; nan or None where there is none.
+    z: one measurement ``(..., m)`` or a tuple of them, one for each sensor; nan or None where there
+        is none.
     truth: whatever a simulation wants to hand on.
-    about: beliefs at both ends of the interval, over which `celnav.iterated_smoother` linearizes; nobody else looks at them.
+    about: beliefs at both ends of the interval, over which `celnav.iterated_smoother` linearizes;
+        nobody else looks at them.
 
     >>> state, infos = filter.step(filter.start(prior), celnav.Epoch(t=0.0, z=z[0]))
     """
@@ -66,16 +72,20 @@ def still(epoch: Any) -> bool:
 class Info(NamedTuple):
     """What one measurement did to a belief.
 
-    innovation: ``(..., m)`` measurement minus its prediction, before hooks; nan where nothing was measured.
-    whitened: ``(..., m)`` ``S^-1 innovation`` with the lower root S of the innovation covariance; 0 where not used.
+    innovation: ``(..., m)`` measurement minus its prediction, before hooks; nan where nothing was
+        measured.
+    whitened: ``(..., m)`` ``S^-1 innovation`` with the lower root S of the innovation covariance; 0
+        where not used.
     used: ``(..., m)`` bool, the components that took part.
     sqrt_S: ``(..., m, m)`` S, with unit rows for components not used.
-    gain, jacobian: ``() -> (..., n, m)`` and ``() -> (..., m, n)``, the measurement's (statistical) Jacobian.
-    redone: ``(...)`` bool, the runs that a `celnav.filters.fallback.Fallback` did again; None if there was none.
+    gain, jacobian: ``() -> (..., n, m)`` and ``() -> (..., m, n)``, the measurement's (statistical)
+        Jacobian.
+    redone: ``(...)`` bool, the runs that a `celnav.filters.fallback.Fallback` did again; None if
+        there was none.
     silent: whether there was no measurement at all, not even nan.
     R: ``(..., m)`` variances of the measurement noise as the hooks left them; None without hooks.
-    mixture: ``(...)``, the log-likelihood where ``sqrt_S`` does not say it: after a compiled step, and where the density is no
-        Gaussian, of which ``whitened`` then has the moments; else None.
+    mixture: ``(...)``, the log-likelihood where ``sqrt_S`` does not say it: after a compiled step,
+        and where the density is no Gaussian, of which ``whitened`` then has the moments; else None.
 
     >>> (info,) = infos
     >>> info.innovation, info.gain()  # what was not expected, and what was made of it
@@ -94,7 +104,9 @@ class Info(NamedTuple):
 
     @property
     def nis(self) -> Array | None:
-        """Normalized innovation squared, ``(...)``: chi-square with ``used.sum(-1)`` degrees of freedom."""
+        """Normalized innovation squared, ``(...)``: chi-square with ``used.sum(-1)`` degrees of
+        freedom.
+        """
         return None if self.whitened is None else np.vecdot(self.whitened, self.whitened)
 
     @property
@@ -110,7 +122,8 @@ class Info(NamedTuple):
 
 
 class State(NamedTuple):
-    """State of a filter between epochs: the belief, and the memories of the hooks of each sensor."""
+    """State of a filter between epochs: the belief, and the memories of the hooks of each
+    sensor."""
 
     belief: Any
     memory: tuple[Any, ...] = ()
@@ -127,7 +140,9 @@ class FromFunctions(NamedTuple):
 
 
 class Filter(Protocol):
-    """What `celnav.run` asks of a filter. All its memory lies in the state, which can be kept, copied and resumed."""
+    """What `celnav.run` asks of a filter. All its memory lies in the state, which can be kept,
+    copied and resumed.
+    """
 
     def start(self, prior: Gaussian) -> Any:
         """State before the first epoch; ``state.belief`` is the estimate."""
@@ -137,17 +152,21 @@ class Filter(Protocol):
 
 
 class Inputs(NamedTuple):
-    """What some epochs have beside measurements: ``(u, about)`` of epochs ``at (K,)``, as columns ``(K, ...)``."""
+    """What some epochs have beside measurements: ``(u, about)`` of epochs ``at (K,)``, as columns
+    ``(K, ...)``.
+    """
 
     at: Array
     columns: Any
 
 
 class Epochs(Sequence[Epoch]):
-    """Epochs made from arrays when they are asked for, one at a time; nothing is copied. See `epochs`.
+    """Epochs made from arrays when they are asked for, one at a time; nothing is copied. See
+    `epochs`.
 
-    A slice is one again, numbered on. Its first epoch keeps the interval that leads up to it, so that ``[k:]`` goes on where
-    ``[:k]`` ends; where a stride leaves epochs out, intervals are those between the ones that are left.
+    A slice is one again, numbered on. Its first epoch keeps the interval that leads up to it, so
+    that ``[k:]`` goes on where ``[:k]`` ends; where a stride leaves epochs out, intervals are those
+    between the ones that are left.
     """
 
     def __init__(
@@ -183,7 +202,8 @@ class Epochs(Sequence[Epoch]):
                 raise ValueError(f"epochs: expected a slice that runs forward, got {k}")
             if count > 1 and self._u is not None:
                 raise ValueError(
-                    f"epochs: an interval of {count} epochs has {count} inputs, got one u for each; make epochs anew"
+                    f"epochs: an interval of {count} epochs has {count} inputs, got one u for "
+                    "each; make epochs anew"
                 )
             at = k.indices(len(self))[0]
             return self._with(
@@ -202,7 +222,9 @@ class Epochs(Sequence[Epoch]):
         return Epoch(self._number(at), t, dt, u, _at(self._z, i), _at(self._truth, i), about)
 
     def columns(self, sensors: int) -> tuple[Array, Array, Array, list[Inputs], tuple[Any, ...]]:
-        """All epochs at once: ``k``, ``t``, ``dt`` ``(T,)``, inputs, and measurements ``(T, ..., m)`` of each sensor."""
+        """All epochs at once: ``k``, ``t``, ``dt`` ``(T,)``, inputs, and measurements
+        ``(T, ..., m)`` of each sensor.
+        """
         rows = self._rows
         at = np.arange(rows.start, rows.stop, rows.step)
         before = np.concatenate([[self._row_before(0)], at[:-1]])
@@ -288,8 +310,8 @@ def _is_columns(values: Any) -> bool:
 def epochs(times: ArrayLike, z: Any = None, u: Any = None, truth: Any = None) -> Epochs:
     """Epochs at ``times (T,)``, which may be irregular.
 
-    times: s, not decreasing; of dates, in any time zone, seconds since the first. The first epoch has
-        ``dt = 0``: it updates the prior.
+    times: s, not decreasing; of dates, in any time zone, seconds since the first. The first epoch
+        has ``dt = 0``: it updates the prior.
     z: measurements ``(T, ..., m)``, time-major, nan where missing; a tuple of such arrays for
         several sensors.
     u: inputs; ``u[k]`` acts from ``times[k]`` to ``times[k + 1]``, so that there are T - 1, or T of
@@ -320,7 +342,8 @@ def epochs(times: ArrayLike, z: Any = None, u: Any = None, truth: Any = None) ->
 
 
 def as_seconds(times: Any) -> Any:
-    """Times as numbers: dates, of any time zone, as seconds since the first, durations as seconds."""
+    """Times as numbers: dates, of any time zone, as seconds since the first, durations as
+    seconds."""
     try:
         array = np.asarray(times)
         if array.dtype.kind == "M":
@@ -337,7 +360,9 @@ def as_seconds(times: Any) -> Any:
 
 
 def _rows(name: str, values: Any, times: int) -> Any:
-    """Values of which ``values[k]`` is a row; ValueError names them if rows do not go with the times."""
+    """Values of which ``values[k]`` is a row; ValueError names them if rows do not go with the
+    times.
+    """
     if isinstance(values, tuple):
         return tuple(_rows(name, part, times) for part in values)
     if values is None:
@@ -385,7 +410,9 @@ def _measurements(z: ArrayLike, length: int) -> Array:
 
 
 def without_input(error: Exception, epoch: Any) -> Exception:
-    """The error of a model; where it comes from an input that an epoch does not have, one that says so."""
+    """The error of a model; where it comes from an input that an epoch does not have, one that says
+    so.
+    """
     names, trace = set[str](), error.__traceback__
     while trace is not None:
         names.update(trace.tb_frame.f_code.co_names)
@@ -396,19 +423,23 @@ def without_input(error: Exception, epoch: Any) -> Exception:
     if np.any(epoch.dt):
         return ValueError(f"u: expected an input at t = {epoch.t}, where a model uses it, got None")
     return ValueError(
-        f"u: expected models that need no input at t = {epoch.t}: no interval leads up to the first epoch. "
+        f"u: expected models that need no input at t = {epoch.t}: no interval leads up to the "
+        "first epoch. "
         "Make that measurement nan, or let the model use a value of its own where epoch.u is None"
     )
 
 
 def check_interval(filter: Any, epoch: Any, before: Any) -> None:
-    """Raise a ValueError if the interval of an epoch is none, or does not lead up to it from the time ``before``."""
+    """Raise a ValueError if the interval of an epoch is none, or does not lead up to it from the
+    time ``before``.
+    """
     dt = getattr(epoch, "dt", None)
     if isinstance(dt, float) and 0.0 < dt < np.inf:
         return
     if dt is None:
         raise ValueError(
-            f"epochs: expected celnav.epochs(times, z), or records like celnav.Epoch, got {kind(epoch)}"
+            "epochs: expected celnav.epochs(times, z), or records like celnav.Epoch, got "
+            f"{kind(epoch)}"
         )
     interval = numbers("dt", dt)
     if before is not None and not interval.any() and np.any(np.asarray(epoch.t) > before):
@@ -423,5 +454,6 @@ def check_interval(filter: Any, epoch: Any, before: Any) -> None:
         and not (callable(motion.Q) or callable(motion.sqrt_Q))
     ):
         raise ValueError(
-            "dt: expected an interval for every run or for none where Q is constant, got 0 for some of them"
+            "dt: expected an interval for every run or for none where Q is constant, got 0 for "
+            "some of them"
         )

@@ -1,4 +1,6 @@
-"""Statistical linear regression: the linear function that is nearest to a model over a belief, and what it leaves over."""
+"""Statistical linear regression: the linear function that is nearest to a model over a belief, and
+what it leaves over.
+"""
 
 from __future__ import annotations
 
@@ -21,14 +23,14 @@ from celnav.gaussian.linalg import (
 )
 from celnav.gaussian.rules import Image
 
-__all__ = ["pseudo_gain", "regressed"]
-
 
 def regressed(seen: Joint, belief: Belief, way: Array) -> Joint:
-    """The joint of a measurement and of the state as ``belief`` has it, by the regression ``z = A x + b + e`` over another belief.
+    """The joint of a measurement and of the state as ``belief`` has it, by the regression
+    ``z = A x + b + e`` over another belief.
 
-    seen: the joint over that other belief, by points, with the state kept. way: ``(..., n)`` from its mean to that of ``belief``.
-    What A leaves of the columns is e, noise with the signs that they have [Garcia2015].
+    seen: the joint over that other belief, by points, with the state kept. way: ``(..., n)`` from
+    its mean to that of ``belief``. What A leaves of the columns is e, noise with the signs that
+    they have [Garcia2015].
     """
     own, root = seen.measurement, belief.sqrt_cov
     n = root.shape[-1]
@@ -49,9 +51,11 @@ def regressed(seen: Joint, belief: Belief, way: Array) -> Joint:
 def pseudo_gain(
     A: Array, sign: Array, m: int, center: Array | None = None, least: float = 0.0
 ) -> Array:
-    """Gain ``cov(x, y) cov(y)^+ (..., n, m)`` of columns of y and x; the pseudo-inverse where the covariance of y is singular.
+    """Gain ``cov(x, y) cov(y)^+ (..., n, m)`` of columns of y and x; the pseudo-inverse where the
+    covariance of y is singular.
 
-    ``center``: where y lies, whose round-off the columns carry. ``least``: part of a deviation below which a direction is known.
+    ``center``: where y lies, whose round-off the columns carry. ``least``: part of a deviation
+        below which a direction is known.
     """
     D_y, D_x = A[..., :m, :], A[..., m:, :]
     S = SquareRoot.marginal(D_y, sign)
@@ -59,7 +63,8 @@ def pseudo_gain(
     std = np.sqrt(np.einsum("...ij,...ij->...i", S, S))
     known = std == 0.0
     unit = np.where(known, 1.0, std)
-    # Differences of images carry the round-off of the images: below it a direction of y is known, not merely well known.
+    # Differences of images carry the round-off of the images: below it a direction of y is known,
+    # not merely well known.
     if center is None:
         noise: Any = 0.0
     elif center.shape[-1] == S.shape[-1]:

@@ -34,7 +34,9 @@ ENGINES = ("numpy", "compiled", "cuda", "auto")
 ENGINE: ContextVar[str] = ContextVar("engine", default="auto")
 """What `run` and the studies take where nobody says: ``celnav reproduce --engine`` sets it."""
 REPEATED: ContextVar[int] = ContextVar("repeated", default=0)
-"""How many flights of equal filters are expected: engine="auto" compiles for all of them. 0: nobody says."""
+"""How many flights of equal filters are expected: engine="auto" compiles for all of them. 0: nobody
+says.
+"""
 
 
 @contextmanager
@@ -48,12 +50,20 @@ def repeated(times: int) -> Iterator[None]:
 
 
 def run(
-    filter: Filter, prior: Any, times: ArrayLike | Iterable[Epoch], z: Any = None, u: Any = None, *,
-    every: int = 1, keep: str | Collection[str] = "std", on_failure: str = "raise",
+    filter: Filter,
+    prior: Any,
+    times: ArrayLike | Iterable[Epoch],
+    z: Any = None,
+    u: Any = None,
+    *,
+    every: int = 1,
+    keep: str | Collection[str] = "std",
+    on_failure: str = "raise",
     also: Callable[[Epoch, Any, tuple[Info, ...]], dict[str, Any]] | None = None,
     reduce: Callable[[Any, Epoch, Any, tuple[Info, ...]], Any] | None = None,
-    engine: str | None = None, jobs: int = 1,
-) -> Track:  # fmt: skip
+    engine: str | None = None,
+    jobs: int = 1,
+) -> Track:
     """Run a filter over epochs and collect a `Track`.
 
     filter: any filter. prior: a `celnav.Gaussian` of any batch shape.
@@ -61,19 +71,20 @@ def run(
         several sensors) and inputs ``u``, as `celnav.epochs` takes them; or, instead of the three,
         epochs that are made already, or any iterable of `Epoch`.
     every: store each ``every``-th epoch (sums, likelihood and reduction take all of them).
-    keep: what to store: "std" (mean, standard deviations, innovations), "cov" (also covariances, for
-        smoothing), "mean" (mean and innovations), or "nothing" (sums and the reduction only); or names of the rows
-        that alone are wanted, such as ("mean", "std"), of "mean", "std", "cov" and "innovation" (whitened, and which
-        were used, too).
+    keep: what to store: "std" (mean, standard deviations, innovations), "cov" (also covariances,
+        for smoothing), "mean" (mean and innovations), or "nothing" (sums and the reduction only);
+        or names of the rows that alone are wanted, such as ("mean", "std"), of "mean", "std", "cov"
+        and "innovation" (whitened, and which were used, too).
     also: ``(epoch, state, infos) -> dict`` of further arrays to store, as ``Track.extra``.
-    reduce: ``(accumulated, epoch, state, infos) -> accumulated``, from None; the end is ``Track.reduced``. With it a study of any
-        length runs in the memory of one step.
-    engine: "auto" (unless `ENGINE` says otherwise): machine code where it can be had and repays recording and compiling in this
-        flight, or was recorded of the same filter before, else numpy; ``Track.engine`` says which, and why. "numpy"; "compiled":
-        the filter's own step as machine code, see `celnav.compiled`; "cuda": on an NVIDIA device (experimental).
+    reduce: ``(accumulated, epoch, state, infos) -> accumulated``, from None; the end is
+        ``Track.reduced``. With it a study of any length runs in the memory of one step.
+    engine: "auto" (unless `ENGINE` says otherwise): machine code where it can be had and repays
+        recording and compiling in this flight, or was recorded of the same filter before, else
+        numpy; ``Track.engine`` says which, and why. "numpy"; "compiled": the filter's own step as
+        machine code, see `celnav.compiled`; "cuda": on an NVIDIA device (experimental).
     jobs: threads of compiled code.
-    on_failure: "raise" a `FilterError` for the first run that is lost, or "flag" it: it becomes nan from there
-        (``Track.failed_at``), the other runs go on.
+    on_failure: "raise" a `FilterError` for the first run that is lost, or "flag" it: it becomes nan
+        from there (``Track.failed_at``), the other runs go on.
 
     >>> track = celnav.run(celnav.ukf(motion, gps), celnav.Gaussian(x0, P0), times, z)
     """
@@ -105,7 +116,8 @@ def run(
             why = explain(filter, filter.start(prior) if before is None else before, state, epoch)
             where = f", run {lost}" if lost else ""
             raise FilterError(
-                f"step {epoch.k}, t = {epoch.t}{where}: {why} (on_failure='flag' lets the other runs go on)"
+                f"step {epoch.k}, t = {epoch.t}{where}: {why} (on_failure='flag' lets the other "
+                "runs go on)"
             )
         if reduce is not None:
             reduced = reduce(reduced, epoch, state, infos)
@@ -147,7 +159,8 @@ def steps(
         every = iter(epochs)
     except TypeError:
         raise ValueError(
-            f"epochs: expected celnav.epochs(times, z), or records like celnav.Epoch, got {kind(epochs)}"
+            "epochs: expected celnav.epochs(times, z), or records like celnav.Epoch, got "
+            f"{kind(epochs)}"
         ) from None
     models: list[Any] = []
     settles = not hasattr(filter, "run")  # a compiled filter does it itself
@@ -171,7 +184,9 @@ def steps(
 
 
 def explain(filter: Any, before: Any, after: Any, epoch: Epoch) -> str:
-    """Why a run that was sound in the state before an epoch is lost after it, a sentence: the step is done again, and watched."""
+    """Why a run that was sound in the state before an epoch is lost after it, a sentence: the step
+    is done again, and watched.
+    """
     lost = after.belief.lost() & ~np.broadcast_to(
         before.belief.lost(), after.belief.mean.shape[:-1]
     )
@@ -179,7 +194,10 @@ def explain(filter: Any, before: Any, after: Any, epoch: Epoch) -> str:
         if part is not None and np.isinf(np.asarray(part, dtype=np.float64)).any():
             return "z is infinite"
     if (lost & np.isnan(before.belief.sqrt_cov).any((-2, -1))).any():
-        return "the covariance lost positive definiteness in the step before; the square-root form has twice the digits"
+        return (
+            "the covariance lost positive definiteness in the step before; "
+            "the square-root form has twice the digits"
+        )
     found: list[str] = []
 
     def look(name: str, y: Array) -> None:
@@ -215,7 +233,9 @@ def explain(filter: Any, before: Any, after: Any, epoch: Epoch) -> str:
         columns = at(sensor.noise, predicted.belief.mean, epoch)
         if not len(sensor.augment) and (columns is None or not columns.any(-1).all()):
             return (
-                f"{why}; a measurement without noise must say what is not known already: of redundant sensors, or of a "
-                "constraint that is repeated, leave out all but one (z is nan) or give them a small R"
+                f"{why}; a measurement without noise must say what is not known already: of "
+                "redundant sensors, or of a "
+                "constraint that is repeated, leave out all but one (z is nan) or give them a "
+                "small R"
             )
     return why

@@ -3,8 +3,8 @@
 A recorded step holds for a whole flight only if the model is a function of its arguments. Nothing
 says that it is. So at a few epochs, spread over the flight, numpy takes the same step from the same
 states. Round-off is judged by the state's conditioning: by how much numpy's own step moves when
-each number of the state, the measurement and the models' values is moved by an ulp or two. And what the functions
-of a filter hold must be the same after they were called.
+each number of the state, the measurement and the models' values is moved by an ulp or two. And what
+the functions of a filter hold must be the same after they were called.
 """
 
 from __future__ import annotations
@@ -49,17 +49,6 @@ from celnav.gaussian.rules import AnyDimension, Taylor
 from celnav.tape.numbers import Numbers
 from celnav.tape.tape import Number
 
-__all__ = [
-    "Function",
-    "Watch",
-    "changed",
-    "difference",
-    "functions_of",
-    "held",
-    "otherwise",
-    "restorer",
-]
-
 CLOSE = 1e-6  # of a standard deviation, or of the size of any other number
 DIFFERENCED = 1e-4  # likewise where numpy takes differences and machine code has derivatives
 MOVES = 1e3  # numpy's own movements by round-off of what it is given
@@ -76,7 +65,8 @@ EMPTY = CellType()  # of a name that has no value yet
 def difference(
     filter: Any, engine: Engine, data: Data, sentinel: Sentinel, watched: Sequence[int]
 ) -> str:
-    """What the numpy engine computes otherwise from the states before a sentinel; empty: nothing."""
+    """What the numpy engine computes otherwise from the states before a sentinel; empty:
+    nothing."""
     failed = TALLY.index("failed_at")
     sound = np.flatnonzero((sentinel.before[:, failed] < 0) & (sentinel.after[:, failed] < 0))
     # Memories need not have the runs in front: then each run is taken alone.
@@ -113,9 +103,11 @@ def _silent(z: Any, data: Data, at: int) -> bool:
 
 
 def _agree(state: Any, counts: list[Any], rows: Array, tally: Array) -> bool:
-    """Whether a step by numpy is as close to ``rows (..., size)`` of a belief as `otherwise` asks, at a glance.
+    """Whether a step by numpy is as close to ``rows (..., size)`` of a belief as `otherwise` asks,
+    at a glance.
 
-    Roots whose rows differ by CLOSE / 4n of their lengths have covariances that differ by less than CLOSE.
+    Roots whose rows differ by CLOSE / 4n of their lengths have covariances that differ by less than
+    CLOSE.
     """
     mean, matrix = state.belief
     std, (n, N) = state.belief.std, (matrix.shape[-1], mean.shape[-1])
@@ -168,7 +160,8 @@ def otherwise(
     for i in wrong:
         x, y = apart[i]
         least = np.max([np.abs(each[i] - x) for each in moved], 0)
-        # Each run is one draw of the same round-off: the largest movement, in sizes, is that of all.
+        # Each run is one draw of the same round-off: the largest movement, in sizes, is that of
+        # all.
         there = (sizes[i] > 0.0) & np.isfinite(least)
         part = np.divide(least, sizes[i], out=np.zeros(x.shape), where=there)
         round_off = MOVES * np.maximum(least, part.max(initial=0.0) * sizes[i])
@@ -282,7 +275,9 @@ def _nudged(tree: Any, rng: np.random.Generator) -> Any:
 
 # -- what functions hold -----------------------------------------------------------------------
 def held(filter: Any) -> dict[str, Any]:
-    """What the functions of a filter hold, by its path: closures, attributes, globals that they name."""
+    """What the functions of a filter hold, by its path: closures, attributes, globals that they
+    name.
+    """
     found: dict[str, Any] = {}
     _look(filter, "", found, set(), DEEP)
     return found
@@ -402,7 +397,9 @@ def changed(before: dict[str, Any], after: dict[str, Any]) -> str:
 
 
 class Function(NamedTuple):
-    """What stands for a function: its code, where it is defined if it is the user's, how many things it holds."""
+    """What stands for a function: its code, where it is defined if it is the user's, how many
+    things it holds.
+    """
 
     code: CodeType
     place: str
@@ -426,7 +423,8 @@ def _look(
     deep: int,
     things: dict[str, Any] | None = None,
 ) -> None:
-    """Set what a thing is known by, and what it holds; ``things``: set the things themselves too."""
+    """Set what a thing is known by, and what it holds; ``things``: set the things themselves
+    too."""
     if isinstance(thing, Number | Numbers):  # left by a recording
         found[path] = id(thing)
         return

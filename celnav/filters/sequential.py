@@ -1,4 +1,6 @@
-"""Filters that predict over an interval, then take one sensor after the other: `ukf`, `ekf`, `ckf`, `ghkf`, `sigma_point`."""
+"""Filters that predict over an interval, then take one sensor after the other: `ukf`, `ekf`, `ckf`,
+`ghkf`, `sigma_point`.
+"""
 
 from __future__ import annotations
 
@@ -43,19 +45,35 @@ from celnav.gaussian.spaces import EUCLIDEAN, Space
 from celnav.gaussian.sparse_grid import smolyak
 
 __all__ = [
-    "MOST_ITERATIONS", "Iterated", "Sequential", "SingleDraw", "checked", "ckf", "ekf", "ghkf", "measurements", "missing", "over",
-    "plain", "sigma_point", "silent", "sparse_grid_filter", "ukf",
-]  # fmt: skip
+    "MOST_ITERATIONS",
+    "Iterated",
+    "Sequential",
+    "SingleDraw",
+    "checked",
+    "ckf",
+    "ekf",
+    "ghkf",
+    "measurements",
+    "missing",
+    "over",
+    "plain",
+    "sigma_point",
+    "silent",
+    "sparse_grid_filter",
+    "ukf",
+]
 
 MOST_ITERATIONS = 10_000  # at every step
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Sequential:
-    """A filter as data: what it believes, by which rule it computes and in which form. Make one with `ukf` or its siblings.
+    """A filter as data: what it believes, by which rule it computes and in which form. Make one
+    with `ukf` or its siblings.
 
-    ``start(prior)`` gives a state, ``step(state, epoch)`` the next one and an `Info` of each sensor; ``state.belief`` has ``mean``,
-    ``cov`` and ``std``. An epoch with ``dt == 0`` does not predict: the first one is an update of the prior.
+    ``start(prior)`` gives a state, ``step(state, epoch)`` the next one and an `Info` of each
+    sensor; ``state.belief`` has ``mean``, ``cov`` and ``std``. An epoch with ``dt == 0`` does not
+    predict: the first one is an update of the prior.
     """
 
     motion: Motion
@@ -68,7 +86,9 @@ class Sequential:
 
     def __repr__(self) -> str:
         form = next(name for name, form in FORMS.items() if form is self.form)
-        return f"{type(self).__name__}({kind(self.motion.f)}; {', '.join(kind(s.h) for s in self.sensors)}; {self.rule!r}, {form})"
+        sensors = ", ".join(kind(sensor.h) for sensor in self.sensors)
+        name = type(self).__name__
+        return f"{name}({kind(self.motion.f)}; {sensors}; {self.rule!r}, {form})"
 
     def start(self, prior: Gaussian) -> State:
         """State before the first epoch."""
@@ -142,11 +162,14 @@ class Sequential:
     def measured(
         self, sensor: Sensor, belief: Belief, z: Array, epoch: Epoch, rule: Any = None
     ) -> Joint:
-        """The joint of what a sensor measures and of the state; ``rule``: in place of the filter's."""
+        """The joint of what a sensor measures and of the state; ``rule``: in place of the
+        filter's."""
         return self._with_state(rule, sensor, belief, z, epoch)
 
     def transition(self, belief: Belief, epoch: Epoch, after: Array, rule: Any = None) -> Joint:
-        """The joint of the state after the interval, as if measured to be ``after``, and of the one before it: what smooths."""
+        """The joint of the state after the interval, as if measured to be ``after``, and of the one
+        before it: what smooths.
+        """
         return self._with_state(rule, self.motion, belief, after, epoch)
 
     def _with_state(
@@ -191,7 +214,9 @@ class Sequential:
     def _reject_redundant(
         self, sensor: Sensor, belief: Belief, seen: Joint, after: Belief, info: Info, epoch: Epoch
     ) -> Belief:
-        """The belief, but nan for runs in which a measurement without noise is of what was known already."""
+        """The belief, but nan for runs in which a measurement without noise is of what was known
+        already.
+        """
         V, measured = seen.measurement_noise, seen.measurement
         exact = np.ones(1, bool) if V is None else np.asanyarray(~V.any(-1))
         if surely(~exact.any()):
@@ -265,24 +290,35 @@ def silent(sensor: Sensor, z: Any) -> Info:
     return Info(np.full(shape, np.nan), np.zeros(shape), np.zeros(shape, bool))
 
 
-# -- made ----------------------------------------------------------------------------------------------------------------
+# -- made ------------------------------------------------------------------------------------------
 def sigma_point(
-    motion: Motion, *sensors: Sensor, rule: Any, form: str = "square root", hooks: Sequence[Any] = (), gain: Gain | None = None,
+    motion: Motion,
+    *sensors: Sensor,
+    rule: Any,
+    form: str = "square root",
+    hooks: Sequence[Any] = (),
+    gain: Gain | None = None,
     iterations: int = 1,
-) -> Sequential:  # fmt: skip
+) -> Sequential:
     """A filter by any rule, for `celnav.run`.
 
-    motion, sensors: what is believed. Without sensors it is the open loop. Of several sensors each has its own part of ``z``, a
-        tuple, and nan where it is silent, so sensors of different rates need nothing else.
-    rule: a `Rule`, `Taylor`, or a function ``n -> rule`` of the dimension: the state's, and of noise that goes through the points.
+    motion, sensors: what is believed. Without sensors it is the open loop. Of several sensors each
+        has its own part of ``z``, a tuple, and nan where it is silent, so sensors of different
+        rates need nothing else.
+    rule: a `Rule`, `Taylor`, or a function ``n -> rule`` of the dimension: the state's, and of
+        noise that goes through the points.
     form: "square root" (QR, half the digits needed) or "covariance" (fewer operations).
-    hooks: ``(memory, joint, epoch) -> (memory, joint)``, one after the other at each sensor: each sees the `Joint` of measurement
-        and state and may replace it. Ready ones are in `celnav.filters.adaptive`. For other hooks at each sensor a list of lists.
-    gain: a prescribed gain ``(..., n, m)`` instead of the optimal one, or ``(A, sign, m) -> gain``; for one sensor.
-    iterations: of each update; with more than one it linearizes again over the posterior that the last led to: the posterior
-        linearization filter [Garcia2015], of Taylor's rule the iterated EKF [Bell1993].
+    hooks: ``(memory, joint, epoch) -> (memory, joint)``, one after the other at each sensor: each
+        sees the `Joint` of measurement and state and may replace it. Ready ones are in
+        `celnav.filters.adaptive`. For other hooks at each sensor a list of lists.
+    gain: a prescribed gain ``(..., n, m)`` instead of the optimal one, or ``(A, sign, m) -> gain``;
+        for one sensor.
+    iterations: of each update; with more than one it linearizes again over the posterior that the
+        last led to: the posterior linearization filter [Garcia2015], of Taylor's rule the iterated
+            EKF [Bell1993].
 
-    >>> celnav.sigma_point(motion, gps, rule=lambda n: celnav.smolyak(n, 3), hooks=[celnav.filters.adaptive.gate(4.0)])
+    >>> hooks = [celnav.filters.adaptive.gate(4.0)]
+    >>> celnav.sigma_point(motion, gps, rule=lambda n: celnav.smolyak(n, 3), hooks=hooks)
     """
     instance("motion", motion, Motion, "celnav.Motion(f, Q)")
     for sensor in sensors:
@@ -299,7 +335,8 @@ def sigma_point(
     if isinstance(rule, type) or not (hasattr(rule, "image") or callable(rule)):
         hint = " (celnav.from_filterpy makes it one)" if hasattr(rule, "sigma_points") else ""
         raise ValueError(
-            f"rule: expected a rule, such as celnav.unscented(n) or celnav.unscented, got {kind(rule)}{hint}"
+            "rule: expected a rule, such as celnav.unscented(n) or celnav.unscented, got "
+            f"{kind(rule)}{hint}"
         )
     rule = rule if hasattr(rule, "image") or isinstance(rule, AnyDimension) else AnyDimension(rule)
     plain = Sequential(
@@ -322,9 +359,11 @@ def ukf(
     kappa: float = 0.0,
     **options: Any,
 ) -> Sequential:
-    """The unscented Kalman filter; ``alpha, beta, kappa`` as in `celnav.unscented`, ``options`` as in `sigma_point`.
+    """The unscented Kalman filter; ``alpha, beta, kappa`` as in `celnav.unscented`, ``options`` as
+    in `sigma_point`.
 
-    The defaults have no negative weight: they are the rule of `ckf`, whose points and weights are the same.
+    The defaults have no negative weight: they are the rule of `ckf`, whose points and weights are
+    the same.
 
     >>> filter = celnav.ukf(celnav.Motion(f, Q), celnav.Sensor(h, R))
     """
@@ -335,7 +374,8 @@ def ukf(
 
 
 def ckf(motion: Motion, *sensors: Sensor, degree: int = 3, **options: Any) -> Sequential:
-    """The cubature Kalman filter, of degree 3 or 5; ``options`` as in `sigma_point`. Of degree 3 it is the default `ukf`.
+    """The cubature Kalman filter, of degree 3 or 5; ``options`` as in `sigma_point`. Of degree 3 it
+    is the default `ukf`.
 
     >>> filter = celnav.ckf(motion, gps, degree=5)
     """
@@ -360,9 +400,10 @@ def sparse_grid_filter(
     weights: Sequence[int] | None = None,
     **options: Any,
 ) -> Sequential:
-    """The sparse-grid Gauss-Hermite filter; ``level, weights`` as in `celnav.smolyak`, ``options`` as in `sigma_point`.
+    """The sparse-grid Gauss-Hermite filter; ``level, weights`` as in `celnav.smolyak`, ``options``
+    as in `sigma_point`.
 
-    >>> filter = celnav.sparse_grid_filter(motion, gps, weights=[1, 1, 1, 2, 2, 2])  # positions are nonlinear
+    >>> filter = celnav.sparse_grid_filter(motion, gps, weights=[1, 1, 1, 2, 2, 2])
     """
     return sigma_point(
         motion, *sensors, rule=partial(smolyak, level=level, weights=weights), **options
@@ -370,7 +411,8 @@ def sparse_grid_filter(
 
 
 def ekf(motion: Motion, *sensors: Sensor, **options: Any) -> Sequential:
-    """The extended Kalman filter, iterated with ``iterations=6``, say; ``options`` as in `sigma_point`.
+    """The extended Kalman filter, iterated with ``iterations=6``, say; ``options`` as in
+    `sigma_point`.
 
     It linearizes by the ``jacobian`` of motion and sensors, or by differences where there is none.
 
@@ -384,7 +426,8 @@ def plain(name: str, filter: Any) -> Sequential:
     made: Sequential = instance(name, filter, Sequential, "celnav.ukf(motion, sensor)")
     if type(made).step is not Sequential.step:
         raise ValueError(
-            f"{name}: expected a filter that predicts, then updates, such as celnav.ukf, got {kind(filter)}"
+            f"{name}: expected a filter that predicts, then updates, such as celnav.ukf, got "
+            f"{kind(filter)}"
         )
     return made
 
@@ -393,12 +436,14 @@ def _each(hooks: Any, sensors: int) -> tuple[tuple[Hook, ...], ...]:
     """Hooks for each sensor."""
     if isinstance(hooks, str) or not isinstance(hooks, Sequence):
         raise ValueError(
-            f"hooks: expected a list of hooks, such as [celnav.filters.adaptive.gate(4.0)], got {kind(hooks)}"
+            "hooks: expected a list of hooks, such as [celnav.filters.adaptive.gate(4.0)], got "
+            f"{kind(hooks)}"
         )
     lists = [hook for hook in hooks if isinstance(hook, list | tuple)]
     if lists and not len(lists) == len(hooks) == sensors:
         raise ValueError(
-            f"hooks: expected hooks, or {sensors} lists of them, one for each sensor, got {len(lists)} lists"
+            f"hooks: expected hooks, or {sensors} lists of them, one for each sensor, got "
+            f"{len(lists)} lists"
         )
     each = tuple(tuple(own) for own in hooks) if lists else (tuple(hooks),) * sensors
     wrong = [hook for own in each for hook in own if not takes(hook, 3)]
@@ -407,18 +452,21 @@ def _each(hooks: Any, sensors: int) -> tuple[tuple[Hook, ...], ...]:
     return each
 
 
-# -- variants ------------------------------------------------------------------------------------------------------------
+# -- variants --------------------------------------------------------------------------------------
 @dataclass(frozen=True, eq=False, repr=False)
 class Iterated(Sequential):
     """A filter that linearizes each update again about the posterior that the last one led to.
 
-    An extended filter does so at the posterior's mean: its updates are Gauss-Newton steps to the mode [Bell1993]. Of points it is a
-    statistical linear regression over the whole posterior, whose residual is noise [Garcia2015]: where the posterior is narrow
-    that noise is small, and what the prior's points take for a nonlinearity no longer counts.
+    An extended filter does so at the posterior's mean: its updates are Gauss-Newton steps to the
+    mode [Bell1993]. Of points it is a statistical linear regression over the whole posterior, whose
+    residual is noise [Garcia2015]: where the posterior is narrow that noise is small, and what the
+    prior's points take for a nonlinearity no longer counts.
 
-    iterations: linearizations of each update. One with a ``first`` is an update linearized about a point known otherwise, from a
-        closed solution of the measurements, say; the prior counts in full all the same.
-    first: ``(belief, z, epoch) -> (..., N)``, the first point to linearize about; None: the prior's mean.
+    iterations: linearizations of each update. One with a ``first`` is an update linearized about a
+        point known otherwise, from a closed solution of the measurements, say; the prior counts in
+        full all the same.
+    first: ``(belief, z, epoch) -> (..., N)``, the first point to linearize about; None: the prior's
+        mean.
     """
 
     _: KW_ONLY
@@ -455,7 +503,9 @@ class Iterated(Sequential):
     def relinearized(
         self, about: Belief, sensor: Sensor, belief: Belief, z: Array, epoch: Epoch
     ) -> Joint:
-        """The joint of the measurement and of the state as ``belief`` has it, by a regression over the belief ``about``."""
+        """The joint of the measurement and of the state as ``belief`` has it, by a regression over
+        the belief ``about``.
+        """
         space = self.motion.space
         return over(
             about,
@@ -475,7 +525,9 @@ def over(
     space: Space,
     draw: Callable[[Any, Belief], Joint],
 ) -> Joint:
-    """The joint that ``draw(rule, belief)`` gives, with the state as ``belief`` has it and the model linearized over ``about``."""
+    """The joint that ``draw(rule, belief)`` gives, with the state as ``belief`` has it and the
+    model linearized over ``about``.
+    """
     if isinstance(rule, Taylor):
         return draw(
             Taylor(rule.step, about=about.mean), over_runs("about", about.mean.shape[:-1], belief)
@@ -487,15 +539,19 @@ def over(
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SingleDraw(Sequential):
-    """Predict and update on one set of points: the augmented form of [Merwe2004], without drawing anew in between.
+    """Predict and update on one set of points: the augmented form of [Merwe2004], without drawing
+    anew in between.
 
-    Noise goes through the points: ``f(x, epoch, *noise)`` and ``h(f(x), epoch, *noise)`` both get all the noises of the motion and
-    then of its only sensor. Additive process noise would not reach the measurement, and is not offered. An epoch with ``dt == 0``
-    is an ordinary update. Make it of a filter: ``SingleDraw.of(celnav.ukf(motion, sensor))``.
+    Noise goes through the points: ``f(x, epoch, *noise)`` and ``h(f(x), epoch, *noise)`` both get
+    all the noises of the motion and then of its only sensor. Additive process noise would not reach
+    the measurement, and is not offered. An epoch with ``dt == 0`` is an ordinary update. Make it of
+    a filter: ``SingleDraw.of(celnav.ukf(motion, sensor))``.
 
-    joint_noise: roots of the noises that reach both functions instead, where those of process and measurement are correlated.
+    joint_noise: roots of the noises that reach both functions instead, where those of process and
+        measurement are correlated.
 
-    >>> filter = celnav.filters.sequential.SingleDraw.of(celnav.ukf(celnav.Motion(f, augment=[np.eye(6)]), gps))
+    >>> filter = celnav.ukf(celnav.Motion(f, augment=[np.eye(6)]), gps)
+    >>> filter = celnav.filters.sequential.SingleDraw.of(filter)
     """
 
     _: KW_ONLY
@@ -554,9 +610,16 @@ class SingleDraw(Sequential):
             )
             return state._replace(belief=marginal(self.form, ahead, space)), (silent(sensor, z),)
         both = joint(
-            self.rule, belief, self.outputs, epoch, space=space, spaces=(sensor.space, space),
-            z=z, measurement_noise=sensor.noise, augment=self.noises,
-        )  # fmt: skip
+            self.rule,
+            belief,
+            self.outputs,
+            epoch,
+            space=space,
+            spaces=(sensor.space, space),
+            z=z,
+            measurement_noise=sensor.noise,
+            augment=self.noises,
+        )
         hooks = self.hooks[0] if self.hooks else ()
         after, info, memory = condition(
             self.form, both, space, hooks=hooks, memory=state.memory[0], epoch=epoch, gain=self.gain
@@ -568,6 +631,8 @@ class SingleDraw(Sequential):
         return (evaluate(self.motion, x, epoch, noise),)
 
     def outputs(self, x: Array, epoch: Epoch, *noise: Array) -> tuple[Array, Array]:
-        """The measurement and the state at the end of the interval, both from the points at its beginning."""
+        """The measurement and the state at the end of the interval, both from the points at its
+        beginning.
+        """
         y = evaluate(self.motion, x, epoch, noise)
         return evaluate(self.sensors[0], y.copy(order="K"), epoch, noise), y

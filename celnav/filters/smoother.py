@@ -1,9 +1,10 @@
 """The fixed-interval smoother [Rauch1965; sigma points: Sarkka2008] for every rule, form and space.
 
-It is the core's conditioning once more: with ``g = (f, identity)`` the next state is a measurement of the present one. The belief
-about the present state given the next, and what is left open about the next one carried back by the gain, are independent; their
-sum is the smoothed belief. No covariances are subtracted, so it stays a square-root smoother, and a gain that is not optimal
-costs variance, not honesty.
+It is the core's conditioning once more: with ``g = (f, identity)`` the next state is a measurement
+of the present one. The belief about the present state given the next, and what is left open about
+the next one carried back by the gain, are independent; their sum is the smoothed belief. No
+covariances are subtracted, so it stays a square-root smoother, and a gain that is not optimal costs
+variance, not honesty.
 """
 
 from __future__ import annotations
@@ -32,36 +33,50 @@ from celnav.gaussian.linalg import NEGLIGIBLE, Array, Belief, surely
 __all__ = ["back", "smooth"]
 
 FORWARD_ONLY: dict[type, str] = {
-    Colored: "whose differences of measurements share their noise with the motion; smooth a track of "
+    Colored: "whose differences of measurements share their noise with the motion; "
+    "smooth a track of "
     "celnav.augmented(motion, sensor, Phi), which has the colored noise as states",
-    TwoStage: "whose stages have no joint model of state and bias to go back by; smooth a track of celnav.ukf "
+    TwoStage: "whose stages have no joint model of state and bias to go back by; "
+    "smooth a track of celnav.ukf "
     "with the bias as a state",
-    InteractingModels: "whose estimate is a mixture, which none of its models leads back from; smooth the track "
+    InteractingModels: "whose estimate is a mixture, which none of its models leads back from; "
+    "smooth the track "
     "of one of its filters alone",
-    SingleDraw: "which draws the noise of motion and sensor together; smooth a track of the filter that it was "
+    SingleDraw: "which draws the noise of motion and sensor together; "
+    "smooth a track of the filter that it was "
     "made of",
-    FixedLag: "which smooths its last epochs by filter.track(state); smooth a track of its own filter",
+    FixedLag: "which smooths its last epochs by filter.track(state); "
+    "smooth a track of its own filter",
 }
 """Filters of which a track cannot be smoothed: why, and which one takes their place."""
 
 
 def smooth(
-    track: Track, filter: Any = None, *, gains: bool = False, on_failure: str = "raise",
-    engine: str | None = None, jobs: int = 1,
-) -> Track:  # fmt: skip
+    track: Track,
+    filter: Any = None,
+    *,
+    gains: bool = False,
+    on_failure: str = "raise",
+    engine: str | None = None,
+    jobs: int = 1,
+) -> Track:
     """Estimates of all states given *all* measurements, from the track of a filter.
 
     track: of ``run(..., keep="cov")``, every epoch stored.
-    filter: the filter of the track, which has it unless it was pickled. It predicts, then updates, as
-        `celnav.ukf` and its siblings do. In place of `celnav.colored` smooth `celnav.augmented`, in place
-        of `celnav.two_stage` a filter with the bias as a state, in place of `celnav.imm` one of its models.
-    gains: store the gains ``(T, ..., n, n)``, ``extra["gain"]``: the k-th acts from epoch k + 1 to k, the last is 0.
-    on_failure: "raise" a `FilterError` if the smoother loses a run, or "flag" it (nan from there *back*, and ``failed_at``).
+    filter: the filter of the track, which has it unless it was pickled. It predicts, then updates,
+        as `celnav.ukf` and its siblings do. In place of `celnav.colored` smooth `celnav.augmented`,
+        in place of `celnav.two_stage` a filter with the bias as a state, in place of `celnav.imm`
+        one of its models.
+    gains: store the gains ``(T, ..., n, n)``, ``extra["gain"]``: the k-th acts from epoch k + 1 to
+        k, the last is 0.
+    on_failure: "raise" a `FilterError` if the smoother loses a run, or "flag" it (nan from there
+        *back*, and ``failed_at``).
 
     engine, jobs: of the way back, as `celnav.run` has them; gains are numpy's.
 
-    Returns the track with smoothed mean, std and covariances; all else remains the filter's. A run that the filter lost is smoothed
-    up to its last good epoch. Directions of the predicted state that are known (a singular covariance) carry nothing back.
+    Returns the track with smoothed mean, std and covariances; all else remains the filter's. A run
+    that the filter lost is smoothed up to its last good epoch. Directions of the predicted state
+    that are known (a singular covariance) carry nothing back.
 
     >>> smoothed = celnav.smooth(celnav.run(filter, prior, times, z, keep="cov"))
     """
@@ -73,7 +88,8 @@ def smooth(
     chosen = track.filter if filter is None else filter
     if chosen is None:
         raise ValueError(
-            "filter: expected that of the track, which was lost when it was pickled: smooth(track, filter)"
+            "filter: expected that of the track, which was lost when it was pickled: smooth(track, "
+            "filter)"
         )
     chosen = chosen.first if isinstance(chosen, Fallback) else chosen
     if not isinstance(chosen, Sequential) or isinstance(chosen, Colored | SingleDraw):
@@ -81,7 +97,8 @@ def smooth(
             (f", {why}" for of, why in FORWARD_ONLY.items() if isinstance(chosen, of)), ""
         )
         raise ValueError(
-            f"filter: expected one that predicts, then updates, such as celnav.ukf, got {kind(chosen)}{reason}"
+            "filter: expected one that predicts, then updates, such as celnav.ukf, got "
+            f"{kind(chosen)}{reason}"
         )
     epochs = track.epochs
     if not isinstance(epochs, Epochs) and any(b.k != a.k + 1 for a, b in pairwise(epochs)):
@@ -124,8 +141,10 @@ def smooth(
             epoch = epochs[int(k[first]) + 1]
             where = f", run {tuple(int(i) for i in first)}" if batch else ""
             raise FilterError(
-                f"smoothing back from step {epoch.k}, t = {epoch.t}{where}: the covariance of the predicted state, or the "
-                "smoothed one, is not positive definite (on_failure='flag' lets the other runs go on)"
+                f"smoothing back from step {epoch.k}, t = {epoch.t}{where}: the covariance of the "
+                "predicted state, or the "
+                "smoothed one, is not positive definite (on_failure='flag' lets the other runs go "
+                "on)"
             )
         failed_at = np.where(broken.any(0) & (failed_at < 0), k, failed_at)
     belief, extra = form(mean, cov), track.extra | ({} if G is None else {"gain": G})
@@ -135,7 +154,9 @@ def smooth(
 
 
 class Smoothed(NamedTuple):
-    """State of the way back: the belief given everything, and the gain that led to it, if that is kept."""
+    """State of the way back: the belief given everything, and the gain that led to it, if that is
+    kept.
+    """
 
     belief: Belief
     gain: Array | None = None
@@ -181,12 +202,15 @@ def backwards(filter: Sequential, gains: bool) -> Backward:
 
 
 def back(filter: Sequential, before: Belief, after: Belief, epoch: Epoch) -> tuple[Belief, Array]:
-    """The belief before an epoch's interval given everything, from the one given the past and the smoothed one after it."""
+    """The belief before an epoch's interval given everything, from the one given the past and the
+    smoothed one after it.
+    """
     form, space = filter.form, filter.motion.space
     both = filter.transition(before, epoch, after.mean)
     center = both.measurement.center
     if (both.sign < 0.0).any():
-        # What the next state tells exactly, such as a constant, cancels to round-off, from which no negative columns can be taken
+        # What the next state tells exactly, such as a constant, cancels to round-off, from which no
+        # negative columns can be taken
         # away: the round-off counts as the noise that it is.
         size = np.sqrt(np.vecdot(both.state.columns, both.state.columns))
         both = both._replace(

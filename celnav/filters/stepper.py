@@ -37,8 +37,6 @@ from celnav.gaussian.linalg import Array
 from celnav.tape import llvm
 from celnav.tape.tape import CannotCompile
 
-__all__ = ["Plan", "plan_key"]
-
 FLOAT = np.dtype(np.float64)
 FAILED = TALLY.index("failed_at")
 SEEN = ("innovation", "whitened", "used")
@@ -144,7 +142,8 @@ class _Between(Engine):
 
 
 def _places(shape: Shape, first: int) -> list[tuple[int, ...]]:
-    """Where each number of a state lies if its matrices are whole: of a covariance in two places."""
+    """Where each number of a state lies if its matrices are whole: of a covariance in two
+    places."""
     found: list[tuple[int, ...]] = [(i,) for i in range(first)]
     for own, what, _ in shape.arrays:
         at = np.arange(first, first + int(np.prod(own))).reshape(own)
@@ -168,8 +167,8 @@ def _spans(shape: Shape, first: int) -> list[tuple[slice, tuple[int, ...]]]:
 class Plan:
     """A step of a filter by machine code, from states and over epochs of one `plan_key`.
 
-    Its buffers belong to one thread. ``left``: steps until numpy is to take the same one, one of each
-    ``interval``. ``watch``: what the models held.
+    Its buffers belong to one thread. ``left``: steps until numpy is to take the same one, one of
+    each ``interval``. ``watch``: what the models held.
     """
 
     def __init__(self, filter: Any, state: Any, epoch: Epoch, most: int):

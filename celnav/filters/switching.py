@@ -19,7 +19,9 @@ __all__ = ["Switching"]
 
 
 class Turn(NamedTuple):
-    """State of a `Switching`; ``chosen (...)``: numbers of the filters that made the last step, None before the first."""
+    """State of a `Switching`; ``chosen (...)``: numbers of the filters that made the last step,
+    None before the first.
+    """
 
     belief: Any
     memory: tuple[Any, ...]
@@ -28,18 +30,22 @@ class Turn(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Switching:
-    """Filters of which one makes each step of a run; nothing but mean and covariance passes from one to the next.
+    """Filters of which one makes each step of a run; nothing but mean and covariance passes from
+    one to the next.
 
-    filters: ``number ->`` filter: of the same motion, sensors and form, with different rules and without hooks. Number 0 starts.
-    choose: ``(belief, epoch, chosen) ->`` numbers ``(...)`` of the filters for a step, from the belief before it; ``chosen``: those
-        of the step before, None at the first.
+    filters: ``number ->`` filter: of the same motion, sensors and form, with different rules and
+        without hooks. Number 0 starts.
+    choose: ``(belief, epoch, chosen) ->`` numbers ``(...)`` of the filters for a step, from the
+        belief before it; ``chosen``: those of the step before, None at the first.
 
-    The step of a run is bit for bit that of its filter. All runs together cost as much as every filter that one of them has chosen.
+    The step of a run is bit for bit that of its filter. All runs together cost as much as every
+    filter that one of them has chosen.
 
     >>> filters = [celnav.ghkf(motion, gps), celnav.ekf(motion, gps)]
     >>> narrow = lambda belief, epoch, chosen: (belief.std[..., 0] < 0.1).astype(int)
     >>> filter = celnav.filters.switching.Switching(filters.__getitem__, narrow)
-    >>> track = celnav.run(filter, prior, times, z, also=lambda epoch, state, infos: {"chosen": state.chosen})
+    >>> also = lambda epoch, state, infos: {"chosen": state.chosen}
+    >>> track = celnav.run(filter, prior, times, z, also=also)
     """
 
     filters: Callable[[int], Filter]
@@ -62,7 +68,8 @@ class Switching:
         chosen = np.asarray(self.choose(state.belief, epoch, state.chosen))
         if chosen.dtype.kind not in "iu" or not chosen.size or (chosen < 0).any():
             raise ValueError(
-                f"choose: expected whole numbers of filters, 0 or more, for each run, got {chosen!r:.80}"
+                "choose: expected whole numbers of filters, 0 or more, for each run, got "
+                f"{chosen!r:.80}"
             )
         belief: Any = None
         infos: tuple[Info, ...] = ()
@@ -70,7 +77,8 @@ class Switching:
             after, more = self.filters(number).step(State(state.belief, state.memory), epoch)
             if any(memory is not None for memory in after.memory):
                 raise ValueError(
-                    "filters: expected filters without hooks, whose memory would be of one filter only"
+                    "filters: expected filters without hooks, whose memory would be of one filter "
+                    "only"
                 )
             if belief is None:
                 belief, infos = after.belief, more

@@ -28,26 +28,32 @@ __all__ = ["KEEP", "Collector", "Track", "rows_of"]
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """The record of a run, time-major: ``(T, ..., n)``, the batch axes of the runs between time and component.
+    """The record of a run, time-major: ``(T, ..., n)``, the batch axes of the runs between time and
+    component.
 
     ``print(track.report(truth))`` judges it.
 
-    times: ``(T,)`` s, of the epochs stored. mean: ``(T, ..., N)``. std: ``(T, ..., n)``. None: not kept.
-    belief: means and covariances in the filter's form, where ``run(keep="cov")`` kept them; see `cov`.
-    innovation, whitened, used: ``(T, ..., m)`` of all sensors side by side, m the most that they had at an epoch: innovations, nan
-        where not measured; whitened ones, 0 where not used; bool, which components took part.
+    times: ``(T,)`` s, of the epochs stored. mean: ``(T, ..., N)``. std: ``(T, ..., n)``. None: not
+        kept.
+    belief: means and covariances in the filter's form, where ``run(keep="cov")`` kept them; see
+        `cov`.
+    innovation, whitened, used: ``(T, ..., m)`` of all sensors side by side, m the most that they
+        had at an epoch: innovations, nan where not measured; whitened ones, 0 where not used; bool,
+            which components took part.
     sensors: how many of these components each sensor has, in their order.
     columns: names of the measurements' columns, where they came as a table of pandas.
     log_likelihood: ``(...)`` of all measurements, also of epochs not stored.
-    events: counts ``(...)`` over all epochs: "missing" and "rejected" components, "redone" steps. Where ``z`` was None, as many are
-        missing as that sensor has at other epochs.
+    events: counts ``(...)`` over all epochs: "missing" and "rejected" components, "redone" steps.
+        Where ``z`` was None, as many are missing as that sensor has at other epochs.
     failed_at: ``(...)`` index of the first epoch at which a run is not finite, -1 for none.
     extra: what ``run(also=...)`` gave; and "R" of a filter with hooks: ``(T, ..., m)``, the
-        variances of the measurement noise as they left them, such as those that `variational_bayes` estimates, of all
-        sensors with hooks side by side.
+        variances of the measurement noise as they left them, such as those that `variational_bayes`
+        estimates, of all sensors with hooks side by side.
     reduced: what ``run(reduce=...)`` ended with.
-    engine: what flew it, "numpy", "compiled" or "cuda"; with ``run(engine="auto")`` also why it was not compiled.
-    filter, epochs: for `celnav.smooth`; the epochs have lost their measurements, and a track that was pickled its filter.
+    engine: what flew it, "numpy", "compiled" or "cuda"; with ``run(engine="auto")`` also why it was
+        not compiled.
+    filter, epochs: for `celnav.smooth`; the epochs have lost their measurements, and a track that
+        was pickled its filter.
 
     >>> track.nis.sum() / track.dof.sum()  # 1 of a consistent filter
     >>> track.to_csv("track.csv")
@@ -90,7 +96,9 @@ class Track:
 
     @property
     def nis(self) -> Array:
-        """Normalized innovation squared ``(T, ...)``, chi-square of `dof`: ``nis.sum() / dof.sum()`` should be 1."""
+        """Normalized innovation squared ``(T, ...)``, chi-square of `dof`:
+        ``nis.sum() / dof.sum()`` should be 1.
+        """
         white = _stored("nis", self.whitened, "innovations")
         return np.asarray(np.einsum("...i,...i->...", white, white))
 
@@ -112,18 +120,26 @@ class Track:
         )
 
     def report(
-        self, truth: ArrayLike, *, names: Sequence[str] | None = None, start: float | None = None, space: Space | None = None,
+        self,
+        truth: ArrayLike,
+        *,
+        names: Sequence[str] | None = None,
+        start: float | None = None,
+        space: Space | None = None,
         level: float = 0.95,
-    ) -> Report:  # fmt: skip
-        """How it did against the truth, a `celnav.show.report.Report`; NEES needs covariances, of ``run(keep="cov")``.
+    ) -> Report:
+        """How it did against the truth, a `celnav.show.report.Report`; NEES needs covariances, of
+        ``run(keep="cov")``.
 
-        truth: ``(T, ..., N)`` at the track's epochs, nan where it is not known; ``(T, N)`` may be that of all runs. Where states
-            are vectors it may be of their first components only: biases and colored noise that a filter estimates besides have
-            none.
+        truth: ``(T, ..., N)`` at the track's epochs, nan where it is not known; ``(T, N)`` may be
+            that of all runs. Where states are vectors it may be of their first components only:
+            biases and colored noise that a filter estimates besides have none.
         names: ``(n,)`` of the components of the error. start: s; earlier epochs are left out.
-        space: that of the states; None: the one that the track's filter says. level: of intervals and bands.
+        space: that of the states; None: the one that the track's filter says. level: of intervals
+            and bands.
 
-        Errors are estimate minus truth. What is not finite, of a run that is lost, is left out; what was before counts.
+        Errors are estimate minus truth. What is not finite, of a run that is lost, is left out;
+        what was before counts.
 
         >>> report = celnav.run(filter, prior, times, z, keep="cov").report(truth)
         >>> print(report)
@@ -140,7 +156,8 @@ class Track:
         return [*self.columns] if len(self.columns) == count else [f"z{i}" for i in range(count)]
 
     def to_dataframe(self, names: list[str] | None = None) -> pd.DataFrame:
-        """A row for each stored epoch and run (batch axes count as one): time, run, means, deviations, NIS. Needs pandas.
+        """A row for each stored epoch and run (batch axes count as one): time, run, means,
+        deviations, NIS. Needs pandas.
 
         ``names``: of the state's components; default ``x0, x1, ...``.
         """
@@ -150,7 +167,8 @@ class Track:
         return pd.DataFrame(self._columns(names))
 
     def to_csv(self, path: str | Path, names: list[str] | None = None) -> None:
-        """Write what `to_dataframe` would hold, with 17 significant digits, without needing pandas."""
+        """Write what `to_dataframe` would hold, with 17 significant digits, without needing
+        pandas."""
         from celnav.files import write_text
 
         columns = self._columns(names)
@@ -206,7 +224,9 @@ _BLANK = {"innovation": np.nan, "whitened": 0.0, "used": False, "R": np.nan}
 
 
 def rows_of(keep: Any) -> tuple[str, ...]:
-    """Names of the rows that ``celnav.run(keep=...)`` asks for, by one word for them or by their own."""
+    """Names of the rows that ``celnav.run(keep=...)`` asks for, by one word for them or by their
+    own.
+    """
     if isinstance(keep, str) or not isinstance(keep, Iterable):
         return KEEP[choice("keep", keep, tuple(KEEP))]
     asked = list(keep)

@@ -1,8 +1,10 @@
-"""Two-stage filters: a filter that knows of no bias, a second one that estimates the bias from what the first leaves over.
+"""Two-stage filters: a filter that knows of no bias, a second one that estimates the bias from what
+the first leaves over.
 
-The first stage runs as if the bias were zero. A sensitivity ``Lambda`` says what a unit of bias does to its estimate; its
-innovation, less what the sensitivity explains, is the measurement of the second stage [Friedland1969]. For a constant bias, or
-one that walks at random [Hsieh1999], both together are the augmented Kalman filter.
+The first stage runs as if the bias were zero. A sensitivity ``Lambda`` says what a unit of bias
+does to its estimate; its innovation, less what the sensitivity explains, is the measurement of the
+second stage [Friedland1969]. For a constant bias, or one that walks at random [Hsieh1999], both
+together are the augmented Kalman filter.
 """
 
 from __future__ import annotations
@@ -39,17 +41,23 @@ from celnav.gaussian.spaces import EUCLIDEAN
 __all__ = ["LINEAR", "Boost", "Plain", "Stage", "TwoStage", "two_stage"]
 
 Slope = Array | Callable[[Array, Epoch], Array]
-"""``Gamma (..., m, p)``: derivative of the measurement with respect to the bias; constant or ``(mean, epoch) -> matrix``."""
+"""``Gamma (..., m, p)``: derivative of the measurement with respect to the bias; constant or
+``(mean, epoch) -> matrix``.
+"""
 LINEAR = Taylor()
-KNOWN = 1e-6  # part of a deviation below which a direction of the bias is taken for known: the round-off of many steps
+# part of a deviation below which a direction of the bias is taken for known: the round-off of many
+# steps
+KNOWN = 1e-6
 
 
 class Stage(NamedTuple):
-    """What a first stage did in a step: its innovation ``(..., m)``, the root ``(..., m, m)`` of that one's covariance, the gain
-    ``(..., n, m)``, the measurement's Jacobian ``H (..., m, n)`` and which components took part ``(..., m)``.
+    """What a first stage did in a step: its innovation ``(..., m)``, the root ``(..., m, m)`` of
+    that one's covariance, the gain ``(..., n, m)``, the measurement's Jacobian ``H (..., m, n)``
+    and which components took part ``(..., m)``.
 
     Omega: ``(..., n, m)``, how the measurement itself enters the prediction; None if it does not.
-    lag: ``(m, m)``, what of the last measurement is taken off this one, and before: ``(..., m, n)``, that one's H; None without.
+    lag: ``(m, m)``, what of the last measurement is taken off this one, and before:
+        ``(..., m, n)``, that one's H; None without.
     """
 
     innovation: Array
@@ -64,7 +72,9 @@ class Stage(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Plain:
-    """A first stage by an ordinary filter of one sensor: any rule, either form, hooks included. Vector states only."""
+    """A first stage by an ordinary filter of one sensor: any rule, either form, hooks included.
+    Vector states only.
+    """
 
     filter: Sequential
 
@@ -101,7 +111,9 @@ class Plain:
 
 
 class TwoStageState(NamedTuple):
-    """State of the first stage, bias ``(..., p)``, sensitivity ``(..., n, p)``, last measurement's Gamma, memory of the boost."""
+    """State of the first stage, bias ``(..., p)``, sensitivity ``(..., n, p)``, last measurement's
+    Gamma, memory of the boost.
+    """
 
     first: Any
     bias: Any
@@ -123,7 +135,9 @@ class TwoStageState(NamedTuple):
 
 
 class Boost(NamedTuple):
-    """What a boost sees: the innovation less what the bias explains ``(..., m)``, its covariance; both of the first stage alone."""
+    """What a boost sees: the innovation less what the bias explains ``(..., m)``, its covariance;
+    both of the first stage alone.
+    """
 
     residual: Array
     total: Array
@@ -132,25 +146,34 @@ class Boost(NamedTuple):
 
 
 def two_stage(
-    motion: Motion, sensor: Sensor, Gamma: Slope | ArrayLike, bias: Gaussian, *,
-    Qb: ArrayLike | None = None, boost: Callable[[Any, Boost], tuple[Any, Array]] | None = None, rule: Any = UNSCENTED,
+    motion: Motion,
+    sensor: Sensor,
+    Gamma: Slope | ArrayLike,
+    bias: Gaussian,
+    *,
+    Qb: ArrayLike | None = None,
+    boost: Callable[[Any, Boost], tuple[Any, Array]] | None = None,
+    rule: Any = UNSCENTED,
     **options: Any,
-) -> TwoStage:  # fmt: skip
+) -> TwoStage:
     """A filter of a state and, in a second stage, a bias of the measurement.
 
     motion, sensor: what the first stage believes, which knows of no bias.
-    Gamma: ``(..., m, p)``, derivative of the measurement with respect to the bias, or a function ``(mean, epoch)`` of it.
-    bias: what is known of the bias ``(p,)`` at the start.
+    Gamma: ``(..., m, p)``, derivative of the measurement with respect to the bias, or a function
+    ``(mean, epoch)`` of it. bias: what is known of the bias ``(p,)`` at the start.
     Qb: covariance ``(p, p)`` of the steps of a bias that walks at random; None: it is constant.
-    boost: ``(memory, Boost) -> (memory, factors (..., p))``: the gain of the bias stage is that of a covariance inflated by the
-        factors, while the covariance itself is not; for one, see `celnav.papers.tstdkf.method.strong_tracking`.
+    boost: ``(memory, Boost) -> (memory, factors (..., p))``: the gain of the bias stage is that of
+        a covariance inflated by the factors, while the covariance itself is not; for one, see
+        `celnav.papers.tstdkf.method.strong_tracking`.
     rule, options: of the first stage, as in `celnav.sigma_point`.
 
-    The prior is about the state alone, the filter's belief about state and bias, ``(..., n + p)``. Innovations, NIS and likelihood
-    are those of both stages, what the augmented filter would have; gain and Jacobian are of the first. What runs of a linear model
-    share, covariances and sensitivity, has no axis of runs if the prior's covariance has none.
+    The prior is about the state alone, the filter's belief about state and bias, ``(..., n + p)``.
+    Innovations, NIS and likelihood are those of both stages, what the augmented filter would have;
+    gain and Jacobian are of the first. What runs of a linear model share, covariances and
+    sensitivity, has no axis of runs if the prior's covariance has none.
 
-    >>> filter = celnav.two_stage(motion, sensor, np.eye(3), celnav.Gaussian(np.zeros(3), np.eye(3)))
+    >>> bias = celnav.Gaussian(np.zeros(3), np.eye(3))
+    >>> filter = celnav.two_stage(motion, sensor, np.eye(3), bias)
     """
     return TwoStage.of(
         Plain(sigma_point(motion, sensor, rule=rule, **options)), Gamma, bias, Qb=Qb, boost=boost
@@ -180,15 +203,16 @@ class TwoStage:
     ) -> TwoStage:
         """A filter of any first stage, such as `Plain`; other arguments as in `two_stage`.
 
-        ``first.start(prior)`` gives a state with a ``belief``, ``first.predict(state, epoch)`` the state after the interval and the
-        transition matrix (None where it does not move), ``first.update(state, epoch)`` state, `Stage` (None where nothing was
-        measured) and `Info`.
+        ``first.start(prior)`` gives a state with a ``belief``, ``first.predict(state, epoch)`` the
+        state after the interval and the transition matrix (None where it does not move),
+        ``first.update(state, epoch)`` state, `Stage` (None where nothing was measured) and `Info`.
         """
         if isinstance(first, Sequential) or not all(
             hasattr(first, name) for name in ("start", "predict", "update")
         ):
             raise ValueError(
-                f"first: expected a first stage, such as celnav.filters.two_stage.Plain(filter), got {kind(first)}"
+                "first: expected a first stage, such as celnav.filters.two_stage.Plain(filter), "
+                f"got {kind(first)}"
             )
         instance("bias", bias, Gaussian, "celnav.Gaussian(mean, cov)")
         p = bias.mean.shape[-1]
@@ -263,7 +287,9 @@ class TwoStage:
 
 
 def _boosted(M: Array, d: Array, S: Array, root: Array, residual: Array) -> Array:
-    """What a residual moves a bias of covariance ``D M D``: by ``D M (I + D W D M)^-1 D S' R^-1 residual``, ``W = S' R^-1 S``."""
+    """What a residual moves a bias of covariance ``D M D``: by
+    ``D M (I + D W D M)^-1 D S' R^-1 residual``, ``W = S' R^-1 S``.
+    """
     Y, p = solve_lower(root, S), d.shape[-1]
     terms = (Y.mT @ Y)[..., :, None, :] * M.mT[
         ..., None, :, :
@@ -276,7 +302,8 @@ def _boosted(M: Array, d: Array, S: Array, root: Array, residual: Array) -> Arra
 def _walked(first: Any, own: Any, Lambda: Array, walk: Array) -> tuple[Any, Any, Array]:
     """First stage, bias and sensitivity after a step of the bias [Hsieh1999].
 
-    The bias before its step is conditioned on the one after it: what the sensitivity still explains, and what is left over.
+    The bias before its step is conditioned on the one after it: what the sensitivity still
+    explains, and what is left over.
     """
     form, eye = type(own), np.eye(own.mean.shape[-1])
     both = joint(LINEAR, own, ((own.mean, eye), KEEP), z=own.mean, measurement_noise=walk)

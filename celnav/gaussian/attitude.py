@@ -1,9 +1,12 @@
-"""Attitudes: unit quaternions, scalar last, and the Rodrigues parameters that filters take their differences in.
+"""Attitudes: unit quaternions, scalar last, and the Rodrigues parameters that filters take their
+differences in.
 
-Conventions. ``q = [rho, q4]``; ``matrix(q)`` takes inertial components to body components; ``matrix(multiply(q, p)) ==
-matrix(q) @ matrix(p)``; an error is ``multiply(q, inverse(q_hat))``, in body axes. These are the inverse of scipy's rotations:
-``Rotation.from_quat(q).as_matrix()`` is the transpose of ``matrix(q)``. All functions take leading batch axes, are several times as
-fast as scipy's objects, and smooth at the identity. Only `unit`, `from_euler` and what makes a space check what they are given.
+Conventions. ``q = [rho, q4]``; ``matrix(q)`` takes inertial components to body components;
+``matrix(multiply(q, p)) == matrix(q) @ matrix(p)``; an error is ``multiply(q, inverse(q_hat))``, in
+body axes. These are the inverse of scipy's rotations: ``Rotation.from_quat(q).as_matrix()`` is the
+transpose of ``matrix(q)``. All functions take leading batch axes, are several times as fast as
+scipy's objects, and smooth at the identity. Only `unit`, `from_euler` and what makes a space check
+what they are given.
 """
 
 from __future__ import annotations
@@ -18,9 +21,24 @@ from celnav.gaussian.linalg import Array, surely
 from celnav.gaussian.spaces import Space, components, trailing
 
 __all__ = [
-    "IDENTITY", "angle", "attitude", "cross", "exp", "from_euler", "from_rodrigues", "inverse", "log", "matrix", "multiply",
-    "positive", "rotate", "to_euler", "to_rodrigues", "transport", "unit",
-]  # fmt: skip
+    "IDENTITY",
+    "angle",
+    "attitude",
+    "cross",
+    "exp",
+    "from_euler",
+    "from_rodrigues",
+    "inverse",
+    "log",
+    "matrix",
+    "multiply",
+    "positive",
+    "rotate",
+    "to_euler",
+    "to_rodrigues",
+    "transport",
+    "unit",
+]
 
 IDENTITY = np.array([0.0, 0.0, 0.0, 1.0])
 UNIT_TOLERANCE = 1e-6
@@ -28,7 +46,9 @@ _TINY = 1e-300
 
 
 def _rows(count: int, like: Array, of: Array) -> Array:
-    """Empty components ``(count, ...)`` of a vector, each in one piece of memory of the same order as ``like``."""
+    """Empty components ``(count, ...)`` of a vector, each in one piece of memory of the same order
+    as ``like``.
+    """
     if like.flags.f_contiguous and not like.flags.c_contiguous:
         return np.empty((count, *like.shape[::-1]), like=of).transpose(
             (0, *range(like.ndim, 0, -1))
@@ -37,15 +57,18 @@ def _rows(count: int, like: Array, of: Array) -> Array:
 
 
 def unit(q: ArrayLike, name: str = "q") -> Array:
-    """Checked quaternions ``(..., 4)``, normalized at round-off; rows of nan (nothing measured) are left as they are.
+    """Checked quaternions ``(..., 4)``, normalized at round-off; rows of nan (nothing measured) are
+    left as they are.
 
-    Raises ValueError if a row is infinite or partly nan, or its norm differs from 1 by more than 1e-6.
+    Raises ValueError if a row is infinite or partly nan, or its norm differs from 1 by more than
+    1e-6.
     """
     array = numbers(name, q, (..., 4))
     missing = np.isnan(array)
     if np.isinf(array).any() or (missing.any(-1) != missing.all(-1)).any():
         raise ValueError(
-            f"{name}: expected finite quaternions (or rows of nan), got {array[~np.isfinite(array).all(-1)][:1]}"
+            f"{name}: expected finite quaternions (or rows of nan), got "
+            f"{array[~np.isfinite(array).all(-1)][:1]}"
         )
     norm = np.linalg.norm(array, axis=-1, keepdims=True)
     wrong = np.abs(norm - 1.0) > UNIT_TOLERANCE
@@ -55,10 +78,26 @@ def unit(q: ArrayLike, name: str = "q") -> Array:
 
 
 # Component k of a product q p is the sum of sign q_i p_j over the rows (k, i, j, sign).
-_TERMS = np.array([
-    (0, 3, 0, 1), (0, 0, 3, 1), (0, 1, 2, -1), (0, 2, 1, 1), (1, 3, 1, 1), (1, 1, 3, 1), (1, 2, 0, -1), (1, 0, 2, 1),
-    (2, 3, 2, 1), (2, 2, 3, 1), (2, 0, 1, -1), (2, 1, 0, 1), (3, 3, 3, 1), (3, 0, 0, -1), (3, 1, 1, -1), (3, 2, 2, -1),
-])  # fmt: skip
+_TERMS = np.array(
+    [
+        (0, 3, 0, 1),
+        (0, 0, 3, 1),
+        (0, 1, 2, -1),
+        (0, 2, 1, 1),
+        (1, 3, 1, 1),
+        (1, 1, 3, 1),
+        (1, 2, 0, -1),
+        (1, 0, 2, 1),
+        (2, 3, 2, 1),
+        (2, 2, 3, 1),
+        (2, 0, 1, -1),
+        (2, 1, 0, 1),
+        (3, 3, 3, 1),
+        (3, 0, 0, -1),
+        (3, 1, 1, -1),
+        (3, 2, 2, -1),
+    ]
+)
 _PRODUCT = np.zeros((4, 16))
 _PRODUCT[_TERMS[:, 0], 4 * _TERMS[:, 1] + _TERMS[:, 2]] = _TERMS[:, 3]
 
@@ -70,7 +109,8 @@ def multiply(q: Array, p: Array) -> Array:
         ndim = max(a.ndim, b.ndim)
         a, b = (c.reshape(4, *(1,) * (ndim - c.ndim), *c.shape[1:]) for c in (a, b))
     pairs = a[:, None] * b[None]
-    # One matrix product for all components: an order of magnitude fewer calls than sixteen products and their sums.
+    # One matrix product for all components: an order of magnitude fewer calls than sixteen products
+    # and their sums.
     backwards = not pairs.flags.c_contiguous
     if backwards:
         pairs = pairs.transpose((0, 1, *range(pairs.ndim - 1, 1, -1)))
@@ -84,7 +124,8 @@ def inverse(q: Array) -> Array:
 
 
 def positive(q: Array) -> Array:
-    """The one of q and -q, which are the same attitude, whose scalar is not negative, ``(..., 4)``."""
+    """The one of q and -q, which are the same attitude, whose scalar is not negative,
+    ``(..., 4)``."""
     return np.asanyarray(q * np.copysign(1.0, q[..., 3:]))
 
 
@@ -100,7 +141,9 @@ def matrix(q: Array) -> Array:
 
 
 def rotate(q: Array, v: ArrayLike) -> Array:
-    """Components ``(..., 3)`` on body axes of vectors ``v (..., 3)`` given on inertial ones: ``matrix(q) @ v``."""
+    """Components ``(..., 3)`` on body axes of vectors ``v (..., 3)`` given on inertial ones:
+    ``matrix(q) @ v``.
+    """
     (a, b, c, d), (x, y, z) = components(q), components(numbers("v", v))
     # t = 2 v x rho, then v + q4 t + t x rho.
     tx, ty, tz = 2.0 * (y * c - z * b), 2.0 * (z * a - x * c), 2.0 * (x * b - y * a)
@@ -116,7 +159,8 @@ def exp(phi: Array) -> Array:
     """Quaternion ``(..., 4)`` of a rotation vector ``(..., 3)`` rad."""
     vector = components(phi)
     quarter = np.maximum(0.25 * np.sqrt(_square(vector)), _TINY)
-    # By the tangent of a quarter of the angle: as exact as sine and cosine, and several times as fast.
+    # By the tangent of a quarter of the angle: as exact as sine and cosine, and several times as
+    # fast.
     t = np.tan(quarter)
     t2 = t * t
     rows = _rows(4, np.asanyarray(t), vector)
@@ -162,10 +206,12 @@ def to_euler(q: Array) -> Array:
 
 
 def to_rodrigues(q: Array, a: float = 1.0, b: float = 4.0) -> Array:
-    """Generalized Rodrigues parameters ``b rho / (a + q4)``, ``(..., 3)``, of the shorter rotation [Crassidis2003].
+    """Generalized Rodrigues parameters ``b rho / (a + q4)``, ``(..., 3)``, of the shorter rotation
+    [Crassidis2003].
 
-    ``a = 0`` is the Gibbs vector, ``a = 1`` the modified Rodrigues parameters; with ``b = 2 (a + 1)`` they are the rotation vector
-    to first order. The defaults are ``4 tan(angle / 4)`` along the axis.
+    ``a = 0`` is the Gibbs vector, ``a = 1`` the modified Rodrigues parameters; with
+    ``b = 2 (a + 1)`` they are the rotation vector to first order. The defaults are
+    ``4 tan(angle / 4)`` along the axis.
     """
     of_q = components(q)
     return trailing(of_q[:3] * (np.copysign(b, of_q[3]) / (a + np.abs(of_q[3]))))
@@ -190,9 +236,11 @@ def cross(v: Array) -> Array:
 
 
 def transport(p: Array, a: float = 1.0, b: float = 4.0) -> Array:
-    """Matrix ``(..., 3, 3)`` that carries deviations about the reference to the reference moved by ``p``; a is 1 or 0.
+    """Matrix ``(..., 3, 3)`` that carries deviations about the reference to the reference moved by
+    ``p``; a is 1 or 0.
 
-    The derivative of ``to_rodrigues(from_rodrigues(p + d) (x) from_rodrigues(p)^-1)`` with respect to d at 0.
+    The derivative of ``to_rodrigues(from_rodrigues(p + d) (x) from_rodrigues(p)^-1)`` with respect
+    to d at 0.
     """
     if a not in (0.0, 1.0):
         raise ValueError(
@@ -207,10 +255,12 @@ def transport(p: Array, a: float = 1.0, b: float = 4.0) -> Array:
 
 
 def attitude(a: float = 1.0, b: float = 4.0, *, transported: bool = False) -> Space:
-    """Space of attitudes: points are quaternions ``(..., 4)``, tangents Rodrigues parameters ``(..., 3)`` in body axes.
+    """Space of attitudes: points are quaternions ``(..., 4)``, tangents Rodrigues parameters
+    ``(..., 3)`` in body axes.
 
-    The sign of a quaternion never matters. A measurement, and the point of a belief, must be of norm 1 within 1e-6. ``a``, from 0
-    to 1, and ``b > 0`` are those of `to_rodrigues`. ``transported``: the covariance follows the reference after an update.
+    The sign of a quaternion never matters. A measurement, and the point of a belief, must be of
+    norm 1 within 1e-6. ``a``, from 0 to 1, and ``b > 0`` are those of `to_rodrigues`.
+    ``transported``: the covariance follows the reference after an update.
 
     >>> motion = celnav.Motion(f, Q, space=attitude())
     """

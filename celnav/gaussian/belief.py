@@ -1,4 +1,5 @@
-"""Gaussians that somebody knows (`Gaussian`), and the checks of covariances that come from outside."""
+"""Gaussians that somebody knows (`Gaussian`), and the checks of covariances that come from
+outside."""
 
 from __future__ import annotations
 
@@ -28,9 +29,9 @@ class Gaussian:
     """A Gaussian that somebody knows: the prior of a filter, say. It is checked here, once.
 
     mean: ``(..., N)``; a run of a batch has a mean of its own.
-    cov: covariance ``(..., n, n)``, which may be singular. It may be one ``(n, n)`` for many means: a filter whose matrices,
-        constant or of the epoch, are the same for all runs then carries one, until these miss different measurements.
-        A number is that multiple of the identity.
+    cov: covariance ``(..., n, n)``, which may be singular. It may be one ``(n, n)`` for many means:
+        a filter whose matrices, constant or of the epoch, are the same for all runs then carries
+        one, until these miss different measurements. A number is that multiple of the identity.
     sqrt_cov: a lower triangular root of the covariance, or a standard deviation, instead of it.
 
     >>> Gaussian([7000.0, 0.0], np.diag([1.0, 1e-4])).std
@@ -54,12 +55,14 @@ class Gaussian:
             root = finite("sqrt_cov", root, (..., "n", "n"))
             if np.triu(root, 1).any():
                 raise ValueError(
-                    "sqrt_cov: expected a lower triangular matrix (celnav.gaussian.linalg.tria makes one of any root)"
+                    "sqrt_cov: expected a lower triangular matrix (celnav.gaussian.linalg.tria "
+                    "makes one of any root)"
                 )
             P = outer(root)
         if P.shape[-1] > x.shape[-1]:
             raise ValueError(
-                f"mean: expected shape (..., {P.shape[-1]}) to go with the covariance, got {x.shape}"
+                f"mean: expected shape (..., {P.shape[-1]}) to go with the covariance, got "
+                f"{x.shape}"
             )
         beside("mean", x.shape[:-1], P.shape[:-2], "the covariance")
         for name, value in (("mean", x), ("cov", P), ("sqrt_cov", root)):
@@ -71,7 +74,9 @@ class Gaussian:
         return np.asarray(np.sqrt(self.cov.diagonal(0, -2, -1)))
 
     def sample(self, rng: np.random.Generator, size: tuple[int, ...] = ()) -> Array:
-        """Draw vectors ``size + (..., n)``. On curved spaces they are tangents at the mean, which is then not added."""
+        """Draw vectors ``size + (..., n)``. On curved spaces they are tangents at the mean, which
+        is then not added.
+        """
         if not hasattr(rng, "standard_normal"):
             raise ValueError(
                 f"rng: expected a generator, such as np.random.default_rng(0), got {kind(rng)}"
@@ -107,7 +112,9 @@ def any_lost(belief: Belief) -> bool:
 
 
 def symmetric(cov: ArrayLike, name: str, n: int | None = None) -> tuple[Array, Array]:
-    """A covariance, symmetrized at round-off, and its lower root; ValueError names it if it is none."""
+    """A covariance, symmetrized at round-off, and its lower root; ValueError names it if it is
+    none.
+    """
     P = finite(name, cov)
     expected = "symmetric positive semidefinite" + (f" ({n}, {n})" if n is not None else "")
     if P.ndim < 2 or P.shape[-1] != P.shape[-2] or (n is not None and P.shape[-1] != n):
@@ -130,9 +137,10 @@ def symmetric(cov: ArrayLike, name: str, n: int | None = None) -> tuple[Array, A
 
 
 def nees(error: Array, root: Array) -> Array:
-    """Normalized estimation error squared ``e' P^-1 e``, shape ``(...)``, from ``error (..., n)`` and a root of P.
+    """Normalized estimation error squared ``e' P^-1 e``, shape ``(...)``, from ``error (..., n)``
+    and a root of P.
 
-    >>> value = celnav.gaussian.belief.nees(track.mean - truth, track.sqrt_cov)  # (T, ...), of run(keep="cov")
+    >>> value = celnav.gaussian.belief.nees(track.mean - truth, track.sqrt_cov)  # (T, ...)
     """
     white = whiten(root, error)
     return np.asanyarray(np.vecdot(white, white))

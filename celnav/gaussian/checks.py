@@ -1,4 +1,5 @@
-"""What comes from outside: numbers, arrays, choices, functions; each error names the argument, what was expected and what came.
+"""What comes from outside: numbers, arrays, choices, functions; each error names the argument, what
+was expected and what came.
 
 A thing is checked once, where it is made. What filters call at every step is not checked there.
 """
@@ -16,21 +17,19 @@ import numpy as np
 from celnav.gaussian.linalg import Array
 from celnav.tape.numbers import recorded
 
-__all__ = [
-    "LIMIT", "Shape", "as_matrix",
-    "beside", "choice", "finite", "function", "instance", "integer", "integers", "kind", "number", "numbers",
-    "sequence", "takes", "together", "unmasked",
-]  # fmt: skip
-
 LIMIT = 1_000_000_000  # numbers (8 GB) that one argument may ask for
 Shape = tuple[Any, ...]
-"""Lengths of axes: an integer, a letter (1 or more, the same wherever it stands), None (any); ``...`` in front is any batch."""
+"""Lengths of axes: an integer, a letter (1 or more, the same wherever it stands), None (any);
+``...`` in front is any batch.
+"""
 
 
 def numbers(name: str, value: Any, shape: Shape | None = None) -> Array:
-    """``value`` as float64, which may be the same array; what is masked, and None among others, becomes nan.
+    """``value`` as float64, which may be the same array; what is masked, and None among others,
+    becomes nan.
 
-    ValueError names what is of another `Shape`, or no real numbers: dates and durations too, whose unit would be their own.
+    ValueError names what is of another `Shape`, or no real numbers: dates and durations too, whose
+    unit would be their own.
     """
     found: Array = (
         value
@@ -66,7 +65,8 @@ def _as_floats(name: str, value: Any) -> Any:
         pass
     if kind in "mM":
         raise ValueError(
-            f"{name}: expected numbers, got dates or durations; seconds are (t - t[0]) / numpy.timedelta64(1, 's')"
+            f"{name}: expected numbers, got dates or durations; seconds are (t - t[0]) / "
+            "numpy.timedelta64(1, 's')"
         )
     missing = "; use nan for what is missing, a row of them for a row" if _has_none(value) else ""
     raise ValueError(f"{name}: expected numbers, got {value!r:.80}{missing}")
@@ -94,28 +94,36 @@ def _fits(lengths: tuple[int, ...], shape: Shape) -> bool:
 
 
 def finite(name: str, value: Any, shape: Shape | None = None) -> Array:
-    """A float64 copy of ``value``; ValueError names it if some of it is not finite, or it is not of a `Shape`."""
+    """A float64 copy of ``value``; ValueError names it if some of it is not finite, or it is not of
+    a `Shape`.
+    """
     array = numbers(name, value, shape).copy()
     if array.dtype.hasobject:
         return array
     if not np.isfinite(array).all():
         raise ValueError(
-            f"{name}: expected finite numbers, got {np.count_nonzero(~np.isfinite(array))} that are not"
+            f"{name}: expected finite numbers, got {np.count_nonzero(~np.isfinite(array))} that "
+            "are not"
         )
     return array
 
 
 def as_matrix(name: str, value: Any, n: int | None) -> Array:
-    """A finite matrix; a number stands for that multiple of the identity ``(n, n)``, None: for itself."""
+    """A finite matrix; a number stands for that multiple of the identity ``(n, n)``, None: for
+    itself.
+    """
     array = finite(name, value)
     return array if array.ndim or n is None else array * np.eye(n)
 
 
 def unmasked(name: str, value: Any) -> Any:
-    """What a model gave; ValueError names the model if some of it is masked: what is missing at one point has no mean."""
+    """What a model gave; ValueError names the model if some of it is masked: what is missing at one
+    point has no mean.
+    """
     if isinstance(value, np.ma.MaskedArray) and np.ma.is_masked(value):
         raise ValueError(
-            f"{name}: expected numbers, got masked ones; a component that was not measured is nan in z"
+            f"{name}: expected numbers, got masked ones; a component that was not measured is nan "
+            "in z"
         )
     return value
 
@@ -129,7 +137,9 @@ def number(
     above: float = -inf,
     below: float = inf,
 ) -> float:
-    """A finite number from ``least`` to ``most`` and between ``above`` and ``below``; ValueError names it if it is none."""
+    """A finite number from ``least`` to ``most`` and between ``above`` and ``below``; ValueError
+    names it if it is none.
+    """
     try:
         found = float(finite(name, value, ()))
         if least <= found <= most and above < found < below:
@@ -143,14 +153,17 @@ def number(
 
 
 def integer(name: str, value: Any, least: int = 1, most: int | None = None) -> int:
-    """A whole number from ``least`` to ``most``, which may have come as a float; ValueError names it if it is none."""
+    """A whole number from ``least`` to ``most``, which may have come as a float; ValueError names
+    it if it is none.
+    """
     found = whole(value)
     if found is None or found < least or (most is not None and found > most):
         bounds = "an integer" + (
             f" of at least {least}" if most is None else f" from {least} to {most}"
         )
         raise ValueError(
-            f"{name}: expected {'a positive integer' if (least, most) == (1, None) else bounds}, got {value!r:.80}"
+            f"{name}: expected {'a positive integer' if (least, most) == (1, None) else bounds}, "
+            f"got {value!r:.80}"
         )
     return found
 
@@ -168,7 +181,9 @@ def whole(value: Any) -> int | None:
 def integers(
     name: str, value: Any, least: int = 0, most: int | None = None, count: int | None = None
 ) -> tuple[int, ...]:
-    """Whole numbers from ``least`` to ``most``, ``count`` of them; ValueError names them if they are none."""
+    """Whole numbers from ``least`` to ``most``, ``count`` of them; ValueError names them if they
+    are none.
+    """
     parts = np.asarray(value, dtype=object)
     found = [None] if parts.ndim != 1 else [whole(part) for part in parts]
     out = tuple(
@@ -186,7 +201,9 @@ def integers(
 
 
 def choice(name: str, value: Any, known: Iterable[Any]) -> Any:
-    """One of the ``known`` words or numbers; ValueError lists them, and says which one may be meant."""
+    """One of the ``known`` words or numbers; ValueError lists them, and says which one may be
+    meant.
+    """
     names = list(known)
     value = value[()] if isinstance(value, np.ndarray) else value
     if (value is None or np.isscalar(value)) and value in names:
@@ -199,7 +216,9 @@ def choice(name: str, value: Any, known: Iterable[Any]) -> Any:
 
 
 def sequence(name: str, value: Any, example: str, least: int = 0) -> list[Any]:
-    """The parts of a list or of what can be made one, but no text or table; ValueError names it, with an ``example``."""
+    """The parts of a list or of what can be made one, but no text or table; ValueError names it,
+    with an ``example``.
+    """
     try:
         if not isinstance(value, str | bytes | dict):
             parts = list(value)
@@ -223,7 +242,9 @@ def together(**batches: tuple[int, ...]) -> tuple[int, ...]:
 
 
 def beside(name: str, batch: tuple[int, ...], own: tuple[int, ...], whose: str) -> tuple[int, ...]:
-    """Joint batch axes of an argument and of what it goes with; ValueError names it if they do not broadcast."""
+    """Joint batch axes of an argument and of what it goes with; ValueError names it if they do not
+    broadcast.
+    """
     try:
         return np.broadcast_shapes(batch, own)
     except ValueError:
@@ -233,7 +254,9 @@ def beside(name: str, batch: tuple[int, ...], own: tuple[int, ...], whose: str) 
 
 
 def function(name: str, value: Any, arguments: str, hint: str = "") -> Any:
-    """A function that can be called with its ``arguments``, such as "(mean, epoch)"; ValueError names it otherwise."""
+    """A function that can be called with its ``arguments``, such as "(mean, epoch)"; ValueError
+    names it otherwise.
+    """
     if not takes(value, arguments.count(",") + 1):
         other = " of other arguments" if callable(value) else ""
         raise ValueError(f"{name}: expected a function {arguments}, got {kind(value)}{other}{hint}")
@@ -241,7 +264,9 @@ def function(name: str, value: Any, arguments: str, hint: str = "") -> Any:
 
 
 def instance(name: str, value: Any, of: Any, expected: str) -> Any:
-    """An object of a class, or of one of several; ValueError names it, and says what was ``expected``, with an example."""
+    """An object of a class, or of one of several; ValueError names it, and says what was
+    ``expected``, with an example.
+    """
     if not isinstance(value, of):
         raise ValueError(f"{name}: expected {expected}, got {kind(value)}")
     return value

@@ -1,9 +1,11 @@
-"""Batched kernels for small matrices, and the two forms in which a filter keeps its covariance, `SquareRoot` and `Covariance`.
+"""Batched kernels for small matrices, and the two forms in which a filter keeps its covariance,
+`SquareRoot` and `Covariance`.
 
-Every function accepts leading batch axes (a Monte-Carlo block of runs) and treats the last two as a matrix. Roots are *lower*
-triangular with a non-negative diagonal, ``P = L @ L.mT``; "columns" means any ``(..., n, q)`` array ``A`` that stands for
-``P = A @ A.mT``. A matrix of a batch that has no root becomes nan, its neighbors are untouched. A single matrix goes to LAPACK
-directly, since numpy's batched functions spend most of a small one's time on preparations. A form owns its algebra.
+Every function accepts leading batch axes (a Monte-Carlo block of runs) and treats the last two as a
+matrix. Roots are *lower* triangular with a non-negative diagonal, ``P = L @ L.mT``; "columns" means
+any ``(..., n, q)`` array ``A`` that stands for ``P = A @ A.mT``. A matrix of a batch that has no
+root becomes nan, its neighbors are untouched. A single matrix goes to LAPACK directly, since
+numpy's batched functions spend most of a small one's time on preparations. A form owns its algebra.
 """
 
 from __future__ import annotations
@@ -20,39 +22,15 @@ from celnav.gaussian import recorded
 from celnav.lazy import Late
 from celnav.tape.numbers import numbers, rarely
 
-__all__ = [
-    "EPS",
-    "FORMS",
-    "LEFT_OVER",
-    "NEGLIGIBLE",
-    "POSITIVE",
-    "Array",
-    "Belief",
-    "Covariance",
-    "Form",
-    "SquareRoot",
-    "block",
-    "cholesky",
-    "downdate",
-    "fan",
-    "matvec",
-    "outer",
-    "semidefinite_root",
-    "side_by_side",
-    "solve_lower",
-    "solve_right",
-    "surely",
-    "tria",
-    "whiten",
-]
-
 Array = NDArray[Any]
 blas, lapack = Late("scipy.linalg.blas"), Late("scipy.linalg.lapack")
 EPS = float(np.finfo(np.float64).eps)
 NEGLIGIBLE = 1e-12
 """Part of the largest standard deviation, or variance, below which a value is round-off."""
 PRECISE = 1e3
-"""Ratio of an innovation's σ to that of its noise beyond which a difference of covariances loses too many digits."""
+"""Ratio of an innovation's σ to that of its noise beyond which a difference of covariances loses
+too many digits.
+"""
 LEFT_OVER = PRECISE**2 * EPS
 """Part of a covariance that is round-off after such a difference."""
 POSITIVE: Array = np.broadcast_to(1.0, 1)
@@ -60,12 +38,16 @@ POSITIVE: Array = np.broadcast_to(1.0, 1)
 
 
 def surely(condition: Any) -> bool:
-    """Whether a condition on numbers holds; False while a step is recorded, where it is not known: for shortcuts and checks."""
+    """Whether a condition on numbers holds; False while a step is recorded, where it is not known:
+    for shortcuts and checks.
+    """
     return isinstance(condition, bool | np.bool_) and bool(condition)
 
 
 def matvec(A: Array, x: Array) -> Array:
-    """Product ``(..., n)`` of matrices ``(..., n, m)`` and vectors ``(..., m)``: one for all of them where the matrix is."""
+    """Product ``(..., n)`` of matrices ``(..., n, m)`` and vectors ``(..., m)``: one for all of
+    them where the matrix is.
+    """
     return np.asanyarray(x @ A.mT if A.ndim == 2 else (A @ x[..., None])[..., 0])
 
 
@@ -84,9 +66,11 @@ def side_by_side(parts: Sequence[Array]) -> Array:
 
 
 def tria(A: Array) -> Array:
-    """Lower root ``L (..., n, n)``, diagonal >= 0, of the columns ``A (..., n, q)``: ``L @ L.mT == A @ A.mT``, by QR.
+    """Lower root ``L (..., n, n)``, diagonal >= 0, of the columns ``A (..., n, q)``:
+    ``L @ L.mT == A @ A.mT``, by QR.
 
-    No product ``A @ A.mT`` is formed, so half of the digits that a Cholesky factorization would lose are kept.
+    No product ``A @ A.mT`` is formed, so half of the digits that a Cholesky factorization would
+    lose are kept.
     """
     if A.dtype.hasobject:
         return np.asanyarray(recorded.tria(A))
@@ -98,7 +82,8 @@ def tria(A: Array) -> Array:
         return np.asanyarray(R.T * _lower(n))
     # "raw" leaves R' in the lower triangle and Householder vectors above it.
     L = np.linalg.qr(A.mT, mode="raw")[0][..., :n] * _lower(n)
-    # In C order whatever the order of A: products with L then take the same path for every number of runs.
+    # In C order whatever the order of A: products with L then take the same path for every number
+    # of runs.
     return np.asanyarray(
         np.multiply(L, np.copysign(1.0, L.diagonal(0, -2, -1))[..., None, :], order="C")
     )
@@ -110,7 +95,9 @@ def _lower(n: int) -> Array:
 
 
 def solve_lower(L: Array, B: Array) -> Array:
-    """Solve ``L @ X = B`` for lower triangular ``L (..., n, n)`` and ``B (..., n, k)``; a zero on the diagonal gives nan."""
+    """Solve ``L @ X = B`` for lower triangular ``L (..., n, n)`` and ``B (..., n, k)``; a zero on
+    the diagonal gives nan.
+    """
     if L.dtype.hasobject or B.dtype.hasobject:
         return np.asanyarray(recorded.solve_lower(L, B))
     diagonal = L.diagonal(0, -2, -1)
@@ -126,14 +113,18 @@ def solve_lower(L: Array, B: Array) -> Array:
 
 
 def whiten(L: Array, x: Array) -> Array:
-    """``L^-1 x`` for lower triangular ``L (..., n, n)`` and vectors ``(..., n)``; a zero on the diagonal gives nan."""
+    """``L^-1 x`` for lower triangular ``L (..., n, n)`` and vectors ``(..., n)``; a zero on the
+    diagonal gives nan.
+    """
     if L.ndim == 2:  # one matrix for all vectors
         return solve_lower(L, x.reshape(-1, x.shape[-1]).T).T.reshape(x.shape)
     return solve_lower(L, x[..., None])[..., 0]
 
 
 def solve_right(L: Array, U: Array) -> Array:
-    """Solve ``K @ L = U`` for lower triangular ``L (..., n, n)`` and ``U (..., k, n)``: a gain from what it makes of a root."""
+    """Solve ``K @ L = U`` for lower triangular ``L (..., n, n)`` and ``U (..., k, n)``: a gain from
+    what it makes of a root.
+    """
     flipped = L[..., ::-1, ::-1].mT
     return solve_lower(flipped, U.mT[..., ::-1, :])[..., ::-1, :].mT
 
@@ -151,7 +142,9 @@ def _root(P: Array) -> Array | None:
 
 
 def _scaled(P: Array) -> tuple[Array, Array]:
-    """Scales ``(..., n)``, and P in units of them, which weighs kilometers and radians alike; what is not finite is minus one."""
+    """Scales ``(..., n)``, and P in units of them, which weighs kilometers and radians alike; what
+    is not finite is minus one.
+    """
     diagonal = P.diagonal(0, -2, -1)
     scale = np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
     C = P / scale[..., None] / scale[..., None, :]
@@ -159,7 +152,9 @@ def _scaled(P: Array) -> tuple[Array, Array]:
 
 
 def cholesky(P: Array) -> Array:
-    """Lower root of positive definite ``P (..., n, n)``; nan for each matrix that is not positive definite."""
+    """Lower root of positive definite ``P (..., n, n)``; nan for each matrix that is not positive
+    definite.
+    """
     if P.dtype.hasobject:
         return np.asanyarray(recorded.cholesky(P))
     root = _root(P)
@@ -171,7 +166,9 @@ def cholesky(P: Array) -> Array:
 
 
 def semidefinite_root(P: Array, round_off: float = 64 * EPS) -> Array:
-    """Lower root of a covariance ``P (..., n, n)`` that may be singular; nan where it is indefinite beyond ``n * round_off``."""
+    """Lower root of a covariance ``P (..., n, n)`` that may be singular; nan where it is indefinite
+    beyond ``n * round_off``.
+    """
     if P.dtype.hasobject:
         return np.asanyarray(
             recorded.semidefinite_root(P, 64 * P.shape[-1] * EPS, round_off * P.shape[-1])
@@ -199,7 +196,8 @@ def semidefinite_root(P: Array, round_off: float = 64 * EPS) -> Array:
 
 
 def downdate(L: Array, V: Array) -> Array:
-    """Lower root of ``L @ L.mT - V @ V.mT``, all columns of ``V (..., n, k)`` at once; nan exactly where that is indefinite.
+    """Lower root of ``L @ L.mT - V @ V.mT``, all columns of ``V (..., n, k)`` at once; nan exactly
+    where that is indefinite.
 
     L may be singular where V adds nothing to its range.
     """
@@ -208,7 +206,8 @@ def downdate(L: Array, V: Array) -> Array:
     lost = np.isnan(root[..., 0, 0])
     if root.dtype.hasobject or not lost.any():
         return root
-    # Of what solves L W = V for a singular L the shortest decides, which substitution does not find.
+    # Of what solves L W = V for a singular L the shortest decides, which substitution does not
+    # find.
     lost = np.asanyarray(lost & np.isfinite(L).all((-2, -1)) & np.isfinite(V).all((-2, -1)))[
         ..., None, None
     ]
@@ -226,7 +225,9 @@ def downdate(L: Array, V: Array) -> Array:
 
 
 def block(rows: Sequence[Sequence[Any]]) -> Array:
-    """Block matrix of matrices ``(..., k, q)`` whose batch axes broadcast; a plain ``0`` is a block of zeros that fits."""
+    """Block matrix of matrices ``(..., k, q)`` whose batch axes broadcast; a plain ``0`` is a block
+    of zeros that fits.
+    """
     heights, widths = [0] * len(rows), [0] * len(rows[0])
     batches, like = set(), np.empty(0)
     for i, row in enumerate(rows):
@@ -246,9 +247,11 @@ def block(rows: Sequence[Sequence[Any]]) -> Array:
 
 
 def fan(E: Array, nodes: Array, batch: int) -> Array:
-    """``E @ node`` of every node: points ``(p, ..., n)`` from ``E (..., n, k)`` and ``nodes (k, p)``, for ``batch`` axes of runs.
+    """``E @ node`` of every node: points ``(p, ..., n)`` from ``E (..., n, k)`` and
+    ``nodes (k, p)``, for ``batch`` axes of runs.
 
-    Components lie first in memory, which models are fast on, and all runs take part in n products, not each in one of its own.
+    Components lie first in memory, which models are fast on, and all runs take part in n products,
+    not each in one of its own.
     """
     axes = E.ndim - 2
     if not axes:
@@ -263,11 +266,12 @@ def fan(E: Array, nodes: Array, batch: int) -> Array:
     )
 
 
-# -- forms ---------------------------------------------------------------------------------------------------------------
+# -- forms -----------------------------------------------------------------------------------------
 class SquareRoot(NamedTuple):
     """A belief in square-root form: ``mean (..., N)`` and a lower root ``sqrt_cov (..., n, n)``.
 
-    Nothing but QR factorizations touches the root. Columns of negative sign are taken away by one block downdate.
+    Nothing but QR factorizations touches the root. Columns of negative sign are taken away by one
+    block downdate.
     """
 
     mean: Array
@@ -306,10 +310,11 @@ class SquareRoot(NamedTuple):
     ) -> tuple[Array, Array, Array]:
         """Condition the last rows of ``A (..., m + n, q)`` on the first ``m``.
 
-        Returns the root ``S (..., m, m)`` of the first rows, ``U = K @ S (..., n, m)`` and the root of the rest. With a
-        prescribed ``gain`` K ``(..., n, m)`` the rest is that of ``last - K @ first`` (Joseph form).
-        The covariance form has a shortcut where it is given ``known``, the covariance of the last rows,
-        and ``noise (..., m, s)``, the columns that only the first rows have.
+        Returns the root ``S (..., m, m)`` of the first rows, ``U = K @ S (..., n, m)`` and the root
+        of the rest. With a prescribed ``gain`` K ``(..., n, m)`` the rest is that of
+        ``last - K @ first`` (Joseph form). The covariance form has a shortcut where it is given
+        ``known``, the covariance of the last rows, and ``noise (..., m, s)``, the columns that only
+        the first rows have.
         """
         if gain is not None:
             S = cls.marginal(A[..., :m, :], sign)
@@ -329,7 +334,9 @@ class SquareRoot(NamedTuple):
 
     @staticmethod
     def mixed(roots: Sequence[Array], weights: Array, columns: Array) -> Array:
-        """Root of covariances that count with their ``weights (..., k)``, and of columns ``(..., n, k)`` between their means."""
+        """Root of covariances that count with their ``weights (..., k)``, and of columns
+        ``(..., n, k)`` between their means.
+        """
         scale = np.sqrt(weights)[..., None, None, :]
         return tria(block([[*(root * scale[..., i] for i, root in enumerate(roots)), columns]]))
 
@@ -341,10 +348,11 @@ class SquareRoot(NamedTuple):
 
 
 class Covariance(NamedTuple):
-    """A belief in covariance form: ``mean (..., N)`` and ``cov (..., n, n)``. What its parts do is said at `SquareRoot`.
+    """A belief in covariance form: ``mean (..., N)`` and ``cov (..., n, n)``. What its parts do is
+    said at `SquareRoot`.
 
-    Fewer operations, half of the digits: only the innovation covariance is factored, and the state's where a rule needs a root or a
-    measurement is precise.
+    Fewer operations, half of the digits: only the innovation covariance is factored, and the
+    state's where a rule needs a root or a measurement is precise.
     """
 
     mean: Array
@@ -406,10 +414,11 @@ class Covariance(NamedTuple):
 
     @classmethod
     def _condition_columns(cls, A: Array, sign: Array, S: Array) -> tuple[Array, Array]:
-        """``U = K @ S`` and the conditioned covariance of the last rows, from the innovation root S.
+        """``U = K @ S`` and the conditioned covariance of the last rows, from the innovation root
+        S.
 
-        The explained part is subtracted from the columns. A difference of covariances would lose half
-        of the digits.
+        The explained part is subtracted from the columns. A difference of covariances would lose
+        half of the digits.
         """
         m = S.shape[-1]
         Z, X = A[..., :m, :], A[..., m:, :]
@@ -436,7 +445,9 @@ class Covariance(NamedTuple):
         )
 
     def lost(self) -> Array:
-        """Runs ``(...)`` that are not finite, or have a negative variance beyond round-off of the matrix's largest."""
+        """Runs ``(...)`` that are not finite, or have a negative variance beyond round-off of the
+        matrix's largest.
+        """
         finite = np.isfinite(self.mean).all(-1) & np.isfinite(self.cov).all((-2, -1))
         return np.asanyarray(~(finite & _negligible(self.cov.diagonal(0, -2, -1)).all(-1)))
 

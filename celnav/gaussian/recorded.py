@@ -1,6 +1,8 @@
-"""The kernels of `celnav.gaussian.linalg` that look at numbers on their way, for numbers that are not known yet.
+"""The kernels of `celnav.gaussian.linalg` that look at numbers on their way, for numbers that are
+not known yet.
 
-One matrix each: while a step is recorded there is no axis of runs. What is known to be zero costs nothing.
+One matrix each: while a step is recorded there is no axis of runs. What is known to be zero costs
+nothing.
 """
 
 from __future__ import annotations
@@ -14,12 +16,12 @@ from celnav.tape.numbers import Numbers, each_row, tape_of
 from celnav.tape.routine import Recorder, Routine, Stage
 from celnav.tape.tape import do, total
 
-__all__ = ["cholesky", "semidefinite_root", "solve_lower", "tria"]
-
 Array = Any
 SUMS = 4
 LONG = 20_000
-"""Operations of a factorization that is written out: a loop takes a third more time, but no longer to compile."""
+"""Operations of a factorization that is written out: a loop takes a third more time, but no longer
+to compile.
+"""
 LONG_SOLUTION = 10_000
 """Likewise of a triangular system."""
 SMALLEST = 1e-290  # squares below are no reflection
@@ -38,7 +40,9 @@ def _product(a: list[Any], b: list[Any]) -> Any:
 
 
 class Mirror(NamedTuple):
-    """A reflection that takes a row ``(a, rest)`` to ``(length, 0, ...)``; ``there``: whether there is a rest, if that is known."""
+    """A reflection that takes a row ``(a, rest)`` to ``(length, 0, ...)``; ``there``: whether there
+    is a rest, if that is known.
+    """
 
     a: Any
     rest: list[Any]
@@ -49,8 +53,8 @@ class Mirror(NamedTuple):
 
 
 def _mirror(a: Any, rest: list[Any]) -> Mirror:
-    """By I - v v' / (length (length - a)), where v is the row but v_i = a - length = -s / (length + a): of these two forms the one
-    without cancellation."""
+    """By I - v v' / (length (length - a)), where v is the row but v_i = a - length = -s / (length +
+    a): of these two forms the one without cancellation."""
     if not rest:
         return Mirror(a, rest, do("abs", a), 0.0, 0.0, False)
     s = _product(rest, rest)
@@ -82,7 +86,9 @@ def _reflected(mirror: Mirror, along: Any, rest: list[Any]) -> tuple[Any, list[A
 
 
 def tria(A: Array) -> Array:
-    """Lower root with a diagonal that is not negative, by Householder reflections [Golub1996, Sec. 5.1]."""
+    """Lower root with a diagonal that is not negative, by Householder reflections [Golub1996, Sec.
+    5.1].
+    """
     n, q = A.shape
     rows = [[A[i, j] for j in range(q)] + [0.0] * max(n - q, 0) for i in range(n)]
     tape, L = tape_of(A), Numbers((n, n))
@@ -108,7 +114,9 @@ def tria(A: Array) -> Array:
 
 @cache
 def _rolled(there: tuple[tuple[bool, ...], ...]) -> tuple[Routine, list[tuple[int, int]]]:
-    """The same as loops over rows, and the places that it fills; ``there``: what is not known to be zero."""
+    """The same as loops over rows, and the places that it fills; ``there``: what is not known to be
+    zero.
+    """
     n, q = len(there), len(there[0])
     full: Array = np.array(there)
     stages, places = list[Stage](), list[tuple[int, int]]()
@@ -166,8 +174,9 @@ def cholesky(P: Array) -> Array:
 
 
 def semidefinite_root(P: Array, nothing: float, round_off: float) -> Array:
-    """Lower root of a matrix that may be singular: a pivot that is no more than ``nothing`` of its variance has a column of zeros,
-    one that is negative by more than ``round_off`` of it is lost."""
+    """Lower root of a matrix that may be singular: a pivot that is no more than ``nothing`` of its
+    variance has a column of zeros, one that is negative by more than ``round_off`` of it is lost.
+    """
     n = len(P)
     L = Numbers((n, n))
     for j in range(n):

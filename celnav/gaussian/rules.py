@@ -1,8 +1,9 @@
 """Rules: what a function of a Gaussian has for a mean and a covariance.
 
-A `Rule` is data, nodes and weights; `Taylor` linearizes. Both say at which points to evaluate the function, and what image its
-values there make. A rule is made for a dimension by a function with the field's name: `unscented`, `cubature`, `gauss_hermite`,
-`simplex`, `tensor_product`; `celnav.smolyak` makes sparse grids. It also answers filterpy's interface, so that it works as
+A `Rule` is data, nodes and weights; `Taylor` linearizes. Both say at which points to evaluate the
+function, and what image its values there make. A rule is made for a dimension by a function with
+the field's name: `unscented`, `cubature`, `gauss_hermite`, `simplex`, `tensor_product`;
+`celnav.smolyak` makes sparse grids. It also answers filterpy's interface, so that it works as
 ``points=`` of ``filterpy.kalman.UnscentedKalmanFilter``.
 """
 
@@ -31,9 +32,20 @@ from celnav.gaussian.spaces import EUCLIDEAN, Space, trailing
 from celnav.tape.derivative import along, at_zero
 
 __all__ = [
-    "MAX_POINTS", "UNSCENTED", "AnyDimension", "Image", "Rule", "Taylor", "cubature", "few", "from_filterpy", "gauss_hermite",
-    "simplex", "tensor_product", "unscented",
-]  # fmt: skip
+    "MAX_POINTS",
+    "UNSCENTED",
+    "AnyDimension",
+    "Image",
+    "Rule",
+    "Taylor",
+    "cubature",
+    "few",
+    "from_filterpy",
+    "gauss_hermite",
+    "simplex",
+    "tensor_product",
+    "unscented",
+]
 
 MAX_POINTS = 1_000_000
 ROUND_OFF = 1e-3  # part of a model's values that round-off may have in their weighted mean
@@ -42,8 +54,10 @@ ROUND_OFF = 1e-3  # part of a model's values that round-off may have in their we
 class Image(NamedTuple):
     """One output of a function of a Gaussian.
 
-    center: ``(..., N)``, the image of the center. shift: ``(..., k)``, the mean's distance from there.
-    columns: ``(..., k, q)``, deviations about the mean: the covariance is ``columns @ diag(sign) @ columns.mT``, see `Joint`.
+    center: ``(..., N)``, the image of the center. shift: ``(..., k)``, the mean's distance from
+        there.
+    columns: ``(..., k, q)``, deviations about the mean: the covariance is
+        ``columns @ diag(sign) @ columns.mT``, see `Joint`.
     jacobian: ``() -> (..., k, n)``, the statistical Jacobian ``cov(y, x) cov(x)^-1``.
     """
 
@@ -58,11 +72,12 @@ class Rule:
 
     nodes: ``(p, n)``; node 0 is the center (its weights may be 0).
     wm: ``(p,)`` weights of the mean; they sum to 1, and ``sum wm nodes = 0``.
-    wc: ``(p,)`` weights of the covariance (None: ``wm``); ``sum wc nodes nodes' = I``. They may be negative. A rule without
-        nodes in some dimension is a quadrature, but no filter takes it: it would lose that variance.
+    wc: ``(p,)`` weights of the covariance (None: ``wm``); ``sum wc nodes nodes' = I``. They may be
+        negative. A rule without nodes in some dimension is a quadrature, but no filter takes it: it
+        would lose that variance.
 
-    They are read-only then; ``n`` is the dimension, ``sign (q,)`` -1 for columns of negative weight, else 1;
-    one 1 stands for all where no weight is negative.
+    They are read-only then; ``n`` is the dimension, ``sign (q,)`` -1 for columns of negative
+    weight, else 1; one 1 stands for all where no weight is negative.
 
     >>> rule = celnav.Rule([[0.0], [1.0], [-1.0]], [0.0, 0.5, 0.5])
     """
@@ -78,7 +93,8 @@ class Rule:
         if rounding > 8.0 * ROUND_OFF:
             raise ValueError(
                 "alpha, kappa, wm: expected weights that leave three digits of a mean, got "
-                f"{np.abs(self.wm).max():.3g} times the round-off of a model's values; alpha = 1e-3 is small"
+                f"{np.abs(self.wm).max():.3g} times the round-off of a model's values; alpha = "
+                "1e-3 is small"
             )
         if abs(self.wm.sum() - 1.0) > max(1e-9, rounding):
             raise ValueError(f"wm: expected a sum of 1, got {self.wm.sum()!r}")
@@ -91,7 +107,8 @@ class Rule:
         self._idle = np.flatnonzero(~covered).tolist()
         for array in (self.nodes, self.wm, self.wc):
             array.flags.writeable = False
-        # Means and columns are taken relative to the image of the center, so its mean weight never plays a part.
+        # Means and columns are taken relative to the image of the center, so its mean weight never
+        # plays a part.
         used = (self.wm != 0.0) | (self.wc != 0.0)
         used[0] = self.wc[0] != 0.0
         self._used: Any = (
@@ -112,21 +129,27 @@ class Rule:
 
     def __repr__(self) -> str:
         center = " and a center of weight 0" if self.num_sigmas() < len(self.nodes) else ""
-        return f"Rule(n={self.n}, points={self.num_sigmas()}{center}, negative weights={int((self.wc < 0).sum())})"
+        negative = int((self.wc < 0).sum())
+        points = f"{self.num_sigmas()}{center}"
+        return f"Rule(n={self.n}, points={points}, negative weights={negative})"
 
     def points(
         self, mean: Array, root: Array, space: Space = EUCLIDEAN, augment: Sequence[Array] = ()
     ) -> list[Array]:
-        """Points ``(p, ..., N)`` of ``N(mean, root @ root.mT)``, and ``(p, ..., k)`` of each noise whose root is in ``augment``."""
+        """Points ``(p, ..., N)`` of ``N(mean, root @ root.mT)``, and ``(p, ..., k)`` of each noise
+        whose root is in ``augment``.
+        """
         first, batch = root.shape[-1], max(mean.ndim - 1, root.ndim - 2)
         total = first if not augment else first + sum(E.shape[-1] for E in augment)
         if total != self.n:
             raise ValueError(
-                f"rule: expected {total} dimensions (state and noise through the points), got {self.n}"
+                f"rule: expected {total} dimensions (state and noise through the points), got "
+                f"{self.n}"
             )
         if self._idle:
             raise ValueError(
-                f"rule: expected points in every dimension, got none in {', '.join(map(str, self._idle))}"
+                "rule: expected points in every dimension, got none in "
+                f"{', '.join(map(str, self._idle))}"
             )
         deviations = fan(root, self._transposed[:first], batch)
         # In this order a sum keeps the memory layout of the deviations.
@@ -138,7 +161,9 @@ class Rule:
         return points
 
     def image(self, y: Array, space: Space, root: Array) -> Image:
-        """What a function with the values ``y (p, ..., M)`` at the points makes of ``N(mean, root @ root.mT)``."""
+        """What a function with the values ``y (p, ..., M)`` at the points makes of
+        ``N(mean, root @ root.mT)``.
+        """
         center = y[0] if space.mean is None else space.mean(y, self.wm)
         values = (y if space is EUCLIDEAN else space.minus(y, center))[self._used]
         values = values.T if values.ndim == 2 else trailing(values)  # (..., k, q)
@@ -196,12 +221,12 @@ class Rule:
 class Taylor:
     """First-order expansion about the mean: the rule that makes a filter an extended Kalman filter.
 
-    It serves any dimension. Where a `Motion` or a `Sensor` has a ``jacobian`` that is used; else central differences along the
-    columns of the root are.
+    It serves any dimension. Where a `Motion` or a `Sensor` has a ``jacobian`` that is used; else
+    central differences along the columns of the root are.
 
     step: length of the difference, in standard deviations.
-    about: ``(..., N)``, the point to expand about instead of the mean, as an iterated filter does. The belief stays where it
-        is: its mean is mapped by the linear function.
+    about: ``(..., N)``, the point to expand about instead of the mean, as an iterated filter does.
+        The belief stays where it is: its mean is mapped by the linear function.
 
     >>> filter = celnav.sigma_point(motion, gps, rule=celnav.Taylor())  # celnav.ekf(motion, gps)
     """
@@ -218,9 +243,11 @@ class Taylor:
     def points(
         self, mean: Array, root: Array, space: Space = EUCLIDEAN, augment: Sequence[Array] = ()
     ) -> list[Array]:
-        """The center and its neighbors ``(p, ..., N)``; noise points ``(p, ..., k)`` vary in their own directions only.
+        """The center and its neighbors ``(p, ..., N)``; noise points ``(p, ..., k)`` vary in their
+        own directions only.
 
-        With a center of its own, the way from there to the mean is a direction like those of the columns, after them.
+        With a center of its own, the way from there to the mean is a direction like those of the
+        columns, after them.
         """
         center = mean if self.about is None else self.about
         if center.shape[-1:] != mean.shape[-1:]:
@@ -300,18 +327,22 @@ class AnyDimension:
                 ) from error
             if isinstance(rule, type) or not hasattr(rule, "image"):
                 raise ValueError(
-                    f"rule: expected a rule for {n} dimensions, such as celnav.unscented(n), got {kind(rule)}"
+                    f"rule: expected a rule for {n} dimensions, such as celnav.unscented(n), got "
+                    f"{kind(rule)}"
                 )
             self._rules[n] = rule
         return self._rules[n]
 
 
-# -- made for a dimension ------------------------------------------------------------------------------------------------
+# -- made for a dimension --------------------------------------------------------------------------
 def few(name: str, points: int, n: int) -> None:
-    """Refuse points before they are made: more than `MAX_POINTS`, or more numbers than `celnav.gaussian.checks.LIMIT`."""
+    """Refuse points before they are made: more than `MAX_POINTS`, or more numbers than
+    `celnav.gaussian.checks.LIMIT`.
+    """
     if points > MAX_POINTS or points * n > LIMIT:
         raise ValueError(
-            f"{name}: {points} points of {n} components exceed the limit of {MAX_POINTS} points, {LIMIT} numbers"
+            f"{name}: {points} points of {n} components exceed the limit of {MAX_POINTS} points, "
+            f"{LIMIT} numbers"
         )
 
 
@@ -323,8 +354,9 @@ def _axes(n: int, radius: float) -> Array:
 def unscented(n: int, alpha: float = 1.0, beta: float = 0.0, kappa: float = 0.0) -> Rule:
     """Scaled unscented rule of ``2n + 1`` points [Merwe2004]; the defaults have no negative weight.
 
-    With the defaults the center has no weight, and the rule is ``cubature(n)``, that of the cubature Kalman filter. The customary
-    ``kappa = 3 - n`` matches fourth moments on the axes; a small ``alpha`` with ``beta = 2`` keeps the points near the mean.
+    With the defaults the center has no weight, and the rule is ``cubature(n)``, that of the
+    cubature Kalman filter. The customary ``kappa = 3 - n`` matches fourth moments on the axes; a
+    small ``alpha`` with ``beta = 2`` keeps the points near the mean.
 
     >>> celnav.unscented(6, alpha=0.1, beta=2.0)
     Rule(n=6, points=13, negative weights=1)
@@ -349,7 +381,8 @@ UNSCENTED = AnyDimension(unscented)
 
 
 def simplex(n: int) -> Rule:
-    """Spherical simplex: ``n + 1`` points of equal weight, the fewest that a covariance needs [Moireau2011].
+    """Spherical simplex: ``n + 1`` points of equal weight, the fewest that a covariance needs
+    [Moireau2011].
 
     >>> celnav.simplex(6)
     Rule(n=6, points=7 and a center of weight 0, negative weights=0)
@@ -366,9 +399,11 @@ def simplex(n: int) -> Rule:
 
 
 def cubature(n: int, degree: int = 3) -> Rule:
-    """Spherical-radial cubature rule: degree 3 with ``2n`` points, degree 5 with ``2n^2 + 1`` [Jia2013].
+    """Spherical-radial cubature rule: degree 3 with ``2n`` points, degree 5 with ``2n^2 + 1``
+    [Jia2013].
 
-    The degree-3 rule is ``unscented(n)`` with its defaults. The degree-5 rule has ``2n`` negative weights for ``n > 4``.
+    The degree-3 rule is ``unscented(n)`` with its defaults. The degree-5 rule has ``2n`` negative
+    weights for ``n > 4``.
 
     >>> celnav.cubature(6, degree=5)
     Rule(n=6, points=73, negative weights=12)
@@ -390,7 +425,8 @@ def cubature(n: int, degree: int = 3) -> Rule:
 
 
 def gauss_hermite(n: int, order: int = 3) -> Rule:
-    """Tensor product of Gauss-Hermite rules of ``order`` points: ``order ** n``, at most `MAX_POINTS`; odd orders have a center.
+    """Tensor product of Gauss-Hermite rules of ``order`` points: ``order ** n``, at most
+    `MAX_POINTS`; odd orders have a center.
 
     >>> celnav.gauss_hermite(3, order=3)
     Rule(n=3, points=27, negative weights=0)
@@ -411,11 +447,13 @@ def gauss_hermite(n: int, order: int = 3) -> Rule:
 
 
 def tensor_product(*rules: Rule) -> Rule:
-    """Rule of the joint of independent parts: every node of each rule with every node of the others.
+    """Rule of the joint of independent parts: every node of each rule with every node of the
+    others.
 
-    For a model that is nonlinear in the first k states only and, given these, linear in the other n - k, the product
-    ``tensor_product(gauss_hermite(k, m), simplex(n - k))`` has ``m**k (n - k + 1)`` points and gives exactly what the full
-    tensor rule of ``m**n`` points gives (the marginalized rule; with lower roots and the nonlinear states first).
+    For a model that is nonlinear in the first k states only and, given these, linear in the other n
+    - k, the product ``tensor_product(gauss_hermite(k, m), simplex(n - k))`` has
+    ``m**k (n - k + 1)`` points and gives exactly what the full tensor rule of ``m**n`` points gives
+    (the marginalized rule; with lower roots and the nonlinear states first).
 
     >>> rule = celnav.gaussian.rules.tensor_product(celnav.gauss_hermite(2, 3), celnav.simplex(4))
     """
@@ -438,13 +476,15 @@ def tensor_product(*rules: Rule) -> Rule:
 def from_filterpy(points: Any) -> Rule:
     """`Rule` of a filterpy sigma-point object (Merwe, Julier, Simplex, or any of that interface).
 
-    >>> filter = celnav.sigma_point(motion, gps, rule=celnav.from_filterpy(MerweScaledSigmaPoints(6, 0.1, 2.0, -3.0)))
+    >>> points = MerweScaledSigmaPoints(6, 0.1, 2.0, -3.0)
+    >>> filter = celnav.sigma_point(motion, gps, rule=celnav.from_filterpy(points))
     """
     if isinstance(points, type) or not all(
         hasattr(points, name) for name in ("n", "sigma_points", "Wm", "Wc")
     ):
         raise ValueError(
-            f"points: expected a filterpy sigma-point object, such as MerweScaledSigmaPoints(...), got {points!r:.80}"
+            "points: expected a filterpy sigma-point object, such as MerweScaledSigmaPoints(...), "
+            f"got {points!r:.80}"
         )
     nodes = points.sigma_points(np.zeros(points.n), np.eye(points.n))
     return _centered(nodes, np.ravel(points.Wm), np.ravel(points.Wc))

@@ -1,7 +1,9 @@
-"""State and measurement spaces: what a sum, a difference and a mean are; and points with their components first.
+"""State and measurement spaces: what a sum, a difference and a mean are; and points with their
+components first.
 
-A filter does its algebra on differences (tangent vectors of dimension ``n``); a space says how they relate to points
-(arrays whose last axis has length ``N``, which need not equal ``n``). Vectors need nothing; angles wrap; attitudes retract.
+A filter does its algebra on differences (tangent vectors of dimension ``n``); a space says how they
+relate to points (arrays whose last axis has length ``N``, which need not equal ``n``). Vectors need
+nothing; angles wrap; attitudes retract.
 """
 
 from __future__ import annotations
@@ -19,15 +21,18 @@ __all__ = ["EUCLIDEAN", "Space", "angles", "components", "leading", "product", "
 
 
 class Space(NamedTuple):
-    """How points and differences relate. Every function broadcasts over leading axes, and gives nan for nan.
+    """How points and differences relate. Every function broadcasts over leading axes, and gives nan
+    for nan.
 
     plus: ``(point (..., N), tangent (..., n)) -> point``.
     minus: ``(b, a) -> tangent`` at ``a`` that leads to ``b``: ``plus(a, minus(b, a)) == b``.
-    transport: optional ``tangent -> (..., n, n)``, the matrix that carries deviations at a point to the point moved by
-        ``tangent``. None: the identity.
-    mean: optional ``(points (p, ..., N), weights (p,)) -> point``. None: the mean of the differences to the first point,
-        which neither cancels digits nor notices where an angle wraps.
-    check: optional ``(point, name) -> point``, what a point from outside (a measurement) must be; ValueError names it.
+    transport: optional ``tangent -> (..., n, n)``, the matrix that carries deviations at a point to
+        the point moved by ``tangent``. None: the identity.
+    mean: optional ``(points (p, ..., N), weights (p,)) -> point``. None: the mean of the
+        differences to the first point, which neither cancels digits nor notices where an angle
+        wraps.
+    check: optional ``(point, name) -> point``, what a point from outside (a measurement) must be;
+        ValueError names it.
     """
 
     plus: Callable[[Array, Array], Array] = np.add
@@ -55,9 +60,11 @@ def wrap(angle: Any) -> Any:
 
 
 def angles(components: Iterable[int] | None = None) -> Space:
-    """Vectors of which some ``components`` (None: all) are angles in radians, wrapped to ``[-pi, pi)``.
+    """Vectors of which some ``components`` (None: all) are angles in radians, wrapped to
+    ``[-pi, pi)``.
 
-    >>> bearing = celnav.Sensor(lambda x, epoch: np.arctan2(x[..., 1:2], x[..., :1]), R=[[1e-4]], space=celnav.angles([0]))
+    >>> h = lambda x, epoch: np.arctan2(x[..., 1:2], x[..., :1])
+    >>> bearing = celnav.Sensor(h, R=[[1e-4]], space=celnav.angles([0]))
     """
     places = (
         None
@@ -72,7 +79,8 @@ def _wrapped(operation: Any, places: tuple[int, ...] | None, a: Array, b: Array)
     vector: Array = operation(a, b, dtype=np.float64)
     if places and max(places) >= vector.shape[-1]:
         raise ValueError(
-            f"angles: expected components below {vector.shape[-1]}, the length of the vector, got {max(places)}"
+            f"angles: expected components below {vector.shape[-1]}, the length of the vector, got "
+            f"{max(places)}"
         )
     chosen = slice(None) if places is None else list(places)
     vector[..., chosen] = wrap(vector[..., chosen])
@@ -80,11 +88,13 @@ def _wrapped(operation: Any, places: tuple[int, ...] | None, a: Array, b: Array)
 
 
 def product(*factors: tuple[Space, int, int]) -> Space:
-    """Product of spaces, each given as ``(space, N, n)``: the lengths of its points and of its tangents.
+    """Product of spaces, each given as ``(space, N, n)``: the lengths of its points and of its
+    tangents.
 
-    ``product((attitude(), 4, 3), (EUCLIDEAN, 3, 3))`` is a quaternion and three numbers: points of 7, tangents of 6.
+    ``product((attitude(), 4, 3), (EUCLIDEAN, 3, 3))`` is a quaternion and three numbers: points of
+    7, tangents of 6.
 
-    >>> space = celnav.product((celnav.attitude(), 4, 3), (celnav.EUCLIDEAN, 3, 3))  # an attitude and three drifts
+    >>> space = celnav.product((celnav.attitude(), 4, 3), (celnav.EUCLIDEAN, 3, 3))
     """
     if not all(
         isinstance(factor, tuple | list) and len(factor) == 3 and isinstance(factor[0], Space)
@@ -167,7 +177,9 @@ def _check_length(name: str, vector: Array, length: int) -> None:
 
 
 def leading(x: Array) -> Array:
-    """``(..., n)`` with the component axis first, as a view; numpy's ``moveaxis`` takes longer than a product of small matrices."""
+    """``(..., n)`` with the component axis first, as a view; numpy's ``moveaxis`` takes longer than
+    a product of small matrices.
+    """
     last = x.ndim - 1
     return x.transpose((last, *range(last)))
 
@@ -178,7 +190,9 @@ def trailing(x: Array) -> Array:
 
 
 def components(x: Array) -> Array:
-    """`leading`, each component in one piece of memory, which models are fast on: sigma points lie so, what does not is copied."""
+    """`leading`, each component in one piece of memory, which models are fast on: sigma points lie
+    so, what does not is copied.
+    """
     if x.ndim == 1:
         return x
     first = leading(x)

@@ -1,9 +1,10 @@
 """Sparse grids of Gauss-Hermite rules: isotropic, or anisotropic [Nobile2008].
 
 A Smolyak rule adds up differences of one-dimensional rules over the multi-indices ``i`` with
-``sum_j (i_j - 1) g_j <= (level - 1) min(g)``. Channels with a larger weight ``g_j`` get fewer points. Nothing is merged by
-comparing coordinates: each point is enumerated once, as a choice of nodes in a few channels, and its weight is a coefficient
-of a generating function. With ``d(v, l)`` the weight of node ``v`` in the rule of level ``l`` minus that of level ``l - 1``,
+``sum_j (i_j - 1) g_j <= (level - 1) min(g)``. Channels with a larger weight ``g_j`` get fewer
+points. Nothing is merged by comparing coordinates: each point is enumerated once, as a choice of
+nodes in a few channels, and its weight is a coefficient of a generating function. With ``d(v, l)``
+the weight of node ``v`` in the rule of level ``l`` minus that of level ``l - 1``,
 
     W(p) = sum over k <= (level - 1) min(g) of [t^k] prod_j sum_l d(p_j, l) t^(g_j (l - 1)).
 """
@@ -25,9 +26,13 @@ from celnav.gaussian.rules import MAX_POINTS, Rule, few
 __all__ = ["DELAYED", "ORDERS", "index_set", "integrates", "point_count", "smolyak"]
 
 ORDERS = (1, 3, 7, 15, 31, 63)
-"""Points of the one-dimensional rules of level 1, 2, ...: a level more doubles the number and the degree."""
+"""Points of the one-dimensional rules of level 1, 2, ...: a level more doubles the number and the
+degree.
+"""
 DELAYED = (1, 3, 3, 7, 7, 7, 15)
-"""Orders that rise only when the total degree of the isotropic rule asks for it: fewer points, nested in parts."""
+"""Orders that rise only when the total degree of the isotropic rule asks for it: fewer points,
+nested in parts.
+"""
 CANCELED = (
     1e-12  # a merged weight is nothing if it is this small against the sum of its absolute terms
 )
@@ -35,7 +40,9 @@ Polynomial = dict[int, float]  # coefficients by power
 
 
 class _Node(NamedTuple):
-    """A pair of nodes ``-x, x`` with ``x > 0``: its first level, and its polynomial ``{level - 1: d(x, level)}``."""
+    """A pair of nodes ``-x, x`` with ``x > 0``: its first level, and its polynomial
+    ``{level - 1: d(x, level)}``.
+    """
 
     level: int
     value: float
@@ -43,7 +50,9 @@ class _Node(NamedTuple):
 
 
 class _Pattern(NamedTuple):
-    """Points that differ by channels and signs only: for each class the nodes of its active channels, and their weight."""
+    """Points that differ by channels and signs only: for each class the nodes of its active
+    channels, and their weight.
+    """
 
     nodes: tuple[tuple[int, ...], ...]
     weight: float
@@ -53,14 +62,17 @@ class _Pattern(NamedTuple):
 def smolyak(
     n: int, level: int, weights: Sequence[int] | None = None, *, orders: Sequence[int] = ORDERS
 ) -> Rule:
-    """Smolyak rule of Gauss-Hermite rules in ``n`` dimensions: the points whose weight does not cancel, the center first.
+    """Smolyak rule of Gauss-Hermite rules in ``n`` dimensions: the points whose weight does not
+    cancel, the center first.
 
-    Its weights are partly negative. Channels with ``g_j > (level - 1) min(g)`` have no points: filters refuse such a rule. It is
-    cached. ValueError for a level beyond the orders, or more than `MAX_POINTS` points (before they are made).
+    Its weights are partly negative. Channels with ``g_j > (level - 1) min(g)`` have no points:
+    filters refuse such a rule. It is cached. ValueError for a level beyond the orders, or more than
+    `MAX_POINTS` points (before they are made).
 
-    n: dimension. level: 1 is the center alone, 2 of equal weights the unscented rule with ``kappa = 3 - n``.
-    weights: ``(n,)`` positive integers g, 1 for the channels that matter most; None: all equal (isotropic). Only their ratios
-        to the smallest count: weights that are all 2 are isotropic.
+    n: dimension. level: 1 is the center alone, 2 of equal weights the unscented rule with
+        ``kappa = 3 - n``.
+    weights: ``(n,)`` positive integers g, 1 for the channels that matter most; None: all equal
+        (isotropic). Only their ratios to the smallest count: weights that are all 2 are isotropic.
     orders: points of the one-dimensional rules by level, see `ORDERS` and `DELAYED`.
 
     >>> filter = celnav.sigma_point(motion, sensor, rule=celnav.smolyak(6, 3, [1, 1, 1, 2, 2, 2]))
@@ -86,10 +98,12 @@ def integrates(
     *,
     orders: Sequence[int] = ORDERS,
 ) -> bool:
-    """Whether `smolyak` gives the exact mean of the monomial ``prod_j x_j^powers[j]`` of a unit Gaussian.
+    """Whether `smolyak` gives the exact mean of the monomial ``prod_j x_j^powers[j]`` of a unit
+    Gaussian.
 
-    Exact if and only if a power is odd or ``sum_j (l_j - 1) g_j <= (level - 1) min(g)``, where ``l_j`` is the lowest level
-    whose rule is exact for ``x^powers[j]``. (That it is exact then follows since the sum of differences telescopes.)
+    Exact if and only if a power is odd or ``sum_j (l_j - 1) g_j <= (level - 1) min(g)``, where
+    ``l_j`` is the lowest level whose rule is exact for ``x^powers[j]``. (That it is exact then
+    follows since the sum of differences telescopes.)
 
     >>> celnav.gaussian.sparse_grid.integrates([2, 2], level=3)
     True
@@ -109,7 +123,8 @@ def integrates(
 
 
 def index_set(level: int, weights: Sequence[int]) -> dict[tuple[int, ...], int]:
-    """Multi-indices, from 1, of the tensor rules of a `smolyak` rule, and their coefficients, 0 for some [Liang2014, Eqs. 16, 17].
+    """Multi-indices, from 1, of the tensor rules of a `smolyak` rule, and their coefficients, 0 for
+    some [Liang2014, Eqs. 16, 17].
 
     >>> index_set(3, (2, 1))
     {(1, 1): -1, (1, 2): 0, (1, 3): 1, (2, 1): 1}
@@ -150,7 +165,9 @@ def _checked(
 
 @lru_cache(maxsize=64)
 def univariate(order: int) -> tuple[Array, Array]:
-    """Gauss-Hermite nodes ``x > 0``, ascending, and weights ``(order // 2 + 1,)``, that of the node 0 (or 0) first."""
+    """Gauss-Hermite nodes ``x > 0``, ascending, and weights ``(order // 2 + 1,)``, that of the node
+    0 (or 0) first.
+    """
     x, w = np.polynomial.hermite_e.hermegauss(order)
     w = w / w.sum()
     half = order // 2
@@ -197,13 +214,17 @@ def _times(a: Polynomial, b: Polynomial, limit: int) -> Polynomial:
 def _patterns(
     level: int, g: tuple[int, ...], sizes: tuple[int, ...]
 ) -> tuple[tuple[float, ...], tuple[_Pattern, ...]]:
-    """Values of the nodes, and the patterns whose weight does not cancel, the center first. A class is channels of one weight."""
+    """Values of the nodes, and the patterns whose weight does not cancel, the center first. A class
+    is channels of one weight.
+    """
     budget = (level - 1) * min(g)
     center, nodes = _nodes(sizes)
     classes = [(c, g.count(c)) for c in sorted(set(g))]
 
     def weight(choice: tuple[tuple[int, ...], ...], of: Callable[[float], float]) -> float:
-        """Weight of the points with these nodes in each class, of coefficients as they are or absolute."""
+        """Weight of the points with these nodes in each class, of coefficients as they are or
+        absolute.
+        """
         total: Polynomial = {0: 1.0}
         for (c, count), chosen in zip(classes, choice, strict=True):
             idle, *active = (
@@ -222,7 +243,8 @@ def _patterns(
         own = weight(choice, float)
         canceled = abs(own) <= CANCELED * weight(choice, abs)
         if not canceled or not any(choice):  # a rule has its center first, be its weight 0
-            # Ways to give the nodes of each class, and a sign to each, to different ones of its channels.
+            # Ways to give the nodes of each class, and a sign to each, to different ones of its
+            # channels.
             alike = prod(factorial(chosen.count(i)) for chosen in choice for i in set(chosen))
             ways = prod(
                 perm(count, len(chosen)) << len(chosen)
@@ -236,7 +258,9 @@ def _patterns(
 def _multisets(
     nodes: Sequence[_Node], budget: int, most: int, first: int = 0
 ) -> Iterator[tuple[int, tuple[int, ...]]]:
-    """Choices of at most ``most`` nodes, ascending and with repetition, whose levels fit the budget: ``(cost, nodes)``."""
+    """Choices of at most ``most`` nodes, ascending and with repetition, whose levels fit the
+    budget: ``(cost, nodes)``.
+    """
     yield 0, ()
     if not most:
         return

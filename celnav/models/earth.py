@@ -1,4 +1,5 @@
-"""The ellipsoid WGS-84 (radii of curvature, rotation, normal gravity), axes that turn with the Earth, an aircraft's flight.
+"""The ellipsoid WGS-84 (radii of curvature, rotation, normal gravity), axes that turn with the
+Earth, an aircraft's flight.
 
 Units: m, s, rad.
 """
@@ -14,11 +15,6 @@ from numpy.typing import ArrayLike
 from celnav.gaussian.checks import finite, number, numbers
 from celnav.gaussian.linalg import Array, matvec
 from celnav.lazy import needed_by
-
-__all__ = [
-    "ECCENTRICITY_SQUARED", "ROTATION_RATE", "SEMI_MAJOR_M", "STANDARD_GRAVITY", "Flight", "earth_rate", "inertial_forces",
-    "meridian_radius", "normal_gravity", "orientation", "radii", "spin", "transport_rate", "transverse_radius", "turning_flight",
-]  # fmt: skip
 
 SEMI_MAJOR_M = 6378137.0
 FLATTENING = 1.0 / 298.257223563
@@ -44,12 +40,16 @@ def transverse_radius(latitude: ArrayLike) -> Array:
 
 
 def radii(latitude: ArrayLike, height_m: ArrayLike) -> tuple[Array, Array]:
-    """Meters in a radian of arc along and across the meridian at a height: ``R_M + h`` and ``R_N + h``, of the arguments' shape."""
+    """Meters in a radian of arc along and across the meridian at a height: ``R_M + h`` and
+    ``R_N + h``, of the arguments' shape.
+    """
     return meridian_radius(latitude) + height_m, transverse_radius(latitude) + height_m
 
 
 def normal_gravity(latitude: ArrayLike, height_m: ArrayLike) -> Array:
-    """Gravity (down, with the centrifugal part) of the normal ellipsoid, m/s^2: Somigliana's formula, to second order in height."""
+    """Gravity (down, with the centrifugal part) of the normal ellipsoid, m/s^2: Somigliana's
+    formula, to second order in height.
+    """
     s2 = np.square(np.sin(latitude))
     surface = (
         9.7803253359 * (1.0 + 0.00193185265241 * s2) / np.sqrt(1.0 - ECCENTRICITY_SQUARED * s2)
@@ -68,14 +68,18 @@ def earth_rate(latitude: ArrayLike) -> Array:
 
 
 def transport_rate(velocity: Array, latitude: ArrayLike, height_m: ArrayLike) -> Array:
-    """Rotation of the east, north, up axes over the Earth, ``(..., 3)`` rad/s, at ``velocity (..., 2 or 3)`` m/s."""
+    """Rotation of the east, north, up axes over the Earth, ``(..., 3)`` rad/s, at
+    ``velocity (..., 2 or 3)`` m/s.
+    """
     north, east = radii(latitude, height_m)
     spin = velocity[..., 0] / east
     return np.stack([-velocity[..., 1] / north, spin, spin * np.tan(latitude)], -1)
 
 
 def inertial_forces(position: Array, velocity: Array, spin: Array = SPIN) -> Array:
-    """Centrifugal and Coriolis acceleration ``(..., 3)`` m/s^2 on axes that turn by ``spin (..., 3)`` rad/s; m, m/s on these."""
+    """Centrifugal and Coriolis acceleration ``(..., 3)`` m/s^2 on axes that turn by
+    ``spin (..., 3)`` rad/s; m, m/s on these.
+    """
     return np.asanyarray(-_cross(spin, 2.0 * velocity + _cross(spin, position)))
 
 
@@ -86,9 +90,11 @@ def _cross(a: Array, b: Array) -> Array:
 
 
 def orientation(tt: ArrayLike, ut1: ArrayLike, pole: tuple[float, float] = (0.0, 0.0)) -> Array:
-    """Rotations ``(..., 3, 3)`` that take celestial components (GCRS) to terrestrial ones (ITRS): IAU 2006/2000A, by ERFA.
+    """Rotations ``(..., 3, 3)`` that take celestial components (GCRS) to terrestrial ones (ITRS):
+    IAU 2006/2000A, by ERFA.
 
-    tt, ut1: Julian dates in terrestrial time and in UT1, ``(..., 2)``: days and the rest. pole: x and y of its motion, rad.
+    tt, ut1: Julian dates in terrestrial time and in UT1, ``(..., 2)``: days and the rest. pole: x
+        and y of its motion, rad.
     """
     with needed_by("celnav.models.earth.orientation", "papers"):
         import erfa  # only who asks for it has it imported
@@ -99,7 +105,8 @@ def orientation(tt: ArrayLike, ut1: ArrayLike, pole: tuple[float, float] = (0.0,
 
 
 def spin(orientations: Array, interval: float) -> Array:
-    """Rotation ``(T - 1, 3)`` rad/s of axes from one ``interval`` (s) to the next, on these axes: precession, nutation and all.
+    """Rotation ``(T - 1, 3)`` rad/s of axes from one ``interval`` (s) to the next, on these axes:
+    precession, nutation and all.
 
     orientations: ``(T, 3, 3)``, as `orientation` has them, of turns below a right angle.
     """
@@ -128,7 +135,8 @@ class Flight(NamedTuple):
     """Truth ``(T, ...)`` of a flight, on east, north, up axes n and body axes b: right, front, up.
 
     times: ``(T,)`` s. longitude, latitude: ``(T,)`` rad. height_m: constant.
-    velocity: ``(T, 3)`` m/s. attitude: ``(T, 3, 3)``, C_b^n. force: ``(T, 3)`` m/s^2, the specific force on body axes.
+    velocity: ``(T, 3)`` m/s. attitude: ``(T, 3, 3)``, C_b^n. force: ``(T, 3)`` m/s^2, the specific
+        force on body axes.
     """
 
     times: Array
@@ -141,14 +149,24 @@ class Flight(NamedTuple):
 
 
 def turning_flight(
-    times: Array, *, longitude: float, latitude: float, height_m: float,
-    speed: float, heading: float, acceleration: float, turn_rate: float, substep: float = 0.5,
-) -> Flight:  # fmt: skip
-    """A `Flight`, level, at ``times (T,)`` s, increasing, with constant acceleration along the track and a constant turn.
+    times: Array,
+    *,
+    longitude: float,
+    latitude: float,
+    height_m: float,
+    speed: float,
+    heading: float,
+    acceleration: float,
+    turn_rate: float,
+    substep: float = 0.5,
+) -> Flight:
+    """A `Flight`, level, at ``times (T,)`` s, increasing, with constant acceleration along the
+    track and a constant turn.
 
-    From a place (rad, m) at the first time, there with ``speed`` m/s and ``heading`` rad, clockwise from north; acceleration in
-    m/s^2, turn rate in rad/s. The position is integrated by Runge-Kutta steps of at most ``substep`` seconds (to 1e-12 rad in
-    500 s). ValueError where the flight comes within a degree of a pole.
+    From a place (rad, m) at the first time, there with ``speed`` m/s and ``heading`` rad, clockwise
+    from north; acceleration in m/s^2, turn rate in rad/s. The position is integrated by Runge-Kutta
+    steps of at most ``substep`` seconds (to 1e-12 rad in 500 s). ValueError where the flight comes
+    within a degree of a pole.
     """
     t = finite("times", times, ("T",))
     if (np.diff(t) <= 0.0).any():

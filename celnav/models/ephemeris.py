@@ -1,8 +1,10 @@
-"""Where Sun, Moon and planets are, and when: JPL's ephemerides, barycentric, ICRS axes, and their time, TDB. Units: km, km/s.
+"""Where Sun, Moon and planets are, and when: JPL's ephemerides, barycentric, ICRS axes, and their
+time, TDB. Units: km, km/s.
 
-`de421` needs no files but those of the package; `Kernel` reads any such SPK file. Planets are their systems' barycenters, except
-the Earth. An instant is a Julian date TDB in two parts, so that centuries keep their microseconds; the scale is in the type. Leap
-seconds and the difference of TDB and TT come from ERFA. An offline machine in years to come keeps its table and is warned by it.
+`de421` needs no files but those of the package; `Kernel` reads any such SPK file. Planets are their
+systems' barycenters, except the Earth. An instant is a Julian date TDB in two parts, so that
+centuries keep their microseconds; the scale is in the type. Leap seconds and the difference of TDB
+and TT come from ERFA. An offline machine in years to come keeps its table and is warned by it.
 """
 
 from __future__ import annotations
@@ -27,23 +29,41 @@ with needed_by("celnav.models.ephemeris", "papers"):
     from jplephem.daf import DAF
     from jplephem.spk import SPK
 
-__all__ = ["BODIES", "DAY_S", "GM", "BodyState", "Kernel", "Tdb", "de421", "from_tt", "from_utc"]
-
 GM = {
-    "sun": 132712440040.944, "mercury": 22032.090, "venus": 324858.592, "earth": 398600.436233, "moon": 4902.800076,
-    "mars": 42828.375214, "jupiter": 126712764.8, "saturn": 37940585.2, "uranus": 5794548.6, "neptune": 6836535.0, "pluto": 977.0,
-}  # fmt: skip
+    "sun": 132712440040.944,
+    "mercury": 22032.090,
+    "venus": 324858.592,
+    "earth": 398600.436233,
+    "moon": 4902.800076,
+    "mars": 42828.375214,
+    "jupiter": 126712764.8,
+    "saturn": 37940585.2,
+    "uranus": 5794548.6,
+    "neptune": 6836535.0,
+    "pluto": 977.0,
+}
 """Gravitational parameters of DE421, km^3/s^2; planets beyond the Earth with their moons."""
 BODIES = tuple(GM)
 _SPK = {
-    "sun": ((0, 10),), "mercury": ((0, 1),), "venus": ((0, 2),), "earth": ((0, 3), (3, 399)), "moon": ((0, 3), (3, 301)),
-    "mars": ((0, 4),), "jupiter": ((0, 5),), "saturn": ((0, 6),), "uranus": ((0, 7),), "neptune": ((0, 8),), "pluto": ((0, 9),),
-}  # fmt: skip
+    "sun": ((0, 10),),
+    "mercury": ((0, 1),),
+    "venus": ((0, 2),),
+    "earth": ((0, 3), (3, 399)),
+    "moon": ((0, 3), (3, 301)),
+    "mars": ((0, 4),),
+    "jupiter": ((0, 5),),
+    "saturn": ((0, 6),),
+    "uranus": ((0, 7),),
+    "neptune": ((0, 8),),
+    "pluto": ((0, 9),),
+}
 """Centers and targets of the segments that add up to a body."""
 
 
 class BodyState(NamedTuple):
-    """Position (km) and velocity (km/s), ``(..., 3)``, with respect to the solar system's barycenter."""
+    """Position (km) and velocity (km/s), ``(..., 3)``, with respect to the solar system's
+    barycenter.
+    """
 
     position: Array
     velocity: Array
@@ -52,7 +72,8 @@ class BodyState(NamedTuple):
 class Kernel:
     """A binary SPK file; ValueError names one that is none or is cut off.
 
-    >>> position, velocity = Kernel("de440.bsp").state("mars", celnav.models.ephemeris.from_utc("2015-10-17"))
+    >>> date = celnav.models.ephemeris.from_utc("2015-10-17")
+    >>> position, velocity = Kernel("de440.bsp").state("mars", date)
     """
 
     def __init__(self, path: str | Path):
@@ -69,7 +90,9 @@ class Kernel:
             )
 
     def state(self, body: str, date: Tdb) -> BodyState:
-        """`BodyState` of one of `BODIES` at dates of any shape ``(...)``; ValueError for one that the file does not have."""
+        """`BodyState` of one of `BODIES` at dates of any shape ``(...)``; ValueError for one that
+        the file does not have.
+        """
         choice("body", body, BODIES)
         present = [b for b in sorted(BODIES) if all(pair in self._spk.pairs for pair in _SPK[b])]
         if body not in present:
@@ -105,7 +128,9 @@ DAY_S = 86400.0
 
 
 class Tdb(NamedTuple):
-    """Julian date TDB: whole days (or any fixed day) and the rest, in days; arrays of one shape, or numbers."""
+    """Julian date TDB: whole days (or any fixed day) and the rest, in days; arrays of one shape, or
+    numbers.
+    """
 
     day: Array | float
     rest: Array | float
@@ -129,7 +154,9 @@ def from_tt(day: ArrayLike, rest: ArrayLike = 0.0) -> Tdb:
 
 
 def from_utc(instant: str | datetime) -> Tdb:
-    """`Tdb` of an instant in UTC: "2015-10-17T04:00:00" (leap seconds too: 23:59:60), or a datetime that knows its zone."""
+    """`Tdb` of an instant in UTC: "2015-10-17T04:00:00" (leap seconds too: 23:59:60), or a datetime
+    that knows its zone.
+    """
     when, leap = instant, "23:59:60" in str(instant)
     if isinstance(instant, str):
         try:
@@ -141,7 +168,8 @@ def from_utc(instant: str | datetime) -> Tdb:
         when = when.replace(tzinfo=when.tzinfo or UTC)
     if not isinstance(when, datetime) or when.tzinfo is None:
         raise ValueError(
-            f"instant: expected a datetime with a time zone, or UTC as YYYY-MM-DDTHH:MM:SS, got {instant!r:.80}"
+            "instant: expected a datetime with a time zone, or UTC as YYYY-MM-DDTHH:MM:SS, got "
+            f"{instant!r:.80}"
         )
     when = when.astimezone(UTC)
     second = when.second + leap + 1e-6 * when.microsecond

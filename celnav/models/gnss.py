@@ -1,8 +1,9 @@
-"""Broadcast orbits and clocks of BeiDou (B1I; MEO, IGSO and GEO) [BDS-SIS-ICD] and of GPS (L1 C/A) [IS-GPS-200].
+"""Broadcast orbits and clocks of BeiDou (B1I; MEO, IGSO and GEO) [BDS-SIS-ICD] and of GPS (L1 C/A)
+[IS-GPS-200].
 
-Positions are Earth-fixed at their own time, m; CGCS2000 and WGS 84 are the same to centimeters. Times are seconds of BDT since its
-beginning, 2006-01-01 (week times 604,800 plus seconds of week); GPS time is ahead by 14 s. Satellites lie along the last axis of
-every element.
+Positions are Earth-fixed at their own time, m; CGCS2000 and WGS 84 are the same to centimeters.
+Times are seconds of BDT since its beginning, 2006-01-01 (week times 604,800 plus seconds of week);
+GPS time is ahead by 14 s. Satellites lie along the last axis of every element.
 """
 
 from __future__ import annotations
@@ -14,11 +15,6 @@ import numpy as np
 
 from celnav.gaussian.checks import finite
 from celnav.gaussian.linalg import Array
-
-__all__ = [
-    "B1I_HZ", "GEO_NUMBERS", "GPS_AHEAD_S", "GRAVITY_PARAMETER", "L1_HZ", "LIGHT", "ROTATION_RATE", "TILT", "WEEK_S", "Broadcast",
-    "SatelliteState", "eccentric_anomaly", "satellites", "spun", "tilted", "turned",
-]  # fmt: skip
 
 GRAVITY_PARAMETER = 3.986004418e14  # m^3/s^2
 ROTATION_RATE = 7.2921150e-5  # rad/s
@@ -32,15 +28,19 @@ WEEK_S = 604800.0
 GPS_AHEAD_S = 14.0
 GEO_NUMBERS = frozenset({*range(1, 6), *range(59, 64)})
 TILT = np.radians(5.0)
-"""Of the plane that a geostationary orbit's elements refer to: without it their node would be lost."""
+"""Of the plane that a geostationary orbit's elements refer to: without it their node would be lost.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class Broadcast:
-    """Broadcast elements of satellites, each field ``(S,)``; angles in rad, lengths in m, times in s.
+    """Broadcast elements of satellites, each field ``(S,)``; angles in rad, lengths in m, times in
+    s.
 
-    number: of the satellite, C01 is 1. gps: 1 of GPS's, 0 of BeiDou's. toe, toc: reference times of orbit and clock, BDT.
-    sqrt_a, e, i0, Omega0, omega, M0, delta_n, Omega_dot, i_dot, cuc, cus, crc, crs, cic, cis: of the orbit.
+    number: of the satellite, C01 is 1. gps: 1 of GPS's, 0 of BeiDou's. toe, toc: reference times of
+        orbit and clock, BDT.
+    sqrt_a, e, i0, Omega0, omega, M0, delta_n, Omega_dot, i_dot, cuc, cus, crc, crs, cic, cis: of
+        the orbit.
     a0, a1, a2: of the clock. tgd: group delay of B1I or L1. health: 0 if well.
     """
 
@@ -103,7 +103,9 @@ class Broadcast:
 
 
 class SatelliteState(NamedTuple):
-    """Positions (m) and velocities (m/s) ``(..., S, 3)``, Earth-fixed; clocks (s, ahead of BDT) and their rates ``(..., S)``."""
+    """Positions (m) and velocities (m/s) ``(..., S, 3)``, Earth-fixed; clocks (s, ahead of BDT) and
+    their rates ``(..., S)``.
+    """
 
     position: Array
     velocity: Array
@@ -112,7 +114,9 @@ class SatelliteState(NamedTuple):
 
 
 def satellites(broadcast: Broadcast, t: Array | float) -> SatelliteState:
-    """`SatelliteState` of all satellites at times ``t (..., S)`` or one time; velocities are exact derivatives."""
+    """`SatelliteState` of all satellites at times ``t (..., S)`` or one time; velocities are exact
+    derivatives.
+    """
     b, t = broadcast, np.asarray(t, dtype=np.float64)
     tk, dt = (
         (since - WEEK_S * np.round(since / WEEK_S)) for since in (t - b.toe, t - b.toc)
@@ -142,7 +146,8 @@ def satellites(broadcast: Broadcast, t: Array | float) -> SatelliteState:
     x, y = r * np.cos(u), r * np.sin(u)
     x_dot, y_dot = r_dot * np.cos(u) - y * u_dot, r_dot * np.sin(u) + x * u_dot
 
-    # In space, about a node that turns with the Earth; that of a geostationary orbit stays in the tilted plane until the end.
+    # In space, about a node that turns with the Earth; that of a geostationary orbit stays in the
+    # tilted plane until the end.
     geo = b.geostationary
     turning = b.Omega_dot - np.where(geo, 0.0, spin)
     node = (
@@ -167,7 +172,8 @@ def satellites(broadcast: Broadcast, t: Array | float) -> SatelliteState:
 
 
 def eccentric_anomaly(mean: Array, e: Array) -> Array:
-    """Eccentric anomaly (rad) of a mean one, by Newton's method, to round-off for any e below 0.9."""
+    """Eccentric anomaly (rad) of a mean one, by Newton's method, to round-off for any e
+    below 0.9."""
     E = mean + e * np.sin(mean)
     for _ in range(8):
         E = E - (E - e * np.sin(E) - mean) / (1.0 - e * np.cos(E))
@@ -183,7 +189,9 @@ def tilted(vectors: Array, angle: float) -> Array:
 
 
 def turned(vectors: Array, angle: Array) -> Array:
-    """``R_z(angle)`` times vectors ``(..., 3)``: into a frame that has turned by the angle ``(...)``."""
+    """``R_z(angle)`` times vectors ``(..., 3)``: into a frame that has turned by the angle
+    ``(...)``.
+    """
     x, y, z = np.moveaxis(vectors, -1, 0)
     return np.stack(
         [np.cos(angle) * x + np.sin(angle) * y, np.cos(angle) * y - np.sin(angle) * x, z], -1

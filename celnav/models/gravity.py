@@ -1,8 +1,10 @@
-"""Gravity by spherical harmonics, in Earth-fixed axes, without a singularity at the poles [Cunningham1970]. Units: m, s.
+"""Gravity by spherical harmonics, in Earth-fixed axes, without a singularity at the poles
+[Cunningham1970]. Units: m, s.
 
-The potential is a sum of solid harmonics, and each derivative of one is a sum of those of the next degree
-[Montenbruck2000, Eq. 3.33]. So acceleration and gradient are fields of coefficients themselves, made once; at a place only the
-harmonics are evaluated, by recursion over the degree with all orders together.
+The potential is a sum of solid harmonics, and each derivative of one is a sum of those of the next
+degree [Montenbruck2000, Eq. 3.33]. So acceleration and gradient are fields of coefficients
+themselves, made once; at a place only the harmonics are evaluated, by recursion over the degree
+with all orders together.
 """
 
 from __future__ import annotations
@@ -18,18 +20,18 @@ from celnav.files import InputError
 from celnav.gaussian.checks import finite, instance, integer, number
 from celnav.gaussian.linalg import Array
 
-__all__ = ["Gravity", "read"]
-
 MOST_DEGREE = 2190
 """Of what a file may have; its coefficients take 80 MB."""
 
 
 @dataclass(frozen=True, eq=False)
 class Gravity:
-    """A field of gravity: ``gm`` m^3/s^2, ``radius`` m of reference, coefficients ``C``, ``S (N + 1, N + 1)`` by degree and order.
+    """A field of gravity: ``gm`` m^3/s^2, ``radius`` m of reference, coefficients ``C``,
+    ``S (N + 1, N + 1)`` by degree and order.
 
-    Coefficients are fully normalized; those with an order above the degree are not looked at. The acceleration is that of the
-    masses alone: rotating axes have more (`celnav.models.earth.inertial_forces`).
+    Coefficients are fully normalized; those with an order above the degree are not looked at. The
+    acceleration is that of the masses alone: rotating axes have more
+        (`celnav.models.earth.inertial_forces`).
 
     >>> field = celnav.models.gravity.read("EGM2008.gfc", degree=8)
     >>> field.acceleration(np.array([6.8e6, 0.0, 0.0]))  # m/s^2
@@ -94,7 +96,9 @@ class Gravity:
 
 
 def _harmonics(place: Array, degree: int) -> Array:
-    """Solid harmonics ``(2, N + 1, N + 1, K)``: with cosines and with sines, by degree and order; ``place (3, K)`` in radii."""
+    """Solid harmonics ``(2, N + 1, N + 1, K)``: with cosines and with sines, by degree and order;
+    ``place (3, K)`` in radii.
+    """
     inverse = 1.0 / (place[0] * place[0] + place[1] * place[1] + place[2] * place[2])
     x, y, z = place * inverse
     out = np.zeros((2, degree + 1, degree + 1, place.shape[-1]), like=place)
@@ -110,7 +114,9 @@ def _harmonics(place: Array, degree: int) -> Array:
 
 @cache
 def _recursion(degree: int) -> list[tuple[Array, Array, float]]:
-    """Factors that lead to each degree n from 1: of degree n - 1 ``(n, 1)`` and n - 2 ``(n - 1, 1)`` by order, and to order n."""
+    """Factors that lead to each degree n from 1: of degree n - 1 ``(n, 1)`` and n - 2
+    ``(n - 1, 1)`` by order, and to order n.
+    """
     factors = []
     for n in range(1, degree + 1):
         m = np.arange(n)[:, None]
@@ -128,7 +134,9 @@ def _recursion(degree: int) -> list[tuple[Array, Array, float]]:
 
 
 def _derivatives(coefficients: Array) -> Array:
-    """Of a field ``(2, N + 1, N + 1)`` by x, y and z, times the radius: ``(3, 2, N + 2, N + 2)`` [Montenbruck2000, Eq. 3.33]."""
+    """Of a field ``(2, N + 1, N + 1)`` by x, y and z, times the radius: ``(3, 2, N + 2, N + 2)``
+    [Montenbruck2000, Eq. 3.33].
+    """
     N = coefficients.shape[-1]
     n, m = np.mgrid[:N, :N]
     C, S = np.where(m <= n, coefficients, 0.0)
@@ -136,7 +144,8 @@ def _derivatives(coefficients: Array) -> Array:
         np.where(m > 0, S, 0.0),
         np.minimum(m, n),
     )  # the sine of order 0 is none, whatever its coefficient
-    # A harmonic's normalization over that of the next degree, times the factor of the equation, by what becomes of the order.
+    # A harmonic's normalization over that of the next degree, times the factor of the equation, by
+    # what becomes of the order.
     scale = (2 * n + 1) / (2 * n + 3)
     up = np.sqrt(scale * (n + m + 1) * (n + m + 2) * np.where(m == 0, 2.0, 1.0)) * 0.5
     down = np.sqrt(scale * (n - m + 1) * (n - m + 2) * np.where(m == 1, 2.0, 1.0)) * 0.5
@@ -151,7 +160,8 @@ def _derivatives(coefficients: Array) -> Array:
 def read(path: str | Path, degree: int | None = None) -> Gravity:
     """The `Gravity` in a file of ICGEM's format, ``.gfc``, to a degree or all of it.
 
-    Rates and other parts that change with time are not taken: records but ``gfc`` and ``gfct`` are skipped.
+    Rates and other parts that change with time are not taken: records but ``gfc`` and ``gfct`` are
+    skipped.
 
     Raises
     ------
@@ -180,7 +190,8 @@ def read(path: str | Path, degree: int | None = None) -> Gravity:
                 ) from None
             if not (0 <= m <= n <= MOST_DEGREE and np.isfinite([c, s]).all()):
                 raise InputError(
-                    f"{path}: line {number_}: expected 0 <= order <= degree and finite numbers, got {line[:60]!r}"
+                    f"{path}: line {number_}: expected 0 <= order <= degree and finite numbers, "
+                    f"got {line[:60]!r}"
                 )
             if n <= most:
                 found.append((n, m, c, s))

@@ -1,9 +1,10 @@
-"""Rate gyros with drift [Farrenkopf1978]: what they measure, how an attitude is propagated with them, what accuracy settles;
-and the rotation of a rigid satellite, which they measure.
+"""Rate gyros with drift [Farrenkopf1978]: what they measure, how an attitude is propagated with
+them, what accuracy settles; and the rotation of a rigid satellite, which they measure.
 
-A gyro gives the mean rate of an interval plus drift plus white noise, ``measured = rate + beta + eta_v``; the drift is a
-Gauss-Markov process or a random walk. States are ``(..., 7)``: quaternion (see `celnav.gaussian.attitude`) and drift in rad/s;
-their errors ``(..., 6)``: rotation vector in body axes, and drift.
+A gyro gives the mean rate of an interval plus drift plus white noise,
+``measured = rate + beta + eta_v``; the drift is a Gauss-Markov process or a random walk. States are
+``(..., 7)``: quaternion (see `celnav.gaussian.attitude`) and drift in rad/s; their errors
+``(..., 6)``: rotation vector in body axes, and drift.
 """
 
 from __future__ import annotations
@@ -17,8 +18,6 @@ from scipy.integrate import solve_ivp
 from celnav.gaussian.attitude import cross, exp, inverse, log, multiply, rotate, unit
 from celnav.gaussian.checks import LIMIT, finite, instance, integer, number, numbers, together
 from celnav.gaussian.linalg import Array, matvec, side_by_side
-
-__all__ = ["Body", "Gyro", "SteadyState", "preintegrate", "steady_state"]
 
 
 @dataclass(frozen=True)
@@ -50,14 +49,17 @@ class Gyro:
         bias_instability: float = 0.0,
         tau: float = np.inf,
     ) -> Gyro:
-        """From the numbers of a data sheet [IEEE1997]; the drift walks at random, or is a Gauss-Markov process.
+        """From the numbers of a data sheet [IEEE1997]; the drift walks at random, or is a
+        Gauss-Markov process.
 
-        angle_random_walk: N, deg/h^(1/2); a noise density of x deg/s/Hz^(1/2) is one of 60 x deg/h^(1/2).
+        angle_random_walk: N, deg/h^(1/2); a noise density of x deg/s/Hz^(1/2) is one of 60 x
+            deg/h^(1/2).
         rate_random_walk: K, deg/h^(3/2).
-        bias_instability: B, deg/h, taken for the deviation of a drift of correlation time ``tau`` s: its Allan deviation peaks at
-            0.62 B, after 1.9 tau, where that of flicker noise is 0.66 B throughout.
+        bias_instability: B, deg/h, taken for the deviation of a drift of correlation time ``tau``
+            s: its Allan deviation peaks at 0.62 B, after 1.9 tau, where that of flicker noise is
+                0.66 B throughout.
 
-        >>> celnav.models.gyro.Gyro.datasheet(0.3, bias_instability=5.0, tau=600.0)  # deg/h^(1/2), deg/h, s
+        >>> celnav.models.gyro.Gyro.datasheet(0.3, bias_instability=5.0, tau=600.0)
         """
         white = np.radians(number("angle_random_walk", angle_random_walk, 0.0)) / 60.0
         walk = np.radians(number("rate_random_walk", rate_random_walk, 0.0)) / 3600.0 / 60.0
@@ -65,7 +67,8 @@ class Gyro:
             return cls(float(white), float(walk), tau)
         if walk:
             raise ValueError(
-                f"rate_random_walk: expected 0 where bias_instability is given, got {rate_random_walk!r}"
+                "rate_random_walk: expected 0 where bias_instability is given, got "
+                f"{rate_random_walk!r}"
             )
         time = number("tau", tau, above=0.0)  # a deviation without it is no process
         return cls(
@@ -81,13 +84,17 @@ class Gyro:
         return self.sigma_v / float(np.sqrt(dt))
 
     def drift_std(self, dt: float) -> float:
-        """Deviation of the drift's change over ``dt`` seconds, rad/s; of the stationary drift, ``sigma_u sqrt(tau / 2)``."""
+        """Deviation of the drift's change over ``dt`` seconds, rad/s; of the stationary drift,
+        ``sigma_u sqrt(tau / 2)``.
+        """
         if np.isinf(self.tau):
             return self.sigma_u * float(np.sqrt(dt))
         return self.sigma_u * float(np.sqrt(-0.5 * self.tau * np.expm1(-2.0 * dt / self.tau)))
 
     def drift(self, start: Array, walk: Array, dt: float) -> Array:
-        """Drift ``(T, ..., 3)`` rad/s from ``start (..., 3)``, with standard normal ``walk (T - 1, ..., 3)``, steps of ``dt`` s."""
+        """Drift ``(T, ..., 3)`` rad/s from ``start (..., 3)``, with standard normal
+        ``walk (T - 1, ..., 3)``, steps of ``dt`` s.
+        """
         drift = np.empty((len(walk) + 1, *walk.shape[1:]))
         drift[0], factor, deviation = start, self.factor(dt), self.drift_std(dt)
         for k, one in enumerate(walk):
@@ -95,7 +102,9 @@ class Gyro:
         return drift
 
     def process_noise(self, dt: float) -> Array:
-        """Covariance ``(6, 6)`` of the errors of rotation vector and drift over ``dt`` seconds [Crassidis2003]."""
+        """Covariance ``(6, 6)`` of the errors of rotation vector and drift over ``dt`` seconds
+        [Crassidis2003].
+        """
         u2 = self.sigma_u**2
         angle, both, drift = (
             self.sigma_v**2 * dt + u2 * dt**3 / 3.0,
@@ -105,7 +114,9 @@ class Gyro:
         return np.kron([[angle, both], [both, drift]], np.eye(3))
 
     def measure(self, q: Array, drift: Array, noise: Array, dt: float) -> Array:
-        """Samples ``(T - 1, ..., 3)`` rad/s of attitudes ``q (T, ..., 4)`` with ``drift`` and standard normal ``noise``."""
+        """Samples ``(T - 1, ..., 3)`` rad/s of attitudes ``q (T, ..., 4)`` with ``drift`` and
+        standard normal ``noise``.
+        """
         q, dt = unit(q, "q"), number("dt", dt, above=0.0)
         if q.ndim < 2 or len(q) < 2:
             raise ValueError(
@@ -122,7 +133,9 @@ class Gyro:
     def propagate(
         self, x: Array, measured: Array, dt: float, rate_noise: Array | float = 0.0
     ) -> Array:
-        """State ``(..., 7)`` after an interval with the sample ``measured (..., 3)``, less drift and ``rate_noise``."""
+        """State ``(..., 7)`` after an interval with the sample ``measured (..., 3)``, less drift
+        and ``rate_noise``.
+        """
         drift = x[..., 4:]
         q = multiply(exp((measured - drift - rate_noise) * dt), x[..., :4])
         return side_by_side([q, self.factor(dt) * drift])
@@ -146,7 +159,9 @@ class Gyro:
 
 
 def preintegrate(measured: Array, drift: Array, dt: float) -> Array:
-    """One sample ``(..., 3)`` rad/s that turns as far as samples ``(k, ..., 3)`` do together, given the drift ``(..., 3)``."""
+    """One sample ``(..., 3)`` rad/s that turns as far as samples ``(k, ..., 3)`` do together, given
+    the drift ``(..., 3)``.
+    """
     measured, drift, dt = (
         finite("measured", measured, (..., 3)),
         finite("drift", drift, (..., 3)),
@@ -164,7 +179,9 @@ def preintegrate(measured: Array, drift: Array, dt: float) -> Array:
 
 
 class SteadyState(NamedTuple):
-    """Standard deviations of attitude (rad) and drift (rad/s) before and after a star update, on each axis."""
+    """Standard deviations of attitude (rad) and drift (rad/s) before and after a star update, on
+    each axis.
+    """
 
     attitude_before: float
     attitude_after: float
@@ -173,7 +190,9 @@ class SteadyState(NamedTuple):
 
 
 def steady_state(sigma_n: float, gyro: Gyro, interval: float) -> SteadyState:
-    """What a filter settles at: attitude measured to ``sigma_n`` rad each ``interval`` s, drift a random walk [Farrenkopf1978]."""
+    """What a filter settles at: attitude measured to ``sigma_n`` rad each ``interval`` s, drift a
+    random walk [Farrenkopf1978].
+    """
     sigma_n, interval = (
         number("sigma_n", sigma_n, above=0.0),
         number("interval", interval, above=0.0),
@@ -187,7 +206,8 @@ def steady_state(sigma_n: float, gyro: Gyro, interval: float) -> SteadyState:
     Su, Sv = u * T**1.5 / sigma_n, v * np.sqrt(T) / sigma_n
     small = Sv**2 / 4.0 + Su**2 / 48.0
     g = np.sqrt(1.0 + small)
-    # zeta - 1 without its 1: the difference of squares would lose the digits that a good gyro is about.
+    # zeta - 1 without its 1: the difference of squares would lose the digits that a good gyro is
+    # about.
     excess = small / (g + 1.0) + Su / 4.0 + 0.5 * np.sqrt(2.0 * g * Su + Sv**2 + Su**2 / 3.0)
     zeta = 1.0 + excess
     before = sigma_n * np.sqrt(excess * (zeta + 1.0))
@@ -200,11 +220,13 @@ def steady_state(sigma_n: float, gyro: Gyro, interval: float) -> SteadyState:
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """A rigid satellite with momentum wheels on a circular orbit, under gravity gradient. Units: kg m^2, N m s, N m, rad, s.
+    """A rigid satellite with momentum wheels on a circular orbit, under gravity gradient. Units: kg
+    m^2, N m s, N m, rad, s.
 
-    inertia: ``(3, 3)``, body axes; ValueError for one that no distribution of mass has. wheels: ``(3,)``, angular momentum of the
-        wheels. torque: ``(3,)``, constant.
-    orbit_rate: rad/s; the inertial frame is the orbital one at t = 0 (x along the velocity, z to nadir).
+    inertia: ``(3, 3)``, body axes; ValueError for one that no distribution of mass has. wheels:
+        ``(3,)``, angular momentum of the wheels. torque: ``(3,)``, constant.
+    orbit_rate: rad/s; the inertial frame is the orbital one at t = 0 (x along the velocity, z to
+        nadir).
     """
 
     inertia: Any
@@ -222,7 +244,8 @@ class Body:
         if large > 1.001 * (small + middle):  # a flat plate attains it, and numbers are rounded
             got = f"{small:.6g}, {middle:.6g} and {large:.6g}"
             raise ValueError(
-                f"inertia: expected principal moments none of which is larger than the two others together, got {got}"
+                "inertia: expected principal moments none of which is larger than the two others "
+                f"together, got {got}"
             )
 
     def nadir(self, q: Array, t: float) -> Array:
@@ -242,7 +265,9 @@ class Body:
         )
 
     def propagate(self, x: Array, dt: float, steps: int) -> Array:
-        """States ``(steps + 1, ..., 7)`` from the first at equal intervals, integrated to a relative 1e-12."""
+        """States ``(steps + 1, ..., 7)`` from the first at equal intervals, integrated to a
+        relative 1e-12.
+        """
         start, dt = finite("x", x, (..., 7)), number("dt", dt)
         unit(start[..., :4], "x")
         steps = integer("steps", steps, 0, LIMIT // max(start.size, 1))

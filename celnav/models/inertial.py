@@ -1,10 +1,13 @@
-"""A strapdown inertial navigation system, its errors at large misalignment, and what star sensors and SAR see of them.
+"""A strapdown inertial navigation system, its errors at large misalignment, and what star sensors
+and SAR see of them.
 
-State of the errors ``(..., 13)``: misalignment phi (3, rad), errors of the east and north velocity (2, m/s), of longitude and
-latitude (2, rad), gyro drift eps (3, rad/s), accelerometer bias nabla (3, m/s^2); computed minus true [Liang2014].
-Frames: n east, north, up; n' the same as the system computes it; b the body. The misalignment are the Euler angles of
-``C_n^n' = C_y(phi_y) C_x(phi_x) C_z(phi_z)``. Given phi, the dynamics are linear in the other ten states, and the
-measurements are nonlinear in phi only. `mechanize` steps the whole system, with which this model must agree.
+State of the errors ``(..., 13)``: misalignment phi (3, rad), errors of the east and north velocity
+(2, m/s), of longitude and latitude (2, rad), gyro drift eps (3, rad/s), accelerometer bias nabla
+(3, m/s^2); computed minus true [Liang2014]. Frames: n east, north, up; n' the same as the system
+computes it; b the body. The misalignment are the Euler angles of
+``C_n^n' = C_y(phi_y) C_x(phi_x) C_z(phi_z)``. Given phi, the dynamics are linear in the other ten
+states, and the measurements are nonlinear in phi only. `mechanize` steps the whole system, with
+which this model must agree.
 """
 
 from __future__ import annotations
@@ -20,11 +23,6 @@ from celnav.gaussian.linalg import Array, matvec
 from celnav.gaussian.spaces import components, leading, trailing
 from celnav.models import earth
 from celnav.models.earth import Flight
-
-__all__ = [
-    "BIAS", "DRIFT", "PHI", "POSITION", "SINGULAR", "STATES", "VELOCITY", "Navigation", "Solution", "advance", "derivative",
-    "mechanize", "misalignment_angles", "misalignment_matrix", "navigation", "star_residuals", "wahba_misalignment",
-]  # fmt: skip
 
 PHI, VELOCITY, POSITION, DRIFT, BIAS = (
     slice(0, 3),
@@ -56,7 +54,8 @@ FLIGHT = "a Flight, such as celnav.models.earth.turning_flight(times, ...)"
 class Navigation(NamedTuple):
     """What the system knows during an interval: inputs of the error model.
 
-    attitude: ``(..., 3, 3)``, C_b^n', computed. force: ``(..., 3)`` m/s^2, measured, on the axes n'.
+    attitude: ``(..., 3, 3)``, C_b^n', computed. force: ``(..., 3)`` m/s^2, measured, on the axes
+        n'.
     velocity: ``(..., 2)`` m/s, east and north (level flight). latitude: ``(...)`` rad. height_m.
     """
 
@@ -68,7 +67,9 @@ class Navigation(NamedTuple):
 
 
 def navigation(flight: Flight, at: Array | int | slice, phi: Array, bias: Array) -> Navigation:
-    """`Navigation` at the epochs ``at`` of a flight whose system has a true misalignment and accelerometer bias ``(..., 3)``."""
+    """`Navigation` at the epochs ``at`` of a flight whose system has a true misalignment and
+    accelerometer bias ``(..., 3)``.
+    """
     instance("flight", flight, Flight, FLIGHT)
     phi, bias = finite("phi", phi, (..., 3)), finite("bias", bias, (..., 3))
     try:
@@ -114,14 +115,18 @@ def misalignment_angles(C: Array) -> Array:
 
 
 def _dot(row: Iterable[Array], v: Iterable[Array]) -> Array:
-    """A row of a matrix times a vector: batches of sigma points are several times as fast by components as by small products."""
+    """A row of a matrix times a vector: batches of sigma points are several times as fast by
+    components as by small products.
+    """
     (a, b, c), (x, y, z) = row, v
     product: Array = a * x + b * y + c * z
     return product
 
 
 def derivative(x: Array, nav: Navigation) -> Array:
-    """Rate of the state ``(..., 13)``; gyro drift and accelerometer bias are constant [Liang2014, Eqs. 20-25, corrected]."""
+    """Rate of the state ``(..., 13)``; gyro drift and accelerometer bias are constant [Liang2014,
+    Eqs. 20-25, corrected].
+    """
     return np.moveaxis(_rates(components(x), nav), 0, -1)
 
 
@@ -161,7 +166,8 @@ def _rates(X: Array, nav: Navigation) -> Array:
 
 
 def advance(x: Array, nav: Navigation, dt: float) -> Array:
-    """State ``(..., 13)`` after ``dt`` seconds, inputs at the middle of the interval; linear in all but phi.
+    """State ``(..., 13)`` after ``dt`` seconds, inputs at the middle of the interval; linear in all
+    but phi.
 
     It is not looked at whether a point has come near to phi_x = 90 degrees, see `SINGULAR`.
     """
@@ -175,9 +181,11 @@ def advance(x: Array, nav: Navigation, dt: float) -> Array:
 
 
 def star_residuals(x: Array, attitude: Array, stars: Array) -> Array:
-    """Measured minus predicted star vectors on body axes, ``(..., 3 k)``: ``C_n'^b (C_n^n' - I) r`` [Liang2014, Eqs. 26-28].
+    """Measured minus predicted star vectors on body axes, ``(..., 3 k)``: ``C_n'^b (C_n^n' - I) r``
+    [Liang2014, Eqs. 26-28].
 
-    x: state ``(..., 13)``. attitude: ``(..., 3, 3)``, C_b^n'. stars: ``(k, 3)`` or ``(..., k, 3)``, unit directions on n.
+    x: state ``(..., 13)``. attitude: ``(..., 3, 3)``, C_b^n'. stars: ``(k, 3)`` or ``(..., k, 3)``,
+        unit directions on n.
     """
     phi, back = components(x)[PHI], leading(leading(attitude.mT))
     C = _rows(np.sin(phi), np.cos(phi))
@@ -192,7 +200,8 @@ def star_residuals(x: Array, attitude: Array, stars: Array) -> Array:
 
 
 def wahba_misalignment(z: Array, attitude: Array, stars: Array) -> Array:
-    """Misalignment ``(..., 3)`` that fits measured star residuals ``z (..., 3 k)`` best: Wahba's problem, by SVD [Markley1988].
+    """Misalignment ``(..., 3)`` that fits measured star residuals ``z (..., 3 k)`` best: Wahba's
+    problem, by SVD [Markley1988].
 
     ``stars (..., k, 3)``: unit vectors. ValueError if all are parallel (``|r_i x r_j| < 1e-3``):
     a rotation about them is free.
@@ -201,7 +210,8 @@ def wahba_misalignment(z: Array, attitude: Array, stars: Array) -> Array:
     k, length = directions.shape[-2], np.linalg.norm(directions, axis=-1)
     if (np.abs(length - 1.0) > 1e-6).any():
         raise ValueError(
-            f"stars: expected unit vectors, got lengths from {length.min():.6g} to {length.max():.6g}"
+            f"stars: expected unit vectors, got lengths from {length.min():.6g} to "
+            f"{length.max():.6g}"
         )
     pairs = np.cross(directions[..., :, None, :], directions[..., None, :, :])
     if (np.linalg.norm(pairs, axis=-1).max((-2, -1), initial=0.0) < 1e-3).any():
@@ -219,7 +229,9 @@ def wahba_misalignment(z: Array, attitude: Array, stars: Array) -> Array:
 
 
 class Solution(NamedTuple):
-    """What the system computes, ``(T, ...)``: attitude C_b^n' ``(T, 3, 3)``, velocity ``(T, 2)`` m/s, longitude, latitude rad."""
+    """What the system computes, ``(T, ...)``: attitude C_b^n' ``(T, 3, 3)``, velocity ``(T, 2)``
+    m/s, longitude, latitude rad.
+    """
 
     attitude: Array
     velocity: Array
@@ -228,10 +240,12 @@ class Solution(NamedTuple):
 
 
 def mechanize(flight: Flight, attitude: Array, drift: Array, bias: Array) -> Solution:
-    """The `Solution` along a flight from a wrong initial attitude, with gyro drift (rad/s) and accelerometer bias (m/s^2).
+    """The `Solution` along a flight from a wrong initial attitude, with gyro drift (rad/s) and
+    accelerometer bias (m/s^2).
 
-    Horizontal channels only: the height is known. The flight is sampled twice per step (at the ends and in the middle), so it
-    has an odd number of epochs; one row of the solution per step, the start first.
+    Horizontal channels only: the height is known. The flight is sampled twice per step (at the ends
+    and in the middle), so it has an odd number of epochs; one row of the solution per step, the
+    start first.
     """
     t = instance("flight", flight, Flight, FLIGHT).times
     if len(t) < 3 or len(t) % 2 == 0:
@@ -246,14 +260,17 @@ def mechanize(flight: Flight, attitude: Array, drift: Array, bias: Array) -> Sol
         flight.height_m,
         (slice(0, -2, 2), slice(1, None, 2), slice(2, None, 2)),
     )
-    # What is measured in the middle of each step: by the gyros the body's rotation against inertial space.
+    # What is measured in the middle of each step: by the gyros the body's rotation against inertial
+    # space.
     L, b = flight.latitude[middle], flight.attitude
     spin = earth.earth_rate(L) + earth.transport_rate(flight.velocity[middle], L, h)
     turn = Rotation.from_matrix(b[first].mT @ b[last]).as_rotvec()
     gyros, forces = turn / dt + matvec(b[middle].mT, spin) + drift, flight.force[middle] + bias
 
     def after(dt: float, start: Solution, at: Solution, gyro: Array, force: Array) -> Solution:
-        """What the system computes ``dt`` seconds after the start, with the rates that it has elsewhere."""
+        """What the system computes ``dt`` seconds after the start, with the rates that it has
+        elsewhere.
+        """
         ie, en = earth.earth_rate(at.latitude), earth.transport_rate(at.velocity, at.latitude, h)
         change = at.attitude @ force - np.cross(2.0 * ie + en, np.append(at.velocity, 0.0))
         body, axes = (

@@ -1,8 +1,10 @@
-"""Kinematic motions of vehicles and targets [BarShalom2001]: constant velocity, constant acceleration, coordinated turns.
+"""Kinematic motions of vehicles and targets [BarShalom2001]: constant velocity, constant
+acceleration, coordinated turns.
 
-Each is a `celnav.Motion` whose noise is white in continuous time and exact over an interval of any length: two steps are one step
-over both. States have positions first, then velocities, then accelerations, each with all axes: ``[x, y, vx, vy]``. Units are
-those of the user; below they are m and s. Intervals may differ from epoch to epoch and from run to run (``epoch.dt``).
+Each is a `celnav.Motion` whose noise is white in continuous time and exact over an interval of any
+length: two steps are one step over both. States have positions first, then velocities, then
+accelerations, each with all axes: ``[x, y, vx, vy]``. Units are those of the user; below they are m
+    and s. Intervals may differ from epoch to epoch and from run to run (``epoch.dt``).
 """
 
 from __future__ import annotations
@@ -18,15 +20,15 @@ from celnav.filters.model import Linear, Motion
 from celnav.gaussian.checks import finite, integer, number
 from celnav.gaussian.linalg import Array
 
-__all__ = ["constant_acceleration", "constant_velocity", "coordinated_turn", "known_turn"]
-
 MOST_AXES = 100
 
 
 def constant_velocity(dim: int, q: ArrayLike) -> Motion:
-    """Nearly constant velocity: white noise is the acceleration; states ``(..., 2 dim)``, positions and velocities.
+    """Nearly constant velocity: white noise is the acceleration; states ``(..., 2 dim)``, positions
+    and velocities.
 
-    q: spectral density of the acceleration, m^2/s^3, one for all axes or ``(dim,)``: over T s velocities change by ``sqrt(q T)``.
+    q: spectral density of the acceleration, m^2/s^3, one for all axes or ``(dim,)``: over T s
+        velocities change by ``sqrt(q T)``.
 
     >>> motion = celnav.models.motion.constant_velocity(2, q=0.1)
     """
@@ -34,9 +36,11 @@ def constant_velocity(dim: int, q: ArrayLike) -> Motion:
 
 
 def constant_acceleration(dim: int, q: ArrayLike) -> Motion:
-    """Nearly constant acceleration: white noise is the jerk; states ``(..., 3 dim)``, positions, velocities and accelerations.
+    """Nearly constant acceleration: white noise is the jerk; states ``(..., 3 dim)``, positions,
+    velocities and accelerations.
 
-    q: spectral density of the jerk, m^2/s^5, one for all axes or ``(dim,)``: over T s accelerations change by ``sqrt(q T)``.
+    q: spectral density of the jerk, m^2/s^5, one for all axes or ``(dim,)``: over T s accelerations
+        change by ``sqrt(q T)``.
 
     >>> motion = celnav.models.motion.constant_acceleration(3, q=1e-4)
     """
@@ -44,7 +48,8 @@ def constant_acceleration(dim: int, q: ArrayLike) -> Motion:
 
 
 def known_turn(rate: float, q: float) -> Motion:
-    """A turn in the plane at a known rate: velocities ``[vx, vy]`` rotate, white noise accelerates; states ``(..., 4)``.
+    """A turn in the plane at a known rate: velocities ``[vx, vy]`` rotate, white noise accelerates;
+    states ``(..., 4)``.
 
     rate: rad/s, from x to y; 0 is `constant_velocity`.
     q: spectral density of the acceleration, m^2/s^3.
@@ -66,10 +71,12 @@ def _known_turn_noise(rate: Array, amplitude: Array, _mean: Array, epoch: Any) -
 
 
 def coordinated_turn(q: float, q_rate: float) -> Motion:
-    """A turn in the plane at a rate that walks at random, the last component; states ``(..., 5)``, ``[x, y, vx, vy, rate]``.
+    """A turn in the plane at a rate that walks at random, the last component; states ``(..., 5)``,
+    ``[x, y, vx, vy, rate]``.
 
-    q: spectral density of the acceleration, m^2/s^3, exact for the rate that is believed. q_rate: that of the rate's change,
-    rad^2/s^3; what changes within an interval turns the vehicle from its end on.
+    q: spectral density of the acceleration, m^2/s^3, exact for the rate that is believed. q_rate:
+    that of the rate's change, rad^2/s^3; what changes within an interval turns the vehicle from its
+    end on.
 
     >>> motion = celnav.models.motion.coordinated_turn(q=0.1, q_rate=1e-5)
     """
@@ -145,7 +152,8 @@ def _chain(dim: int, order: int, q: ArrayLike) -> Motion:
             f"q: expected a density that is not negative, or {axes} of them, got {q!r:.80}"
         )
     terms = [np.kron(np.eye(order, k=k) / factorial(k), np.eye(axes)) for k in range(order)]
-    # Over T the noise is T^(a + 1/2) times that over 1 s in what is integrated a times more than what it drives.
+    # Over T the noise is T^(a + 1/2) times that over 1 s in what is integrated a times more than
+    # what it drives.
     a = np.arange(order)[::-1]
     once = [factorial(k) for k in a.tolist()]
     root = np.linalg.cholesky(1.0 / (np.multiply.outer(once, once) * (np.add.outer(a, a) + 1.0)))
@@ -171,7 +179,8 @@ def _polynomial(terms: tuple[Array, ...], epoch: Any) -> Array:
 
 
 def _series(theta: Array) -> tuple[Array, Array]:
-    """``(1 - cos theta) / theta^2`` and ``(theta - sin theta) / theta^3``, with all digits about 0."""
+    """``(1 - cos theta) / theta^2`` and ``(theta - sin theta) / theta^3``, with all digits
+    about 0."""
     square = theta * theta
     small = square < 1e-2
     safe = np.where(small, 1.0, theta)
@@ -189,7 +198,9 @@ def _series(theta: Array) -> tuple[Array, Array]:
 
 
 def _angles(rate: Array, T: Any) -> tuple[Array, ...]:
-    """Over an interval: ``sin(rate T) / rate``, ``(1 - cos(rate T)) / rate``, cosine and sine; of the first two the derivatives."""
+    """Over an interval: ``sin(rate T) / rate``, ``(1 - cos(rate T)) / rate``, cosine and sine; of
+    the first two the derivatives.
+    """
     theta = rate * T
     first, second = _series(theta)
     sinc = 1.0 - second * theta * theta
@@ -210,7 +221,9 @@ def _turned(rate: Array, T: Array) -> Array:
 
 
 def _pushed(rate: Array, T: Array) -> Array:
-    """Root ``(..., 4, 4)`` of the covariance that white acceleration of density 1 leaves in a turn: two columns for each block."""
+    """Root ``(..., 4, 4)`` of the covariance that white acceleration of density 1 leaves in a turn:
+    two columns for each block.
+    """
     theta = rate[..., None, None] * T
     first, second = _series(theta)
     own = np.sqrt(2.0 * second - first * first - (theta * second) ** 2)

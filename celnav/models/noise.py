@@ -12,11 +12,11 @@ from celnav.gaussian.belief import symmetric
 from celnav.gaussian.checks import finite, number, together
 from celnav.gaussian.linalg import Array
 
-__all__ = ["Noise", "ar1", "ar1_noise", "effective_covariance", "stationary_covariance", "van_loan"]
-
 
 def stationary_covariance(Phi: ArrayLike, R: ArrayLike) -> Array:
-    """Covariance ``(m, m)`` of a stationary sequence ``V' = Phi V + zeta``, ``zeta ~ N(0, R)``; ValueError if there is none."""
+    """Covariance ``(m, m)`` of a stationary sequence ``V' = Phi V + zeta``, ``zeta ~ N(0, R)``;
+    ValueError if there is none.
+    """
     phi = finite("Phi", Phi, ("m", "m"))
     noise = finite("R", symmetric(R, "R", len(phi))[0], phi.shape)
     radius = np.abs(np.linalg.eigvals(phi)).max()
@@ -28,7 +28,9 @@ def stationary_covariance(Phi: ArrayLike, R: ArrayLike) -> Array:
 
 
 def effective_covariance(Phi: ArrayLike, R: ArrayLike) -> Array:
-    """Covariance ``(m, m)`` of white noise with a stationary one's spectrum at frequency 0, ``(I - Phi)^-1 R (I - Phi)^-T``."""
+    """Covariance ``(m, m)`` of white noise with a stationary one's spectrum at frequency 0,
+    ``(I - Phi)^-1 R (I - Phi)^-T``.
+    """
     stationary_covariance(Phi, R)
     phi = finite("Phi", Phi)
     half = np.linalg.solve(np.eye(len(phi)) - phi, symmetric(R, "R")[1])
@@ -36,7 +38,9 @@ def effective_covariance(Phi: ArrayLike, R: ArrayLike) -> Array:
 
 
 def ar1(Phi: ArrayLike, increments: ArrayLike, first: ArrayLike) -> Array:
-    """AR(1) sequence ``(T, ..., m)`` from increments ``(T - 1, ..., m)`` and its first value ``(..., m)``; ``Phi (..., m, m)``."""
+    """AR(1) sequence ``(T, ..., m)`` from increments ``(T - 1, ..., m)`` and its first value
+    ``(..., m)``; ``Phi (..., m, m)``.
+    """
     Phi = finite("Phi", Phi, (..., "m", "m"))
     m = Phi.shape[-1]
     increments, first = finite("increments", increments, (..., m)), finite("first", first, (..., m))
@@ -58,7 +62,8 @@ def ar1(Phi: ArrayLike, increments: ArrayLike, first: ArrayLike) -> Array:
 def van_loan(
     F: ArrayLike, G: ArrayLike, spectral_density: ArrayLike, dt: float
 ) -> tuple[Array, Array]:
-    """Discretize ``dx = F x dt + G dw`` over ``dt >= 0`` s: transition matrix and noise covariance ``(n, n)`` [VanLoan1978].
+    """Discretize ``dx = F x dt + G dw`` over ``dt >= 0`` s: transition matrix and noise covariance
+    ``(n, n)`` [VanLoan1978].
 
     ``F (n, n)`` in 1/s, ``G (n, k)``, and ``spectral_density (k, k)`` of ``w``, two-sided.
 
@@ -75,8 +80,9 @@ def van_loan(
 
 
 class Noise(NamedTuple):
-    """AR(1) noises of a measurement, ``V' = F V + xi``, and a process, ``J V' + Q'``, ``Q' = L Q + e``, as `ar1_noise` makes them:
-    ``F (m, m)``, ``L (q, q)``, ``J (q, m)``, covariances ``Xi (m, m)`` of ``xi`` and ``E (q, q)`` of ``e``, stationary V, Q."""
+    """AR(1) noises of a measurement, ``V' = F V + xi``, and a process, ``J V' + Q'``,
+    ``Q' = L Q + e``, as `ar1_noise` makes them: ``F (m, m)``, ``L (q, q)``, ``J (q, m)``,
+    covariances ``Xi (m, m)`` of ``xi`` and ``E (q, q)`` of ``e``, stationary V, Q."""
 
     F: Array
     L: Array
@@ -88,12 +94,16 @@ class Noise(NamedTuple):
 
     @property
     def whites(self) -> tuple[tuple[Array, Array], ...]:
-        """Covariances ``((q, q), (m, m))`` for a filter that takes both noises for white: the driving ones, and the stationary."""
+        """Covariances ``((q, q), (m, m))`` for a filter that takes both noises for white: the
+        driving ones, and the stationary.
+        """
         return (self.E, self.Xi), (self.Q + self.J @ self.V @ self.J.mT, self.V)
 
 
 def ar1_noise(F: ArrayLike, L: ArrayLike, J: ArrayLike, Xi: ArrayLike, E: ArrayLike) -> Noise:
-    """Checked, as a `Noise`; ValueError for ``F`` or ``L`` that is not diagonal with magnitudes below 1, and for no covariance."""
+    """Checked, as a `Noise`; ValueError for ``F`` or ``L`` that is not diagonal with magnitudes
+    below 1, and for no covariance.
+    """
     xi, e = finite("Xi", Xi, ("m", "m")), finite("E", E, ("q", "q"))
     m, q = len(xi), len(e)
     colors = finite("F", F, (m, m)), finite("L", L, (q, q))

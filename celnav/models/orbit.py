@@ -1,7 +1,9 @@
-"""Orbits about the Earth: what pulls, steps short and long, Kepler elements. Units: km, km/s, s, rad.
+"""Orbits about the Earth: what pulls, steps short and long, Kepler elements. Units: km, km/s, s,
+rad.
 
-States are ``(..., 6)``, position then velocity in an Earth-centered inertial equatorial frame. What filters call at every step
-takes arrays as they are and checks none: `acceleration`, `third_body`, `step` (seconds), `advance` and `flow` (minutes).
+States are ``(..., 6)``, position then velocity in an Earth-centered inertial equatorial frame. What
+filters call at every step takes arrays as they are and checks none: `acceleration`, `third_body`,
+    `step` (seconds), `advance` and `flow` (minutes).
 """
 
 from __future__ import annotations
@@ -19,11 +21,6 @@ from celnav.gaussian.checks import LIMIT, finite, instance, integer, number
 from celnav.gaussian.linalg import Array
 from celnav.gaussian.spaces import components, trailing
 
-__all__ = [
-    "EARTH", "NODES", "Earth", "Extra", "Flow", "Nodes", "UnitWarning", "acceleration", "advance", "check_orbit", "flow",
-    "from_elements", "gradient", "propagate", "step", "third_body", "to_elements", "transition", "warn_of_degrees",
-]  # fmt: skip
-
 
 class UnitWarning(UserWarning):
     """A number that is possible but looks as if it were in another unit."""
@@ -39,7 +36,9 @@ def warn_of_degrees(name: str, angles: ArrayLike) -> None:
 
 @dataclass(frozen=True)
 class Earth:
-    """Gravity and size: ``mu`` km^3/s^2, equatorial ``radius_km``, ``j2`` (0: two bodies only); numbers, or one of each run."""
+    """Gravity and size: ``mu`` km^3/s^2, equatorial ``radius_km``, ``j2`` (0: two bodies only);
+    numbers, or one of each run.
+    """
 
     mu: float = 398600.4418
     radius_km: float = 6378.137
@@ -58,7 +57,9 @@ EARTH = Earth()
 
 
 def acceleration(position: Array, earth: Earth = EARTH) -> Array:
-    """Gravity of two bodies and J2, km/s^2, for positions with the *component axis first*, ``(3, ...)`` [Sun2015, Eq. 38]."""
+    """Gravity of two bodies and J2, km/s^2, for positions with the *component axis first*,
+    ``(3, ...)`` [Sun2015, Eq. 38].
+    """
     squares = position * position
     inverse = 1.0 / np.add.reduce(squares)
     k = (-earth.mu * inverse) * np.sqrt(inverse)
@@ -69,9 +70,11 @@ def acceleration(position: Array, earth: Earth = EARTH) -> Array:
 
 
 def third_body(position: Array, body: Array, gm: float) -> Array:
-    """Acceleration ``(..., 3)`` of a satellite at ``position (..., 3)`` by a ``body (..., 3)`` of ``gm`` km^3/s^2, both geocentric.
+    """Acceleration ``(..., 3)`` of a satellite at ``position (..., 3)`` by a ``body (..., 3)`` of
+    ``gm`` km^3/s^2, both geocentric.
 
-    In the form that does not subtract attractions which are nearly the same [Battin1987, Eqs. 8.60-8.62].
+    In the form that does not subtract attractions which are nearly the same [Battin1987, Eqs.
+    8.60-8.62].
     """
     q = ((position * (position - 2.0 * body)).sum(-1) / np.square(body).sum(-1))[..., None]
     f = q * (3.0 + q * (3.0 + q)) / (1.0 + (1.0 + q) ** 1.5)
@@ -101,7 +104,9 @@ def step(state: Array, dt: float, earth: Earth = EARTH) -> Array:
 
 
 def transition(state: Array, dt: float, earth: Earth = EARTH) -> Array:
-    """State transition matrix ``(..., 6, 6)`` of `step`, by central differences (of 1 km and 1 m/s, exact to 1e-9)."""
+    """State transition matrix ``(..., 6, 6)`` of `step`, by central differences (of 1 km and 1 m/s,
+    exact to 1e-9).
+    """
     h = np.repeat([1.0, 1e-3], 3)
     shifted = np.concatenate([np.diag(h), -np.diag(h)])
     y = step(state[..., None, :] + shifted, dt, earth)
@@ -111,7 +116,8 @@ def transition(state: Array, dt: float, earth: Earth = EARTH) -> Array:
 def check_orbit(state: ArrayLike, name: str = "state", earth: Earth = EARTH) -> Array:
     """A checked orbital state ``(..., 6)``: finite, and not at the center of the Earth.
 
-    Warns (`UnitWarning`) of a position inside the Earth or of a speed that no bound orbit has: units are km and km/s.
+    Warns (`UnitWarning`) of a position inside the Earth or of a speed that no bound orbit has:
+    units are km and km/s.
     """
     instance("earth", earth, Earth, "an Earth, such as celnav.models.orbit.EARTH")
     x = finite(name, state, (..., 6))
@@ -127,7 +133,10 @@ def check_orbit(state: ArrayLike, name: str = "state", earth: Earth = EARTH) -> 
             stacklevel=2,
         )
     if (v > np.sqrt(2.0 * earth.mu / r) * 3.0).any() or (r > 1e7).any():
-        text = f"{name}: r = {r.max():.6g} km with a speed of {v.max():.6g} km/s is no orbit of the Earth; units are km and km/s"
+        text = (
+            f"{name}: r = {r.max():.6g} km with a speed of {v.max():.6g} km/s is no orbit of the "
+            "Earth; units are km and km/s"
+        )
         warnings.warn(text, UnitWarning, stacklevel=2)
     return x
 
@@ -150,7 +159,9 @@ def from_elements(
     true_anomaly: float,
     earth: Earth = EARTH,
 ) -> Array:
-    """State ``(6,)`` from Kepler elements: semi-major axis ``a > 0`` km, eccentricity ``0 <= e < 1``, and angles in rad."""
+    """State ``(6,)`` from Kepler elements: semi-major axis ``a > 0`` km, eccentricity
+    ``0 <= e < 1``, and angles in rad.
+    """
     instance("earth", earth, Earth, "an Earth, such as celnav.models.orbit.EARTH")
     a, e = number("a", a, above=0.0), number("e", e, 0.0, below=1.0)
     for name, angle in (("i", i), ("raan", raan), ("argp", argp), ("true_anomaly", true_anomaly)):
@@ -172,7 +183,8 @@ def from_elements(
 
 
 def to_elements(state: ArrayLike, earth: Earth = EARTH) -> Array:
-    """Kepler elements ``(..., 6)`` (a km, e, i, raan, argp, true anomaly in rad, angles in [0, 2 pi)) of bound orbits.
+    """Kepler elements ``(..., 6)`` (a km, e, i, raan, argp, true anomaly in rad, angles in [0, 2
+    pi)) of bound orbits.
 
     For a circular orbit the perigee, for an equatorial one the node, is taken at angle 0.
     """
@@ -203,13 +215,16 @@ def to_elements(state: ArrayLike, earth: Earth = EARTH) -> Array:
     )
 
 
-# -- long steps, and the derivatives that filters ask for ----------------------------------------------------------------------
-# A step is one polynomial through the accelerations at Gauss-Lobatto nodes, found by Picard iteration. All nodes of all runs are
+# -- long steps, and the derivatives that filters ask for ------------------------------------------
+# A step is one polynomial through the accelerations at Gauss-Lobatto nodes, found by Picard
+# iteration. All nodes of all runs are
 # evaluated together: few calls on long arrays, where Runge-Kutta makes many on short ones.
 class Flow(NamedTuple):
-    """State ``(..., 6)`` after a step, transition ``Phi (..., 6, 6)`` and the effect ``G (..., 6, 6)`` of a held disturbance.
+    """State ``(..., 6)`` after a step, transition ``Phi (..., 6, 6)`` and the effect
+    ``G (..., 6, 6)`` of a held disturbance.
 
-    ``x(T) = f(x(0)) + G W`` for a disturbance ``W`` of the rates, with ``dPhi/dt = A Phi`` and ``dG/dt = A G + I``.
+    ``x(T) = f(x(0)) + G W`` for a disturbance ``W`` of the rates, with ``dPhi/dt = A Phi`` and
+    ``dG/dt = A G + I``.
     """
 
     state: Array
@@ -218,7 +233,9 @@ class Flow(NamedTuple):
 
 
 class Nodes(NamedTuple):
-    """Gauss-Lobatto nodes ``(N,)`` of [0, 1], and ``(N, N)`` what integrates once and twice from 0 to each, to degree N - 1."""
+    """Gauss-Lobatto nodes ``(N,)`` of [0, 1], and ``(N, N)`` what integrates once and twice from 0
+    to each, to degree N - 1.
+    """
 
     at: Array
     once: Array
@@ -242,11 +259,15 @@ NODES = _lobatto(6)
 ROUNDS, ROUNDS_PHI = 6, 3
 """Picard iterations of the orbit and of its transition."""
 Extra = Callable[[Array, Array], Array]
-"""Further accelerations ``(3, N, runs)`` km/s^2 of positions of that shape, ``N`` times ``(N,)`` s into the step."""
+"""Further accelerations ``(3, N, runs)`` km/s^2 of positions of that shape, ``N`` times ``(N,)`` s
+into the step.
+"""
 
 
 def gradient(position: Array, earth: Earth = EARTH) -> Array:
-    """Derivative ``(3, 3, ...)`` of `acceleration` for positions with the component axis first, ``(3, ...)``, 1/s^2."""
+    """Derivative ``(3, 3, ...)`` of `acceleration` for positions with the component axis first,
+    ``(3, ...)``, 1/s^2.
+    """
     x, y, z = position
     inverse = 1.0 / np.add.reduce(position * position)
     cube = -earth.mu * inverse * np.sqrt(inverse)
@@ -270,10 +291,13 @@ def advance(state: Array, dt: float, earth: Earth = EARTH, extra: Extra | None =
 
 
 def flow(state: Array, dt: float, earth: Earth = EARTH, extra: Extra | None = None) -> Flow:
-    """`Flow`: `advance` and its derivatives, exact to 2e-8 for 300 s in a low orbit; they leave out the gradient of ``extra``."""
+    """`Flow`: `advance` and its derivatives, exact to 2e-8 for 300 s in a low orbit; they leave out
+    the gradient of ``extra``.
+    """
     r, end = _orbit(state, dt, earth, extra)
     A = gradient(r, earth)
-    # Positions Y and velocities Z of the transition's columns at the nodes: Y'' = A Y, to begin with Y = [I, t I].
+    # Positions Y and velocities Z of the transition's columns at the nodes: Y'' = A Y, to begin
+    # with Y = [I, t I].
     times, i = dt * NODES.at[:, None], np.arange(3)
     twice, once = dt * dt * NODES.twice, dt * NODES.once
     bent = np.concatenate([A, times * A], 1)
@@ -285,7 +309,8 @@ def flow(state: Array, dt: float, earth: Earth = EARTH, extra: Extra | None = No
     Z = once @ bent
     Z[i, 3 + i] += 1.0
     last = np.concatenate([Y[:, :, -1], Z[:, :, -1]])
-    # The inverse of the transition, which is symplectic, is made of its blocks: its mean is made of their means.
+    # The inverse of the transition, which is symplectic, is made of its blocks: its mean is made of
+    # their means.
     y, z = NODES.once[-1] @ Y, NODES.once[-1] @ Z
     a, b, c, d = (np.swapaxes(block, 0, 1) for block in (y[:, :3], y[:, 3:], z[:, :3], z[:, 3:]))
     inverse = np.concatenate([np.concatenate([d, -b], 1), np.concatenate([-c, a], 1)])

@@ -1,8 +1,10 @@
-"""Pseudoranges and their rates: where satellites were when they sent, and what a receiver then measures.
+"""Pseudoranges and their rates: where satellites were when they sent, and what a receiver then
+measures.
 
-Positions are Earth-fixed at the time of reception, m; clocks are in m (times the speed of light). The state of a receiver is
-``(p, v, b, d)``: position, velocity, clock bias and drift; with a second system of satellites ``(p, v, b, d, o)``, of which ranges
-have the bias ``b + o``. A measurement has all ranges first, then all rates.
+Positions are Earth-fixed at the time of reception, m; clocks are in m (times the speed of light).
+The state of a receiver is ``(p, v, b, d)``: position, velocity, clock bias and drift; with a second
+system of satellites ``(p, v, b, d, o)``, of which ranges have the bias ``b + o``. A measurement has
+all ranges first, then all rates.
 """
 
 from __future__ import annotations
@@ -22,12 +24,11 @@ from celnav.models.gnss import (
     turned,
 )
 
-__all__ = ["Sources", "emitted", "jacobian", "measure", "sources"]
-
 
 class Sources(NamedTuple):
-    """Satellites as a receiver sees them: positions ``q (..., S, 3)`` m at emission in the Earth-fixed frame of reception, and
-    ``w (..., S, 3)`` m/s with which the rate of the range is ``e.(w - v)``, e the unit vector to q; clocks (m, m/s).
+    """Satellites as a receiver sees them: positions ``q (..., S, 3)`` m at emission in the
+    Earth-fixed frame of reception, and ``w (..., S, 3)`` m/s with which the rate of the range is
+    ``e.(w - v)``, e the unit vector to q; clocks (m, m/s).
     """
 
     q: Array
@@ -39,9 +40,11 @@ class Sources(NamedTuple):
 def sources(
     broadcast: Broadcast, t: Array | float, position: Array, velocity: Array | float = 0.0
 ) -> Sources:
-    """`Sources`: all satellites for a receiver at ``position (..., 3)``, moving by ``velocity``, at times of reception ``t (...)``.
+    """`Sources`: all satellites for a receiver at ``position (..., 3)``, moving by ``velocity``, at
+    times of reception ``t (...)``.
 
-    A position that is off by 10 m changes them by less than 1e-5 m, a velocity by 10 m/s hardly at all.
+    A position that is off by 10 m changes them by less than 1e-5 m, a velocity by 10 m/s hardly at
+    all.
     """
     when, place = np.asarray(t, dtype=np.float64)[..., None], np.asarray(position)[..., None, :]
     delay = np.asarray(0.08)
@@ -59,9 +62,11 @@ def emitted(
     position: Array,
     velocity: Array | float = 0.0,
 ) -> Sources:
-    """The same from measured pseudoranges ``(..., S)`` m: the receiver's clock, which says ``t``, cancels.
+    """The same from measured pseudoranges ``(..., S)`` m: the receiver's clock, which says ``t``,
+    cancels.
 
-    The Earth turns by the geometric delay; a ``position (..., 3)`` that is off by a kilometer moves satellites by a centimeter.
+    The Earth turns by the geometric delay; a ``position (..., 3)`` that is off by a kilometer moves
+    satellites by a centimeter.
     """
     when, place = np.asarray(t, dtype=np.float64)[..., None], np.asarray(position)[..., None, :]
     sent = when - pseudorange / LIGHT
@@ -89,9 +94,11 @@ def _seen(
 
 
 def measure(x: Array, q: Array, w: Array, second: Array | None = None) -> Array:
-    """Ranges (m) and rates (m/s) ``(..., 2 S)`` of states ``x (..., 8)`` from satellites ``q, w (..., S, 3)``.
+    """Ranges (m) and rates (m/s) ``(..., 2 S)`` of states ``x (..., 8)`` from satellites
+    ``q, w (..., S, 3)``.
 
-    ``second (S,)``: with states ``(..., 9)``, 1 for satellites of the second system, 0 for those of the first.
+    ``second (S,)``: with states ``(..., 9)``, 1 for satellites of the second system, 0 for those of
+    the first.
     """
     away = q - x[..., None, :3]
     distance = np.linalg.norm(away, axis=-1)

@@ -1,7 +1,8 @@
-"""X-ray pulsars: where they are, how well their pulses are timed, and what a timing says of a position. Units: km, s.
+"""X-ray pulsars: where they are, how well their pulses are timed, and what a timing says of a
+position. Units: km, s.
 
-The measurement of a pulsar is the delay of a pulse between spacecraft and solar-system barycenter, times the speed of light:
-km. Positions are barycentric, ICRS axes.
+The measurement of a pulsar is the delay of a pulse between spacecraft and solar-system barycenter,
+times the speed of light: km. Positions are barycentric, ICRS axes.
 """
 
 from __future__ import annotations
@@ -18,18 +19,6 @@ from celnav.gaussian.checks import choice, instance, number, sequence
 from celnav.gaussian.linalg import Array
 from celnav.gaussian.spaces import Space
 
-__all__ = [
-    "AREA_CM2",
-    "BACKGROUND",
-    "GM_SUN",
-    "KPC_KM",
-    "LIGHT_KM_S",
-    "Pulsar",
-    "Timing",
-    "known",
-    "pulsars",
-]
-
 LIGHT_KM_S = 299792.458
 GM_SUN = 1.32712440041e11  # km^3/s^2
 KPC_KM = 3.0856775814913673e16
@@ -42,7 +31,8 @@ class Pulsar:
     """A pulsar.
 
     right_ascension_deg, declination_deg: J2000. distance_kpc: from the Sun.
-    period_s: of the pulses. width_s: of a pulse. flux: photons / cm^2 / s. pulsed_fraction: of the flux.
+    period_s: of the pulses. width_s: of a pulse. flux: photons / cm^2 / s. pulsed_fraction: of the
+        flux.
     """
 
     name: str
@@ -81,7 +71,8 @@ class Pulsar:
     ) -> float:
         """Deviation (s) of a pulse's time of arrival after so many seconds of observation.
 
-        ``W / (2 SNR)`` with the signal-to-noise ratio of the pulsed photons among all others [Sheikh2006].
+        ``W / (2 SNR)`` with the signal-to-noise ratio of the pulsed photons among all others
+        [Sheikh2006].
         """
         seconds, area_cm2 = (
             number("seconds", seconds, above=0.0),
@@ -114,10 +105,12 @@ def pulsars(names: Sequence[str]) -> list[Pulsar]:
 
 
 class Timing:
-    """The delays of several pulsars, as functions of a barycentric position [Sheikh2006]: Roemer, parallax and Shapiro terms.
+    """The delays of several pulsars, as functions of a barycentric position [Sheikh2006]: Roemer,
+    parallax and Shapiro terms.
 
-    Delays have their whole number of periods. Who measures a phase only knows the rest, which is a position within half a period
-    (234 km for B1937+21) at best: see `uncounted`. ValueError if three directions or more lie in one plane.
+    Delays have their whole number of periods. Who measures a phase only knows the rest, which is a
+    position within half a period (234 km for B1937+21) at best: see `uncounted`. ValueError if
+    three directions or more lie in one plane.
 
     >>> timing = Timing(pulsars(["B0531+21", "B1821-24", "B1937+21"]))
     >>> sensor = celnav.Sensor(lambda x, epoch: timing.delay(earth + x[..., :3], sun), R)
@@ -138,12 +131,16 @@ class Timing:
 
     @property
     def uncounted(self) -> Space:
-        """Measurement space (``Sensor(..., space=)``) of pulses that nobody counted: innovations fold into half a period."""
+        """Measurement space (``Sensor(..., space=)``) of pulses that nobody counted: innovations
+        fold into half a period.
+        """
         periods = LIGHT_KM_S * np.array([p.period_s for p in self.pulsars])
         return Space(minus=partial(_within_half_a_period, periods))
 
     def delay(self, position: Array, sun: Array) -> Array:
-        """Delays ``(..., m)`` km of positions ``(..., 3)``; ``sun (..., 3)`` is the Sun's position. See `shapiro`."""
+        """Delays ``(..., m)`` km of positions ``(..., 3)``; ``sun (..., 3)`` is the Sun's position.
+        See `shapiro`.
+        """
         b = -np.asarray(sun)
         along, of_b = position @ self.directions.T, b @ self.directions.T
         square, cross = (part.sum(-1)[..., None] for part in (np.square(position), b * position))
@@ -153,12 +150,16 @@ class Timing:
         return np.asanyarray(along + parallax + self.shapiro(position, sun))
 
     def shapiro(self, position: Array, sun: Array) -> Array:
-        """Shapiro delay ``(..., m)`` km as usually printed, with ``|r| + |b|`` for the ``|r + b|`` of `shapiro_exact`."""
+        """Shapiro delay ``(..., m)`` km as usually printed, with ``|r| + |b|`` for the ``|r + b|``
+        of `shapiro_exact`.
+        """
         ratio = self._reach(position) / self._reach(-np.asarray(sun))
         return np.asanyarray(2.0 * GM_SUN / LIGHT_KM_S**2 * np.log(np.abs(ratio + 1.0)))
 
     def shapiro_exact(self, position: Array, sun: Array) -> Array:
-        """Shapiro delay ``(..., m)`` km between the barycenter and the position, with the distance from the Sun as it is."""
+        """Shapiro delay ``(..., m)`` km between the barycenter and the position, with the distance
+        from the Sun as it is.
+        """
         b = -np.asarray(sun)
         return np.asanyarray(
             2.0 * GM_SUN / LIGHT_KM_S**2 * np.log(self._reach(position + b) / self._reach(b))

@@ -1,10 +1,14 @@
-"""Celestial sightings: angles between the Earth's center and stars, and the Earth's angular diameter. Units: km, rad.
+"""Celestial sightings: angles between the Earth's center and stars, and the Earth's angular
+diameter. Units: km, rad.
 
-Three angles ``(A1, A2, A3)`` fix a position up to the side of the plane of the two stars [Sun2015, Eqs. 40-43, corrected]::
+Three angles ``(A1, A2, A3)`` fix a position up to the side of the plane of the two stars [Sun2015,
+Eqs. 40-43, corrected]::
 
-    A1, A2: between the satellite's position vector and the stars     A3 = 2 arcsin(R_e / r): the Earth's diameter
+    A1, A2: between the satellite's position vector and the stars
+    A3 = 2 arcsin(R_e / r): the Earth's diameter
 
-The stars lie in the equatorial plane, the first along x, the second ``separation`` away, so the side is the hemisphere.
+The stars lie in the equatorial plane, the first along x, the second ``separation`` away, so the
+side is the hemisphere.
 """
 
 from __future__ import annotations
@@ -18,20 +22,11 @@ from celnav.gaussian.checks import finite, number, numbers, together
 from celnav.gaussian.linalg import Array
 from celnav.models.orbit import EARTH, UnitWarning, warn_of_degrees
 
-__all__ = [
-    "angles",
-    "jacobian",
-    "limb",
-    "observe",
-    "position",
-    "pseudo_position_covariance",
-    "star_directions",
-    "visible",
-]
-
 
 def star_directions(separation: float) -> Array:
-    """Unit vectors ``(2, 3)`` of the two stars, ``separation`` rad apart; ValueError if they are parallel."""
+    """Unit vectors ``(2, 3)`` of the two stars, ``separation`` rad apart; ValueError if they are
+    parallel.
+    """
     theta = number("separation", separation)
     if abs(np.sin(theta)) < 1e-6:
         raise ValueError(
@@ -42,7 +37,9 @@ def star_directions(separation: float) -> Array:
 
 
 def angles(position: Array, stars: Array, radius_km: float = EARTH.radius_km) -> Array:
-    """Angles ``(..., k + 1)`` of positions: to stars ``(k, 3)`` of unit length, then the Earth's diameter; nan inside the Earth."""
+    """Angles ``(..., k + 1)`` of positions: to stars ``(k, 3)`` of unit length, then the Earth's
+    diameter; nan inside the Earth.
+    """
     r = np.sqrt(np.einsum("...i,...i->...", position, position))[..., None]
     cosines, ratio = np.clip(position / r @ stars.T, -1.0, 1.0), radius_km / r
     diameter = 2.0 * np.arcsin(np.where(ratio <= 1.0, ratio, np.nan))
@@ -50,21 +47,27 @@ def angles(position: Array, stars: Array, radius_km: float = EARTH.radius_km) ->
 
 
 def visible(position: Array, stars: Array, radius_km: float = EARTH.radius_km) -> Array:
-    """Which stars ``(..., k)`` the Earth does not hide from positions ``(..., 3)``; True where in view."""
+    """Which stars ``(..., k)`` the Earth does not hide from positions ``(..., 3)``; True where in
+    view.
+    """
     A = angles(position, stars, radius_km)
     # Seen from the satellite the Earth's center lies opposite to the position vector.
     return np.asanyarray(np.pi - A[..., :-1] > 0.5 * A[..., -1:])
 
 
 def observe(position: Array, stars: Array, radius_km: float = EARTH.radius_km) -> Array:
-    """`angles`, with nan for each star that the Earth hides: a filter skips those components by itself."""
+    """`angles`, with nan for each star that the Earth hides: a filter skips those components by
+    itself.
+    """
     A = angles(position, stars, radius_km)
     A[..., :-1] = np.where(visible(position, stars, radius_km), A[..., :-1], np.nan)
     return A
 
 
 def limb(position: Array, toward: Array, radius_km: float = EARTH.radius_km) -> Array:
-    """Points ``(..., 2, 3)`` km where sight lines touch the Earth, in the plane of a position and a direction ``(..., 3)``."""
+    """Points ``(..., 2, 3)`` km where sight lines touch the Earth, in the plane of a position and a
+    direction ``(..., 3)``.
+    """
     r = np.linalg.norm(position, axis=-1, keepdims=True)
     up = position / r
     along = toward - np.sum(toward * up, -1, keepdims=True) * up
@@ -82,30 +85,35 @@ def position(
     radius_km: float = EARTH.radius_km,
     strict: bool = True,
 ) -> Array:
-    """Pseudo-position ``(..., 3)`` from three angles ``(..., 3)``, see `angles` [Sun2015, Eqs. 41-42, corrected].
+    """Pseudo-position ``(..., 3)`` from three angles ``(..., 3)``, see `angles` [Sun2015, Eqs.
+    41-42, corrected].
 
     A: angles, ``A3`` between 0 and pi; nan components give nan. separation: between the stars, rad.
     hemisphere: +1 or -1, the sign of z ``(...)``: the angles cannot tell.
-    strict: raise ValueError for angles that no position has, as noise may leave them; otherwise nan stands there.
+    strict: raise ValueError for angles that no position has, as noise may leave them; otherwise nan
+        stands there.
     """
     measured = numbers("A", A, (..., 3))
     if np.isinf(measured).any():
         raise ValueError(
-            f"A: expected finite numbers or nan, got {np.count_nonzero(np.isinf(measured))} infinite ones"
+            f"A: expected finite numbers or nan, got {np.count_nonzero(np.isinf(measured))} "
+            "infinite ones"
         )
     warn_of_degrees("A", measured[..., :2])
     star_directions(separation)
     side, radius_km = finite("hemisphere", hemisphere), number("radius_km", radius_km, above=0.0)
     if together(A=measured.shape[:-1], hemisphere=side.shape) != measured.shape[:-1]:
         raise ValueError(
-            f"hemisphere: expected one, or one for each of {measured.shape[:-1]} positions, got shape {side.shape}"
+            f"hemisphere: expected one, or one for each of {measured.shape[:-1]} positions, got "
+            f"shape {side.shape}"
         )
     if (np.abs(side) != 1.0).any():
         raise ValueError("hemisphere: expected +1 or -1")
     diameter = measured[..., 2]
     if ((diameter <= 0.0) | (diameter >= np.pi)).any():
         raise ValueError(
-            f"A: expected an angular diameter between 0 and pi, got {diameter.min():.6g} to {diameter.max():.6g}"
+            f"A: expected an angular diameter between 0 and pi, got {diameter.min():.6g} to "
+            f"{diameter.max():.6g}"
         )
     ux, c2 = np.cos(measured[..., 0]), np.cos(measured[..., 1])
     uy = (c2 - ux * np.cos(separation)) / np.sin(separation)
@@ -124,7 +132,9 @@ def position(
 def jacobian(
     A: Array, separation: float, hemisphere: ArrayLike = 1.0, radius_km: float = EARTH.radius_km
 ) -> Array:
-    """Jacobian ``(..., 3, 3)`` of `position` with respect to the angles, km/rad; ValueError where z = 0, which has none."""
+    """Jacobian ``(..., 3, 3)`` of `position` with respect to the angles, km/rad; ValueError where z
+    = 0, which has none.
+    """
     place = position(A, separation, hemisphere, radius_km=radius_km)
     r = np.linalg.norm(place, axis=-1, keepdims=True)
     u = place / r
@@ -142,13 +152,18 @@ def jacobian(
 
 
 def pseudo_position_covariance(position_km: Array, separation: float, sigma: ArrayLike) -> Array:
-    """Covariance ``(..., 3, 3)`` km^2 of the pseudo-position for angle deviations ``sigma (3,)`` rad, with a warning beyond 1."""
+    """Covariance ``(..., 3, 3)`` km^2 of the pseudo-position for angle deviations ``sigma (3,)``
+    rad, with a warning beyond 1.
+    """
     deviations, position_km = (
         finite("sigma", sigma, (3,)),
         finite("position_km", position_km, (..., 3)),
     )
     if (np.abs(deviations) > 1.0).any():
-        text = f"sigma: a deviation of {np.abs(deviations).max():.6g} rad tells nothing; angles are in radians"
+        text = (
+            f"sigma: a deviation of {np.abs(deviations).max():.6g} rad tells nothing; "
+            "angles are in radians"
+        )
         warnings.warn(text, UnitWarning, stacklevel=2)
     half = deviations * jacobian(
         angles(position_km, star_directions(separation)), separation, np.sign(position_km[..., 2])

@@ -1,12 +1,15 @@
-"""Arrival times of millisecond pulsars, what their timing models know of the years before, fixes of the Earth; ephemerides.
+"""Arrival times of millisecond pulsars, what their timing models know of the years before, fixes of
+the Earth; ephemerides.
 
-An Earth that is ``d`` from where its ephemeris has it meets pulses ``n.d`` km early. Each pulsar has a timing model: phase, spin
-and spin-down, position, proper motion and parallax, each a column of a linear model, with white noise beyond the claimed one and
-a spin that walks at random, sized by restricted likelihood. What a fit of them takes for its own it hides: a constant or yearly
-error of the Earth, and most of a slow one [Blandford1984].
+An Earth that is ``d`` from where its ephemeris has it meets pulses ``n.d`` km early. Each pulsar
+has a timing model: phase, spin and spin-down, position, proper motion and parallax, each a column
+    of a linear model, with white noise beyond the claimed one and
+a spin that walks at random, sized by restricted likelihood. What a fit of them takes for its own it
+hides: a constant or yearly error of the Earth, and most of a slow one [Blandford1984].
 
-Residuals are as released [Agazie2023], of models fitted on all years. Refitting on some of them undoes that for the columns above,
-exactly; orbits of binaries and dispersion keep what all years gave.
+Residuals are as released [Agazie2023], of models fitted on all years. Refitting on some of them
+undoes that for the columns above, exactly; orbits of binaries and dispersion keep what all years
+gave.
 """
 
 from __future__ import annotations
@@ -27,20 +30,15 @@ from celnav.models.ephemeris import DAY_S, GM, Tdb, de421
 from celnav.models.pulsar import LIGHT_KM_S
 from celnav.real import found
 
-__all__ = [
-    "AU_S", "YEAR", "Arrivals", "Weeks", "clocks", "differences", "model", "read", "remembered", "sized", "transition", "walk",
-    "weekly",
-]  # fmt: skip
-
 YEAR, WEEK, AU_S = 365.25, 7.0, 499.00478384
 LEAST_DAYS, LEAST_YEARS = 30, 3.0
 """Of the observations before, for a pulsar to take part."""
 
 
-# -- arrival times and timing models -------------------------------------------------------------------------------------------
+# -- arrival times and timing models ---------------------------------------------------------------
 class Arrivals(NamedTuple):
-    """Daily averages of a pulsar: its direction ``n (3,)``; days (MJD), lateness and that one's deviation (km), ``(N,)``; where the
-    Earth was, ``(N, 3)`` AU."""
+    """Daily averages of a pulsar: its direction ``n (3,)``; days (MJD), lateness and that one's
+    deviation (km), ``(N,)``; where the Earth was, ``(N, 3)`` AU."""
 
     name: str
     n: Array
@@ -56,7 +54,8 @@ def read(folder: Path) -> tuple[Arrivals, ...]:
 
     Raises
     ------
-    FileNotFoundError: naming the folder. InputError: naming the file, and the first row that cannot be.
+    FileNotFoundError: naming the folder. InputError: naming the file, and the first row that cannot
+    be.
     """
     (path,) = found(folder, ["daily_averages.npz"])
     try:
@@ -72,7 +71,8 @@ def read(folder: Path) -> tuple[Arrivals, ...]:
         or rows.dtype.kind != "f"
     ):
         raise InputError(
-            f"{path}: expected names (pulsars,) and epochs (N, 11), got {names.shape} and {rows.shape}"
+            f"{path}: expected names (pulsars,) and epochs (N, 11), got {names.shape} and "
+            f"{rows.shape}"
         )
     which, far = rows[:, 1], np.linalg.norm(rows[:, 7:10], axis=1) / AU_S
     right = {
@@ -89,7 +89,8 @@ def read(folder: Path) -> tuple[Arrivals, ...]:
         if not well.all():
             bad = int(np.argmin(well))
             raise InputError(
-                f"{path}: expected {expected}, got row {bad}: {np.array2string(rows[bad], precision=6)}"
+                f"{path}: expected {expected}, got row {bad}: "
+                f"{np.array2string(rows[bad], precision=6)}"
             )
     each = ((str(name), rows[which == i]) for i, name in enumerate(names))
     sets = ((name, r[np.argsort(r[:, 0], kind="stable")]) for name, r in each if len(r))
@@ -102,7 +103,9 @@ def read(folder: Path) -> tuple[Arrivals, ...]:
 
 
 def model(a: Arrivals) -> Array:
-    """Columns ``(N, 8)`` of a timing model: phase, spin, spin-down, position (2), proper motion (2), parallax."""
+    """Columns ``(N, 8)`` of a timing model: phase, spin, spin-down, position (2), proper motion
+    (2), parallax.
+    """
     years = (a.day - a.day[0]) / YEAR / 10.0
     east = np.cross([0.0, 0.0, 1.0], a.n)
     east /= np.linalg.norm(east)
@@ -114,7 +117,8 @@ def model(a: Arrivals) -> Array:
 
 
 def walk(a: Arrivals) -> Array:
-    """Covariance ``(N, N)`` of the phase where the spin walks at random, 1 km / year in each year."""
+    """Covariance ``(N, N)`` of the phase where the spin walks at random, 1 km / year in each
+    year."""
     t = (a.day - a.day[0]) / YEAR
     low, high = np.minimum.outer(t, t), np.maximum.outer(t, t)
     return np.asarray(low * low * (3.0 * high - low) / 6.0)
@@ -123,8 +127,10 @@ def walk(a: Arrivals) -> Array:
 class Clock(NamedTuple):
     """A pulsar of which the past is known.
 
-    arrivals: all of them. before, after: which are known, and which are predicted, ``(N,)`` bool. early: ``(k,)`` km, how much
-    sooner than predicted the latter come. cov: ``(k, k)`` of that. weights: ``(k, N0)``, predicted is ``weights @ late[before]``.
+    arrivals: all of them. before, after: which are known, and which are predicted, ``(N,)`` bool.
+        early: ``(k,)`` km, how much
+    sooner than predicted the latter come. cov: ``(k, k)`` of that. weights: ``(k, N0)``, predicted
+    is ``weights @ late[before]``.
     noise: white noise beyond the claimed (km), walk of the spin (km / year in a year).
     """
 
@@ -137,7 +143,8 @@ class Clock(NamedTuple):
     noise: tuple[float, float]
 
     def seen(self, moved: Array, learned: bool) -> Array:
-        """By how much ``(k, ...)`` km arrivals come sooner than predicted with an Earth that is ``moved (N, 3, ...)`` km.
+        """By how much ``(k, ...)`` km arrivals come sooner than predicted with an Earth that is
+        ``moved (N, 3, ...)`` km.
 
         learned: whether the timing model was fitted with the same.
         """
@@ -148,7 +155,9 @@ class Clock(NamedTuple):
 
 
 def sized(late: Array, sigma: Array, M: Array, K: Array) -> tuple[float, float]:
-    """White noise and walk of the spin of largest restricted likelihood, which knows nothing of the model's parameters."""
+    """White noise and walk of the spin of largest restricted likelihood, which knows nothing of the
+    model's parameters.
+    """
 
     def loss(logs: Array) -> float:
         white, red = np.exp(logs)
@@ -174,7 +183,9 @@ def sized(late: Array, sigma: Array, M: Array, K: Array) -> tuple[float, float]:
 
 @lru_cache(maxsize=4)
 def clocks(folder: Path, split: float, end: float) -> tuple[Clock, ...]:
-    """The pulsars that were observed long enough before ``split`` (MJD), with their models, until ``end``."""
+    """The pulsars that were observed long enough before ``split`` (MJD), with their models, until
+    ``end``.
+    """
     out = []
     for a in read(folder):
         before, after = a.day < split, (a.day >= split) & (a.day < end)
@@ -195,14 +206,17 @@ def clocks(folder: Path, split: float, end: float) -> tuple[Clock, ...]:
         out.append(Clock(a, before, after, early, cov, weights, (white, red)))
     if not out:
         raise InputError(
-            f"{folder}: expected pulsars observed for {LEAST_YEARS:g} years before MJD {split:.0f}, got none"
+            f"{folder}: expected pulsars observed for {LEAST_YEARS:g} years before MJD "
+            f"{split:.0f}, got none"
         )
     return tuple(out)
 
 
-# -- fixes ---------------------------------------------------------------------------------------------------------------------
+# -- fixes -----------------------------------------------------------------------------------------
 class Weeks(NamedTuple):
-    """Weeks with a fix: middle (MJD) ``(T,)``; ``y (T, 3, ...) = R (T, 3, 3) d`` and noise of unit covariance; pulsars ``(T,)``."""
+    """Weeks with a fix: middle (MJD) ``(T,)``; ``y (T, 3, ...) = R (T, 3, 3) d`` and noise of unit
+    covariance; pulsars ``(T,)``.
+    """
 
     day: Array
     R: Array
@@ -211,7 +225,9 @@ class Weeks(NamedTuple):
 
     @property
     def fix(self) -> Array:
-        """Least squares: places ``(T, 3, ...)`` km, as far as from where the ephemeris has the Earth."""
+        """Least squares: places ``(T, 3, ...)`` km, as far as from where the ephemeris has the
+        Earth.
+        """
         return np.linalg.solve(self.R, self.y.reshape(*self.y.shape[:2], -1)).reshape(self.y.shape)
 
     @property
@@ -258,7 +274,8 @@ def weekly(
 def remembered(
     heard: Sequence[Clock], early: Sequence[Array], day: Array, moves: Array
 ) -> tuple[Array, Array]:
-    """Arrivals less what earlier ones of the same pulsar said of its timing model: ``y (T, 12) = H (T, 12, 12) x`` and unit noise.
+    """Arrivals less what earlier ones of the same pulsar said of its timing model:
+    ``y (T, 12) = H (T, 12, 12) x`` and unit noise.
 
     moves: ``(T, 12, 12)``, from the first of the weeks ``day (T,)`` to each of them.
     """
@@ -276,10 +293,12 @@ def remembered(
     return np.asarray(np.linalg.solve(moves.mT, R[..., :12].mT).mT), R[..., 12]
 
 
-# -- ephemerides -----------------------------------------------------------------------------------------------------------------
+# -- ephemerides -----------------------------------------------------------------------------------
 @lru_cache(maxsize=1)
 def differences() -> dict[str, CubicSpline]:
-    """``data/ephemeris_years.npz``: DE440 less an older ephemeris, ``(T, 3)`` km at days (MJD), of Earth and Sun: "de405/sun"."""
+    """``data/ephemeris_years.npz``: DE440 less an older ephemeris, ``(T, 3)`` km at days (MJD), of
+    Earth and Sun: "de405/sun".
+    """
     t = read_npz(data("ephemeris_years.npz"))
     new = {body: t[f"de440-de421/{body}"] for body in ("earth", "sun")}
     old = {
@@ -292,7 +311,9 @@ def differences() -> dict[str, CubicSpline]:
 
 
 def transition(start: float, end: float) -> Array:
-    """What becomes of a small error of the Earth's orbit about the Sun ``(6, 6)``, from one day (MJD) to another."""
+    """What becomes of a small error of the Earth's orbit about the Sun ``(6, 6)``, from one day
+    (MJD) to another.
+    """
     steps = max(1, round(2.0 * (end - start)))
     at = Tdb(2400000.5, start + (end - start) * np.arange(2 * steps + 1) / (2 * steps))
     r = de421().state("earth", at).position - de421().state("sun", at).position

@@ -1,8 +1,10 @@
-"""BROAD [Laidig2021]: attitude from gyro, accelerometer and magnetometer in a hand, judged by cameras.
+"""BROAD [Laidig2021]: attitude from gyro, accelerometer and magnetometer in a hand, judged by
+cameras.
 
-The split. Settings are where the innovations of the trials `TUNED` are most probable; no truth was used for them, and they were
-written down before any was looked at. The deviations of `handheld.together` were not: they came after heading had been seen to err
-by tens of degrees with those of `handheld.apart`, and left the settings as they were.
+The split. Settings are where the innovations of the trials `TUNED` are most probable; no truth was
+used for them, and they were written down before any was looked at. The deviations of
+`handheld.together` were not: they came after heading had been seen to err by tens of degrees with
+those of `handheld.apart`, and left the settings as they were.
 """
 
 from __future__ import annotations
@@ -48,33 +50,31 @@ if TYPE_CHECKING:
     from celnav.files import Outputs
     from celnav.show.recording import Recorder
 
-__all__ = [
-    "CITATION", "FIGURES", "INPUTS", "KINDS", "LINES", "PUBLISHED", "RECORDINGS", "STUDY", "TABLES", "TICKS", "TITLE", "TRIALS",
-    "flown", "level_of", "published", "record",
-]  # fmt: skip
-
 TITLE = "Attitude from a sensor in a hand"
 CITATION = citation("Laidig2021")
 INPUTS = ("broad",)
 PUBLISHED = ("Madgwick", "Mahony")
 
 
-# -- what is flown, and what is found ----------------------------------------------------------------------------------------
+# -- what is flown, and what is found --------------------------------------------------------------
 BLOCK_S = 10.0  # of the bootstrap: errors of heading are correlated over seconds
 LOOSE, KINDS = ("turning", "push", "field"), ("total", "heading", "inclination")
 UNDISTURBED = range(6)
 
 
 def flown(name: str, config: Flight, _rngs: Sequence[Any]) -> dict[str, Array]:
-    """A filter on all trials, see `celnav.study.study.fly`; and ``judged (T, trials, 3)`` deg, nan where the benchmark does not."""
+    """A filter on all trials, see `celnav.study.study.fly`; and ``judged (T, trials, 3)`` deg, nan
+    where the benchmark does not.
+    """
     out = fly(trial(config, on_earth=name not in ("apart", "transported")), [name])
     moving = np.stack([log.moving for log in config.logs()], 1)[..., None]
     return out | {"judged": np.where(moving, judged(out[f"{name}/error"]), np.nan)}
 
 
 def published(config: Flight, _rngs: Sequence[Any]) -> dict[str, Array]:
-    """RMSE of the total error ``(trials,)``, deg, of each published filter, with the one setting that truth finds best in the mean
-    over all 39 trials: "tagp_parameters" of the files that come with the data."""
+    """RMSE of the total error ``(trials,)``, deg, of each published filter, with the one setting
+    that truth finds best in the mean over all 39 trials: "tagp_parameters" of the files that come
+        with the data."""
     out = {}
     for name, path in zip(
         PUBLISHED,
@@ -96,7 +96,9 @@ def published(config: Flight, _rngs: Sequence[Any]) -> dict[str, Array]:
 
 
 def probable(config: Flight, _rngs: Sequence[Any]) -> dict[str, Array]:
-    """Log-likelihood of `TUNED` at the settings, and with each of `LOOSE` 1.25 times as large, then as small."""
+    """Log-likelihood of `TUNED` at the settings, and with each of `LOOSE` 1.25 times as large, then
+    as small.
+    """
     tried = [SETTINGS]
     tried += [
         replace(SETTINGS, **{name: by * getattr(SETTINGS, name)})
@@ -113,7 +115,9 @@ def probable(config: Flight, _rngs: Sequence[Any]) -> dict[str, Array]:
 
 
 def parts(effort: float, broad: Path) -> dict[str, Part]:
-    """A part for each filter; ``effort`` shortens the trials, but for the minute at rest at their start."""
+    """A part for each filter; ``effort`` shortens the trials, but for the minute at rest at their
+    start.
+    """
     config = Flight(Path(broad), part=0.3 + 0.7 * effort)
     every = {name: Part(partial(flown, name), config, 0, 1, 1, 20.0) for name in filters()}
     every["published"] = Part(published, config, cost=0.1)
@@ -180,64 +184,140 @@ def better(i: int, name: str) -> Decided:
 
 
 def count(r: Results) -> list[Number]:
-    """In how many undisturbed trials the MEKF is better than both published filters, and in how many of them beyond chance."""
+    """In how many undisturbed trials the MEKF is better than both published filters, and in how
+    many of them beyond chance.
+    """
     each = [better(i, "mekf")(r) for i in UNDISTURBED]
-    return [Number("better", sum(one.value < 1.0 for one in each), (0.5 * len(each) + 1.0, None)),
-            Number("beyond chance", sum(one.holds is True for one in each)), Number("trials", len(each))]  # fmt: skip
+    return [
+        Number("better", sum(one.value < 1.0 for one in each), (0.5 * len(each) + 1.0, None)),
+        Number("beyond chance", sum(one.holds is True for one in each)),
+        Number("trials", len(each)),
+    ]
 
 
 WHY = "below 1 the filter is better; each published one has one setting for all trials, too, but one that was chosen by truth"
 EXPECTED = ("undecided", "shown", "not shown", "shown", "shown", "shown")
 ROWS = [
-    *(finding(f"better-{TRIALS[i][:2]}", f"{TRIALS[i][3:].replace('_', ' ')}: the MEKF is better than both published filters.",
-              better(i, "mekf"), why=WHY, expected=EXPECTED[i], figure="figure_01") for i in UNDISTURBED),
-    finding("better", "So it is in most of them.", count, why="more than half",
-            found="In {0:.0f} of {2:.0f}, beyond chance in {1:.0f}.", figure="figure_01",
-            revised="2026-11-23: a count of the rows above, written when they were known"),
-    finding("disturbed", "Tapped upon, and beside a magnet, the MEKF with Student's t for the noise is better than both.",
-            all_of(better(6, "robust"), better(7, "robust")), why=WHY, expected="undecided", figure="figure_01"),
-    finding("axes", "Deviations that leave the hand's acceleration on Earth axes behind cost several times the error in heading.",
-            over("heading RMSE over the MEKF's", "apart", "mekf", UNDISTURBED, (2.0, None), 1)),
-    finding("transported", "Transporting the covariance after each update does not heal that.",
-            over("heading RMSE over the MEKF's", "transported", "mekf", UNDISTURBED, (2.0, None), 1)),
-    finding("acceleration", "Acceleration that is taken for white noise costs most where a hand moves to and fro.",
-            over("total RMSE over the MEKF's, translations", "white", "mekf", (3, 4), (2.0, None)), figure="figure_01"),
-    finding("sigma-points", "Sigma points change little.",
-            over("total RMSE of the UKF over the MEKF's", "ukf", "mekf", UNDISTURBED, (0.9, 1.1))),
-    finding("student", "Where nothing disturbs, Student's t changes little.",
-            over("total RMSE over the MEKF's", "robust", "mekf", UNDISTURBED, (0.9, 1.1))),
-    finding("heading", "Heading errs by no more than the filter claims.",
-            claimed("RMS error over claimed deviation", "mekf", UNDISTURBED, slice(2, 3), (None, 1.0)), figure="figure_03"),
-    finding("overconfident", "In a slow translation inclination errs by more than twice what is claimed.",
-            claimed("RMS error over claimed deviation", "mekf", (3,), slice(0, 2), (2.0, None)), figure="figure_03"),
-    check("settings", "A quarter more or less of any of three settings makes the innovations of the three trials less probable.",
-          of("settings", "log_likelihood", "largest gain of log-likelihood", (None, 0.0), lambda x: np.max(x[1:] - x[0])),
-          needs="settings"),
-]  # fmt: skip
+    *(
+        finding(
+            f"better-{TRIALS[i][:2]}",
+            f"{TRIALS[i][3:].replace('_', ' ')}: the MEKF is better than both published filters.",
+            better(i, "mekf"),
+            why=WHY,
+            expected=EXPECTED[i],
+            figure="figure_01",
+        )
+        for i in UNDISTURBED
+    ),
+    finding(
+        "better",
+        "So it is in most of them.",
+        count,
+        why="more than half",
+        found="In {0:.0f} of {2:.0f}, beyond chance in {1:.0f}.",
+        figure="figure_01",
+        revised="2026-11-23: a count of the rows above, written when they were known",
+    ),
+    finding(
+        "disturbed",
+        "Tapped upon, and beside a magnet, the MEKF with Student's t for the noise is better than "
+        "both.",
+        all_of(better(6, "robust"), better(7, "robust")),
+        why=WHY,
+        expected="undecided",
+        figure="figure_01",
+    ),
+    finding(
+        "axes",
+        "Deviations that leave the hand's acceleration on Earth axes behind cost several times the "
+        "error in heading.",
+        over("heading RMSE over the MEKF's", "apart", "mekf", UNDISTURBED, (2.0, None), 1),
+    ),
+    finding(
+        "transported",
+        "Transporting the covariance after each update does not heal that.",
+        over("heading RMSE over the MEKF's", "transported", "mekf", UNDISTURBED, (2.0, None), 1),
+    ),
+    finding(
+        "acceleration",
+        "Acceleration that is taken for white noise costs most where a hand moves to and fro.",
+        over("total RMSE over the MEKF's, translations", "white", "mekf", (3, 4), (2.0, None)),
+        figure="figure_01",
+    ),
+    finding(
+        "sigma-points",
+        "Sigma points change little.",
+        over("total RMSE of the UKF over the MEKF's", "ukf", "mekf", UNDISTURBED, (0.9, 1.1)),
+    ),
+    finding(
+        "student",
+        "Where nothing disturbs, Student's t changes little.",
+        over("total RMSE over the MEKF's", "robust", "mekf", UNDISTURBED, (0.9, 1.1)),
+    ),
+    finding(
+        "heading",
+        "Heading errs by no more than the filter claims.",
+        claimed("RMS error over claimed deviation", "mekf", UNDISTURBED, slice(2, 3), (None, 1.0)),
+        figure="figure_03",
+    ),
+    finding(
+        "overconfident",
+        "In a slow translation inclination errs by more than twice what is claimed.",
+        claimed("RMS error over claimed deviation", "mekf", (3,), slice(0, 2), (2.0, None)),
+        figure="figure_03",
+    ),
+    check(
+        "settings",
+        "A quarter more or less of any of three settings makes the innovations of the three trials "
+        "less probable.",
+        of(
+            "settings",
+            "log_likelihood",
+            "largest gain of log-likelihood",
+            (None, 0.0),
+            lambda x: np.max(x[1:] - x[0]),
+        ),
+        needs="settings",
+    ),
+]
 STUDY = Study(
-    "broad", GROUPS, trial, parts, ROWS,
-    "Eight trials of a benchmark: an inertial and magnetic sensor in a hand, judged by cameras, beside two published filters.",
+    "broad",
+    GROUPS,
+    trial,
+    parts,
+    ROWS,
+    "Eight trials of a benchmark: an inertial and magnetic sensor in a hand, judged by cameras, "
+    "beside two published filters.",
     (
         Sentence(
-            "With settings that no truth has chosen, an MEKF with colored acceleration errs less than both published filters in "
-            "{better[0]:.0f} of {better[2]:.0f} undisturbed trials, beyond chance in {better[1]:.0f}.",
+            "With settings that no truth has chosen, an MEKF with colored acceleration errs less "
+            "than both published filters in "
+            "{better[0]:.0f} of {better[2]:.0f} undisturbed trials, beyond chance in "
+            "{better[1]:.0f}.",
             {"better": "shown"},
         ),
-        Sentence("A fast rotation it loses to Madgwick's.", {f"better-{TRIALS[2][:2]}": "not shown"}),
         Sentence(
-            "Deviations turn acceleration along with attitude: else heading errs {axes[0]:.1f} times as much.", {"axes": "shown"}
+            "A fast rotation it loses to Madgwick's.", {f"better-{TRIALS[2][:2]}": "not shown"}
+        ),
+        Sentence(
+            "Deviations turn acceleration along with attitude: else heading errs {axes[0]:.1f} "
+            "times as much.",
+            {"axes": "shown"},
         ),
     ),
     "figure_01",
-)  # fmt: skip
+)
 
 
-# -- shown -------------------------------------------------------------------------------------------------------------------
+# -- shown -----------------------------------------------------------------------------------------
 LINES = {
-    "mekf": Line("MEKF", colors.ESTIMATE), "robust": Line("MEKF, Student's t", colors.REFERENCE), "ukf": Line("UKF", colors.TRUTH),
-    "white": Line("white acceleration", colors.COMPARISON), "apart": Line("kept on Earth axes", colors.PAPER),
+    "mekf": Line("MEKF", colors.ESTIMATE),
+    "robust": Line("MEKF, Student's t", colors.REFERENCE),
+    "ukf": Line("UKF", colors.TRUTH),
+    "white": Line("white acceleration", colors.COMPARISON),
+    "apart": Line("kept on Earth axes", colors.PAPER),
     "transported": Line("the same, transported", colors.OPEN_LOOP),
-}  # fmt: skip
+}
 TICKS = [
     name.replace("_disturbed_", " ").replace("_undisturbed_", " ").replace("_", " ")
     for name in TRIALS
@@ -291,8 +371,21 @@ def over_time(r: Results) -> Figure:
         ]
         return [curve(t, error, LINES["mekf"]), *bounds]
 
-    return panels(*[[Panel(TICKS[SHOWN] if axis == 2 else "", items(axis), "time (s)", f"about {name} (deg)")]
-                    for axis, name in ((2, "the vertical"), (0, "east"))], size=(8.0, 5.0), sharex="col")  # fmt: skip
+    return panels(
+        *[
+            [
+                Panel(
+                    TICKS[SHOWN] if axis == 2 else "",
+                    items(axis),
+                    "time (s)",
+                    f"about {name} (deg)",
+                )
+            ]
+            for axis, name in ((2, "the vertical"), (0, "east"))
+        ],
+        size=(8.0, 5.0),
+        sharex="col",
+    )
 
 
 def consistent(r: Results) -> Figure:
@@ -374,7 +467,19 @@ def record(results: Results, outputs: Outputs) -> list[str]:
 
     said = answer(STUDY.found, map(written, results.claims()))
     notes = f"# {TITLE}\n\n{said}\n\n{TICKS[SHOWN]}: what the cameras lost stands still."
-    shown = showcase.Showcase("broad", notes, t, estimates, (estimated.Group(*GROUPS[0], ("east", "north", "up")),), posed,
-                              np.degrees(np.eye(3)), "deg", nis_dof=6, spaces=SPACES, scene=draw, parameters=vars(SETTINGS),
-                              facts={"study": "broad", "trial": TRIALS[SHOWN]})  # fmt: skip
+    shown = showcase.Showcase(
+        "broad",
+        notes,
+        t,
+        estimates,
+        (estimated.Group(*GROUPS[0], ("east", "north", "up")),),
+        posed,
+        np.degrees(np.eye(3)),
+        "deg",
+        nis_dof=6,
+        spaces=SPACES,
+        scene=draw,
+        parameters=vars(SETTINGS),
+        facts={"study": "broad", "trial": TRIALS[SHOWN]},
+    )
     return showcase.write({RECORDINGS[0]: shown}, outputs)

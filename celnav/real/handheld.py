@@ -1,8 +1,10 @@
-"""A gyro, an accelerometer and a magnetometer in a hand, as BROAD [Laidig2021] has them: what is read, and what is believed.
+"""A gyro, an accelerometer and a magnetometer in a hand, as BROAD [Laidig2021] has them: what is
+read, and what is believed.
 
-Earth axes are east, north (of the magnetic field) and up; the state is an attitude, the drift of the gyro, the acceleration of the
-hand, the field's disturbance, and constants. Eight samples make a step: those of the gyro are integrated, the others turned to its
-end and averaged, those of the magnetometer as of `LAG` samples before, which makes the innovations of the trials `TUNED` most
+Earth axes are east, north (of the magnetic field) and up; the state is an attitude, the drift of
+the gyro, the acceleration of the hand, the field's disturbance, and constants. Eight samples make a
+step: those of the gyro are integrated, the others turned to its end and averaged, those of the
+magnetometer as of `LAG` samples before, which makes the innovations of the trials `TUNED` most
 probable.
 """
 
@@ -30,27 +32,29 @@ from celnav.models.gyro import Gyro
 from celnav.real import found
 from celnav.study.trial import Group, Trial
 
-__all__ = [
-    "GRAVITY", "GROUPS", "LAG", "SETTINGS", "STEP", "TRIALS", "TUNED", "VECTORS", "Flight", "Q", "Settings", "apart", "filters",
-    "judged", "read", "sensors", "steps", "together", "trial",
-]  # fmt: skip
-
 TRIALS = (
-    "01_undisturbed_slow_rotation_A", "02_undisturbed_slow_rotation_B", "06_undisturbed_fast_rotation_A",
-    "10_undisturbed_slow_translation_A", "15_undisturbed_fast_translation_A", "21_undisturbed_fast_combined",
-    "24_disturbed_tapping_A", "28_disturbed_stationary_magnet_A",
-)  # fmt: skip
+    "01_undisturbed_slow_rotation_A",
+    "02_undisturbed_slow_rotation_B",
+    "06_undisturbed_fast_rotation_A",
+    "10_undisturbed_slow_translation_A",
+    "15_undisturbed_fast_translation_A",
+    "21_undisturbed_fast_combined",
+    "24_disturbed_tapping_A",
+    "28_disturbed_stationary_magnet_A",
+)
 TUNED = (TRIALS[0], TRIALS[3], TRIALS[5])
 GRAVITY = 9.8127  # m/s^2, in Berlin
 STEP, LAG = 8, 4  # samples
 
 
-# -- what was recorded -------------------------------------------------------------------------------------------------------
+# -- what was recorded -----------------------------------------------------------------------------
 class Log(NamedTuple):
     """A trial in steps of ``dt`` s.
 
-    rate: ``(T, 3)`` rad/s, turns as the samples of a step do together. acc, mag: ``(T, 3)`` m/s^2 and uT, means of the step on the
-    axes at its end. lively: ``(T, 1)`` m/s^2, by how much the accelerations of the last second were no gravity, in the mean.
+    rate: ``(T, 3)`` rad/s, turns as the samples of a step do together. acc, mag: ``(T, 3)`` m/s^2
+        and uT, means of the step on the
+    axes at its end. lively: ``(T, 1)`` m/s^2, by how much the accelerations of the last second were
+    no gravity, in the mean.
     truth: ``(T, 4)``, nan where the cameras lost it. moving: ``(T,)``, where the benchmark judges.
     """
 
@@ -78,7 +82,8 @@ def read(path: Path, lag: int = LAG) -> Log:
     def field(name: str, columns: int, least: int = 2 * STEP + lag) -> Array:
         if name not in every:
             raise InputError(
-                f"{path}: expected a field {name}, got {', '.join(key for key in every if key[0] != '_')}"
+                f"{path}: expected a field {name}, got "
+                f"{', '.join(key for key in every if key[0] != '_')}"
             )
         values = every[name]
         if (
@@ -88,11 +93,13 @@ def read(path: Path, lag: int = LAG) -> Log:
             or len(values) < least
         ):
             raise InputError(
-                f"{path}: {name}: expected numbers ({least} or more, {columns}), got {values.dtype} {values.shape}"
+                f"{path}: {name}: expected numbers ({least} or more, {columns}), got "
+                f"{values.dtype} {values.shape}"
             )
         if not np.isfinite(values).any(0).all() or np.isinf(values).any():
             raise InputError(
-                f"{path}: {name}: expected finite numbers or nan, got infinite ones or a column of nan only"
+                f"{path}: {name}: expected finite numbers or nan, got infinite ones or a column of "
+                "nan only"
             )
         return np.asarray(values, np.float64)
 
@@ -102,7 +109,8 @@ def read(path: Path, lag: int = LAG) -> Log:
     for name, values in zip(named, (gyr, acc, mag, q, moving), strict=True):
         if len(values) != len(gyr):
             raise InputError(
-                f"{path}: {name}: expected as many rows as imu_gyr has, {len(gyr)}, got {len(values)}"
+                f"{path}: {name}: expected as many rows as imu_gyr has, {len(gyr)}, got "
+                f"{len(values)}"
             )
     if np.isnan(gyr).any() or not hz > 0.0:
         raise InputError(
@@ -145,16 +153,20 @@ def steps(gyr: Array, acc: Array, mag: Array, hz: float, lag: int = LAG) -> Log:
     return Log(rate, mean[0], mean[1], lively, np.full((T, 4), np.nan), np.ones(T, bool), dt)
 
 
-# -- what is believed ----------------------------------------------------------------------------------------------------------
+# -- what is believed ------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Settings:
     """Deviations and times, each one for all trials (or one for each run, ``(runs, 1)``).
 
-    gyro: angle random walk, rad/s^(1/2). turning: that of errors which grow with the rate, for each rad/s.
-    shaking, push: white noise of a step, and deviation of the hand's acceleration, each for 1 m/s^2 of `Log.lively`.
-    acc, rest: the same of a sensor at rest, m/s^2. tau, wash: times s of that acceleration: it is ``s - l``, with s a Gauss-Markov
+    gyro: angle random walk, rad/s^(1/2). turning: that of errors which grow with the rate, for each
+        rad/s.
+    shaking, push: white noise of a step, and deviation of the hand's acceleration, each for 1 m/s^2
+        of `Log.lively`.
+    acc, rest: the same of a sensor at rest, m/s^2. tau, wash: times s of that acceleration: it is
+        ``s - l``, with s a Gauss-Markov
     process and l what follows it, so that it has no mean: a hand comes back.
-    mag: white noise of a step, uT. field, far: deviation, uT, and time, s, of the field's disturbance on Earth axes.
+    mag: white noise of a step, uT. field, far: deviation, uT, and time, s, of the field's
+        disturbance on Earth axes.
     acc_bias, mag_bias: deviations, m/s^2 and uT, of constants on the sensor's axes.
     """
 
@@ -175,17 +187,50 @@ class Settings:
 
 DRIFT, DRIFT_WALK = 0.01, 1e-5  # rad/s at the start, and rad/s^(3/2)
 SETTINGS = Settings(
-    gyro=7.43e-05, turning=0.00562, acc=0.0119, shaking=0.0355, rest=0.00142, push=1.02, tau=0.107, wash=0.338,
-    mag=0.433, field=1.05, far=6.34, acc_bias=0.0746, mag_bias=0.379,
-)  # fmt: skip
-WHITE = replace(SETTINGS, turning=0.00646, acc=0.00324, shaking=0.923, rest=0.0, push=0.0, mag=0.432, field=0.995, far=5.71,
-                acc_bias=0.0831, mag_bias=0.294)  # fmt: skip
-"""The same for a filter to which the hand's acceleration is white noise: where that one's innovations are most probable."""
+    gyro=7.43e-05,
+    turning=0.00562,
+    acc=0.0119,
+    shaking=0.0355,
+    rest=0.00142,
+    push=1.02,
+    tau=0.107,
+    wash=0.338,
+    mag=0.433,
+    field=1.05,
+    far=6.34,
+    acc_bias=0.0746,
+    mag_bias=0.379,
+)
+WHITE = replace(
+    SETTINGS,
+    turning=0.00646,
+    acc=0.00324,
+    shaking=0.923,
+    rest=0.0,
+    push=0.0,
+    mag=0.432,
+    field=0.995,
+    far=5.71,
+    acc_bias=0.0831,
+    mag_bias=0.294,
+)
+"""The same for a filter to which the hand's acceleration is white noise: where that one's
+innovations are most probable.
+"""
 Q, BIAS, S, L, D, H, V, ACC, MAG = (
-    slice(0, 4), slice(4, 7), slice(7, 10), slice(10, 13), slice(13, 16), slice(16, 17), slice(17, 18), slice(18, 21), slice(21, 24)
-)  # fmt: skip
-"""Of a state ``(..., 24)``: attitude, drift (rad/s), both parts of the acceleration (m/s^2), disturbance, horizontal and downward
-part of the field (uT), constants of both sensors. Of deviations ``(..., 23)`` those of the attitude are three."""
+    slice(0, 4),
+    slice(4, 7),
+    slice(7, 10),
+    slice(10, 13),
+    slice(13, 16),
+    slice(16, 17),
+    slice(17, 18),
+    slice(18, 21),
+    slice(21, 24),
+)
+"""Of a state ``(..., 24)``: attitude, drift (rad/s), both parts of the acceleration (m/s^2),
+disturbance, horizontal and downward part of the field (uT), constants of both sensors. Of
+deviations ``(..., 23)`` those of the attitude are three."""
 N, NOISY = 23, np.eye(23)[:, [*range(9), *range(12, 15)]]
 
 
@@ -193,10 +238,12 @@ VECTORS = (S, L, D)
 
 
 def together() -> Space:
-    """Space of states whose deviations turn the vectors on Earth axes along with the attitude, ``(..., 23)``: about Earth axes.
+    """Space of states whose deviations turn the vectors on Earth axes along with the attitude,
+    ``(..., 23)``: about Earth axes.
 
-    What a sensor sees of a vector then does not depend on the attitude's deviation, and a turn of everything about the vertical, of
-    which nothing but the mean of the field tells, is the same deviation whatever the vectors are estimated to be [Barrau2017].
+    What a sensor sees of a vector then does not depend on the attitude's deviation, and a turn of
+    everything about the vertical, of which nothing but the mean of the field tells, is the same
+    deviation whatever the vectors are estimated to be [Barrau2017].
     """
 
     def plus(x: Array, d: Array) -> Array:
@@ -281,14 +328,19 @@ def filters(s: Settings = SETTINGS, white: Settings = WHITE) -> dict[str, Sequen
     """The filters that are compared, by name; all but "white" believe the same."""
     seen, believed = sensors(s), (motion(s, together()), *sensors(s))
     return {
-        "mekf": ekf(*believed), "ukf": ukf(*believed), "robust": ekf(*believed, hooks=[student_t()]),
+        "mekf": ekf(*believed),
+        "ukf": ukf(*believed),
+        "robust": ekf(*believed, hooks=[student_t()]),
         "white": ekf(motion(white, together()), *sensors(white)),
-        "apart": ekf(motion(s, apart()), *seen), "transported": ekf(motion(s, apart(transported=True)), *seen),
-    }  # fmt: skip
+        "apart": ekf(motion(s, apart()), *seen),
+        "transported": ekf(motion(s, apart(transported=True)), *seen),
+    }
 
 
 def prior(logs: Sequence[Log], s: Settings = SETTINGS) -> Gaussian:
-    """What is believed at the start of each trial, made of its first second, at rest, and of the field in a building."""
+    """What is believed at the start of each trial, made of its first second, at rest, and of the
+    field in a building.
+    """
     count = round(1.0 / logs[0].dt)
     up, mag = (
         np.stack([np.nanmean(values[:count], 0) for values in each])
@@ -313,7 +365,9 @@ def prior(logs: Sequence[Log], s: Settings = SETTINGS) -> Gaussian:
 
 @dataclass(frozen=True)
 class Flight:
-    """Trials that are flown together, as runs, in a ``folder``; ``part`` of their time. ``lag``: see `read`."""
+    """Trials that are flown together, as runs, in a ``folder``; ``part`` of their time. ``lag``:
+    see `read`.
+    """
 
     folder: Path
     trials: tuple[str, ...] = TRIALS
@@ -328,7 +382,8 @@ class Flight:
         ]
         if max(log.dt for log in logs) > 1.001 * min(log.dt for log in logs):
             raise InputError(
-                f"{self.folder}: sampling_rate: expected the same in all trials, got {[STEP / x.dt for x in logs]} Hz"
+                f"{self.folder}: sampling_rate: expected the same in all trials, got "
+                f"{[STEP / x.dt for x in logs]} Hz"
             )
         T = round(self.part * max(len(log.rate) for log in logs))
         return [
@@ -361,7 +416,9 @@ GROUPS = (Group("attitude", "deg", slice(0, 3), 180.0 / np.pi),)
 def trial(
     config: Flight, _rngs: Sequence[Any] = (), *, s: Settings = SETTINGS, on_earth: bool = True
 ) -> Trial:
-    """The trials, with the filters; errors are rotation vectors on Earth axes. ``on_earth``: so are the filters' own deviations."""
+    """The trials, with the filters; errors are rotation vectors on Earth axes. ``on_earth``: so are
+    the filters' own deviations.
+    """
     logs = config.logs()
     rate, acc, mag, lively, truth = (
         np.stack(part, 1) for part in list(zip(*logs, strict=True))[:5]
@@ -378,7 +435,9 @@ def trial(
 
 
 def judged(error: Array) -> Array:
-    """Total, heading and inclination errors ``(..., 3)`` deg of rotation vectors ``(..., 3)`` deg on Earth axes [Laidig2021]."""
+    """Total, heading and inclination errors ``(..., 3)`` deg of rotation vectors ``(..., 3)`` deg
+    on Earth axes [Laidig2021].
+    """
     q = np.abs(attitude.exp(np.radians(error)))
     inclined = 2.0 * np.arccos(np.minimum(np.hypot(q[..., 2], q[..., 3]), 1.0))
     return np.degrees(

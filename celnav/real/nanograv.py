@@ -1,16 +1,22 @@
-"""The Earth's place by arrival times of millisecond pulsars, 2004 to 2020 [Agazie2023], and ephemerides that were wrong about it.
+"""The Earth's place by arrival times of millisecond pulsars, 2004 to 2020 [Agazie2023], and
+ephemerides that were wrong about it.
 
 Written down before a result of the years flown was seen:
 
-- Timing models are fitted on the years before 2017, and the rest is flown; nothing is fitted again. A pulsar takes part that was
+- Timing models are fitted on the years before 2017, and the rest is flown; nothing is fitted again.
+  A pulsar takes part that was
   observed for three years before, on 30 days or more.
-- Level and color of the noise of weekly fixes are those of 2015 and 2016, with models fitted before 2015.
-- A week has a fix if six pulsars or more were heard in it; or four of the solitary ones where they are flown alone, since the
+- Level and color of the noise of weekly fixes are those of 2015 and 2016, with models fitted before
+  2015.
+- A week has a fix if six pulsars or more were heard in it; or four of the solitary ones where they
+  are flown alone, since the
   orbits of the others were fitted on all years.
-- Filters start 10 km and 0.1 m/s off on each axis, know the Sun's error to 100 km, and are judged after their first year.
+- Filters start 10 km and 0.1 m/s off on each axis, know the Sun's error to 100 km, and are judged
+  after their first year.
 
-DE440 counts as the truth. Older ephemerides are what filters are given wrong: their barycenter lies 117 km off, since DE440 counts
-what is beyond Neptune [Park2021]. About the Sun the Earth's orbit differs by 0.2 km in DE421, by 1.1 km in DE405.
+DE440 counts as the truth. Older ephemerides are what filters are given wrong: their barycenter lies
+117 km off, since DE440 counts what is beyond Neptune [Park2021]. About the Sun the Earth's orbit
+differs by 0.2 km in DE421, by 1.1 km in DE405.
 """
 
 from __future__ import annotations
@@ -58,19 +64,29 @@ if TYPE_CHECKING:
     from celnav.files import Outputs
     from celnav.show.recording import Recorder
 
-__all__ = [
-    "CITATION", "DRIFT_KM", "END", "FIGURES", "FLOWN", "INPUTS", "LINES", "RECORDINGS", "SOLITARY", "STUDY", "SUN_KM", "TABLES",
-    "TITLE", "Flight", "fixes", "fly_all", "parts", "record", "trial", "tuned",
-]  # fmt: skip
-
 TITLE = "The Earth's place by millisecond pulsars"
 CITATION = citation("Agazie2023")
 INPUTS = ("nanograv",)
 Arrays = dict[str, Array]
 TUNED, FLOWN, END = 57023.0, 57754.0, 59072.0
 """MJD: 1 January 2015 and 2017, and the day after the last."""
-SOLITARY = ("J0030+0451", "J0340+4130", "J0645+5158", "J0931-1902", "J1024-0719", "J1730-2304", "J1744-1134", "J1747-4036",
-            "J1832-0836", "J1843-1113", "J1923+2515", "J1944+0907", "J2010-1323", "J2124-3358", "J2322+2057")  # fmt: skip
+SOLITARY = (
+    "J0030+0451",
+    "J0340+4130",
+    "J0645+5158",
+    "J0931-1902",
+    "J1024-0719",
+    "J1730-2304",
+    "J1744-1134",
+    "J1747-4036",
+    "J1832-0836",
+    "J1843-1113",
+    "J1923+2515",
+    "J1944+0907",
+    "J2010-1323",
+    "J2124-3358",
+    "J2322+2057",
+)
 """Without a companion whose orbit takes less than centuries."""
 GROUPS = (Group("position", "km", slice(0, 3)),)
 STARTED, SUN_KM, DRIFT_KM = np.repeat([10.0, 1e-4], 3), 100.0, 1.0
@@ -78,25 +94,30 @@ STARTED, SUN_KM, DRIFT_KM = np.repeat([10.0, 1e-4], 3), 100.0, 1.0
 FILTERS = ("ekf", "tkf", "tdkf", "tstdkf", "aug")
 
 
-# -- flights ---------------------------------------------------------------------------------------------------------------------
+# -- flights ---------------------------------------------------------------------------------------
 class Flight(NamedTuple):
-    """The Earth around the Sun, among pulsars timed with DE440, by an older ephemeris, or by DE440 ("")."""
+    """The Earth around the Sun, among pulsars timed with DE440, by an older ephemeris, or by DE440
+    ("").
+    """
 
     folder: Path
     old: str = ""
 
 
 def tuned(folder: Path) -> tuple[float, float]:
-    """Level and color of the noise of fixes, in claimed deviations, in the years before those that are flown."""
+    """Level and color of the noise of fixes, in claimed deviations, in the years before those that
+    are flown.
+    """
     before = clocks(folder, TUNED, FLOWN)
     y = weekly(before, [c.early for c in before], TUNED, FLOWN).y
     return float(np.sqrt(np.square(y).mean())), float((y[1:] * y[:-1]).sum() / np.square(y).sum())
 
 
 def trial(c: Flight, _rngs: Rngs) -> Trial:
-    """The filters of [Xu2023] on weekly fixes: the Earth about the Sun for a satellite about the Earth, the Sun's place for the
-    Earth's. "drift" lets the Sun's error grow evenly, and "clocks" has arrivals in place of fixes, so that it knows that a timing
-    model's error stays. The barycentric place is judged, orbit and Sun's error together."""
+    """The filters of [Xu2023] on weekly fixes: the Earth about the Sun for a satellite about the
+    Earth, the Sun's place for the Earth's. "drift" lets the Sun's error grow evenly, and "clocks"
+    has arrivals in place of fixes, so that it knows that a timing model's error stays. The
+    barycentric place is judged, orbit and Sun's error together."""
     heard, years = clocks(c.folder, FLOWN, END), differences()
     seen = weekly(heard, [k.early for k in heard], FLOWN, END)
     day, t = seen.day, DAY_S * (seen.day - seen.day[0])
@@ -188,8 +209,9 @@ PERIODS = np.unique(
 
 
 def window(folder: Path, _rngs: Rngs) -> Arrays:
-    """What is left to see, without noise, of an Earth that is elsewhere since always: ``share`` in claimed deviations, by period of
-    a swing; of errors of old ephemerides ``shown (T, 1, 3)`` km by fixes, and what the errors of Earth and Sun are."""
+    """What is left to see, without noise, of an Earth that is elsewhere since always: ``share`` in
+    claimed deviations, by period of a swing; of errors of old ephemerides ``shown (T, 1, 3)`` km by
+    fixes, and what the errors of Earth and Sun are."""
     heard = clocks(folder, FLOWN, END)
     out: Arrays = {"periods": PERIODS}
 
@@ -213,11 +235,13 @@ def window(folder: Path, _rngs: Rngs) -> Arrays:
     return out | {"share": np.sqrt(left / whole)}
 
 
-# -- what is found ---------------------------------------------------------------------------------------------------------------
+# -- what is found ---------------------------------------------------------------------------------
 SHOWN = ("tkf", "tstdkf", "drift")
 FLIGHTS = {"DE440": "", "DE405": "de405", "DE421": "de421"}
 BLOCK, LONG = 8, 26
-"""Weeks that are drawn together: of fixes, of which neighbors are nearly independent, and of filters."""
+"""Weeks that are drawn together: of fixes, of which neighbors are nearly independent, and of
+filters.
+"""
 
 
 ADDED = "2026-11-23: added when the first results did not tell the drift of the Sun's error from the memory of the clocks."
@@ -324,101 +348,171 @@ def share(period: float, low: float | None, most: float | None) -> Decided:
 
 ROWS = (
     finding(
-        "nanograv-fixes", "A week of arrival times places the Earth to better than 20 km, as four pulsars in a week [Deng2013].",
-        all_of(rms("fixes", "all", None, 20.0), median), figure="figure_01",
+        "nanograv-fixes",
+        "A week of arrival times places the Earth to better than 20 km, as four pulsars in a week "
+        "[Deng2013].",
+        all_of(rms("fixes", "all", None, 20.0), median),
+        figure="figure_01",
         why="20 km is what was found with data of a decade before, for an X-ray telescope on its way to Mars.",
         found="The fixes err {0} km RMS, {1} in the median, with timing models that are up to three and a half years old.",
     ),
     finding(
-        "nanograv-honest", "Fixes are as good as they claim.", consistency("fixes", "all", 0.5, 1.5), figure="figure_01",
+        "nanograv-honest",
+        "Fixes are as good as they claim.",
+        consistency("fixes", "all", 0.5, 1.5),
+        figure="figure_01",
         expected="undecided",
         why="NEES over its dimension is 1 if claims are right; between a half and one and a half they are to a quarter.",
         found="Mean NEES / 3 {0}.",
     ),
     finding(
-        "nanograv-solitary", "Pulsars without companion, of which nothing was fitted in the years flown, do as well.",
+        "nanograv-solitary",
+        "Pulsars without companion, of which nothing was fitted in the years flown, do as well.",
         all_of(rms("fixes", "solitary", None, 20.0), consistency("fixes", "solitary", 0.5, 1.5)),
-        expected="undecided", why="As above.", found="They err {0} km, NEES / 3 is {1}.",
+        expected="undecided",
+        why="As above.",
+        found="They err {0} km, NEES / 3 is {1}.",
     ),
     finding(
-        "nanograv-swallowed", "An old ephemeris is wrong by 100 km, of which its own timing models leave less than 1 km.",
-        all_of(size("de405/earth", "error of DE405", 100.0, None), size("de405/earth shown", "DE405, left to see", None, 1.0),
-             size("de421/earth", "error of DE421", 100.0, None), size("de421/earth shown", "DE421, left to see", None, 1.0)),
-        figure="figure_02", why="1 % of the error.",
+        "nanograv-swallowed",
+        "An old ephemeris is wrong by 100 km, of which its own timing models leave less than 1 km.",
+        all_of(
+            size("de405/earth", "error of DE405", 100.0, None),
+            size("de405/earth shown", "DE405, left to see", None, 1.0),
+            size("de421/earth", "error of DE421", 100.0, None),
+            size("de421/earth shown", "DE421, left to see", None, 1.0),
+        ),
+        figure="figure_02",
+        why="1 % of the error.",
         found="DE405 errs {0} km and shows {1}, DE421 {2} and {3}.",
     ),
     finding(
-        "nanograv-window", "Timing models hide swings of a year and of decades, and no others.",
-        all_of(share(1.0, None, 0.1), share(40.0, None, 0.1), share(0.5, 0.5, None), share(3.0, 0.5, None)), figure="figure_02",
+        "nanograv-window",
+        "Timing models hide swings of a year and of decades, and no others.",
+        all_of(
+            share(1.0, None, 0.1),
+            share(40.0, None, 0.1),
+            share(0.5, 0.5, None),
+            share(3.0, 0.5, None),
+        ),
+        figure="figure_02",
         why="Hidden is less than a tenth; seen is more than a half. Above 1 the models carry on a wrong trend.",
         found="Left are {0} of a swing of a year, {1} of 40 years, {2} of half a year, {3} of three.",
     ),
     finding(
-        "nanograv-ignored", "An ephemeris error that timing models did not learn makes an EKF useless that does not know of it.",
-        all_of(ratio("DE405", "ekf", "tkf", 2.0, None), *(rms("DE405", name, None, None) for name in ("ekf", *SHOWN))),
-        figure="figure_03", why="Twice the error of a filter that does.",
+        "nanograv-ignored",
+        "An ephemeris error that timing models did not learn makes an EKF useless that does not "
+        "know of it.",
+        all_of(
+            ratio("DE405", "ekf", "tkf", 2.0, None),
+            *(rms("DE405", name, None, None) for name in ("ekf", *SHOWN)),
+        ),
+        figure="figure_03",
+        why="Twice the error of a filter that does.",
         found="It errs {0} times what a two-stage filter errs: {1} km, and {2}; strong tracking {3}, growing evenly {4}.",
     ),
     finding(
-        "nanograv-tracking", "Strong tracking is better than a plain second stage, as [Xu2023] has it.",
-        all_of(ratio("DE405", "tstdkf", "tkf", None, 1.0), ratio("DE421", "tstdkf", "tkf", None, 1.0)), figure="figure_03",
+        "nanograv-tracking",
+        "Strong tracking is better than a plain second stage, as [Xu2023] has it.",
+        all_of(
+            ratio("DE405", "tstdkf", "tkf", None, 1.0), ratio("DE421", "tstdkf", "tkf", None, 1.0)
+        ),
+        figure="figure_03",
         expected="undecided",
-        why="What the paper says of every setting with colored noise.", found="Its error is {0} and {1} times as large.",
+        why="What the paper says of every setting with colored noise.",
+        found="Its error is {0} and {1} times as large.",
     ),
     finding(
-        "nanograv-claims", "Filters that take fixes of different weeks for independent are overconfident; one that knows "
+        "nanograv-claims",
+        "Filters that take fixes of different weeks for independent are overconfident; one that "
+        "knows "
         "that those of timing models stay is consistent.",
-        all_of(consistency("DE440", "ekf", 2.0, None), *(consistency(by, "clocks", None, 1.5) for by in ("DE440", "DE405"))),
-        figure="figure_03", expected="undecided", why="Twice the claimed variance, and no more than one and a half times.",
+        all_of(
+            consistency("DE440", "ekf", 2.0, None),
+            *(consistency(by, "clocks", None, 1.5) for by in ("DE440", "DE405")),
+        ),
+        figure="figure_03",
+        expected="undecided",
+        why="Twice the claimed variance, and no more than one and a half times.",
         found="NEES / 3 of the EKF is {0} where its ephemeris is right, that of the other {1}, and {2} with DE405.",
     ),
     finding(
-        "nanograv-drift", "A filter that lets the Sun's error grow evenly beats two stages, boosted or not.",
-        all_of(*(ratio(by, "drift", name, None, 1.0) for by in ("DE405", "DE421") for name in ("tkf", "tstdkf"))),
-        why="Better than each.", figure="figure_03", revised=ADDED,
+        "nanograv-drift",
+        "A filter that lets the Sun's error grow evenly beats two stages, boosted or not.",
+        all_of(
+            *(
+                ratio(by, "drift", name, None, 1.0)
+                for by in ("DE405", "DE421")
+                for name in ("tkf", "tstdkf")
+            )
+        ),
+        why="Better than each.",
+        figure="figure_03",
+        revised=ADDED,
         found="Its error is {0} and {1} of theirs with DE405, {2} and {3} with DE421.",
     ),
     finding(
-        "nanograv-memory", "Arrivals in place of fixes make that filter no better, but several times more honest.",
-        all_of(ratio("DE405", "clocks", "drift", 0.5, 2.0), *(claimed(by, "drift", "clocks", 2.0, None) for by in FLIGHTS)),
-        why="The same to a factor of two; twice the ratio of errors to claims, in squares.", figure="figure_03", revised=ADDED,
+        "nanograv-memory",
+        "Arrivals in place of fixes make that filter no better, but several times more honest.",
+        all_of(
+            ratio("DE405", "clocks", "drift", 0.5, 2.0),
+            *(claimed(by, "drift", "clocks", 2.0, None) for by in FLIGHTS),
+        ),
+        why="The same to a factor of two; twice the ratio of errors to claims, in squares.",
+        figure="figure_03",
+        revised=ADDED,
         found="Its error is {0} as large; NEES with fixes is {1}, {2} and {3} times as large, by DE440, DE405 and DE421.",
     ),
-)  # fmt: skip
+)
 
 STUDY = Study(
-    "nanograv", GROUPS, trial, parts, ROWS,
+    "nanograv",
+    GROUPS,
+    trial,
+    parts,
+    ROWS,
     says="NANOGrav's millisecond pulsars, timed until 2017, tell where the Earth was in the years after. What can they see of it, "
     "and what do the filters of the pulsar paper make of ephemerides that were really wrong?",
     found=(
         Sentence(
-            "Weekly fixes err {nanograv-fixes[0]:.2f} km RMS, {nanograv-fixes[1]:.2f} in the median.", {"nanograv-fixes": "shown"}
+            "Weekly fixes err {nanograv-fixes[0]:.2f} km RMS, {nanograv-fixes[1]:.2f} in the "
+            "median.",
+            {"nanograv-fixes": "shown"},
         ),
         Sentence(
-            "DE405 and DE421 are wrong by {nanograv-swallowed[0]:.0f} km, but timing models made with them hide all but "
+            "DE405 and DE421 are wrong by {nanograv-swallowed[0]:.0f} km, but timing models made "
+            "with them hide all but "
             "{nanograv-swallowed[1]:.1f} and {nanograv-swallowed[3]:.1f} km.",
             {"nanograv-swallowed": "shown"},
         ),
         Sentence(
-            "Where they were made with another, an EKF errs by {nanograv-ignored[1]:.0f} km, two stages by "
-            "{nanograv-ignored[2]:.1f}, strong tracking by {nanograv-ignored[3]:.1f}, a filter that lets the error grow by "
+            "Where they were made with another, an EKF errs by {nanograv-ignored[1]:.0f} km, two "
+            "stages by "
+            "{nanograv-ignored[2]:.1f}, strong tracking by {nanograv-ignored[3]:.1f}, a filter "
+            "that lets the error grow by "
             "{nanograv-ignored[4]:.1f}.",
             {"nanograv-ignored": "shown"},
         ),
-        Sentence("Least overconfident of them is the one that remembers its clocks.", {"nanograv-memory": "shown"}),
+        Sentence(
+            "Least overconfident of them is the one that remembers its clocks.",
+            {"nanograv-memory": "shown"},
+        ),
     ),
     figure="figure_02",
-)  # fmt: skip
+)
 
 
-# -- shown -----------------------------------------------------------------------------------------------------------------------
+# -- shown -----------------------------------------------------------------------------------------
 AXES, SHADES = ("x", "y", "z"), (colors.COMPARISON, colors.ESTIMATE, colors.TRUTH)
 LINES = {
-    "ekf": Line("EKF", colors.OPEN_LOOP), "tkf": Line("TKF", colors.COMPARISON), "tdkf": Line("TDKF", colors.FAINT, "--", 0.9),
-    "tstdkf": Line("TSTDKF", colors.ESTIMATE), "aug": Line("augmented", colors.REFERENCE),
+    "ekf": Line("EKF", colors.OPEN_LOOP),
+    "tkf": Line("TKF", colors.COMPARISON),
+    "tdkf": Line("TDKF", colors.FAINT, "--", 0.9),
+    "tstdkf": Line("TSTDKF", colors.ESTIMATE),
+    "aug": Line("augmented", colors.REFERENCE),
     "drift": Line("Sun's error grows evenly", colors.MEASUREMENT, width=1.9),
     "clocks": Line("so, and knows its clocks", colors.TRUTH, width=1.9),
-}  # fmt: skip
+}
 
 
 def weeks(r: Results) -> Figure:
@@ -440,8 +534,10 @@ def weeks(r: Results) -> Figure:
     more = {"ylim": (-1.0, 1.0)}
     return panels(
         Panel("Weekly fixes of the Earth, less DE440", above, "year", "error (km)", more=more),
-        Panel("Their length, and what they claim", below, "year", "km", "y"), size=(8.0, 5.6), sharex=True,
-    )  # fmt: skip
+        Panel("Their length, and what they claim", below, "year", "km", "y"),
+        size=(8.0, 5.6),
+        sharex=True,
+    )
 
 
 def hidden(r: Results) -> Figure:
@@ -459,9 +555,25 @@ def hidden(r: Results) -> Figure:
         {"how wrong it is": (off, colors.PAPER), "left to see": (left, colors.COMPARISON)},
     )
     return panels(
-        [Panel("What timing models leave of a swing", swing, "period (years)", "share that is seen", "xy"),
-         Panel("The Earth's place, 2017 to 2020", [error], "", "RMS (km)", "y", {"ylim": (0.05, 500.0)})], size=(10.0, 3.6),
-    )  # fmt: skip
+        [
+            Panel(
+                "What timing models leave of a swing",
+                swing,
+                "period (years)",
+                "share that is seen",
+                "xy",
+            ),
+            Panel(
+                "The Earth's place, 2017 to 2020",
+                [error],
+                "",
+                "RMS (km)",
+                "y",
+                {"ylim": (0.05, 500.0)},
+            ),
+        ],
+        size=(10.0, 3.6),
+    )
 
 
 def flights(r: Results) -> Figure:
@@ -503,7 +615,8 @@ def table(r: Results) -> Rows:
 FIGURES = {
     "figure_01": ("Weekly fixes of the Earth by pulsars alone.", weeks),
     "figure_02": (
-        "What timing models hide: a swing of the Earth by its period, and the errors of old ephemerides.",
+        "What timing models hide: a swing of the Earth by its period, and the errors of old "
+        "ephemerides.",
         hidden,
     ),
     "figure_03": ("Errors of the filters with a right ephemeris and with two wrong ones.", flights),
@@ -513,7 +626,9 @@ RECORDINGS = ["nanograv.rrd"]
 
 
 def record(r: Results, outputs: Outputs) -> list[str]:
-    """The pulsars around the barycenter, the Earth on its way, and its fixes ten million times as far from it as they are."""
+    """The pulsars around the barycenter, the Earth on its way, and its fixes ten million times as
+    far from it as they are.
+    """
     folder: Path = r.parts["fixes"].config
     stars = np.stack([c.arrivals.n for c in clocks(folder, FLOWN, END)])
     day, error = r.get("fixes", "all/day"), r.get("fixes", "all/error")[:, 0]
@@ -525,8 +640,12 @@ def record(r: Results, outputs: Outputs) -> list[str]:
         out.points("sky/earth/now", earth, colors.TRUTH, radius=5.0, label="Earth")
         out.points("sky/fix", earth + error / 15.0, colors.ESTIMATE, radius=4.0)
 
-    plots = {axis: Plot(f"fix {axis}, error in km", {"fix": Curve(error[:, i], colors.ESTIMATE, "weekly fix")})
-             for i, axis in enumerate("xyz")}  # fmt: skip
+    plots = {
+        axis: Plot(
+            f"fix {axis}, error in km", {"fix": Curve(error[:, i], colors.ESTIMATE, "weekly fix")}
+        )
+        for i, axis in enumerate("xyz")
+    }
     notes = "# The Earth by millisecond pulsars\nRays point to the pulsars; units are AU."
     sky = Space("sky", "Earth and pulsars", (2.5, -2.5, 1.8), growing=("sky/earth",))
     show = Showcase(

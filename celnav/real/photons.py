@@ -1,4 +1,6 @@
-"""Photons of an X-ray pulsar, the orbit of the satellite that caught them, the pulsar's timing model: what their files hold."""
+"""Photons of an X-ray pulsar, the orbit of the satellite that caught them, the pulsar's timing
+model: what their files hold.
+"""
 
 from __future__ import annotations
 
@@ -20,14 +22,14 @@ from celnav.models.ephemeris import DAY_S, Tdb, de421, from_tt
 from celnav.models.pulsar import LIGHT_KM_S, Pulsar, Timing
 from celnav.real import found
 
-__all__ = ["read", "read_par", "table"]
-
 CHANNELS, LEAST_PHOTONS, LEAST_S = (5, 49), 1000, 480.0
 """Channels of the detector that are taken; fewer photons, or a shorter time, are refused."""
 
 
 class Spin(NamedTuple):
-    """A timing model: pulsar; epoch (MJD, TDB); frequency and its derivatives ``(k,)``, 1/s, 1/s^2, ..."""
+    """A timing model: pulsar; epoch (MJD, TDB); frequency and its derivatives ``(k,)``, 1/s, 1/s^2,
+    ...
+    """
 
     pulsar: Pulsar
     epoch: float
@@ -42,8 +44,8 @@ class Spin(NamedTuple):
 
 
 class Photons(NamedTuple):
-    """Photons: seconds since the first, and since the spin's epoch (TDB), ``(N,)``; where the satellite was, from the Earth's
-    center, Earth and Sun from the barycenter, ``(N, 3)`` km."""
+    """Photons: seconds since the first, and since the spin's epoch (TDB), ``(N,)``; where the
+    satellite was, from the Earth's center, Earth and Sun from the barycenter, ``(N, 3)`` km."""
 
     t: Array
     since: Array
@@ -58,7 +60,9 @@ class Photons(NamedTuple):
         return np.asarray(self.place @ self.spin.pulsar.direction)
 
     def cycles(self, part: float | None) -> Array:
-        """Pulses ``(N,)`` with the satellite at a part of its way from the Earth's center; None: as its own clock has them."""
+        """Pulses ``(N,)`` with the satellite at a part of its way from the Earth's center; None: as
+        its own clock has them.
+        """
         if part is None:
             return self.spin.cycles(self.since)
         delay = Timing([self.spin.pulsar]).delay(self.earth + part * self.place, self.sun)[:, 0]
@@ -72,7 +76,8 @@ def table(
 
     Raises
     ------
-    ImportError: where astropy is missing; the message says how to get it. InputError: naming the file, if it is none or damaged.
+    ImportError: where astropy is missing; the message says how to get it. InputError: naming the
+    file, if it is none or damaged.
     """
     with needed_by(f"{path}: a FITS file", "real"):
         from astropy.io import fits
@@ -90,7 +95,8 @@ def table(
                 offsets = [float(header[key]) for key in ("MJDREFI", "MJDREFF", "TIMEZERO")]
     except Exception as error:  # astropy raises whatever the bytes lead it to
         raise InputError(
-            f"{path}: expected a FITS file with a table {extension} of {', '.join(columns)} ({error})"
+            f"{path}: expected a FITS file with a table {extension} of {', '.join(columns)} "
+            f"({error})"
         ) from None
     if header["TIMESYS"] != "TT" or not np.isfinite(offsets).all() or not 4e4 < offsets[0] < 1e5:
         raise InputError(f"{path}: expected times in TT after MJDREFI + MJDREFF, got {header}")
@@ -107,7 +113,8 @@ def read_par(path: Path) -> Spin:
 
     Raises
     ------
-    InputError: naming the file, and the line or the name that is missing; for a pulsar with a companion.
+    InputError: naming the file, and the line or the name that is missing; for a pulsar with a
+    companion.
     """
     try:
         words = [line.split() for line in path.read_text(encoding="ascii").splitlines()]
@@ -169,8 +176,8 @@ def read(folder: Path) -> Photons:
 
     Raises
     ------
-    FileNotFoundError: naming the folder. ImportError, InputError: see `table` and `read_par`; where the orbit is not that of the
-    events, or there are too few of them.
+    FileNotFoundError: naming the folder. ImportError, InputError: see `table` and `read_par`; where
+    the orbit is not that of the events, or there are too few of them.
     """
     events, orbit, model = found(folder, ["*.fits*", "FPorbit*", "*.par"])
     spin = read_par(model)
@@ -183,18 +190,21 @@ def read(folder: Path) -> Photons:
     ]
     if len(t) < LEAST_PHOTONS or t[-1] - t[0] < LEAST_S:
         raise InputError(
-            f"{events}: expected {LEAST_PHOTONS} photons or more in {LEAST_S:g} s or more, got {len(t)}"
+            f"{events}: expected {LEAST_PHOTONS} photons or more in {LEAST_S:g} s or more, got "
+            f"{len(t)}"
         )
     met = t + (begun[0] - begun[1]) * DAY_S
     if (np.diff(at) <= 0.0).any() or met[0] < at[0] or met[-1] > at[-1]:
         raise InputError(
-            f"{orbit}: expected the orbit from {met[0]:.0f} to {met[-1]:.0f} s, got {at[0]:.0f} to {at[-1]:.0f}"
+            f"{orbit}: expected the orbit from {met[0]:.0f} to {met[-1]:.0f} s, got {at[0]:.0f} to "
+            f"{at[-1]:.0f}"
         )
     r, v = np.stack(state[:3], 1) / 1e3, np.stack(state[3:], 1) / 1e3
     radius = np.linalg.norm(r, axis=1)
     if radius.min() < 6378.0 or radius.max() > 1e6:
         raise InputError(
-            f"{orbit}: expected places (m) above the Earth, got {radius.min():.0f} to {radius.max():.0f} km from its center"
+            f"{orbit}: expected places (m) above the Earth, got {radius.min():.0f} to "
+            f"{radius.max():.0f} km from its center"
         )
     near = slice(np.searchsorted(at, met[0], "right") - 1, np.searchsorted(at, met[-1]) + 1)
     place = CubicHermiteSpline(at[near], r[near], v[near])(met)

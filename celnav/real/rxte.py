@@ -1,15 +1,20 @@
-"""X-ray photons of a pulsar and the satellite that caught them: where it was along the line of sight, by its photons alone.
+"""X-ray photons of a pulsar and the satellite that caught them: where it was along the line of
+sight, by its photons alone.
 
-RXTE and PSR B1509-58, an hour of 15 January 2011 [Luo2021]. The time of a photon is carried to the barycenter by the delay of
-`celnav.models.pulsar.Timing` (Roemer, parallax, Shapiro), with TT made TDB (Einstein), for a place where the satellite may have
-been: none (its own clock), the Earth's center, its orbit. Which folds best is told by the H-test [DeJager1989].
+RXTE and PSR B1509-58, an hour of 15 January 2011 [Luo2021]. The time of a photon is carried to the
+barycenter by the delay of `celnav.models.pulsar.Timing` (Roemer, parallax, Shapiro), with TT made
+TDB (Einstein), for a place where the satellite may have been: none (its own clock), the Earth's
+center, its orbit. Which folds best is told by the H-test [DeJager1989].
 
-Written down before a result was seen: the hour is cut into pieces of two minutes. A light curve, of as many harmonics as the H-test
-takes, is made of every other piece, with the satellite where it was; by it the pieces between are shifted, for largest likelihood,
-from where they fold at the Earth's center. Then the other way round. A shift claims what Fisher's information of the light curve
-says of so many photons, and what the light curve itself may be off. No orbit is used for a shift. Channels 5 to 49 are taken.
+Written down before a result was seen: the hour is cut into pieces of two minutes. A light curve, of
+as many harmonics as the H-test takes, is made of every other piece, with the satellite where it
+was; by it the pieces between are shifted, for largest likelihood, from where they fold at the
+Earth's center. Then the other way round. A shift claims what Fisher's information of the light
+curve says of so many photons, and what the light curve itself may be off. No orbit is used for a
+shift. Channels 5 to 49 are taken.
 
-The timing model is that of a .par file: direction, spin and its derivatives. Pulsars with companions are left out.
+The timing model is that of a .par file: direction, spin and its derivatives. Pulsars with
+companions are left out.
 """
 
 from __future__ import annotations
@@ -39,11 +44,6 @@ if TYPE_CHECKING:
     from celnav.files import Outputs
     from celnav.show.recording import Recorder
 
-__all__ = [
-    "CITATION", "FIGURES", "INPUTS", "PLACES", "RECORDINGS", "SHIFTS", "STUDY", "TABLES", "TITLE", "Light", "folded", "h_test",
-    "harmonics", "parts", "placed", "record", "shifted",
-]  # fmt: skip
-
 TITLE = "A satellite by the photons of a pulsar"
 CITATION = citation("Luo2021")
 INPUTS = ("rxte",)
@@ -54,19 +54,23 @@ PLACES = ("own clock", "Earth's center", "orbit")
 GROUPS = (Group("line of sight", "km", slice(0, 1)),)
 
 
-# -- folding -------------------------------------------------------------------------------------------------------------------
+# -- folding ---------------------------------------------------------------------------------------
 ORDERS = np.arange(1, MOST_HARMONICS + 1)
 
 
 def harmonics(cycles: Array, block: Array) -> Array:
-    """Sums over the photons of each block, ``(blocks, 1 + 2 k)``: how many, cosines and sines of all harmonics."""
+    """Sums over the photons of each block, ``(blocks, 1 + 2 k)``: how many, cosines and sines of
+    all harmonics.
+    """
     angle = 2.0 * np.pi * np.outer(cycles % 1.0, ORDERS)
     values = np.concatenate([np.ones((len(angle), 1)), np.cos(angle), np.sin(angle)], 1)
     return np.stack([values[block == b].sum(0) for b in range(block.max() + 1)])
 
 
 def power(sums: Array) -> Array:
-    """``Z^2_m - 4 m + 4 (..., k)`` of summed `harmonics`, of which the H-test takes the largest [DeJager1989]."""
+    """``Z^2_m - 4 m + 4 (..., k)`` of summed `harmonics`, of which the H-test takes the largest
+    [DeJager1989].
+    """
     squares = np.square(sums[..., 1:]).reshape(*sums.shape[:-1], 2, MOST_HARMONICS).sum(-2)
     return np.asarray(np.cumsum(2.0 * squares / sums[..., :1], -1) - 4.0 * ORDERS + 4.0)
 
@@ -112,7 +116,9 @@ SHIFTS = np.arange(-0.5, 0.5, 1.0 / 512.0)
 
 
 def shifted(light: Light, phase: Array) -> tuple[float, Array]:
-    """Shift (cycles) of largest likelihood, by a parabola between `SHIFTS`; log-likelihoods of all of them, less the largest."""
+    """Shift (cycles) of largest likelihood, by a parabola between `SHIFTS`; log-likelihoods of all
+    of them, less the largest.
+    """
     table = np.log(light(np.arange(4096) / 4096.0))
     logs = np.array(
         [table[np.round((phase + s) % 1.0 * 4096.0).astype(int) % 4096].sum() for s in SHIFTS]
@@ -125,9 +131,11 @@ def shifted(light: Light, phase: Array) -> tuple[float, Array]:
     ), logs - top
 
 
-# -- what is computed ------------------------------------------------------------------------------------------------------------
+# -- what is computed ------------------------------------------------------------------------------
 def folded(folder: Path, _rngs: Rngs) -> Arrays:
-    """`harmonics` of short blocks for each of `PLACES`, and for parts of the way from the Earth's center to the orbit."""
+    """`harmonics` of short blocks for each of `PLACES`, and for parts of the way from the Earth's
+    center to the orbit.
+    """
     p = read(folder)
     block = np.unique((p.t // SHORT_S).astype(int), return_inverse=True)[1]
     out = {
@@ -136,13 +144,17 @@ def folded(folder: Path, _rngs: Rngs) -> Arrays:
     }
     scales = np.stack([harmonics(p.cycles(part), block) for part in PARTS])
     phase = np.linspace(0.0, 1.0, 65)
-    return out | {"scales": np.moveaxis(scales, 0, 1), "phase": phase, "counts": np.histogram(p.cycles(1.0) % 1.0, phase[::2])[0],
-                  "light": Light.of(out["orbit"].sum(0))(phase)}  # fmt: skip
+    return out | {
+        "scales": np.moveaxis(scales, 0, 1),
+        "phase": phase,
+        "counts": np.histogram(p.cycles(1.0) % 1.0, phase[::2])[0],
+        "light": Light.of(out["orbit"].sum(0))(phase),
+    }
 
 
 def placed(folder: Path, _rngs: Rngs) -> Arrays:
-    """Each piece placed by the light curve of the others: middle (s), place, truth, claimed deviation (km), ``(T,)``, and by how
-    much the truth's log-likelihood is below the largest."""
+    """Each piece placed by the light curve of the others: middle (s), place, truth, claimed
+    deviation (km), ``(T,)``, and by how much the truth's log-likelihood is below the largest."""
     p = read(folder)
     piece = (p.t // PIECE_S).astype(int)
     center, orbit, km = p.cycles(0.0), p.cycles(1.0), LIGHT_KM_S * p.spin.pulsar.period_s
@@ -165,7 +177,7 @@ def placed(folder: Path, _rngs: Rngs) -> Arrays:
     )
 
 
-# -- what is found ---------------------------------------------------------------------------------------------------------------
+# -- what is found ---------------------------------------------------------------------------------
 BLOCK, PIECES = 4, 3
 """Short blocks, and pieces, that are drawn together."""
 
@@ -221,53 +233,86 @@ def rms(*arrays: Array) -> float:
 
 ROWS = (
     finding(
-        "rxte-sharper", "Photons fold better at the Earth's center than by the satellite's clock, and best where it was.",
-        all_of(sharper("Earth's center", "own clock"), sharper("orbit", "Earth's center")), figure="figure_01",
-        expected="undecided", why="More is better.",
+        "rxte-sharper",
+        "Photons fold better at the Earth's center than by the satellite's clock, and best where "
+        "it was.",
+        all_of(sharper("Earth's center", "own clock"), sharper("orbit", "Earth's center")),
+        figure="figure_01",
+        expected="undecided",
+        why="More is better.",
         found="H grows by {0} with the Earth's place, by {1} more with the orbit.",
     ),
     finding(
-        "rxte-scale", "The photons know how large the orbit is.",
-        lambda r: estimate("part of the orbit that folds best", best, [r.get("folded", "scales")], (0.5, 1.5), BLOCK),
-        figure="figure_02", expected="undecided", why="Nearer to the orbit than to the Earth's center, or to twice the orbit.",
+        "rxte-scale",
+        "The photons know how large the orbit is.",
+        lambda r: estimate(
+            "part of the orbit that folds best",
+            best,
+            [r.get("folded", "scales")],
+            (0.5, 1.5),
+            BLOCK,
+        ),
+        figure="figure_02",
+        expected="undecided",
+        why="Nearer to the orbit than to the Earth's center, or to twice the orbit.",
         found="Best is {0} of it.",
     ),
     finding(
-        "rxte-place", "Two minutes of photons place the satellite along the line of sight to less than the radius of the Earth.",
-        place("RMS error (km)", rms, None, 6378.0, "place", "truth"), figure="figure_03",
-        why="Less would not tell one side of the Earth from the other.", found="The error is {0} km RMS.",
+        "rxte-place",
+        "Two minutes of photons place the satellite along the line of sight to less than the "
+        "radius of the Earth.",
+        place("RMS error (km)", rms, None, 6378.0, "place", "truth"),
+        figure="figure_03",
+        why="Less would not tell one side of the Earth from the other.",
+        found="The error is {0} km RMS.",
     ),
     finding(
-        "rxte-claims", "Places are as good as Fisher's information claims.",
-        place("RMS error / claimed", rms, 0.7, 1.4, "place", "truth", "std"), figure="figure_03",
-        expected="undecided", why="Half to twice the claimed variance.", found="Errors are {0} times what is claimed.",
+        "rxte-claims",
+        "Places are as good as Fisher's information claims.",
+        place("RMS error / claimed", rms, 0.7, 1.4, "place", "truth", "std"),
+        figure="figure_03",
+        expected="undecided",
+        why="Half to twice the claimed variance.",
+        found="Errors are {0} times what is claimed.",
     ),
     finding(
-        "rxte-likelihood", "Intervals of the likelihood hold the truth as often as they should.",
-        all_of(place("inside 68 %", inside(1.0), 0.5, 0.85, "below"), place("inside 95 %", inside(3.84), 0.85, 1.0, "below")),
-        figure="figure_03", expected="undecided", why="Two binomial deviations of thirty pieces.",
+        "rxte-likelihood",
+        "Intervals of the likelihood hold the truth as often as they should.",
+        all_of(
+            place("inside 68 %", inside(1.0), 0.5, 0.85, "below"),
+            place("inside 95 %", inside(3.84), 0.85, 1.0, "below"),
+        ),
+        figure="figure_03",
+        expected="undecided",
+        why="Two binomial deviations of thirty pieces.",
         found="Inside are {0} and {1} of the pieces.",
     ),
-)  # fmt: skip
+)
 
 STUDY = Study(
-    "rxte", GROUPS, None, parts, ROWS,
+    "rxte",
+    GROUPS,
+    None,
+    parts,
+    ROWS,
     says="RXTE counted photons of a young pulsar for an hour. Do they show where the satellite was, and how well do they know it?",
     found=(
         Sentence(
-            "Two minutes of photons place it to {rxte-place[0]:.0f} km along the line of sight.", {"rxte-place": "shown"}
+            "Two minutes of photons place it to {rxte-place[0]:.0f} km along the line of sight.",
+            {"rxte-place": "shown"},
         ),
         Sentence(
-            "That this is as good as predicted ({rxte-claims[0]:.2f} times), and that the orbit sharpens the pulse beyond the "
+            "That this is as good as predicted ({rxte-claims[0]:.2f} times), and that the orbit "
+            "sharpens the pulse beyond the "
             "Earth's place, the hour leaves undecided.",
             {"rxte-claims": "undecided", "rxte-sharper": "undecided"},
         ),
     ),
     figure="figure_03",
-)  # fmt: skip
+)
 
 
-# -- shown -----------------------------------------------------------------------------------------------------------------------
+# -- shown -----------------------------------------------------------------------------------------
 LOOKS = dict(zip(PLACES, (colors.OPEN_LOOP, colors.COMPARISON, colors.TRUTH), strict=True))
 
 
@@ -275,22 +320,36 @@ def pulse(r: Results) -> Figure:
     """The light curve at the orbit, and what the harmonics have for each place."""
     phase, counts = r.get("folded", "phase"), r.get("folded", "counts")
     steps = np.append(counts, counts[0]) / counts.mean()
-    light = [curve(phase[::2], steps, label="photons", color=colors.SIGMA, drawstyle="steps-post"),
-             curve(phase, r.get("folded", "light"), label="light curve", color=LOOKS["orbit"])]  # fmt: skip
+    light = [
+        curve(phase[::2], steps, label="photons", color=colors.SIGMA, drawstyle="steps-post"),
+        curve(phase, r.get("folded", "light"), label="light curve", color=LOOKS["orbit"]),
+    ]
     sums = {k: r.get("folded", k) for k in PLACES}
     tests = [
         curve(ORDERS, power(x.sum(0)), Line(f"{k}: H = {h_test(x):.0f}", LOOKS[k]), marker=".")
         for k, x in sums.items()
     ]
-    return panels([Panel("Folded where the satellite was", light, "phase (cycles)", "photons, over their mean"),
-                   Panel("The H-test", tests, "harmonics m", "Z² − 4 m + 4")], size=(10.0, 3.8))  # fmt: skip
+    return panels(
+        [
+            Panel(
+                "Folded where the satellite was",
+                light,
+                "phase (cycles)",
+                "photons, over their mean",
+            ),
+            Panel("The H-test", tests, "harmonics m", "Z² − 4 m + 4"),
+        ],
+        size=(10.0, 3.8),
+    )
 
 
 def scaled(r: Results) -> Figure:
     """H for a satellite at a part of its way from the Earth's center."""
     h = power(r.get("folded", "scales").sum(0)).max(-1)
-    marks = [level(0.0, label="Earth's center", color=LOOKS["Earth's center"], upright=True),
-             level(1.0, label="orbit", color=LOOKS["orbit"], upright=True)]  # fmt: skip
+    marks = [
+        level(0.0, label="Earth's center", color=LOOKS["Earth's center"], upright=True),
+        level(1.0, label="orbit", color=LOOKS["orbit"], upright=True),
+    ]
     return panels(
         Panel(
             "What folds best", [curve(PARTS, h, color="black"), *marks], "part of the orbit", "H"
@@ -337,7 +396,8 @@ def table(r: Results) -> Rows:
 
 FIGURES = {
     "figure_01": (
-        "The pulse, and how well it folds by the satellite's clock, at the Earth's center and on the orbit.",
+        "The pulse, and how well it folds by the satellite's clock, at the Earth's center and on "
+        "the orbit.",
         pulse,
     ),
     "figure_02": ("The orbit, scaled: the photons fold best where the satellite was.", scaled),
@@ -351,7 +411,9 @@ RECORDINGS = ["rxte.rrd"]
 
 
 def record(r: Results, outputs: Outputs) -> list[str]:
-    """The orbit around the Earth, the direction of the pulsar, and the plane in which each piece puts the satellite."""
+    """The orbit around the Earth, the direction of the pulsar, and the plane in which each piece
+    puts the satellite.
+    """
     p, t = read(r.parts["placed"].config), r.get("placed", "middle")
     n, at = (
         p.spin.pulsar.direction,
@@ -374,8 +436,10 @@ def record(r: Results, outputs: Outputs) -> list[str]:
         )
 
     found, truth = (r.get("placed", what) / 1e3 for what in ("place", "truth"))
-    curves = {"orbit": Curve(truth, colors.TRUTH, "orbit"),
-              "found": Curve(found, colors.ESTIMATE, "by photons", r.get("placed", "std") / 1e3, found)}  # fmt: skip
+    curves = {
+        "orbit": Curve(truth, colors.TRUTH, "orbit"),
+        "found": Curve(found, colors.ESTIMATE, "by photons", r.get("placed", "std") / 1e3, found),
+    }
     plots = {"line": Plot("toward the pulsar, 1000 km from the Earth's center", curves)}
     notes = "# A satellite by the photons of a pulsar\nThe ray points to PSR B1509-58, in 1000 km. Across it photons say nothing."
     space = Space("sky", "RXTE and a pulsar", (-14.0, -22.0, 8.0), growing=("sky/orbit",))

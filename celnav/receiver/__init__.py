@@ -1,4 +1,6 @@
-"""A BeiDou receiver's own log: RINEX files, positions, fixes without a prior (`least_squares`), and what is said of them."""
+"""A BeiDou receiver's own log: RINEX files, positions, fixes without a prior (`least_squares`), and
+what is said of them.
+"""
 
 from celnav.lazy import modules
 

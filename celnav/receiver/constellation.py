@@ -1,6 +1,7 @@
 """A synthetic sky: broadcast elements of 32 satellites that move as two bodies do.
 
-Five geostationary, three inclined geosynchronous on one ground track, and a Walker constellation 24/3/1.
+Five geostationary, three inclined geosynchronous on one ground track, and a Walker constellation
+24/3/1.
 """
 
 from __future__ import annotations
@@ -21,8 +22,6 @@ from celnav.models.gnss import (
 )
 from celnav.models.orbit import Earth, from_elements, to_elements
 
-__all__ = ["GEOSTATIONARY", "TOE_S", "geostationary", "synthetic"]
-
 POINT = Earth(mu=1e-9 * GRAVITY_PARAMETER, j2=0.0)
 """Satellites move as two bodies do."""
 SYNCHRONOUS_M = (GRAVITY_PARAMETER / ROTATION_RATE**2) ** (1.0 / 3.0)
@@ -41,7 +40,9 @@ TOE_S = 345600.0
 
 
 def geostationary(number: int, elapsed_s: float = 0.0) -> Array:
-    """State ``(6,)`` km, km/s some time after the reference time; the axes are those that are Earth-fixed at that, and stay."""
+    """State ``(6,)`` km, km/s some time after the reference time; the axes are those that are
+    Earth-fixed at that, and stay.
+    """
     longitude, i, Omega = np.radians(
         GEOSTATIONARY[checks.choice("number", number, GEOSTATIONARY)]
     ).tolist()
@@ -57,7 +58,9 @@ def geostationary(number: int, elapsed_s: float = 0.0) -> Array:
 
 
 def synthetic(toe: float = TOE_S) -> Broadcast:
-    """Broadcast elements of the 32 satellites at a reference time, s of BDT; their clocks are right."""
+    """Broadcast elements of the 32 satellites at a reference time, s of BDT; their clocks are
+    right.
+    """
     toe = checks.number("toe", toe)
     rows: dict[int, tuple[float, ...]] = {}
     for number in GEOSTATIONARY:
@@ -80,6 +83,15 @@ def synthetic(toe: float = TOE_S) -> Broadcast:
     a, e, i, Omega, omega, M = np.array(list(rows.values())).T
     zeros = {field.name: np.zeros(len(rows)) for field in fields(Broadcast)}
     when = np.full(len(rows), toe)
-    given = {"number": np.array(list(rows), float), "toe": when, "toc": when, "sqrt_a": np.sqrt(a), "e": e, "i0": i,
-             "Omega0": Omega + ROTATION_RATE * np.mod(toe, 604800.0), "omega": omega, "M0": M}  # fmt: skip
+    given = {
+        "number": np.array(list(rows), float),
+        "toe": when,
+        "toc": when,
+        "sqrt_a": np.sqrt(a),
+        "e": e,
+        "i0": i,
+        "Omega0": Omega + ROTATION_RATE * np.mod(toe, 604800.0),
+        "omega": omega,
+        "M0": M,
+    }
     return Broadcast(**(zeros | given))

@@ -1,4 +1,6 @@
-"""Half a day of a station: what filters do with it, what a burst that is added does, and the orbits that were sent."""
+"""Half a day of a station: what filters do with it, what a burst that is added does, and the orbits
+that were sent.
+"""
 
 from __future__ import annotations
 
@@ -25,8 +27,6 @@ from celnav.study.study import Rngs
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["JUDGED", "drawn", "flown", "formulas", "found", "positioned", "rms"]
-
 HALF_DAY_S = 43200.0
 EPOCHS, AFTER = 40, 10
 """Length of the burst that is added, and of what is judged after it."""
@@ -42,7 +42,9 @@ class Files(NamedTuple):
 
 
 def found(folder: Path | None) -> Files | None:
-    """The files in a folder, or in ``rinex`` here, if there is one; FileNotFoundError if a folder is named that has none."""
+    """The files in a folder, or in ``rinex`` here, if there is one; FileNotFoundError if a folder
+    is named that has none.
+    """
     where = Path("rinex") if folder is None else Path(folder)
     pair = (
         [sorted(where.glob(pattern)) for pattern in ("*_MO.*", "*_MN.*")]
@@ -59,20 +61,25 @@ def found(folder: Path | None) -> Files | None:
 
 
 def _read(files: Files) -> tuple[Observations, Navigation, Array]:
-    """The first half day of BeiDou's satellites, broadcast elements, and the position ``(3,)`` m in the header."""
+    """The first half day of BeiDou's satellites, broadcast elements, and the position ``(3,)`` m in
+    the header.
+    """
     observations = read_observations(files.observations, strict=True).of("C")
     navigation = read_navigation(files.navigation, strict=True)
     reference = observations.reference()
     if reference is None:
         raise InputError(
-            f"{files.observations}: expected the receiver's position in the header to compare with, got none"
+            f"{files.observations}: expected the receiver's position in the header to compare "
+            "with, got none"
         )
     half = observations.part(observations.times < observations.times[0] + HALF_DAY_S)
     return half, navigation, reference
 
 
 def _prepared(half: Observations, navigation: Navigation, mask_deg: float) -> Log:
-    """What a burst does is the filters' to weather: nothing is excluded, and the noise is what is taken for it."""
+    """What a burst does is the filters' to weather: nothing is excluded, and the noise is what is
+    taken for it.
+    """
     return prepare(half, navigation, mask_deg=mask_deg, sigma=GIVEN, false_alarm=0.0)
 
 
@@ -92,13 +99,15 @@ def positioned(files: Files, filter: str, mask_deg: float) -> Positioned:
 def flown(
     files: Files, rngs: Rngs, names: Sequence[str], sigma: float, mask_deg: float
 ) -> dict[str, Array]:
-    """Filters on the half day as it is, and with noise of ``sigma`` m added to all ranges for `EPOCHS` in its middle.
+    """Filters on the half day as it is, and with noise of ``sigma`` m added to all ranges for
+    `EPOCHS` in its middle.
 
     Returns
     -------
-    times ``(T,)`` s of BDT; during ``(T,)``, the burst and `AFTER` epochs more. Of each filter, and of ls, ``<filter>`` and
-    ``burst/<filter>``: from the header's position to theirs, east, north, up ``(T, 3)`` m. nis ``(1,)``: of the first filter, per
-    degree of freedom. consecutive: distances (m) between positions of geostationary satellites by consecutive sets. others: between
+    times ``(T,)`` s of BDT; during ``(T,)``, the burst and `AFTER` epochs more. Of each filter, and
+    of ls, ``<filter>`` and ``burst/<filter>``: from the header's position to theirs, east, north,
+    up ``(T, 3)`` m. nis ``(1,)``: of the first filter, per degree of freedom. consecutive:
+    distances (m) between positions of geostationary satellites by consecutive sets. others: between
     those by the formula of other satellites and by their own, half an hour on.
 
     Raises
@@ -142,15 +151,20 @@ def flown(
 
 
 def as_others(broadcast: Broadcast, t: Array | float) -> Array:
-    """Positions ``(S, 3)`` of geostationary satellites by the formula of the others: the Earth's turn in the node, no tilt."""
+    """Positions ``(S, 3)`` of geostationary satellites by the formula of the others: the Earth's
+    turn in the node, no tilt.
+    """
     return satellites(replace(broadcast, number=np.full(len(broadcast), 19.0)), t).position
 
 
 def formulas(times: Sequence[float], _rngs: Rngs = ()) -> dict[str, Array]:
-    """Positions of the synthetic geostationary satellites against two bodies in space: distances ``(..., 5)`` m.
+    """Positions of the synthetic geostationary satellites against two bodies in space: distances
+    ``(..., 5)`` m.
 
-    others: by the formula of the others, at ``times`` from half an hour after the reference time. minute, half hour: by that and
-    one more rotation, so long after it. right: the rotation with the node held in space, half an hour after it.
+    others: by the formula of the others, at ``times`` from half an hour after the reference time.
+        minute, half hour: by that and
+    one more rotation, so long after it. right: the rotation with the node held in space, half an
+    hour after it.
     """
     own = synthetic()
     own = own.chosen(own.geostationary)
@@ -166,12 +180,18 @@ def formulas(times: Sequence[float], _rngs: Rngs = ()) -> dict[str, Array]:
         return off(t, turned(tilted(as_others(own, TOE_S + t), -TILT), ROTATION_RATE * np.array(t)))
 
     along = np.add(1800.0, times).tolist()
-    return {"others": np.stack([off(t, as_others(own, TOE_S + t)) for t in along]), "minute": rotated(60.0),
-            "half hour": rotated(1800.0), "right": off(1800.0, satellites(own, TOE_S + 1800.0).position)}  # fmt: skip
+    return {
+        "others": np.stack([off(t, as_others(own, TOE_S + t)) for t in along]),
+        "minute": rotated(60.0),
+        "half hour": rotated(1800.0),
+        "right": off(1800.0, satellites(own, TOE_S + 1800.0).position),
+    }
 
 
 def rms(found: Mapping[str, Array], key: str) -> float:
-    """Root mean square distance (m) from the header's position; with the burst in it and after it alone."""
+    """Root mean square distance (m) from the header's position; with the burst in it and after it
+    alone.
+    """
     chosen = found["during"] if key.startswith("burst") else slice(None)
     return float(np.sqrt(np.nanmean(np.square(found[key][chosen]).sum(-1))))
 
@@ -225,13 +245,36 @@ def drawn(found: Mapping[str, Array], lines: Mapping[str, Line], sigma: float) -
     known = {name: line for name, line in lines.items() if name in found}
     two = {name: lines[name] for name in ("ls", "aukf")}
     dots = dict[str, Any](linestyle="", marker=".", ms=3, label=None)
-    return panels([
-        Panel("position from the header's",
-              [curve(found[name][:, 0], found[name][:, 1], line, **dots) for name, line in two.items()],
-              "east (m)", "north (m)", more={"aspect": "equal"}),
-        Panel(f"3-D RMS of LS {rms(found, 'ls'):.2f} m", [curve(hours, found[name][:, 2], line) for name, line in two.items()],
-              "hours", "up (m)"),
-        Panel(f"with {sigma:g} m added to the ranges",
-              [curve(hours[shown], np.linalg.norm(found[f"burst/{name}"][shown], axis=-1), line) for name, line in known.items()],
-              "hours", "distance (m)", "y"),
-    ], size=(10.0, 3.6))  # fmt: skip
+    return panels(
+        [
+            Panel(
+                "position from the header's",
+                [
+                    curve(found[name][:, 0], found[name][:, 1], line, **dots)
+                    for name, line in two.items()
+                ],
+                "east (m)",
+                "north (m)",
+                more={"aspect": "equal"},
+            ),
+            Panel(
+                f"3-D RMS of LS {rms(found, 'ls'):.2f} m",
+                [curve(hours, found[name][:, 2], line) for name, line in two.items()],
+                "hours",
+                "up (m)",
+            ),
+            Panel(
+                f"with {sigma:g} m added to the ranges",
+                [
+                    curve(
+                        hours[shown], np.linalg.norm(found[f"burst/{name}"][shown], axis=-1), line
+                    )
+                    for name, line in known.items()
+                ],
+                "hours",
+                "distance (m)",
+                "y",
+            ),
+        ],
+        size=(10.0, 3.6),
+    )

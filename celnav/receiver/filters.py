@@ -1,4 +1,6 @@
-"""Filters of a moving receiver's log, by name: an EKF, and unscented filters that differ in what they do to the noise."""
+"""Filters of a moving receiver's log, by name: an EKF, and unscented filters that differ in what
+they do to the noise.
+"""
 
 from __future__ import annotations
 
@@ -22,16 +24,20 @@ from celnav.gaussian.linalg import Array
 from celnav.models import pseudorange
 from celnav.models.gnss import LIGHT
 
-__all__ = ["CRYSTAL", "filters", "hooks", "process_noise", "transition"]
-
 CRYSTAL = (LIGHT**2 * 2e-19 / 2.0, 2.0 * np.pi**2 * LIGHT**2 * 2e-20)
-"""A compensated crystal's noise of frequency, white (m^2/s) and walking (m^2/s^3): h0 = 2e-19, h-2 = 2e-20."""
+"""A compensated crystal's noise of frequency, white (m^2/s) and walking (m^2/s^3): h0 = 2e-19, h-2
+= 2e-20.
+"""
 OFFSET_WALK = 1e-5
-"""Of the offset between two systems' clocks, m^2/s: a meter a day, as their times and orbits wander."""
+"""Of the offset between two systems' clocks, m^2/s: a meter a day, as their times and orbits
+wander.
+"""
 
 
 def transition(dt: float) -> Array:
-    """Matrix ``(8, 8)`` of a receiver at constant velocity, with a clock of constant drift, over ``dt`` seconds."""
+    """Matrix ``(8, 8)`` of a receiver at constant velocity, with a clock of constant drift, over
+    ``dt`` seconds.
+    """
     F = np.eye(8)
     F[:3, 3:6] = dt * np.eye(3)
     F[6, 7] = dt
@@ -41,7 +47,8 @@ def transition(dt: float) -> Array:
 def process_noise(dt: float, acceleration: float, white: float, walk: float) -> Array:
     """Covariance ``(8, 8)`` of what an interval adds to it.
 
-    ``acceleration``: density of the white acceleration, m^2/s^3. ``white``, ``walk``: of the clock, see `CRYSTAL`.
+    ``acceleration``: density of the white acceleration, m^2/s^3. ``white``, ``walk``: of the clock,
+        see `CRYSTAL`.
     """
     Q, block = np.zeros((8, 8)), np.array([[dt**3 / 3.0, dt**2 / 2.0], [dt**2 / 2.0, dt]])
     Q[:6, :6] = acceleration * np.kron(block, np.eye(3))
@@ -51,7 +58,8 @@ def process_noise(dt: float, acceleration: float, white: float, walk: float) -> 
 
 
 def hooks(S: int, window: int = 10, systems: int = 1) -> dict[str, tuple[Hook, ...]]:
-    """What each filter does to the noise of S ranges and S rates before it uses them; the ukf nothing.
+    """What each filter does to the noise of S ranges and S rates before it uses them; the ukf
+    nothing.
 
     ``systems``: of satellites, one or two: so many clocks do the ranges determine.
     """
@@ -78,9 +86,10 @@ def filters(
 ) -> dict[str, Filter]:
     """Filters of a `Log` by name: ekf, and the unscented ones of `hooks`.
 
-    ``second (S,)``: which satellites are of a second system, whose clock has an offset, the ninth state; None: none.
-    ``acceleration``: density of the white acceleration, m^2/s^3: 0.01 for a receiver at rest or nearly so, ``a^2 T`` for one that
-    turns with the acceleration a, measured each T seconds.
+    ``second (S,)``: which satellites are of a second system, whose clock has an offset, the ninth
+    state; None: none. ``acceleration``: density of the white acceleration, m^2/s^3: 0.01 for a
+    receiver at rest or nearly so, ``a^2 T`` for one that turns with the acceleration a, measured
+    each T seconds.
 
     Raises
     ------

@@ -1,8 +1,10 @@
-"""Fixes of all epochs at once, each by itself: position and clock of ranges, velocity and drift of rates, without faulty ones.
+"""Fixes of all epochs at once, each by itself: position and clock of ranges, velocity and drift of
+rates, without faulty ones.
 
-Also how large the noise is that their residuals show. With a second system of satellites a fix has the offset of its clock besides,
-where both are seen; a system's only range says nothing of the position, nothing tests it, and it is not used. Epochs ``T`` lead,
-satellites ``S`` follow; a kind of measurement, ranges or rates, is a tuple's or an axis' place 0 or 1.
+Also how large the noise is that their residuals show. With a second system of satellites a fix has
+the offset of its clock besides, where both are seen; a system's only range says nothing of the
+position, nothing tests it, and it is not used. Epochs ``T`` lead, satellites ``S`` follow; a kind
+of measurement, ranges or rates, is a tuple's or an axis' place 0 or 1.
 """
 
 from __future__ import annotations
@@ -23,8 +25,6 @@ from celnav.receiver.integrity import Monitored, misfit, monitored, noise_compon
 from celnav.receiver.least_squares import least_squares
 from celnav.receiver.sky import GROUND_M
 
-__all__ = ["GIVEN", "LEAST_ELEVATION", "Noise", "Seen", "estimated", "fixed"]
-
 LEAST_ELEVATION = np.radians(1.0)
 """What delays and deviations are taken for below it."""
 GIVEN = (1.5, 0.05)
@@ -32,7 +32,9 @@ GIVEN = (1.5, 0.05)
 RESOLUTION = (1e-3, 1e-3 * LIGHT / B1I_HZ)
 """Of a file, in m and m/s: less noise cannot be seen."""
 QUIETEST, LOUDEST = 0.25, 8.0
-"""Times `GIVEN`, where the estimate begins: loud noise would hide faults. No receiver is louder; what looks so is contradiction."""
+"""Times `GIVEN`, where the estimate begins: loud noise would hide faults. No receiver is louder;
+what looks so is contradiction.
+"""
 ENOUGH = 100
 """Redundant measurements to estimate noise of."""
 MOST_EPOCHS = 1000
@@ -42,7 +44,8 @@ MOST_EPOCHS = 1000
 class Noise(NamedTuple):
     """Of a kind of measurement: its variance is ``level^2 + (zenith / sin(elevation))^2``.
 
-    ``redundancy``: of how many redundant measurements it was estimated; 0: it was given, or they were too few.
+    ``redundancy``: of how many redundant measurements it was estimated; 0: it was given, or they
+        were too few.
     """
 
     level: float
@@ -57,9 +60,11 @@ class Noise(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """Measurements ``z (T, 2 S)``, nan where there is none, of satellites ``q, w, elevation`` near ``position (T, 3)``.
+    """Measurements ``z (T, 2 S)``, nan where there is none, of satellites ``q, w, elevation`` near
+    ``position (T, 3)``.
 
-    ``second (S,)``: 1 for those of a second system, 0 for those of the first; None: there is one system.
+    ``second (S,)``: 1 for those of a second system, 0 for those of the first; None: there is one
+    system.
     """
 
     z: Array
@@ -71,10 +76,12 @@ class Seen(NamedTuple):
 
 
 class Fixed(NamedTuple):
-    """States ``(T, 8 or 9)`` and covariances of positions ``(T, 3, 3)``, nan where there is no fix; deviations ``sigma (T, 2 S)``.
+    """States ``(T, 8 or 9)`` and covariances of positions ``(T, 3, 3)``, nan where there is no fix;
+    deviations ``sigma (T, 2 S)``.
 
-    ``kinds``: of ranges and rates, what is left of them; ``left`` and ``G``: residuals ``(T, S)`` and Jacobians ``(T, S, 4)``, in
-    deviations. With a second system ranges have a place more, for "the offset is zero", which is kept where one system is missing.
+    ``kinds``: of ranges and rates, what is left of them; ``left`` and ``G``: residuals ``(T, S)``
+    and Jacobians ``(T, S, 4)``, in deviations. With a second system ranges have a place more, for
+    "the offset is zero", which is kept where one system is missing.
     """
 
     states: Array
@@ -175,11 +182,17 @@ class _Kind(NamedTuple):
 
 
 def _kind(
-    model: Callable[[Array, Array], tuple[Array, Array]], possible: Callable[[Array], Array], comparable: Callable[[Array], Array],
-    z: Array, sigma: Array, start: Array, false_alarm: float,
-) -> _Kind:  # fmt: skip
-    """Fixes of one kind: ``model``: ``(epochs, states) ->`` measurements and Jacobians; ``possible`` makes other states nan;
-    ``comparable``: those of the measurements ``(K, S)`` that are not alone.
+    model: Callable[[Array, Array], tuple[Array, Array]],
+    possible: Callable[[Array], Array],
+    comparable: Callable[[Array], Array],
+    z: Array,
+    sigma: Array,
+    start: Array,
+    false_alarm: float,
+) -> _Kind:
+    """Fixes of one kind: ``model``: ``(epochs, states) ->`` measurements and Jacobians;
+    ``possible`` makes other states nan; ``comparable``: those of the measurements ``(K, S)`` that
+    are not alone.
     """
 
     def solve(rows: Array, kept: Array) -> tuple[Array, Array]:
@@ -216,7 +229,8 @@ def _kind(
 
 
 def estimated(seen: Seen, false_alarm: float) -> tuple[Noise, Noise]:
-    """Noise of ranges and rates, by elevation, of the residuals of what is not faulty; `GIVEN` where they are too few.
+    """Noise of ranges and rates, by elevation, of the residuals of what is not faulty; `GIVEN`
+    where they are too few.
 
     It is first taken for small, and for twice as large as long as most fixes contradict themselves.
     """

@@ -1,9 +1,11 @@
-"""Receiver autonomous integrity monitoring (RAIM): faulty measurements of fixes are found by their residuals and excluded.
+"""Receiver autonomous integrity monitoring (RAIM): faulty measurements of fixes are found by their
+residuals and excluded.
 
-A fix of m measurements and n unknowns has a sum of squared residuals, in deviations of the noise, that is chi-square with m - n
-degrees of freedom, its redundancy: with none nothing can be tested, with one a fault is detected, with two or more it can be
-excluded. The fewest measurements are excluded that leave a consistent fix, and of as many those whose absence leaves the least
-residuals [Parkinson1988; Brown1992]. Fixes ``K`` or ``T`` lead, measurements ``S`` follow.
+A fix of m measurements and n unknowns has a sum of squared residuals, in deviations of the noise,
+that is chi-square with m - n degrees of freedom, its redundancy: with none nothing can be tested,
+with one a fault is detected, with two or more it can be excluded. The fewest measurements are
+excluded that leave a consistent fix, and of as many those whose absence leaves the least residuals
+[Parkinson1988; Brown1992]. Fixes ``K`` or ``T`` lead, measurements ``S`` follow.
 """
 
 from __future__ import annotations
@@ -17,19 +19,22 @@ from scipy.special import chdtri
 
 from celnav.gaussian.linalg import Array
 
-__all__ = ["Monitored", "misfit", "monitored", "noise_components", "probability"]
-
 MOST_EXCLUDED = 3
 """Measurements of a fix; a fix that is wrong in more has nothing to trust."""
 ROUNDS = 5
-"""In which what to exclude is looked for anew at the fix without it: far from the truth the model is curved."""
+"""In which what to exclude is looked for anew at the fix without it: far from the truth the model
+is curved.
+"""
 AT_ONCE = 250
 """Fixes whose subsets are compared at a time, for the memory's sake."""
 ESSENTIAL = 1e-6
-"""Part of a measurement's noise that must be seen in the residuals, or the fix hangs on it alone."""
+"""Part of a measurement's noise that must be seen in the residuals, or the fix hangs on it alone.
+"""
 
 Linear = Callable[[Array, Array], tuple[Array, Array]]
-"""``(fixes (K,), states (K, n)) ->`` residuals ``(K, S)`` and Jacobians ``(K, S, n)``, both in deviations of the noise."""
+"""``(fixes (K,), states (K, n)) ->`` residuals ``(K, S)`` and Jacobians ``(K, S, n)``, both in
+deviations of the noise.
+"""
 
 
 class Monitored(NamedTuple):
@@ -37,8 +42,10 @@ class Monitored(NamedTuple):
 
     Attributes
     ----------
-    kept: ``(T, S)``, the measurements that may be used. excluded: ``(T, S)``, the faulty ones of fixes that are consistent without.
-    tested: ``(T,)``, whether there was redundancy. unusable: ``(T,)``, a fault is there and cannot be told: nothing is kept.
+    kept: ``(T, S)``, the measurements that may be used. excluded: ``(T, S)``, the faulty ones of
+        fixes that are consistent without.
+    tested: ``(T,)``, whether there was redundancy. unusable: ``(T,)``, a fault is there and cannot
+        be told: nothing is kept.
     """
 
     kept: Array
@@ -117,9 +124,11 @@ def monitored(
 
 
 def _best(left: Array, G: Array, used: Array, size: int) -> Array:
-    """The ``size`` measurements ``(K, S)`` whose absence leaves the least sum of squared residuals; none where all are essential.
+    """The ``size`` measurements ``(K, S)`` whose absence leaves the least sum of squared residuals;
+    none where all are essential.
 
-    With residuals v of the fix with all and their cofactor I - Q Q', the sum loses ``v_E' (I - Q Q')_EE^-1 v_E`` without E.
+    With residuals v of the fix with all and their cofactor I - Q Q', the sum loses
+    ``v_E' (I - Q Q')_EE^-1 v_E`` without E.
     """
     out = np.zeros(used.shape, bool)
     for first in range(0, len(used), AT_ONCE):
@@ -139,7 +148,9 @@ def _best(left: Array, G: Array, used: Array, size: int) -> Array:
 
 
 def _residuals(left: Array, G: Array, used: Array) -> tuple[Array, Array]:
-    """Residuals ``(K, S)`` of a linear fix, and their cofactors ``(K, S, S)``: the covariance of those that are in deviations."""
+    """Residuals ``(K, S)`` of a linear fix, and their cofactors ``(K, S, S)``: the covariance of
+    those that are in deviations.
+    """
     Q = np.linalg.qr(np.where(used[..., None], G, 0.0)).Q
     cofactor = np.eye(left.shape[-1]) - Q @ Q.mT
     return (cofactor @ np.where(used, left, 0.0)[..., None])[..., 0], cofactor
@@ -148,13 +159,15 @@ def _residuals(left: Array, G: Array, used: Array) -> tuple[Array, Array]:
 def noise_components(left: Array, G: Array, used: Array, parts: Array) -> Array:
     """Variances ``(c,)`` of noise that has several causes, of the residuals of many fixes.
 
-    The squares of residuals expect ``(I - Q Q')^2`` times the variances of the noise, which are sums over the causes: least
-    squares in these squares, each weighted by its own size, none negative.
+    The squares of residuals expect ``(I - Q Q')^2`` times the variances of the noise, which are
+    sums over the causes: least squares in these squares, each weighted by its own size, none
+        negative.
 
     Parameters
     ----------
     left, G, used: as from `Linear`, with what is used ``(K, S)``.
-    parts: ``(c, K, S)``, the variance of a measurement by each cause at unit size, in squares of its deviation.
+    parts: ``(c, K, S)``, the variance of a measurement by each cause at unit size, in squares of
+        its deviation.
     """
     from scipy.optimize import nnls  # takes a second to import
 

@@ -1,4 +1,6 @@
-"""A state from one measurement alone, by weighted least squares: no memory but the point to start from."""
+"""A state from one measurement alone, by weighted least squares: no memory but the point to start
+from.
+"""
 
 from __future__ import annotations
 
@@ -14,8 +16,6 @@ from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.checks import instance, integer, numbers, together, unmasked
 from celnav.gaussian.linalg import Array, Covariance, matvec, outer
 
-__all__ = ["least_squares"]
-
 RANK = 1e-10
 """Part of a column of the Jacobian that must be its own, or its state is not determined."""
 AT_REST = 1e-4
@@ -23,16 +23,19 @@ AT_REST = 1e-4
 
 
 def least_squares(sensor: Sensor, *, rounds: int = 10) -> LeastSquares:
-    """A filter that makes a fix of every measurement by Gauss and Newton, from the last fix, or from the prior's mean.
+    """A filter that makes a fix of every measurement by Gauss and Newton, from the last fix, or
+    from the prior's mean.
 
-    Components that are nan are left out. A run whose measurement does not determine the state, or is missing, becomes nan for this
-    epoch and starts from its last fix at the next.
+    Components that are nan are left out. A run whose measurement does not determine the state, or
+    is missing, becomes nan for this epoch and starts from its last fix at the next.
 
-    ``sensor``: what is measured, with a ``jacobian`` and noise of independent components. ``rounds``: of Gauss and Newton at most;
-    a run stops when a step is below a ten-thousandth of its deviations. The filter is in covariance form; its innovations are the
-    residuals of the fix, its whitened ones those in deviations.
+    ``sensor``: what is measured, with a ``jacobian`` and noise of independent components.
+    ``rounds``: of Gauss and Newton at most; a run stops when a step is below a ten-thousandth of
+    its deviations. The filter is in covariance form; its innovations are the residuals of the fix,
+    its whitened ones those in deviations.
 
-    >>> fixes = celnav.run(least_squares(celnav.Sensor(ranges, R, jacobian=directions)), guess, times, z)
+    >>> filter = least_squares(celnav.Sensor(ranges, R, jacobian=directions))
+    >>> fixes = celnav.run(filter, guess, times, z)
     """
     instance("sensor", sensor, Sensor, "celnav.Sensor(h, R, jacobian=...)")
     if sensor.jacobian is None and callable(sensor.h):
@@ -51,7 +54,8 @@ def least_squares(sensor: Sensor, *, rounds: int = 10) -> LeastSquares:
         beside = np.abs(R - variances[..., None] * np.eye(R.shape[-1])).max(initial=0.0)
         if (variances <= 0.0).any() or beside > 1e-12 * variances.max(initial=0.0):
             raise ValueError(
-                "R: expected positive variances of independent components, a diagonal matrix, got another"
+                "R: expected positive variances of independent components, a diagonal matrix, got "
+                "another"
             )
     return LeastSquares(sensor, integer("rounds", rounds, 1, 10_000))
 

@@ -1,7 +1,7 @@
 """From a receiver's log to what a filter takes: satellites, corrected measurements, first fixes.
 
-State: position (m, Earth-fixed), velocity (m/s), clock bias (m) and drift (m/s), and with two systems what the bias of the second
-one is more (m), as in `celnav.models.pseudorange`.
+State: position (m, Earth-fixed), velocity (m/s), clock bias (m) and drift (m/s), and with two
+systems what the bias of the second one is more (m), as in `celnav.models.pseudorange`.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ from celnav.receiver.geodesy import ELLIPSOID, ecef2geodetic
 from celnav.receiver.rinex import OTHERS, SYSTEMS, Navigation, Observations
 from celnav.receiver.sky import Dilution, dilution, klobuchar, local_axes, look, saastamoinen
 
-__all__ = ["Log", "chosen", "deviations", "mask", "prepare"]
-
 CREDIBLE_M = (1.5e7, 5e7)
 """Pseudoranges outside are none."""
 CREDIBLE_M_PER_S = 1e4
 """Nor are larger rates."""
 COARSE = (100.0, 1.0)
-"""Deviations (m, m/s) of measurements while nobody knows which satellites are low, and what their delays are."""
+"""Deviations (m, m/s) of measurements while nobody knows which satellites are low, and what their
+delays are.
+"""
 MILLISECOND_M = 1e-3 * LIGHT
 """By whole ones of these many receivers set their clock."""
 START = (100.0, 100.0, 100.0, 10.0, 10.0, 10.0, 100.0, 10.0, 100.0)
@@ -41,21 +41,28 @@ START = (100.0, 100.0, 100.0, 10.0, 10.0, 10.0, 100.0, 10.0, 100.0)
 
 @dataclass(frozen=True, eq=False)
 class Log:
-    """A receiver's log, ready for a filter: from the first fix that could be tested to the last measurement.
+    """A receiver's log, ready for a filter: from the first fix that could be tested to the last
+    measurement.
 
     Attributes
     ----------
     times: ``(T,)`` s of BDT. names: of the satellites, ``S``, those of the first system first.
-    z: ``(T, 2 S)`` ranges (m) and rates (m/s) without clocks of satellites, atmosphere and jumps of the receiver's clock; nan where
-        there is none. sigma: ``(T, 2 S)`` their deviations. q, w: ``(T, S, 3)``, see `celnav.models.pseudorange.Sources`.
+    z: ``(T, 2 S)`` ranges (m) and rates (m/s) without clocks of satellites, atmosphere and jumps of
+        the receiver's clock; nan where there is none. sigma: ``(T, 2 S)`` their deviations. q, w:
+        ``(T, S, 3)``, see `celnav.models.pseudorange.Sources`.
     elevation, azimuth: ``(T, S)`` rad, nan of satellites that cannot be used.
-    fixes, fix_cov: ``(T, 8 or 9)`` and of positions ``(T, 3, 3)`` m^2, of each epoch by itself, nan where it has none.
-    misfit: ``(T,)``, squared residuals of the fixes' ranges, in deviations: chi-square with `spare` degrees.
-    excluded: ``(T, 2 S)``, the faulty ones. unusable: ``(T, 2)``, whether all ranges, all rates are left out, as they contradict
-        each other and nothing tells which are faulty. tested: ``(T, 2)``, whether there was redundancy.
-    noise: of ranges and of rates. jumps: ``(T,)`` m, what the receiver has set its clock by since the start, which was taken off
-        ranges and fixes. dilution: of each epoch ``(T,)``. ionosphere: whether the broadcast model's coefficients were there to
-        correct it by. left_out: why measurements are not used, and how many. others: systems in the files that are not used.
+    fixes, fix_cov: ``(T, 8 or 9)`` and of positions ``(T, 3, 3)`` m^2, of each epoch by itself, nan
+        where it has none.
+    misfit: ``(T,)``, squared residuals of the fixes' ranges, in deviations: chi-square with `spare`
+        degrees.
+    excluded: ``(T, 2 S)``, the faulty ones. unusable: ``(T, 2)``, whether all ranges, all rates are
+        left out, as they contradict each other and nothing tells which are faulty. tested:
+        ``(T, 2)``, whether there was redundancy.
+    noise: of ranges and of rates. jumps: ``(T,)`` m, what the receiver has set its clock by since
+        the start, which was taken off ranges and fixes. dilution: of each epoch ``(T,)``.
+        ionosphere: whether the broadcast model's coefficients were there to
+        correct it by. left_out: why measurements are not used, and how many. others: systems in the
+        files that are not used.
     files: names of what was read. damaged: messages with the line, one for each epoch or broadcast
         set that was left out because it is damaged.
     """
@@ -95,12 +102,16 @@ class Log:
 
     @property
     def second(self) -> Array | None:
-        """1 for satellites of the second system ``(S,)``, 0 for those of the first; None: there is one."""
+        """1 for satellites of the second system ``(S,)``, 0 for those of the first; None: there is
+        one.
+        """
         return _second(self.names)
 
     @property
     def spare(self) -> Array:
-        """Ranges beyond what a fix needs, ``(T,)``: four, and one for the offset where both systems are seen."""
+        """Ranges beyond what a fix needs, ``(T,)``: four, and one for the offset where both systems
+        are seen.
+        """
         used, second = self.used, np.zeros(len(self.names)) if self.second is None else self.second
         return np.asarray(
             used.sum(-1) - 4 - ((used & (second == 0.0)).any(-1) & (used & (second == 1.0)).any(-1))
@@ -129,9 +140,14 @@ class Log:
 
 
 def prepare(
-    observations: Observations, navigation: Navigation, *, systems: str | None = None, mask_deg: float = 10.0,
-    sigma: ArrayLike | None = None, false_alarm: float = 1e-5,
-) -> Log:  # fmt: skip
+    observations: Observations,
+    navigation: Navigation,
+    *,
+    systems: str | None = None,
+    mask_deg: float = 10.0,
+    sigma: ArrayLike | None = None,
+    false_alarm: float = 1e-5,
+) -> Log:
     """Satellites and corrected measurements of a log. Nothing is taken from the header's position.
 
     Parameters
@@ -139,15 +155,15 @@ def prepare(
     observations, navigation: what was read from the files.
     systems: letters of those to use, "C", "G" or "CG"; None: all that have both ranges and orbits.
     mask_deg: satellites below this elevation are not used, from 0 to below 90.
-    sigma: deviations of range (m) and rate (m/s) at the zenith; elsewhere divided by the sine of the elevation. None: estimated, by
-        elevation, from the residuals of the fixes.
-    false_alarm: probability that a fix without a fault fails the test of its residuals; faults are excluded, as
-        `celnav.receiver.integrity` does it. 0: nothing is tested.
+    sigma: deviations of range (m) and rate (m/s) at the zenith; elsewhere divided by the sine of
+        the elevation. None: estimated, by elevation, from the residuals of the fixes.
+    false_alarm: probability that a fix without a fault fails the test of its residuals; faults are
+        excluded, as `celnav.receiver.integrity` does it. 0: nothing is tested.
 
     Raises
     ------
-    ValueError: for systems, a mask, deviations or a probability that cannot be. InputError: naming the files, if no epoch has a
-        fix, or a system that is asked for no ranges or no orbits.
+    ValueError: for systems, a mask, deviations or a probability that cannot be. InputError: naming
+        the files, if no epoch has a fix, or a system that is asked for no ranges or no orbits.
     """
     least = mask(mask_deg)
     given = deviations(sigma)
@@ -173,7 +189,8 @@ def prepare(
         "rate out of all bounds": int((usable & wild).sum()),
     }
     refusal = InputError(
-        f"{files}: expected an epoch with four satellites above the mask whose ranges agree, got none"
+        f"{files}: expected an epoch with four satellites above the mask whose ranges agree, got "
+        "none"
     )
     if usable.sum(-1).max(initial=0) < 4:
         raise refusal
@@ -216,13 +233,29 @@ def prepare(
     left_out["before the first consistent fix"] = int(ranged[:first].sum())
     shown = np.where(usable, 1.0, np.nan)
     log = Log(
-        times, observations.names, z, found.sigma, seen.q, seen.w, shown * elevation, shown * azimuth, states, found.cov,
-        found.misfit, excluded,
-        np.stack([kind.unusable for kind in found.kinds], -1), np.stack([kind.tested for kind in found.kinds], -1), noise, jumps,
-        dilution(seen.q, position, _axes(position), ranged, second), navigation.klobuchar is not None, left_out, others,
+        times,
+        observations.names,
+        z,
+        found.sigma,
+        seen.q,
+        seen.w,
+        shown * elevation,
+        shown * azimuth,
+        states,
+        found.cov,
+        found.misfit,
+        excluded,
+        np.stack([kind.unusable for kind in found.kinds], -1),
+        np.stack([kind.tested for kind in found.kinds], -1),
+        noise,
+        jumps,
+        dilution(seen.q, position, _axes(position), ranged, second),
+        navigation.klobuchar is not None,
+        left_out,
+        others,
         (str(observations.path), *str(navigation.path).split(", ")),
         observations.damaged + navigation.damaged,
-    )  # fmt: skip
+    )
     last = int(np.flatnonzero(ranged.any(-1))[-1]) + 1
     return log.part(slice(first, last))
 
@@ -270,7 +303,9 @@ def _of_systems(
 
 
 def deviations(sigma: ArrayLike | None) -> tuple[Noise, Noise] | None:
-    """Noise of ranges and rates by deviations at the zenith, m, m/s; None: to be estimated. ValueError unless they are positive."""
+    """Noise of ranges and rates by deviations at the zenith, m, m/s; None: to be estimated.
+    ValueError unless they are positive.
+    """
     if sigma is None:
         return None
     given = finite("sigma", sigma, (2,))
@@ -349,9 +384,11 @@ def _sky(
 
 
 def _without_jumps(z: Array, fixes: Array, times: Array) -> tuple[Array, Array, Array]:
-    """Ranges and biases as if the receiver had never set its clock by whole milliseconds, and by how much it had ``(T,)``.
+    """Ranges and biases as if the receiver had never set its clock by whole milliseconds, and by
+    how much it had ``(T,)``.
 
-    Where it did so between two fixes that are not neighbors, nobody knows when: ranges in between are left out.
+    Where it did so between two fixes that are not neighbors, nobody knows when: ranges in between
+    are left out.
     """
     S, k = z.shape[-1] // 2, np.flatnonzero(np.isfinite(fixes[:, 6]))
     jumps, z, fixes = np.zeros(len(times)), z.copy(), fixes.copy()

@@ -28,18 +28,6 @@ from celnav.show.figures import Panel, components, curve, figure, panels
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = [
-    "FILES",
-    "KIND_COLORS",
-    "RECORDING",
-    "Positioned",
-    "kinds",
-    "position",
-    "record_positioned",
-    "summary",
-    "write",
-]
-
 KIND_COLORS = {
     "GEO": colors.PAPER,
     "IGSO": colors.ESTIMATE,
@@ -77,9 +65,12 @@ class Positioned:
 
     Attributes
     ----------
-    log: what the filter took. filter: its name. mean: ``(T, 8 or 9)`` states. cov: ``(T, 3, 3)`` m^2 of the position.
-    reference: ``(3,)`` m, a known position of the antenna to compare with; None if there is none. of: where that is from.
-    nis: squared innovations, of fixes residuals, in the deviations that are claimed for them, per degree of freedom.
+    log: what the filter took. filter: its name. mean: ``(T, 8 or 9)`` states. cov: ``(T, 3, 3)``
+        m^2 of the position.
+    reference: ``(3,)`` m, a known position of the antenna to compare with; None if there is none.
+        of: where that is from.
+    nis: squared innovations, of fixes residuals, in the deviations that are claimed for them, per
+        degree of freedom.
     """
 
     log: Log
@@ -92,7 +83,9 @@ class Positioned:
 
     @property
     def measured(self) -> Array:
-        """Epochs ``(T,)`` with a position that some range went into: others are predictions, and no average counts them."""
+        """Epochs ``(T,)`` with a position that some range went into: others are predictions, and no
+        average counts them.
+        """
         return np.isfinite(self.mean[:, 0]) & self.log.used.any(-1)
 
     @property
@@ -164,13 +157,15 @@ class Positioned:
 def position(
     log: Log, filter: str, reference: Array | None, *, acceleration: float = 0.01, of: str = "known"
 ) -> Positioned:
-    """Run a filter of `celnav.receiver.filters.filters` over a log; "ls" takes each epoch by itself.
+    """Run a filter of `celnav.receiver.filters.filters` over a log; "ls" takes each epoch by
+    itself.
 
     Positions that are not near the Earth become nan. ``of``: see `Positioned`.
 
     Raises
     ------
-    ValueError: for an unknown filter, or a reference that is far from the Earth's surface. FilterError: if the filter is lost.
+    ValueError: for an unknown filter, or a reference that is far from the Earth's surface.
+    FilterError: if the filter is lost.
     """
     known = filters(len(log.names), second=log.second, acceleration=acceleration)
     if reference is not None:
@@ -200,41 +195,57 @@ def _rms(vectors: Array) -> float:
 
 
 def summary(found: Positioned) -> str:
-    """In lines: epochs, satellites, DOP, integrity, noise, scatter, and the error if a position is known."""
+    """In lines: epochs, satellites, DOP, integrity, noise, scatter, and the error if a position is
+    known.
+    """
     log, local, measured = found.log, found.local(found.mean), found.measured
     used, there = log.used, np.isfinite(found.mean[:, 0])
     count, fixed = used.sum(1), np.isfinite(log.fixes[:, 0])
     latitude, longitude, height = ecef2geodetic(*found.place, ell=ELLIPSOID)
     names = [log.names[s] for s in np.flatnonzero(used.any(0))]
     lines = [
-        f"epochs       {len(log.times)}, {civil(log.times[0])} to {civil(log.times[-1])} BDT; {measured.sum()} with a position, "
-        f"{(there & ~measured).sum()} more predicted without a range, {(~there).sum()} without a position",
+        f"epochs       {len(log.times)}, {civil(log.times[0])} to {civil(log.times[-1])} BDT; "
+        f"{measured.sum()} with a position, "
+        f"{(there & ~measured).sum()} more predicted without a range, {(~there).sum()} without a "
+        "position",
         f"doubtful     {_doubtful(found)}",
         *([f"damaged      {_damaged(log.damaged)}"] if log.damaged else []),
         f"systems      {_systems(found)}",
-        f"satellites   {len(names)} ({', '.join(names)}); {count.min()} to {count.max()} at a time, mean {count.mean():.1f}",
-        f"alone        {(fixed & (log.spare == 0)).sum()} epochs with no more than a fix needs; {(~fixed).sum()} without a fix",
+        f"satellites   {len(names)} ({', '.join(names)}); {count.min()} to {count.max()} at a "
+        f"time, mean {count.mean():.1f}",
+        f"alone        {(fixed & (log.spare == 0)).sum()} epochs with no more than a fix needs; "
+        f"{(~fixed).sum()} without a fix",
         f"integrity    {_integrity(log)}",
-        f"DOP          median PDOP {np.nanmedian(log.dilution.position):.2f}, HDOP {np.nanmedian(log.dilution.horizontal):.2f}, "
+        f"DOP          median PDOP {np.nanmedian(log.dilution.position):.2f}, HDOP "
+        f"{np.nanmedian(log.dilution.horizontal):.2f}, "
         f"VDOP {np.nanmedian(log.dilution.vertical):.2f}",
-        f"left out     {'; '.join(f'{number} {reason}' for reason, number in log.left_out.items() if number) or 'nothing'}",
-        f"ionosphere   {'by the broadcast coefficients' if log.ionosphere else 'not corrected: no header has GPSA and GPSB'}",
+        "left out     "
+        f"{'; '.join(f'{number} {reason}' for reason, number in log.left_out.items() if number) or 'nothing'}",
+        "ionosphere   "
+        f"{'by the broadcast coefficients' if log.ionosphere else 'not corrected: no header has GPSA and GPSB'}",
         f"noise        ranges {_noise(log.noise[0], 'm')}; rates {_noise(log.noise[1], 'm/s')}",
         f"clock        set {np.count_nonzero(np.diff(log.jumps))} times by whole milliseconds",
-        f"filter       {found.filter}; NIS {found.nis:.3f} a degree of freedom, 1 where noise and motion are as taken",
-        f"mean         {' '.join(f'{v:.3f}' for v in found.place)} m; {latitude:.7f}°, {longitude:.7f}°, {height:.2f} m",
-        f"scatter      {_rms(found.mean[measured, :3] - found.place):.3f} m in 3-D about its mean; of each epoch by itself "
+        f"filter       {found.filter}; NIS {found.nis:.3f} a degree of freedom, 1 where noise and "
+        "motion are as taken",
+        f"mean         {' '.join(f'{v:.3f}' for v in found.place)} m; {latitude:.7f}°, "
+        f"{longitude:.7f}°, {height:.2f} m",
+        f"scatter      {_rms(found.mean[measured, :3] - found.place):.3f} m in 3-D about its mean; "
+        "of each epoch by itself "
         f"{_rms(log.fixes[:, :3] - np.nanmean(log.fixes[:, :3], 0)):.3f} m",
     ]
     if found.reference is not None:
         parts = np.sqrt(np.square(local[measured]).mean(0))
         ratio = np.square(local[measured] / found.local_std[measured]).mean(0)
         lines += [
-            f"reference    {' '.join(f'{v:.3f}' for v in found.reference)} m, of the antenna: {found.of}",
-            f"error        {_rms(local[measured]):.3f} m RMS in 3-D: east {parts[0]:.3f}, north {parts[1]:.3f}, up {parts[2]:.3f}; "
+            f"reference    {' '.join(f'{v:.3f}' for v in found.reference)} m, of the antenna: "
+            f"{found.of}",
+            f"error        {_rms(local[measured]):.3f} m RMS in 3-D: east {parts[0]:.3f}, north "
+            f"{parts[1]:.3f}, up {parts[2]:.3f}; "
             f"of each epoch by itself {_rms(log.fixes[:, :3] - found.reference):.3f} m",
-            f"claimed      (error / deviation)^2: east {ratio[0]:.2f}, north {ratio[1]:.2f}, up {ratio[2]:.2f}; 1 where "
-            "deviations are right, which are of noise alone: what all satellites share shows in no residual",
+            f"claimed      (error / deviation)^2: east {ratio[0]:.2f}, north {ratio[1]:.2f}, up "
+            f"{ratio[2]:.2f}; 1 where "
+            "deviations are right, which are of noise alone: what all satellites share shows in no "
+            "residual",
         ]
     return "\n".join(lines)
 
@@ -305,8 +316,12 @@ def figures(found: Positioned) -> dict[str, Figure]:
 def _track(found: Positioned) -> Figure:
     alone, local = found.local(found.log.fixes), found.local(found.mean)
     dots = dict[str, Any](linestyle="", marker=".", markersize=2.0)
-    both = [curve(alone[:, 0], alone[:, 1], color=colors.MEASUREMENT, label="each epoch by itself", **dots),
-            curve(local[:, 0], local[:, 1], color=colors.ESTIMATE, label=found.filter, **dots)]  # fmt: skip
+    both = [
+        curve(
+            alone[:, 0], alone[:, 1], color=colors.MEASUREMENT, label="each epoch by itself", **dots
+        ),
+        curve(local[:, 0], local[:, 1], color=colors.ESTIMATE, label=found.filter, **dots),
+    ]
     if found.doubtful.any():
         east, north, _ = local[found.doubtful].T
         doubtful = dots | {"marker": "x", "markersize": 5.0}
@@ -314,10 +329,19 @@ def _track(found: Positioned) -> Figure:
     shades = (colors.COMPARISON, colors.TRUTH, colors.ESTIMATE)
     moved = components(found.minutes, local, ("east", "north", "up"), shades, linewidth=0.9)
     title = f"from the {'known' if found.reference is not None else 'mean'} position"
-    return panels([
-        Panel(title, both, "east (m)", "north (m)", more={"aspect": "equal"}),
-        Panel(f"{found.filter}: {len(local)} epochs", moved, "time since the first fix (min)", "position (m)"),
-    ], size=(10.0, 4.4), width_ratios=(2, 3))  # fmt: skip
+    return panels(
+        [
+            Panel(title, both, "east (m)", "north (m)", more={"aspect": "equal"}),
+            Panel(
+                f"{found.filter}: {len(local)} epochs",
+                moved,
+                "time since the first fix (min)",
+                "position (m)",
+            ),
+        ],
+        size=(10.0, 4.4),
+        width_ratios=(2, 3),
+    )
 
 
 def _sky(found: Positioned) -> Figure:

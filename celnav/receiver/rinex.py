@@ -1,7 +1,9 @@
-"""Receiver logs: code and Doppler of BeiDou's B1I and GPS's L1 C/A from RINEX 3 files, and broadcast orbits.
+"""Receiver logs: code and Doppler of BeiDou's B1I and GPS's L1 C/A from RINEX 3 files, and
+broadcast orbits.
 
-Files in Hatanaka's compression are unpacked by hatanaka (``.venv/bin/pip install -c constraints.txt -e ".[rinex]"``). Times become
-BDT seconds since 2006-01-01.
+Files in Hatanaka's compression are unpacked by hatanaka
+(``.venv/bin/pip install -c constraints.txt -e ".[rinex]"``). Times become BDT seconds since
+2006-01-01.
 """
 
 from __future__ import annotations
@@ -33,16 +35,14 @@ from celnav.receiver.rinex_text import (
 )
 from celnav.receiver.sky import local_axes, on_earth
 
-__all__ = [
-    "OTHERS", "SYSTEMS", "Navigation", "Observations", "ionosphere", "read_ionosphere", "read_navigation", "read_observations",
-]  # fmt: skip
-
 AHEAD_S = {"BDT": 0.0, "GPS": GPS_AHEAD_S, "GAL": GPS_AHEAD_S}
 """How far time systems of observation files are ahead of BDT."""
 
 
 class System(NamedTuple):
-    """Of satellites: its name, and the signal that is used, with its carrier and its codes, the best first."""
+    """Of satellites: its name, and the signal that is used, with its carrier and its codes, the
+    best first.
+    """
 
     name: str
     signal: str
@@ -66,10 +66,12 @@ class Observations:
 
     Attributes
     ----------
-    path: of the file. marker: name of the station, may be empty. place: ``(3,)`` m of the marker by the header; None if it has
-        none. times: ``(T,)`` s of BDT, increasing. names: of the satellites, ``S``. code: pseudoranges ``(T, S)`` m;
-        doppler: ``(T, S)`` Hz; nan where nothing was measured. antenna: ``(3,)`` m east, north and up of the marker.
-        out_of_order: how many epochs were left out, as their time lies before or after those of both their neighbors.
+    path: of the file. marker: name of the station, may be empty. place: ``(3,)`` m of the marker by
+        the header; None if it has none. times: ``(T,)`` s of BDT, increasing. names: of the
+        satellites, ``S``. code: pseudoranges ``(T, S)`` m; doppler: ``(T, S)`` Hz; nan where
+        nothing was measured. antenna: ``(3,)`` m east, north and up of the marker.
+        out_of_order: how many epochs were left out, as their time lies before or after those of
+            both their neighbors.
         others: letters of systems in the file that are none of `SYSTEMS`.
         damaged: messages with the line, one for each epoch that was left out because it is damaged.
     """
@@ -103,7 +105,8 @@ class Observations:
         )
 
     def reference(self, marker: ArrayLike | None = None) -> Array | None:
-        """Position ``(3,)`` m of the antenna, whose position ranges tell: that of the marker (None: the header's) and its offset.
+        """Position ``(3,)`` m of the antenna, whose position ranges tell: that of the marker (None:
+        the header's) and its offset.
 
         None if neither has been given.
         """
@@ -116,10 +119,12 @@ class Observations:
 
 @dataclass(frozen=True, eq=False)
 class Navigation:
-    """Broadcast sets, several of each satellite, by their reference times; Klobuchar's coefficients, None if absent.
+    """Broadcast sets, several of each satellite, by their reference times; Klobuchar's
+    coefficients, None if absent.
 
-    ``path``: of the file, or of several. ``left_out``: how many sets of a satellite are not whole, or hold what no message can.
-    ``damaged``: messages with the line, one for each set that was left out because it is damaged.
+    ``path``: of the file, or of several. ``left_out``: how many sets of a satellite are not whole,
+    or hold what no message can. ``damaged``: messages with the line, one for each set that was left
+    out because it is damaged.
     """
 
     path: Path | str
@@ -129,7 +134,9 @@ class Navigation:
     damaged: tuple[str, ...] = ()
 
     def nearest(self, name: str, times: ArrayLike) -> Array:
-        """Rows ``(...)`` of a satellite's sets of the nearest reference times; -1: not well, or not within an hour (GEO) or two."""
+        """Rows ``(...)`` of a satellite's sets of the nearest reference times; -1: not well, or not
+        within an hour (GEO) or two.
+        """
         t = np.asarray(times, dtype=np.float64)
         number, gps = int(name[1:]), name[0] == "G"
         rows = np.flatnonzero((self.sets.number == number) & (self.sets.gps == gps))
@@ -144,10 +151,11 @@ class Navigation:
 
 
 def read_observations(path: str | Path, *, strict: bool = False) -> Observations:
-    """Code and Doppler of B1I and L1 C/A of an observation file, plain, gzipped or in Hatanaka's compression.
+    """Code and Doppler of B1I and L1 C/A of an observation file, plain, gzipped or in Hatanaka's
+    compression.
 
-    Where a satellite has several codes of a carrier, the first of its `System` that is there is taken.
-    A damaged epoch is left out as a whole, and named in ``damaged``.
+    Where a satellite has several codes of a carrier, the first of its `System` that is there is
+    taken. A damaged epoch is left out as a whole, and named in ``damaged``.
 
     Raises
     ------
@@ -175,7 +183,8 @@ def read_observations(path: str | Path, *, strict: bool = False) -> Observations
             for line in of_system(header.get("SYS / SCALE FACTOR", []), system)
         ):
             raise InputError(
-                f"{file}: expected observations of {SYSTEMS[system].name} in their units, got a SYS / SCALE FACTOR"
+                f"{file}: expected observations of {SYSTEMS[system].name} in their units, got a "
+                "SYS / SCALE FACTOR"
             )
     given = header.get("SYS / # / OBS TYPES", [])
     if not places:
@@ -188,7 +197,8 @@ def read_observations(path: str | Path, *, strict: bool = False) -> Observations
             or "none of them"
         )
         raise InputError(
-            f"{file}: expected BeiDou's B1I code (C2I or C2X) or GPS's C1C among the observations, got {got}"
+            f"{file}: expected BeiDou's B1I code (C2I or C2X) or GPS's C1C among the observations, "
+            f"got {got}"
         )
     default = "BDT" if text[40:41] == "C" else "GPS"
     system = header.get("TIME OF FIRST OBS", [""])[0][48:51].strip() or default
@@ -206,17 +216,28 @@ def read_observations(path: str | Path, *, strict: bool = False) -> Observations
         np.concatenate([[True], np.diff(seconds[order]) > 0.0])
     ]  # an epoch that is there twice counts once
     return Observations(
-        file, header.get("MARKER NAME", [""])[0].strip(), _place(file, header), seconds[kept] - AHEAD_S[system], names,
-        ranges[kept], rates[kept], three_numbers(file, header, "ANTENNA: DELTA H/E/N")[[1, 2, 0]], int((~between).sum()),
-        "".join(dict.fromkeys(line[0] for line in given if line[0].strip() and line[0] not in SYSTEMS)),
+        file,
+        header.get("MARKER NAME", [""])[0].strip(),
+        _place(file, header),
+        seconds[kept] - AHEAD_S[system],
+        names,
+        ranges[kept],
+        rates[kept],
+        three_numbers(file, header, "ANTENNA: DELTA H/E/N")[[1, 2, 0]],
+        int((~between).sum()),
+        "".join(
+            dict.fromkeys(line[0] for line in given if line[0].strip() and line[0] not in SYSTEMS)
+        ),
         damaged,
-    )  # fmt: skip
+    )
 
 
 def _measured(
     log: list[Measured], places: Mapping[str, Sequence[tuple[int, int]]]
 ) -> tuple[list[str], Array, Array, Array]:
-    """Satellites ``S``, times ``(T,)``, pseudoranges and Doppler ``(T, S)``; ``places`` of codes and their Doppler, -1: none."""
+    """Satellites ``S``, times ``(T,)``, pseudoranges and Doppler ``(T, S)``; ``places`` of codes
+    and their Doppler, -1: none.
+    """
     names = sorted({name for epoch in log for name in epoch.fields})
     column = {name: s for s, name in enumerate(names)}
     ranges, rates = np.full((2, len(log), len(names)), np.nan)
@@ -244,17 +265,60 @@ def _place(path: Path, header: dict[str, list[str]]) -> Array | None:
 
 
 ORDER = (
-    "a0", "a1", "a2", "", "crs", "delta_n", "M0", "cuc", "e", "cus", "sqrt_a", "toe", "cic", "Omega0", "cis", "i0", "crc", "omega",
-    "Omega_dot", "i_dot", "", "", "", "", "health", "tgd",
-)  # fmt: skip
+    "a0",
+    "a1",
+    "a2",
+    "",
+    "crs",
+    "delta_n",
+    "M0",
+    "cuc",
+    "e",
+    "cus",
+    "sqrt_a",
+    "toe",
+    "cic",
+    "Omega0",
+    "cis",
+    "i0",
+    "crc",
+    "omega",
+    "Omega_dot",
+    "i_dot",
+    "",
+    "",
+    "",
+    "",
+    "health",
+    "tgd",
+)
 """Of a set's numbers in the file; what is spare, or not needed, may be blank."""
 TURNS = 200.0 * np.pi
 MOST = {
-    "a0": 2.0**-10, "a1": 2.0**-29, "a2": 2.0**-56, "crs": 2048.0, "crc": 2048.0, "cuc": 2.0**-14, "cus": 2.0**-14,
-    "cic": 2.0**-14, "cis": 2.0**-14, "delta_n": 2.0**-28 * np.pi, "Omega_dot": 2.0**-20 * np.pi, "i_dot": 2.0**-30 * np.pi,
-    "M0": TURNS, "Omega0": TURNS, "omega": TURNS, "i0": TURNS, "e": 0.5, "sqrt_a": 8192.0, "tgd": 5.12e-8, "toe": WEEK_S,
-}  # fmt: skip
-"""What the message has room for (either sign), by its bits [BDS-SIS-ICD-B1I-3.0]; angles in a file may have turned often."""
+    "a0": 2.0**-10,
+    "a1": 2.0**-29,
+    "a2": 2.0**-56,
+    "crs": 2048.0,
+    "crc": 2048.0,
+    "cuc": 2.0**-14,
+    "cus": 2.0**-14,
+    "cic": 2.0**-14,
+    "cis": 2.0**-14,
+    "delta_n": 2.0**-28 * np.pi,
+    "Omega_dot": 2.0**-20 * np.pi,
+    "i_dot": 2.0**-30 * np.pi,
+    "M0": TURNS,
+    "Omega0": TURNS,
+    "omega": TURNS,
+    "i0": TURNS,
+    "e": 0.5,
+    "sqrt_a": 8192.0,
+    "tgd": 5.12e-8,
+    "toe": WEEK_S,
+}
+"""What the message has room for (either sign), by its bits [BDS-SIS-ICD-B1I-3.0]; angles in a file
+may have turned often.
+"""
 MOST_OF_GPS = {"a1": 2.0**-28, "a2": 2.0**-48, "tgd": 2.0**-24}
 """Where that of GPS has more [IS-GPS-200]."""
 LEAST = {"e": 0.0, "sqrt_a": 4096.0, "toe": 0.0}
@@ -301,7 +365,8 @@ def read_navigation(path: str | Path, *more: str | Path, strict: bool = False) -
         credible &= (np.abs(given[name]) <= bound) & (given[name] >= LEAST.get(name, -np.inf))
     if not credible.any():
         raise InputError(
-            f"{files}: expected orbits, got {len(read)} sets that lack a number, or have one that no message can hold"
+            f"{files}: expected orbits, got {len(read)} sets that lack a number, or have one that "
+            "no message can hold"
         )
     given["toe"] += WEEK_S * np.round((given["toc"] - given["toe"]) / WEEK_S)
     for name in ("toc", "toe"):
@@ -322,22 +387,28 @@ def _columns(read: list[Set]) -> dict[str, Array]:
 
 
 def read_ionosphere(path: str | Path) -> tuple[Array, Array]:
-    """Klobuchar's coefficients from a header of RINEX 2 or 3; InputError naming the file if there are none."""
+    """Klobuchar's coefficients from a header of RINEX 2 or 3; InputError naming the file if there
+    are none.
+    """
     text, called = unpacked(Path(path))
     found = _klobuchar(path, header_of(called, text, "N", oldest=2)[0])
     if found is None:
         raise InputError(
-            f"{path}: expected GPSA and GPSB in the header, got none; eight numbers may be given instead"
+            f"{path}: expected GPSA and GPSB in the header, got none; eight numbers may be given "
+            "instead"
         )
     return found
 
 
 def ionosphere(called: str | Path, numbers: ArrayLike) -> tuple[Array, Array]:
-    """Klobuchar's coefficients of eight numbers, alpha and beta; InputError if no message can hold them."""
+    """Klobuchar's coefficients of eight numbers, alpha and beta; InputError if no message can hold
+    them.
+    """
     alpha, beta = np.asarray(numbers, dtype=np.float64).reshape(2, 4)
     if not ((np.abs(alpha) <= MOST_ALPHA).all() and (np.abs(beta) <= MOST_BETA).all()):
         raise InputError(
-            f"{called}: expected coefficients of the ionosphere that a message can hold, got {alpha} and {beta}"
+            f"{called}: expected coefficients of the ionosphere that a message can hold, got "
+            f"{alpha} and {beta}"
         )
     return alpha, beta
 

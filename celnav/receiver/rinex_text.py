@@ -1,4 +1,6 @@
-"""RINEX files as text: unpacked, their headers, and the records of some systems, each checked: damage is told by its line."""
+"""RINEX files as text: unpacked, their headers, and the records of some systems, each checked:
+damage is told by its line.
+"""
 
 from __future__ import annotations
 
@@ -21,11 +23,6 @@ import numpy as np
 from celnav.files import MOST_UNPACKED, InputError
 from celnav.gaussian.linalg import Array
 from celnav.lazy import needed_by
-
-__all__ = [
-    "EPOCH_ZERO", "Measured", "Set", "epochs", "finite_number", "header_of", "kinds_of", "of_system", "sets", "three_numbers",
-    "unpacked",
-]  # fmt: skip
 
 LARGEST_BYTES = 2_000_000_000
 """Of a file, unpacked: a day of a station at a second's rate is half of that."""
@@ -59,7 +56,8 @@ def unpacked(path: Path) -> tuple[str, str]:
         raw = _decompressed(path, raw, most)
     if len(raw) > most:
         raise InputError(
-            f"{path}: expected at most {most:,} bytes when unpacked; unpack it yourself if it is what it should be"
+            f"{path}: expected at most {most:,} bytes when unpacked; unpack it yourself if it is "
+            "what it should be"
         )
     text = raw.removeprefix(b"\xef\xbb\xbf").decode("latin-1").replace("\0", "")
     text = (
@@ -69,7 +67,9 @@ def unpacked(path: Path) -> tuple[str, str]:
 
 
 def _decompressed(path: Path, raw: bytes, most: int) -> bytes:
-    """By the program of hatanaka, which is stopped after ``most`` bytes: its own function would hold all that comes."""
+    """By the program of hatanaka, which is stopped after ``most`` bytes: its own function would
+    hold all that comes.
+    """
     with needed_by(f"{path}: a log in Hatanaka's compression", "rinex"):
         import_module("hatanaka")
         program = files("hatanaka.bin") / ("crx2rnx.exe" if os.name == "nt" else "crx2rnx")
@@ -103,7 +103,9 @@ def _at_line(called: str, k: int, words: str) -> InputError:
 def header_of(
     called: str, text: str, kind: str, oldest: int = 3
 ) -> tuple[dict[str, list[str]], int]:
-    """Header lines by label, and how many there are; the file is one of ``kind``, "O" or "N", in a version from ``oldest`` to 3."""
+    """Header lines by label, and how many there are; the file is one of ``kind``, "O" or "N", in a
+    version from ``oldest`` to 3.
+    """
     lines = text.split("\n")
     words = {"O": "an observation file", "N": "a navigation file"}
     if len(lines[0]) < 60 or "RINEX VERSION" not in lines[0][60:]:
@@ -137,7 +139,8 @@ def kinds_of(called: str, header: dict[str, list[str]], system: str) -> list[str
     kinds = " ".join(row[6:] for row in rows).split()
     if rows and rows[0][3:6].strip().lstrip("0") != str(len(kinds)):
         raise InputError(
-            f"{called}: expected {rows[0][3:6].strip()!r} kinds in SYS / # / OBS TYPES of {system}, got {len(kinds)}"
+            f"{called}: expected {rows[0][3:6].strip()!r} kinds in SYS / # / OBS TYPES of "
+            f"{system}, got {len(kinds)}"
         )
     return kinds
 
@@ -165,7 +168,9 @@ def three_numbers(path: Path, header: dict[str, list[str]], label: str) -> Array
 
 
 class Measured(NamedTuple):
-    """An epoch: s since the beginning of BDT by the clock of the file, and fields of satellites, nan where blank or 0."""
+    """An epoch: s since the beginning of BDT by the clock of the file, and fields of satellites,
+    nan where blank or 0.
+    """
 
     time: float
     fields: dict[str, list[float]]
@@ -292,7 +297,9 @@ def _name(called: str, k: int, line: str) -> str:
 
 
 class Set(NamedTuple):
-    """A broadcast set: whose, s of its clock by its system's time, and its numbers in the order of the file, nan where blank."""
+    """A broadcast set: whose, s of its clock by its system's time, and its numbers in the order of
+    the file, nan where blank.
+    """
 
     name: str
     toc: float
@@ -357,7 +364,8 @@ def _number(called: str, k: int, field: str) -> float:
 
 
 def finite_number(text: str) -> float:
-    """A number, or ValueError; what else Python takes for one, no file has: 1_0, nan and infinity."""
+    """A number, or ValueError; what else Python takes for one, no file has: 1_0, nan and
+    infinity."""
     value = float(text.replace("D", "E").replace("d", "e"))
     if "_" in text or not math.isfinite(value):
         raise ValueError

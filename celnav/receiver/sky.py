@@ -1,4 +1,5 @@
-"""A receiver's place and the sky over it: where satellites stand, what their geometry makes of noise, and what the air delays.
+"""A receiver's place and the sky over it: where satellites stand, what their geometry makes of
+noise, and what the air delays.
 
 Positions are Earth-fixed, m; angles in rad.
 """
@@ -15,17 +16,6 @@ from celnav.gaussian.checks import finite, numbers
 from celnav.gaussian.linalg import Array
 from celnav.models.gnss import LIGHT
 
-__all__ = [
-    "GROUND_M",
-    "Dilution",
-    "dilution",
-    "klobuchar",
-    "local_axes",
-    "look",
-    "on_earth",
-    "saastamoinen",
-]
-
 GROUND_M = (6.3e6, 1e7)
 """From the middle of the Earth, where receivers are: near its surface or in a low orbit."""
 SINGULAR = 1e-6
@@ -33,7 +23,9 @@ SINGULAR = 1e-6
 
 
 def on_earth(name: str, position: Array) -> None:
-    """Raise ValueError unless a position ``(3,)`` may be a receiver's: Earth-fixed meters, near the surface or in a low orbit."""
+    """Raise ValueError unless a position ``(3,)`` may be a receiver's: Earth-fixed meters, near the
+    surface or in a low orbit.
+    """
     position = numbers(name, position, (3,))
     if not GROUND_M[0] < math.hypot(*position) < GROUND_M[1]:  # nan is in no interval
         raise ValueError(
@@ -70,7 +62,9 @@ class Sky(NamedTuple):
 
 
 def look(q: Array, position: Array, axes: Array) -> Sky:
-    """Where satellites ``q (..., S, 3)`` stand over ``position (..., 3)`` with its `local_axes` ``(..., 3, 3)``."""
+    """Where satellites ``q (..., S, 3)`` stand over ``position (..., 3)`` with its `local_axes`
+    ``(..., 3, 3)``.
+    """
     east, north, up = np.moveaxis(_unit(q - position[..., None, :]) @ axes.mT, -1, 0)
     return Sky(np.arcsin(up), np.arctan2(east, north) % (2.0 * np.pi))
 
@@ -88,9 +82,11 @@ class Dilution(NamedTuple):
 def dilution(
     q: Array, position: Array, axes: Array, used: Array | None = None, second: Array | None = None
 ) -> Dilution:
-    """What a fix from ranges alone makes of their noise; nan where satellites ``used (..., S)`` do not determine one.
+    """What a fix from ranges alone makes of their noise; nan where satellites ``used (..., S)`` do
+    not determine one.
 
-    ``second (S,)``: 1 for satellites of a second system, the offset of whose clock is found where both are used.
+    ``second (S,)``: 1 for satellites of a second system, the offset of whose clock is found where
+    both are used.
     """
     e = _unit(q - position[..., None, :]) @ axes.mT
     rows = np.concatenate([-e, np.ones_like(e[..., :1])], -1)
@@ -117,15 +113,22 @@ def dilution(
 
 
 def klobuchar(
-    alpha: ArrayLike, beta: ArrayLike, t: Array | float, latitude: Array | float, longitude: Array | float, elevation: Array,
+    alpha: ArrayLike,
+    beta: ArrayLike,
+    t: Array | float,
+    latitude: Array | float,
+    longitude: Array | float,
+    elevation: Array,
     azimuth: Array,
-) -> Array:  # fmt: skip
-    """Ionospheric delay (m) at GPS L1 [Klobuchar1987; IS-GPS-200]; at another frequency f it is ``(L1 / f)^2`` times that.
+) -> Array:
+    """Ionospheric delay (m) at GPS L1 [Klobuchar1987; IS-GPS-200]; at another frequency f it is
+    ``(L1 / f)^2`` times that.
 
     Parameters
     ----------
     alpha, beta: four coefficients each, s and s per semicircle^k, as broadcast (RINEX: GPSA, GPSB).
-    t: seconds of the GPS day or week. latitude, longitude: geodetic, of the receiver. elevation, azimuth: of the satellites.
+    t: seconds of the GPS day or week. latitude, longitude: geodetic, of the receiver. elevation,
+        azimuth: of the satellites.
     """
     a, b = finite("alpha", alpha, (4,)), finite("beta", beta, (4,))
     E = np.asarray(elevation) / np.pi  # all angles in semicircles, as the coefficients are
@@ -145,9 +148,11 @@ def klobuchar(
 def saastamoinen(
     latitude: Array | float, height_m: Array | float, elevation: Array, *, humidity: float = 0.5
 ) -> Array:
-    """Tropospheric delay (m) of the standard atmosphere, mapped by ``1 / sin(elevation)`` [Saastamoinen1972].
+    """Tropospheric delay (m) of the standard atmosphere, mapped by ``1 / sin(elevation)``
+    [Saastamoinen1972].
 
-    ``height_m`` above the sea, from -1000 to 11,000. ``humidity``: relative, of the air at the receiver, from 0 to 1.
+    ``height_m`` above the sea, from -1000 to 11,000. ``humidity``: relative, of the air at the
+    receiver, from 0 to 1.
     """
     height = np.asarray(height_m, dtype=np.float64)
     if not ((height >= -1000.0) & (height <= 11000.0)).all():

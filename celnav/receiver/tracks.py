@@ -1,4 +1,6 @@
-"""Tracks as they are exchanged: CSV with all that is known of an epoch, RTKLIB's solutions, GeoJSON, and NMEA 0183."""
+"""Tracks as they are exchanged: CSV with all that is known of an epoch, RTKLIB's solutions,
+GeoJSON, and NMEA 0183.
+"""
 
 from __future__ import annotations
 
@@ -27,16 +29,33 @@ with needed_by("positioning a receiver", "rinex"):
 if TYPE_CHECKING:
     from celnav.receiver.report import Positioned
 
-__all__ = ["DOUBTS", "FORMATS", "civil", "geojson", "nmea", "pos", "table", "utc"]
-
 GPS_WEEK = 1356
 """In which BDT began, by the count of GPS."""
 BDT_DAY, TAI_AHEAD_S = 2453736.5, 33.0
 """Julian date of that beginning, and how far TAI is ahead of BDT."""
 KNOT = 1852.0 / 3600.0
-COLUMNS = ("time_bdt", "seconds_bdt", "x_m", "y_m", "z_m", "vx_m_per_s", "vy_m_per_s", "vz_m_per_s", "clock_m", "drift_m_per_s",
-           "east_m", "north_m", "up_m", "std_east_m", "std_north_m", "std_up_m", "satellites", "pdop",
-           "integrity", "excluded")  # fmt: skip
+COLUMNS = (
+    "time_bdt",
+    "seconds_bdt",
+    "x_m",
+    "y_m",
+    "z_m",
+    "vx_m_per_s",
+    "vy_m_per_s",
+    "vz_m_per_s",
+    "clock_m",
+    "drift_m_per_s",
+    "east_m",
+    "north_m",
+    "up_m",
+    "std_east_m",
+    "std_north_m",
+    "std_up_m",
+    "satellites",
+    "pdop",
+    "integrity",
+    "excluded",
+)
 DOUBTS = {
     "untested": "no redundancy shows a faulty satellite",
     "implausible height": "where no receiver is",
@@ -50,7 +69,8 @@ def civil(t: float, form: str = "%Y-%m-%dT%H:%M:%S") -> str:
 
 
 def table(found: Positioned) -> str:
-    """All epochs as CSV; empty where there is nothing. ``clock_m`` is the receiver's clock with what it was set by.
+    """All epochs as CSV; empty where there is nothing. ``clock_m`` is the receiver's clock with
+    what it was set by.
 
     ``integrity``: see `celnav.receiver.report.Positioned`. ``excluded``: satellites whose range
     was; with "rate", whose rate alone was.
@@ -74,7 +94,9 @@ def table(found: Positioned) -> str:
 
 
 class Place(NamedTuple):
-    """A measured epoch: s of BDT, degrees, m above the ellipsoid; velocity and covariance by east, north and up."""
+    """A measured epoch: s of BDT, degrees, m above the ellipsoid; velocity and covariance by east,
+    north and up.
+    """
 
     time: float
     latitude: float
@@ -134,7 +156,8 @@ def pos(found: Positioned) -> str:
         "% ephemeris : broadcast",
         f"% navi sys  : {systems}",
         "%",
-        "% (lat/lon/height=WGS84/ellipsoidal,Q=1:fix,2:float,3:sbas,4:dgps,5:single,6:ppp,ns=# of satellites)",
+        "% (lat/lon/height=WGS84/ellipsoidal,Q=1:fix,2:float,3:sbas,4:dgps,5:single,6:ppp,ns=# of "
+        "satellites)",
         "%  GPST                  latitude(deg) longitude(deg)  height(m)   Q  ns"
         "   sdn(m)   sde(m)   sdu(m)  sdne(m)  sdeu(m)  sdun(m) age(s)  ratio",
     ]
@@ -148,7 +171,8 @@ def pos(found: Positioned) -> str:
             f" {np.copysign(np.sqrt(abs(v)), v):8.4f}" for v in (nn, ee, uu, en, eu, nu)
         )
         lines.append(
-            f"{civil(place.time + GPS_AHEAD_S, form)[:-3]} {place.latitude:14.9f} {place.longitude:14.9f} {place.height:10.4f}"
+            f"{civil(place.time + GPS_AHEAD_S, form)[:-3]} {place.latitude:14.9f} "
+            f"{place.longitude:14.9f} {place.height:10.4f}"
             f"   5 {place.satellites:3d}{deviations} {0.0:6.2f} {0.0:6.1f}"
         )
     return "\n".join(lines) + "\n"

@@ -1,4 +1,6 @@
-"""A tape as C: one C99 function without loops, branches or memory of its own, that needs nothing but ``math.h``."""
+"""A tape as C: one C99 function without loops, branches or memory of its own, that needs nothing
+but ``math.h``.
+"""
 
 from __future__ import annotations
 
@@ -7,8 +9,6 @@ from math import inf
 
 from celnav.tape.kernel import Kernel
 from celnav.tape.tape import LOGICAL, Tape
-
-__all__ = ["function"]
 
 _INFIX = {
     "add": "+",
@@ -25,7 +25,9 @@ _INFIX = {
 
 
 def function(kernel: Kernel, name: str, places: dict[str, str], comment: Sequence[str]) -> str:
-    """The definition of a function of a kernel; ``places``: the names of its arguments that stand for its places, "rows" too."""
+    """The definition of a function of a kernel; ``places``: the names of its arguments that stand
+    for its places, "rows" too.
+    """
     tape, results = kernel.tape, kernel.results()
     lines = [f"/* {comment[0]}", *(f" * {line}" for line in comment[1:]), " */"] if comment else []
     lines += [f"void {name}({arguments(places)})", "{"]
@@ -37,7 +39,8 @@ def function(kernel: Kernel, name: str, places: dict[str, str], comment: Sequenc
             lines.append(f"    const double t{i} = {places[place]}[{index}];")
         elif op != "const":
             lines.append(
-                f"    const {'int' if op in LOGICAL else 'double'} t{i} = {_expression(tape, op, at)};"
+                f"    const {'int' if op in LOGICAL else 'double'} t{i} = "
+                f"{_expression(tape, op, at)};"
             )
     lines += [f"    {places[place]}[{index}] = {_value(tape, x.i)};" for place, index, x in results]
     return "\n".join([*lines, "}", ""])

@@ -1,4 +1,6 @@
-"""A device of NVIDIA's, through its driver by ctypes: memory, and flights by the programs of `celnav.tape.ptx`."""
+"""A device of NVIDIA's, through its driver by ctypes: memory, and flights by the programs of
+`celnav.tape.ptx`.
+"""
 
 from __future__ import annotations
 
@@ -13,8 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from celnav.tape.ptx import TARGET
-
-__all__ = ["CudaError", "Device", "device"]
 
 THREADS = 64  # of a block: registers are what they are short of
 MOST = 1 << 32  # bytes that are copied at once, which the host holds too
@@ -58,7 +58,8 @@ class Device:
         if tuple(found) < TARGET:
             least, its = (".".join(map(str, version)) for version in (TARGET, found))
             raise CudaError(
-                f"engine='cuda': expected a device of compute capability {least} or higher, got {its}"
+                f"engine='cuda': expected a device of compute capability {least} or higher, got "
+                f"{its}"
             )
         self._do("cuDevicePrimaryCtxRetain", ctypes.byref(self._context), number)
 
@@ -88,7 +89,9 @@ class Device:
         return self._entries[program]
 
     def room(self) -> int:
-        """Bytes that a flight may take: half of what is free, because the threads' own memory comes out of it too."""
+        """Bytes that a flight may take: half of what is free, because the threads' own memory comes
+        out of it too.
+        """
         self._do("cuCtxSetCurrent", self._context)
         free, whole = ctypes.c_size_t(), ctypes.c_size_t()
         self._do("cuMemGetInfo_v2", ctypes.byref(free), ctypes.byref(whole))
@@ -101,7 +104,9 @@ class Device:
         at: NDArray[np.int64],
         *arrays: NDArray[np.float64],
     ) -> None:
-        """Call an entry with the ``arrays`` state, shared, own and rows (of all fields), contiguous; state and rows come back."""
+        """Call an entry with the ``arrays`` state, shared, own and rows (of all fields),
+        contiguous; state and rows come back.
+        """
         state, shared, own, rows = arrays
         self._do("cuCtxSetCurrent", self._context)
         given: tuple[NDArray[Any], ...] = kinds, at, state, shared, own
@@ -145,7 +150,9 @@ class Device:
                 self.driver.cuMemFree_v2(place)
 
     def _do(self, name: str, *arguments: Any, log: Any = None, asked: int | None = None) -> None:
-        """Call a function of the driver; its error, with what the compiler's ``log`` says, or how many bytes were ``asked`` for."""
+        """Call a function of the driver; its error, with what the compiler's ``log`` says, or how
+        many bytes were ``asked`` for.
+        """
         status = getattr(self.driver, name)(*arguments)
         if status == 0:
             return

@@ -1,6 +1,8 @@
-"""Derivatives of what is on a tape, by the chain rule forward: exact, where differences would cost half of the digits.
+"""Derivatives of what is on a tape, by the chain rule forward: exact, where differences would cost
+half of the digits.
 
-`along` and `at_zero` differentiate by variables of a model, `with_slopes` a whole step by a parameter of its filter.
+`along` and `at_zero` differentiate by variables of a model, `with_slopes` a whole step by a
+parameter of its filter.
 """
 
 from __future__ import annotations
@@ -16,8 +18,6 @@ from celnav.tape.numbers import Numbers, tape_of
 from celnav.tape.routine import Routine
 from celnav.tape.tape import Number, Scalar, Tape, do, operands
 
-__all__ = ["along", "at_zero", "with_slopes"]
-
 Slopes = dict[int, Scalar]
 """Derivatives with respect to some variables, by their number; of the others it is 0."""
 Carried = tuple[Scalar, Slopes]
@@ -25,7 +25,9 @@ Carried = tuple[Scalar, Slopes]
 
 
 def along(center: Any, roots: Sequence[Any]) -> list[Any]:
-    """One point ``(1, n)`` of each root ``(n, q)``, its columns times variables that are 0, which `at_zero` differentiates by."""
+    """One point ``(1, n)`` of each root ``(n, q)``, its columns times variables that are 0, which
+    `at_zero` differentiates by.
+    """
     tape = tape_of(center, *roots)
     assert tape is not None
     tape.variables = [
@@ -39,7 +41,9 @@ def along(center: Any, roots: Sequence[Any]) -> list[Any]:
 
 
 def at_zero(y: Any) -> tuple[Numbers, Numbers]:
-    """Values ``(...)`` of numbers where the tape's last variables are 0, and their derivatives ``(..., count)`` there."""
+    """Values ``(...)`` of numbers where the tape's last variables are 0, and their derivatives
+    ``(..., count)`` there.
+    """
     found = next((x for x in y.flat if isinstance(x, Number)), None)
     count = len(found.tape.variables) if found is not None else 0
     value, slope = Numbers(y.shape), Numbers((*y.shape, count))
@@ -55,10 +59,11 @@ def at_zero(y: Any) -> tuple[Numbers, Numbers]:
 
 
 def with_slopes(kernel: Kernel, seeds: Collection[int]) -> Kernel:
-    """The step that carries with each number of its state the derivative by one parameter; it keeps no rows.
+    """The step that carries with each number of its state the derivative by one parameter; it keeps
+    no rows.
 
-    Number ``i`` of the state stands at ``2 i``, its derivative after it. seeds: the numbers before the step, by index, whose
-    derivative may not be 0.
+    Number ``i`` of the state stands at ``2 i``, its derivative after it. seeds: the numbers before
+    the step, by index, whose derivative may not be 0.
     """
     tape, known = kernel.tape, dict[int, Carried]()
     inputs = [(place, 2 * at if place == "state" else at) for place, at in kernel.inputs]
@@ -77,7 +82,9 @@ def with_slopes(kernel: Kernel, seeds: Collection[int]) -> Kernel:
 def _carried(
     x: Number, known: dict[int, Carried], partials: Mapping[str, Partials] | None = None
 ) -> Carried:
-    """Value and derivatives of a number; ``known``: those found already; ``partials``: of operations, None: `_PARTIALS`."""
+    """Value and derivatives of a number; ``known``: those found already; ``partials``: of
+    operations, None: `_PARTIALS`.
+    """
     tape, stack = x.tape, [x.i]
     memory: dict[int, list[Carried] | None] = {}
     while stack:

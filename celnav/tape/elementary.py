@@ -1,8 +1,10 @@
-"""Functions of the C library as arithmetic on a tape: all runs of a vector at once, and on any device.
+"""Functions of the C library as arithmetic on a tape: all runs of a vector at once, and on any
+device.
 
-`lowered` writes a tape anew with them. They are within two units in the last place of the C library's (three for the tangent
-and for hyperbolic sine and tangent), a power ``x^y`` within ``2 + 2 |y log x|`` units. Whole powers of whole numbers, and their
-logarithms to base 2 and 10, are exact, and so are remainders. An argument of sine and cosine beyond 1e14 rad, and a remainder of
+`lowered` writes a tape anew with them. They are within two units in the last place of the C
+library's (three for the tangent and for hyperbolic sine and tangent), a power ``x^y`` within
+``2 + 2 |y log x|`` units. Whole powers of whole numbers, and their logarithms to base 2 and 10, are
+exact, and so are remainders. An argument of sine and cosine beyond 1e14 rad, and a remainder of
 2^53 periods, give nan: a run that is lost is flown again by the numpy engine.
 """
 
@@ -13,24 +15,54 @@ from math import factorial, inf, nan, pi
 
 from celnav.tape.tape import Number, Scalar, Tape, as_number, do
 
-__all__ = ["LOWERED", "lowered"]
-
 FARTHEST = 1e14  # rad; one float is a hundredth of a radian from the next there
 LOG10_2 = (3.01029995663611771306e-01, 3.69423907715893078616e-13)
 LN2 = (6.93147180369123816490e-01, 1.90821492927058770002e-10)
 HALF_PI = (1.5707963267948966, 6.123233995736766e-17, -1.4973849048591833e-33)
-"""As sums, the first of which is as much as a float holds (of the logarithm: with zeros at its end)."""
-_SINE = (-1.66666666666666324348e-01, 8.33333333332248946124e-03, -1.98412698298579493134e-04, 2.75573137070700676789e-06,
-         -2.50507602534068634195e-08, 1.58969099521155010221e-10)  # fmt: skip
-_COSINE = (4.16666666666666019037e-02, -1.38888888888741095749e-03, 2.48015872894767294178e-05, -2.75573143513906633035e-07,
-           2.08757232129817482790e-09, -1.13596475577881948265e-11)  # fmt: skip
+"""As sums, the first of which is as much as a float holds (of the logarithm: with zeros at its
+end).
+"""
+_SINE = (
+    -1.66666666666666324348e-01,
+    8.33333333332248946124e-03,
+    -1.98412698298579493134e-04,
+    2.75573137070700676789e-06,
+    -2.50507602534068634195e-08,
+    1.58969099521155010221e-10,
+)
+_COSINE = (
+    4.16666666666666019037e-02,
+    -1.38888888888741095749e-03,
+    2.48015872894767294178e-05,
+    -2.75573143513906633035e-07,
+    2.08757232129817482790e-09,
+    -1.13596475577881948265e-11,
+)
 _EXP = tuple(1.0 / factorial(k) for k in range(14))
-_LOG = (6.666666666666735130e-01, 3.999999999940941908e-01, 2.857142874366239149e-01, 2.222219843214978396e-01,
-        1.818357216161805012e-01, 1.531383769920937332e-01, 1.479819860511658591e-01)  # fmt: skip
-_ATAN = (-6.485021904942025371773e1, -1.228866684490136173410e2, -7.500855792314704667340e1, -1.615753718733365076637e1,
-         -8.750608600031904122785e-1)  # fmt: skip
-_ATAN_BELOW = (1.945506571482613964425e2, 4.853903996359136964868e2, 4.328810604912902668951e2, 1.650270098316988542046e2,
-               2.485846490142306297962e1, 1.0)  # fmt: skip
+_LOG = (
+    6.666666666666735130e-01,
+    3.999999999940941908e-01,
+    2.857142874366239149e-01,
+    2.222219843214978396e-01,
+    1.818357216161805012e-01,
+    1.531383769920937332e-01,
+    1.479819860511658591e-01,
+)
+_ATAN = (
+    -6.485021904942025371773e1,
+    -1.228866684490136173410e2,
+    -7.500855792314704667340e1,
+    -1.615753718733365076637e1,
+    -8.750608600031904122785e-1,
+)
+_ATAN_BELOW = (
+    1.945506571482613964425e2,
+    4.853903996359136964868e2,
+    4.328810604912902668951e2,
+    1.650270098316988542046e2,
+    2.485846490142306297962e1,
+    1.0,
+)
 """Polynomials on the reduced ranges, by rising powers [fdlibm; Cephes]."""
 
 
@@ -72,7 +104,9 @@ def _select(condition: Scalar, a: Scalar, b: Scalar) -> Scalar:
 
 
 def _quarters(x: Scalar) -> tuple[Scalar, Scalar, Scalar, Scalar]:
-    """Sine and cosine of what is left of an angle after whole quarters of a turn, their number modulo 4, and whether it is odd."""
+    """Sine and cosine of what is left of an angle after whole quarters of a turn, their number
+    modulo 4, and whether it is odd.
+    """
     n = do("rint", do("mul", x, 2.0 / pi))
     r = x
     for part in HALF_PI:
@@ -137,7 +171,9 @@ def _times_pow2(x: Scalar, n: Scalar) -> Scalar:
 
 
 def _less_one(x: Scalar) -> tuple[Scalar, Scalar]:
-    """Numbers m and n, with which the exponential less one is ``m 2^n``: ``m = (e^r - 1) + (1 - 2^-n)``, of ``x = n ln 2 + r``."""
+    """Numbers m and n, with which the exponential less one is ``m 2^n``:
+    ``m = (e^r - 1) + (1 - 2^-n)``, of ``x = n ln 2 + r``.
+    """
     x = _select(do("lt", 800.0, do("abs", x)), do("copysign", 800.0, x), x)
     n = do("rint", do("mul", x, 1.4426950408889634))
     r = do("sub", do("sub", x, do("mul", n, LN2[0])), do("mul", n, LN2[1]))
@@ -197,7 +233,9 @@ def cbrt(x: Scalar) -> Scalar:
 
 
 def _near_one(x: Scalar) -> tuple[Scalar, Scalar, Scalar, Scalar]:
-    """Of ``x = 2^k m``, with m near 1: k, and numbers f, a and b, with which ``log m = f - (a - b)``, by ``2 artanh``."""
+    """Of ``x = 2^k m``, with m near 1: k, and numbers f, a and b, with which
+    ``log m = f - (a - b)``, by ``2 artanh``.
+    """
     small = do("lt", x, 1e-300)
     whole = _select(small, do("mul", x, 2.0**54), x)
     k = do("exponent", whole)

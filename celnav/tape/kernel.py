@@ -10,16 +10,16 @@ from typing import NamedTuple
 from celnav.tape.elementary import lowered
 from celnav.tape.tape import LOGICAL, Number, Scalar, Tape, as_number, do, operands
 
-__all__ = ["Kernel", "Split", "digest"]
-
 
 class Kernel(NamedTuple):
     """A step on a tape.
 
-    inputs: ``(place, index)`` of each input, place "state", "shared" or "own". state: ``(index, result)`` of what is written.
-    rows: results that are kept. fields: of the arrays where they are kept, the numbers of a run; () for one array.
-    at: field and place of each row; None for one beside the other. flags: fields of truth values, which this
-    processor keeps as bytes.
+    inputs: ``(place, index)`` of each input, place "state", "shared" or "own". state:
+        ``(index, result)`` of what is written.
+    rows: results that are kept. fields: of the arrays where they are kept, the numbers of a run; ()
+        for one array.
+    at: field and place of each row; None for one beside the other. flags: fields of truth values,
+    which this processor keeps as bytes.
     """
 
     tape: Tape
@@ -58,7 +58,9 @@ class Kernel(NamedTuple):
         return [(field, i) for field, count in enumerate(counts) for i in range(count)]
 
     def uniform(self, state: Collection[int]) -> list[bool]:
-        """Of each operation whether all runs have the same result, if they have the same ``state`` entries."""
+        """Of each operation whether all runs have the same result, if they have the same ``state``
+        entries.
+        """
         out = list[bool]()
         for op in self.tape.ops:
             if op[0] == "in":
@@ -69,14 +71,16 @@ class Kernel(NamedTuple):
         return out
 
     def split(self, before: Collection[int], after: Collection[int]) -> Split:
-        """The step in two parts: what all runs have in common, once an epoch, and the rest, for each run.
+        """The step in two parts: what all runs have in common, once an epoch, and the rest, for
+        each run.
 
         before, after: entries of the state that all runs have in common before and after the step.
         """
         tape, results = self.tape, self.results()  # which may put constants on the tape
         uniform = self.uniform(before)
         own = [(p, i, x) for p, i, x in results if p == "rows" or i not in after]
-        # What a run takes of the common part: results that are neither constants nor inputs already.
+        # What a run takes of the common part: results that are neither constants nor inputs
+        # already.
         given = {
             i
             for i in tape.needed([x for *_, x in own], {i for i, x in enumerate(uniform) if x})
@@ -138,7 +142,8 @@ class Kernel(NamedTuple):
 
 
 class Split(NamedTuple):
-    """A step in two parts. The rows of ``once`` are the shared inputs of ``each`` from the ``first`` on.
+    """A step in two parts. The rows of ``once`` are the shared inputs of ``each`` from the
+    ``first`` on.
 
     saved: operations of the first part.
     """

@@ -8,8 +8,9 @@ A `Kernel` is one step. Its numbers come from, and go to, four places::
     rows    (rows stored, runs, n)   what is kept of a step, an array for each field
     cells   (C, lanes)               the memory of routines
 
-`fly` takes blocks of ``lanes`` runs, one after the other, through all steps. Every operation is IEEE arithmetic in a fixed order
-(products and sums fused only where this module says so): a run has the same bytes in any block, lane or thread.
+`fly` takes blocks of ``lanes`` runs, one after the other, through all steps. Every operation is
+IEEE arithmetic in a fixed order (products and sums fused only where this module says so): a run has
+the same bytes in any block, lane or thread.
 """
 
 from __future__ import annotations
@@ -30,25 +31,14 @@ from celnav.tape.elementary import LOWERED
 from celnav.tape.kernel import Kernel, digest
 from celnav.tape.tape import Number, Tape, operands
 
-__all__ = [
-    "BLOCK",
-    "LIBM",
-    "LINE",
-    "aligned",
-    "caller",
-    "compiled",
-    "features",
-    "fly",
-    "kernel_address",
-    "lanes",
-    "source",
-    "toolchain",
-]
-
 LIBM = tuple(LOWERED)
 LINE = 64  # bytes
-TILE = 16  # blocks that go through an epoch together: what is stored of neighbors then lies on the same pages of memory
-QUICK = 30_000  # lines of a module that are compiled without optimization: a tenth of the time, and code that takes a third more
+# blocks that go through an epoch together: what is stored of neighbors then lies on the same pages
+# of memory
+TILE = 16
+# lines of a module that are compiled without optimization: a tenth of the time, and code that takes
+# a third more
+QUICK = 30_000
 BLOCK = 500  # lines of a basic block
 SIZE = {"double": 8, "i8": 1}
 """Bytes of what is kept."""
@@ -61,7 +51,8 @@ _COMPARED = {"lt": "olt", "le": "ole", "eq": "oeq", "ne": "une"}
 def source(kernel: Kernel, lanes: int, fused: bool) -> str:
     """LLVM assembly of a kernel: ``step(state, shared, own, rows, runs, cells, at)``.
 
-    rows: pointers to the fields, where row and run of the first lane stand ``at``; nothing is stored where that is negative.
+    rows: pointers to the fields, where row and run of the first lane stand ``at``; nothing is
+        stored where that is negative.
     """
     if fused:  # without that their ranges are reduced less exactly than the C library does it
         kernel = kernel.lowered()
@@ -103,11 +94,24 @@ def source(kernel: Kernel, lanes: int, fused: bool) -> str:
                 f"declare void @llvm.masked.scatter.{_suffix(kind, lanes)}.v{lanes}p0("
                 f"<{lanes} x {kind}>, <{lanes} x ptr>, i32, <{lanes} x i1>)"
             )
-    signature = "define void @step(ptr noalias %state, ptr %shared, ptr %own, ptr %rows, i64 %runs, ptr noalias %cells, i64 %at)"
-    return "\n".join([
-        *intrinsics, *(_libm(name, lanes, code.vector) for name in sorted(called)), *functions,
-        signature, "{", *code.lines, "br label %done", "done:", "ret void", "}",
-    ])  # fmt: skip
+    signature = (
+        "define void @step(ptr noalias %state, ptr %shared, ptr %own, ptr %rows, i64 %runs, "
+        "ptr noalias %cells, i64 %at)"
+    )
+    return "\n".join(
+        [
+            *intrinsics,
+            *(_libm(name, lanes, code.vector) for name in sorted(called)),
+            *functions,
+            signature,
+            "{",
+            *code.lines,
+            "br label %done",
+            "done:",
+            "ret void",
+            "}",
+        ]
+    )
 
 
 def _suffix(kind: str, lanes: int) -> str:
@@ -151,7 +155,9 @@ def _fused(needed: Sequence[int], tape: Tape, uses: Counter[int]) -> dict[int, i
 def _sums(
     needed: Sequence[int], tape: Tape, uses: Counter[int], joined: dict[int, int]
 ) -> list[list[int]]:
-    """Operations in an order in which they can be done, sums of products together, at their last product."""
+    """Operations in an order in which they can be done, sums of products together, at their last
+    product.
+    """
     within, units = set(joined.values()), dict[int, list[int]]()  # by their last operation
     for i in needed:
         if i in within or tape.ops[i][0] in LOADED:
@@ -167,8 +173,8 @@ def _sums(
 def _in_turn(units: Sequence[list[int]], tape: Tape, joined: dict[int, int]) -> Iterator[int]:
     """The operations, those of neighboring sums in turn.
 
-    What several sums multiply, such as a state that a matrix takes, is then taken from memory once, and no
-    sum waits for itself.
+    What several sums multiply, such as a state that a matrix takes, is then taken from memory once,
+    and no sum waits for itself.
     """
     group, members = list[list[int]](), set[int]()
 
@@ -263,7 +269,9 @@ class _Code:
         self.cells += routine.cells
 
     def divide(self) -> None:
-        """Go on in another basic block after a while: the time that one takes to compile grows faster than its length."""
+        """Go on in another basic block after a while: the time that one takes to compile grows
+        faster than its length.
+        """
         if len(self.lines) <= BLOCK * (self.blocks + 1):
             return
         self.blocks += 1
@@ -287,7 +295,8 @@ class _Code:
             self.lines.append(f"{name} = getelementptr double, ptr %{place}, i64 {name}o")
         else:
             self.lines.append(
-                f"{name} = getelementptr double, ptr %{place}, i64 {at * (1 if place == 'shared' else self.lanes)}"
+                f"{name} = getelementptr double, ptr %{place}, i64 "
+                f"{at * (1 if place == 'shared' else self.lanes)}"
             )
 
     def load(self, i: int, place: str, at: int) -> None:
@@ -297,7 +306,8 @@ class _Code:
             self.lines += [
                 f"%s{i} = load double, ptr %p{i}, align 8",
                 f"%e{i} = insertelement {self.vector} undef, double %s{i}, i32 0",
-                f"%t{i} = shufflevector {self.vector} %e{i}, {self.vector} undef, <{self.lanes} x i32> zeroinitializer",
+                f"%t{i} = shufflevector {self.vector} %e{i}, {self.vector} undef, <{self.lanes} x "
+                "i32> zeroinitializer",
             ]
             return
         self.lines.append(f"%t{i} = load {self.vector}, ptr %p{i}, align 8")
@@ -360,7 +370,8 @@ class _Code:
                 put(f"%n{i} = fneg {vector} {a}")
                 a = f"%n{i}"
             put(
-                f"%t{i} = call {vector} @llvm.fma.{self.suffix}({vector} {a}, {vector} {b}, {vector} {c})"
+                f"%t{i} = call {vector} @llvm.fma.{self.suffix}({vector} {a}, {vector} {b}, "
+                f"{vector} {c})"
             )
         elif name in _BINARY:
             put(f"%t{i} = {_BINARY[name]} {vector} {value[0]}, {value[1]}")
@@ -436,8 +447,9 @@ def _libm(name: str, lanes: int, vector: str) -> str:
 
 
 LOOP = """
-define void @fly(ptr %kernels, ptr %kinds, ptr %at, ptr %state, ptr %shared, ptr %own, ptr %rows, ptr %cells,
-                 i64 %S, i64 %E, i64 %M, i64 %all, i64 %before, i64 %runs, i64 %lanes, i64 %first, i64 %last, i64 %steps)
+define void @fly(ptr %kernels, ptr %kinds, ptr %at, ptr %state, ptr %shared, ptr %own, ptr %rows,
+                 ptr %cells, i64 %S, i64 %E, i64 %M, i64 %all, i64 %before, i64 %runs, i64 %lanes,
+                 i64 %first, i64 %last, i64 %steps)
 {
 start:
   %size = mul i64 %S, %lanes
@@ -518,7 +530,9 @@ def lanes() -> int:
 
 
 def aligned(shape: tuple[int, ...]) -> Any:
-    """An array of floats that begins where a line of the cache does: no vector then lies across two."""
+    """An array of floats that begins where a line of the cache does: no vector then lies across
+    two.
+    """
     size = 8 * int(np.prod(shape))
     memory = np.empty(size + LINE, np.uint8)
     first = -memory.ctypes.data % LINE
@@ -558,7 +572,8 @@ def kernel_address(kernel: Kernel, lanes: int) -> int:
 
 @cache
 def fly() -> Any:
-    """The function that takes blocks of runs through steps; Python's lock is free while it works."""
+    """The function that takes blocks of runs through steps; Python's lock is free while it
+    works."""
     return _FLY(compiled(LOOP.replace("@TILE", str(TILE)), "fly"))
 
 

@@ -1,6 +1,8 @@
-"""Arrays of numbers that are not known yet: run numpy code on them once, and its arithmetic is on a `Tape`.
+"""Arrays of numbers that are not known yet: run numpy code on them once, and its arithmetic is on a
+`Tape`.
 
-numpy's functions work on `Numbers` as they do on floats: products of matrices, sums, sines, comparisons, choices with ``np.where``.
+numpy's functions work on `Numbers` as they do on floats: products of matrices, sums, sines,
+comparisons, choices with ``np.where``.
 """
 
 from __future__ import annotations
@@ -25,18 +27,6 @@ from celnav.tape.tape import (
     refused,
     total,
 )
-
-__all__ = [
-    "Numbers",
-    "each_row",
-    "in_model",
-    "known_alike",
-    "numbers",
-    "present",
-    "rarely",
-    "recorded",
-    "tape_of",
-]
 
 LONG = 1000
 """Operations that are written out even so, where rows are treated alike."""
@@ -137,42 +127,92 @@ def _op(name: str) -> Callable[..., Scalar]:
 
 
 _UFUNCS: dict[Any, Callable[..., Scalar]] = {
-    np.add: _op("add"), np.subtract: _op("sub"), np.multiply: _op("mul"), np.divide: _op("div"), np.negative: _op("neg"),
-    np.absolute: _op("abs"), np.fabs: _op("abs"), np.sqrt: _op("sqrt"), np.copysign: _op("copysign"), np.floor: _op("floor"),
-    np.sin: _op("sin"), np.cos: _op("cos"), np.tan: _op("tan"), np.arcsin: _op("asin"), np.arccos: _op("acos"),
-    np.arctan: _op("atan"), np.arctan2: _op("atan2"), np.exp: _op("exp"), np.log: _op("log"), np.sinh: _op("sinh"),
-    np.cosh: _op("cosh"), np.tanh: _op("tanh"), np.exp2: _op("exp2"), np.log2: _op("log2"), np.log10: _op("log10"),
-    np.log1p: _op("log1p"), np.expm1: _op("expm1"), np.cbrt: _op("cbrt"),
-    np.less: _op("lt"), np.less_equal: _op("le"), np.greater: lambda a, b: do("lt", b, a),
-    np.greater_equal: lambda a, b: do("le", b, a), np.equal: _op("eq"), np.not_equal: _op("ne"),
-    np.logical_and: lambda a, b: do("and", _logical(a), _logical(b)), np.bitwise_and: _bitwise("and"),
-    np.logical_or: lambda a, b: do("or", _logical(a), _logical(b)), np.bitwise_or: _bitwise("or"),
-    np.logical_not: lambda x: do("not", _logical(x)), np.invert: _bitwise("not"),
-    np.maximum: _maximum, np.minimum: _minimum, np.fmax: _fmax, np.fmin: lambda a, b: do("neg", _fmax(do("neg", a), do("neg", b))),
-    np.power: _power, np.float_power: _power, np.remainder: _remainder,
-    np.square: lambda x: do("mul", x, x), np.reciprocal: lambda x: do("div", 1.0, x),
-    np.hypot: _op("hypot"), np.sign: _sign, np.rint: _op("rint"), np.trunc: _trunc, np.fmod: _op("fmod"),
-    np.floor_divide: _floor_divide, np.heaviside: _heaviside, np.logaddexp: _logaddexp,
-    np.logical_xor: lambda a, b: do("ne", _logical(a), _logical(b)), np.bitwise_xor: _bitwise("ne"),
+    np.add: _op("add"),
+    np.subtract: _op("sub"),
+    np.multiply: _op("mul"),
+    np.divide: _op("div"),
+    np.negative: _op("neg"),
+    np.absolute: _op("abs"),
+    np.fabs: _op("abs"),
+    np.sqrt: _op("sqrt"),
+    np.copysign: _op("copysign"),
+    np.floor: _op("floor"),
+    np.sin: _op("sin"),
+    np.cos: _op("cos"),
+    np.tan: _op("tan"),
+    np.arcsin: _op("asin"),
+    np.arccos: _op("acos"),
+    np.arctan: _op("atan"),
+    np.arctan2: _op("atan2"),
+    np.exp: _op("exp"),
+    np.log: _op("log"),
+    np.sinh: _op("sinh"),
+    np.cosh: _op("cosh"),
+    np.tanh: _op("tanh"),
+    np.exp2: _op("exp2"),
+    np.log2: _op("log2"),
+    np.log10: _op("log10"),
+    np.log1p: _op("log1p"),
+    np.expm1: _op("expm1"),
+    np.cbrt: _op("cbrt"),
+    np.less: _op("lt"),
+    np.less_equal: _op("le"),
+    np.greater: lambda a, b: do("lt", b, a),
+    np.greater_equal: lambda a, b: do("le", b, a),
+    np.equal: _op("eq"),
+    np.not_equal: _op("ne"),
+    np.logical_and: lambda a, b: do("and", _logical(a), _logical(b)),
+    np.bitwise_and: _bitwise("and"),
+    np.logical_or: lambda a, b: do("or", _logical(a), _logical(b)),
+    np.bitwise_or: _bitwise("or"),
+    np.logical_not: lambda x: do("not", _logical(x)),
+    np.invert: _bitwise("not"),
+    np.maximum: _maximum,
+    np.minimum: _minimum,
+    np.fmax: _fmax,
+    np.fmin: lambda a, b: do("neg", _fmax(do("neg", a), do("neg", b))),
+    np.power: _power,
+    np.float_power: _power,
+    np.remainder: _remainder,
+    np.square: lambda x: do("mul", x, x),
+    np.reciprocal: lambda x: do("div", 1.0, x),
+    np.hypot: _op("hypot"),
+    np.sign: _sign,
+    np.rint: _op("rint"),
+    np.trunc: _trunc,
+    np.fmod: _op("fmod"),
+    np.floor_divide: _floor_divide,
+    np.heaviside: _heaviside,
+    np.logaddexp: _logaddexp,
+    np.logical_xor: lambda a, b: do("ne", _logical(a), _logical(b)),
+    np.bitwise_xor: _bitwise("ne"),
     np.signbit: lambda x: do("lt", do("copysign", 1.0, x), 0.0),
     np.ceil: lambda x: do("neg", do("floor", do("neg", x))),
-    np.isfinite: lambda x: do("eq", do("sub", x, x), 0.0), np.isnan: lambda x: do("ne", x, x),
+    np.isfinite: lambda x: do("eq", do("sub", x, x), 0.0),
+    np.isnan: lambda x: do("ne", x, x),
     np.isinf: lambda x: do("eq", do("abs", x), inf),
-    np.positive: lambda x: x, np.conjugate: lambda x: x,
-    np.deg2rad: lambda x: do("mul", x, np.pi / 180.0), np.radians: lambda x: do("mul", x, np.pi / 180.0),
-    np.rad2deg: lambda x: do("mul", x, 180.0 / np.pi), np.degrees: lambda x: do("mul", x, 180.0 / np.pi),
-}  # fmt: skip
+    np.positive: lambda x: x,
+    np.conjugate: lambda x: x,
+    np.deg2rad: lambda x: do("mul", x, np.pi / 180.0),
+    np.radians: lambda x: do("mul", x, np.pi / 180.0),
+    np.rad2deg: lambda x: do("mul", x, 180.0 / np.pi),
+    np.degrees: lambda x: do("mul", x, 180.0 / np.pi),
+}
 
 
 _TRUTH: dict[Any, Callable[..., Scalar]] = {
-    np.add: _op("or"), np.multiply: _op("and"), np.maximum: _op("or"), np.minimum: _op("and"),
-}  # fmt: skip
+    np.add: _op("or"),
+    np.multiply: _op("and"),
+    np.maximum: _op("or"),
+    np.minimum: _op("and"),
+}
 """Of truth values alone, where that is another function."""
 
 
 @cache
 def _of_truth(ufunc: Any) -> Callable[..., Scalar]:
-    """A function of truth values alone, for which numpy chooses the type: not every one is float64."""
+    """A function of truth values alone, for which numpy chooses the type: not every one is
+    float64."""
     try:
         kind = ufunc.resolve_dtypes((np.dtype(bool),) * ufunc.nin + (None,) * ufunc.nout)[-1]
     except TypeError:
@@ -201,9 +241,11 @@ def _scalar(ufunc: Any) -> Callable[..., Scalar]:
     return function
 
 
-# -- arrays of them ------------------------------------------------------------------------------------------------------
+# -- arrays of them --------------------------------------------------------------------------------
 class Numbers(np.ndarray):
-    """An array of `Number` and of floats that are known; numpy's functions take it as they take arrays of floats."""
+    """An array of `Number` and of floats that are known; numpy's functions take it as they take
+    arrays of floats.
+    """
 
     def __new__(cls, shape: tuple[int, ...]) -> Numbers:
         """Zeros."""
@@ -227,7 +269,9 @@ class Numbers(np.ndarray):
         return type(found)(map(numbers, found)) if type(found) in (tuple, list) else numbers(found)
 
     def astype(self, dtype: Any, *arguments: Any, **options: Any) -> Any:  # noqa: ARG002
-        """As floats, whole numbers or truth values; they stay numbers of full precision, so no other type will do."""
+        """As floats, whole numbers or truth values; they stay numbers of full precision, so no
+        other type will do.
+        """
         kind = _as_float64(dtype, np.int64, np.int32, np.bool_)
         floats = numbers(_each(_logical if kind.kind == "b" else as_number, self.view(np.ndarray)))
         return np.trunc(floats) if kind.kind == "i" else floats
@@ -239,7 +283,8 @@ class Numbers(np.ndarray):
             raise _explained(error, at) from None
 
     def __setitem__(self, at: Any, value: Any) -> None:
-        """As numpy: of truth values where all that is there are truth values, of floats otherwise."""
+        """As numpy: of truth values where all that is there are truth values, of floats
+        otherwise."""
         value = _each(_logical if _is_truth(self) else as_number, _bare(value))
         try:
             super().__setitem__(at, value if value.ndim else value[()])
@@ -272,7 +317,8 @@ def _explained(error: IndexError, at: Any) -> Exception:
 
 
 def _as_float64(dtype: Any, *others: Any) -> Any:
-    """A type that numbers can have; they stay numbers of full precision, so no other type will do."""
+    """A type that numbers can have; they stay numbers of full precision, so no other type
+    will do."""
     kind = np.dtype(dtype)
     if kind not in (np.float64, np.object_, *others):
         raise refused(f"numbers are recorded as float64, not as {kind}")
@@ -458,7 +504,9 @@ def _contracted(pair: Sequence[Any]) -> Any:
 
 
 def in_model(function: Callable[..., Any], x: Any, *arguments: Any) -> Any:
-    """What a function of a model makes of an array; while it is recorded, with the values that numpy gives."""
+    """What a function of a model makes of an array; while it is recorded, with the values that
+    numpy gives.
+    """
     tape = tape_of(x) if x.dtype.hasobject else None
     if tape is None or tape.model:
         return function(x, *arguments)
@@ -472,8 +520,8 @@ def in_model(function: Callable[..., Any], x: Any, *arguments: Any) -> Any:
 def present(x: Any) -> Any:
     """Whether components were measured: are not nan.
 
-    While a step is recorded those may be missing that are so in its epochs: a run whose model makes nan itself is lost, and flown
-    again by numpy.
+    While a step is recorded those may be missing that are so in its epochs: a run whose model makes
+    nan itself is lost, and flown again by numpy.
     """
     if not x.dtype.hasobject:
         return x == x
@@ -499,8 +547,8 @@ def _key(x: Scalar) -> Any:
 def each_row(function: Callable[..., Any], *points: Any, least: int = LONG) -> Any:
     """Values ``(p, m)`` of a function at points ``(p, n)``, each of its values that of one point.
 
-    It is recorded for one of them. Code of ``least`` operations or more becomes a loop over the points; what is shorter is written
-    out, where what points have in common is done once.
+    It is recorded for one of them. Code of ``least`` operations or more becomes a loop over the
+    points; what is shorter is written out, where what points have in common is done once.
     """
     tape, count = tape_of(*points), len(points[0])
     if tape is None or count == 1 or not tape.rolled:
@@ -528,7 +576,8 @@ def each_row(function: Callable[..., Any], *points: Any, least: int = LONG) -> A
 def rarely(
     condition: Any, function: Callable[..., Any], arrays: Sequence[Any], usual: Sequence[Any]
 ) -> tuple[Any, ...]:
-    """``np.where(condition, function(*arrays), usual)`` for each matrix, with a rare condition ``(...)``.
+    """``np.where(condition, function(*arrays), usual)`` for each matrix, with a rare condition
+    ``(...)``.
 
     Machine code calls the function only if the condition holds for a run of the vector.
     """
@@ -560,7 +609,7 @@ def rarely(
     )
 
 
-# -- functions that are no ufuncs ------------------------------------------------------------------------------------------
+# -- functions that are no ufuncs ------------------------------------------------------------------
 @np.errstate(all="ignore")
 def _where(condition: Any, a: Any, b: Any) -> Any:
     a, b = _operand(a), _operand(b)
@@ -635,7 +684,8 @@ def _nan_to_num(
 
 
 def _einsum(subscripts: str, *operands: Any, **_options: Any) -> Any:
-    """By broadcasting: each operand's axes in the order of all letters, then a product and a sum."""
+    """By broadcasting: each operand's axes in the order of all letters, then a product and a
+    sum."""
     left, right = subscripts.replace(" ", "").split("->")
     parts, bare = left.split(","), [_bare(x) for x in operands]
     more = [x.ndim - len(part.replace("...", "")) for part, x in zip(parts, bare, strict=True)]
@@ -702,7 +752,9 @@ def _solve(A: Any, b: Any) -> Any:
 
 
 def _eliminated(A: Any, b: Any) -> Any:
-    """``A^-1 b`` by elimination with the largest pivot, chosen without a branch: rows are exchanged by selection."""
+    """``A^-1 b`` by elimination with the largest pivot, chosen without a branch: rows are exchanged
+    by selection.
+    """
     rows = [[*A[i], *b[i]] for i in range(len(A))]
     for i in range(len(rows)):
         below = [j for j in range(i + 1, len(rows)) if not is_known(rows[j][i], 0.0)]
@@ -761,10 +813,12 @@ roll rollaxis rot90 round shape sinc size split squeeze stack std sum swapaxes t
 take_along_axis tensordot tile trace transpose trapezoid tril tril_indices_from triu
 triu_indices_from unstack vander var vdot vsplit vstack
 """
-"""numpy's functions that are right as they are, of objects: those that do not ask what type they get."""
+"""numpy's functions that are right as they are, of objects: those that do not ask what type they
+get.
+"""
 
 
-# -- one of them by itself -------------------------------------------------------------------------------------------------
+# -- one of them by itself -------------------------------------------------------------------------
 def _operator(function: Callable[..., Any], swapped: bool = False) -> Any:
     def method(self: Number, *other: Any) -> Any:
         if other and not isinstance(
@@ -779,7 +833,9 @@ def _operator(function: Callable[..., Any], swapped: bool = False) -> Any:
 
 
 def _python(ufunc: Any) -> Callable[..., Scalar]:
-    """The operator of single numbers, where Python's truth values are whole numbers and numpy's are not."""
+    """The operator of single numbers, where Python's truth values are whole numbers and numpy's are
+    not.
+    """
 
     def function(*arguments: Scalar) -> Scalar:
         if ufunc in (np.add, np.invert) and all(map(is_logical, arguments)):
@@ -792,11 +848,34 @@ def _python(ufunc: Any) -> Callable[..., Scalar]:
     return function
 
 
-_BINARY = {"add": np.add, "sub": np.subtract, "mul": np.multiply, "truediv": np.divide, "pow": np.power, "mod": np.remainder,
-           "floordiv": np.floor_divide, "and": np.bitwise_and, "or": np.bitwise_or, "xor": np.bitwise_xor}  # fmt: skip
-_OTHER = {"neg": np.negative, "pos": np.positive, "abs": np.absolute, "invert": np.invert, "lt": np.less, "le": np.less_equal,
-          "gt": np.greater, "ge": np.greater_equal, "eq": np.equal, "ne": np.not_equal, "floor": np.floor, "ceil": np.ceil,
-          "trunc": np.trunc, "round": np.rint}  # fmt: skip
+_BINARY = {
+    "add": np.add,
+    "sub": np.subtract,
+    "mul": np.multiply,
+    "truediv": np.divide,
+    "pow": np.power,
+    "mod": np.remainder,
+    "floordiv": np.floor_divide,
+    "and": np.bitwise_and,
+    "or": np.bitwise_or,
+    "xor": np.bitwise_xor,
+}
+_OTHER = {
+    "neg": np.negative,
+    "pos": np.positive,
+    "abs": np.absolute,
+    "invert": np.invert,
+    "lt": np.less,
+    "le": np.less_equal,
+    "gt": np.greater,
+    "ge": np.greater_equal,
+    "eq": np.equal,
+    "ne": np.not_equal,
+    "floor": np.floor,
+    "ceil": np.ceil,
+    "trunc": np.trunc,
+    "round": np.rint,
+}
 for _name, _of in {**_BINARY, **_OTHER}.items():
     setattr(Number, f"__{_name}__", _operator(_python(_of)))
 for _name, _of in _BINARY.items():

@@ -1,9 +1,11 @@
-"""Kernels as PTX, the assembly language of NVIDIA's devices: each thread takes one run through all epochs.
+"""Kernels as PTX, the assembly language of NVIDIA's devices: each thread takes one run through all
+epochs.
 
-A step is the function that `celnav.tape.llvm` writes, of one run; around it stands a loop over the epochs, which all threads go
-through together. Neighboring threads read and write neighboring numbers::
+A step is the function that `celnav.tape.llvm` writes, of one run; around it stands a loop over the
+epochs, which all threads go through together. Neighboring threads read and write neighboring
+numbers::
 
-    state   (S, runs)                what a run carries from step to step: its thread has it in registers meanwhile
+    state   (S, runs)                what a run carries from step to step, in registers meanwhile
     shared  (steps, E)               inputs that all runs have in common
     own     (steps, M, runs)         inputs of each run
     rows    (rows stored, runs, n)   what is kept of a step, one field after the other
@@ -16,11 +18,14 @@ from collections.abc import Sequence
 from celnav.tape import llvm
 from celnav.tape.kernel import Kernel, digest
 
-__all__ = ["TARGET", "assembled", "program"]
-
 TARGET, TRIPLE = (7, 0), "nvptx64-nvidia-cuda"
-"""Compute capability of the oldest device that will do; the driver compiles for the one that is there."""
-_ARGUMENTS = "ptr %kinds, ptr %at, ptr %state, ptr %shared, ptr %own, ptr %rows, i64 %E, i64 %M, i64 %K, i64 %runs, i64 %steps"
+"""Compute capability of the oldest device that will do; the driver compiles for the one that is
+there.
+"""
+_ARGUMENTS = (
+    "ptr %kinds, ptr %at, ptr %state, ptr %shared, ptr %own, ptr %rows, "
+    "i64 %E, i64 %M, i64 %K, i64 %runs, i64 %steps"
+)
 _FLY = """
 define void @fly(@ARGUMENTS, i64 %run)
 {
@@ -97,9 +102,11 @@ done:
 
 
 def program(kernels: Sequence[Kernel], size: int) -> str:
-    """PTX of the entry ``entry(kinds, at, state, shared, own, rows, E, M, K, runs, steps)``; the same is made once.
+    """PTX of the entry ``entry(kinds, at, state, shared, own, rows, E, M, K, runs, steps)``; the
+    same is made once.
 
-    kernels: which of them each epoch takes say its ``kinds``, and ``at`` which row it stores, -1 for none. size: S.
+    kernels: which of them each epoch takes say its ``kinds``, and ``at`` which row it stores, -1
+        for none. size: S.
     """
     key = tuple(digest(kernel) for kernel in kernels), size
     if key not in _PROGRAMS:
@@ -111,7 +118,9 @@ _PROGRAMS: dict[tuple[tuple[bytes, ...], int], str] = {}
 
 
 def source(kernels: Sequence[Kernel], size: int) -> str:
-    """LLVM assembly of a program; the steps stand in the loop itself, where a state of registers is all the memory they need."""
+    """LLVM assembly of a program; the steps stand in the loop itself, where a state of registers is
+    all the memory they need.
+    """
     binding, text = llvm.toolchain(), _FLY + _ENTRY
     parts = {
         "@ARGUMENTS": (_ARGUMENTS, 1),

@@ -1,7 +1,8 @@
-"""Routines that machine code calls: loops, which would be slow to compile unrolled, and rare branches.
+"""Routines that machine code calls: loops, which would be slow to compile unrolled, and rare
+branches.
 
-A `Routine` is called with numbers, which are the first cells of its memory, and leaves others there. On a `Tape` its call is one
-operation.
+A `Routine` is called with numbers, which are the first cells of its memory, and leaves others
+there. On a `Tape` its call is one operation.
 """
 
 from __future__ import annotations
@@ -14,14 +15,14 @@ from typing import NamedTuple
 from celnav.tape.elementary import lowered
 from celnav.tape.tape import Number, Scalar, Tape, as_number, operands
 
-__all__ = ["Recorder", "Routine", "Stage", "rolled"]
-
 
 class Stage(NamedTuple):
     """Code for a number of ``rows``.
 
-    places: by name ``(first, stride)``: where a place begins for the first row, and how much later for each of the next.
-    inputs: ``(place, index)`` of each input of the tape. results: ``(place, index, number)`` of what is written.
+    places: by name ``(first, stride)``: where a place begins for the first row, and how much later
+        for each of the next.
+    inputs: ``(place, index)`` of each input of the tape. results: ``(place, index, number)`` of
+        what is written.
     """
 
     rows: int
@@ -34,7 +35,8 @@ class Stage(NamedTuple):
 class Routine:
     """Stages that share a memory. The arguments are in its first cells.
 
-    own: number of cells of the routine. The cells of routines that it calls follow, ``cells`` in all.
+    own: number of cells of the routine. The cells of routines that it calls follow, ``cells`` in
+        all.
     left: cells that are returned. rare: whether the call is skipped if the first argument is 0 for
     every run of the vector. The returned cells are then undefined.
     """
@@ -110,7 +112,8 @@ def rolled(
     rows: Sequence[Sequence[Scalar]],
     least: int,
 ) -> list[Number] | None:
-    """Numbers that come of variables, for rows of values of these, one row after the other; None: it is better written out.
+    """Numbers that come of variables, for rows of values of these, one row after the other; None:
+    it is better written out.
 
     least: operations of all rows together that are worth a loop.
     """

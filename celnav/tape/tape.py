@@ -1,6 +1,8 @@
-"""A tape of operations, and the `Number` that one of them gives: what is known is computed at once, nothing is done twice.
+"""A tape of operations, and the `Number` that one of them gives: what is known is computed at once,
+nothing is done twice.
 
-What asks for a value that does not exist yet, an ``if`` or a ``float(x)``, raises `CannotCompile`, which names the line.
+What asks for a value that does not exist yet, an ``if`` or a ``float(x)``, raises `CannotCompile`,
+which names the line.
 """
 
 from __future__ import annotations
@@ -17,17 +19,13 @@ from typing import Any, Final
 
 import numpy as np
 
-__all__ = [
-    "LOGICAL", "MOST", "CannotCompile", "Number", "Scalar", "Tape", "TooLong", "as_number", "do", "is_known",
-    "is_logical", "operands", "place_of", "refused", "total",
-]  # fmt: skip
-
 Scalar = Any
 """A `Number`, or a float or bool that is known already."""
 
 
 class CannotCompile(ValueError):
-    """A computation is not arithmetic on numbers; the message says what it asked for, and on which line.
+    """A computation is not arithmetic on numbers; the message says what it asked for, and on which
+    line.
 
     ``somewhere``: whether the line is not known.
     """
@@ -40,7 +38,8 @@ class TooLong(CannotCompile):
 
 
 def refused(what: str) -> CannotCompile:
-    """The error, with the line of the model, or else of the package, that led to it; the tape keeps it.
+    """The error, with the line of the model, or else of the package, that led to it; the tape keeps
+    it.
 
     A model may catch it: what is recorded after that is refused all the same.
     """
@@ -75,24 +74,76 @@ def _is_installed(path: Path) -> bool:
 
 
 _FOLD: dict[str, Callable[..., Any]] = {
-    "add": np.add, "sub": np.subtract, "mul": np.multiply, "div": np.divide, "neg": np.negative, "abs": np.abs, "sqrt": np.sqrt,
-    "copysign": np.copysign, "floor": np.floor, "rint": np.rint, "pow2": np.exp2, "exponent": lambda x: np.frexp(x)[1] - 1.0,
-    "sin": np.sin, "cos": np.cos, "tan": np.tan, "asin": np.arcsin, "acos": np.arccos, "atan": np.arctan, "atan2": np.arctan2,
-    "exp": np.exp, "log": np.log, "pow": np.power, "sinh": np.sinh, "cosh": np.cosh, "tanh": np.tanh, "exp2": np.exp2,
-    "log2": np.log2, "log10": np.log10, "log1p": np.log1p, "expm1": np.expm1, "cbrt": np.cbrt,
-    "fmod": np.fmod, "hypot": np.hypot,
-    "lt": np.less, "le": np.less_equal, "eq": np.equal, "ne": np.not_equal, "and": np.logical_and, "or": np.logical_or,
-    "not": np.logical_not, "select": lambda c, a, b: a if c else b,
-}  # fmt: skip
-"""What operations do to numbers that are known; "pow2" is two to a whole number, "exponent" the one of a normal number."""
+    "add": np.add,
+    "sub": np.subtract,
+    "mul": np.multiply,
+    "div": np.divide,
+    "neg": np.negative,
+    "abs": np.abs,
+    "sqrt": np.sqrt,
+    "copysign": np.copysign,
+    "floor": np.floor,
+    "rint": np.rint,
+    "pow2": np.exp2,
+    "exponent": lambda x: np.frexp(x)[1] - 1.0,
+    "sin": np.sin,
+    "cos": np.cos,
+    "tan": np.tan,
+    "asin": np.arcsin,
+    "acos": np.arccos,
+    "atan": np.arctan,
+    "atan2": np.arctan2,
+    "exp": np.exp,
+    "log": np.log,
+    "pow": np.power,
+    "sinh": np.sinh,
+    "cosh": np.cosh,
+    "tanh": np.tanh,
+    "exp2": np.exp2,
+    "log2": np.log2,
+    "log10": np.log10,
+    "log1p": np.log1p,
+    "expm1": np.expm1,
+    "cbrt": np.cbrt,
+    "fmod": np.fmod,
+    "hypot": np.hypot,
+    "lt": np.less,
+    "le": np.less_equal,
+    "eq": np.equal,
+    "ne": np.not_equal,
+    "and": np.logical_and,
+    "or": np.logical_or,
+    "not": np.logical_not,
+    "select": lambda c, a, b: a if c else b,
+}
+"""What operations do to numbers that are known; "pow2" is two to a whole number, "exponent" the one
+of a normal number.
+"""
 MOST = 400_000  # operations on a tape, those that are not needed in the end included
 LOGICAL: Final = frozenset(("lt", "le", "eq", "ne", "and", "or", "not"))
 """Operations whose results are true or false."""
 _SHARP: Final = LOGICAL | {"floor", "rint", "fmod"}
 """Operations that jump: there a difference of round-off becomes another whole number."""
 _WILD: Final = frozenset(
-    ("div", "sqrt", "tan", "asin", "acos", "log", "log2", "log10", "log1p", "exp", "exp2", "expm1", "sinh", "cosh", "pow", "fmod")
-)  # fmt: skip
+    (
+        "div",
+        "sqrt",
+        "tan",
+        "asin",
+        "acos",
+        "log",
+        "log2",
+        "log10",
+        "log1p",
+        "exp",
+        "exp2",
+        "expm1",
+        "sinh",
+        "cosh",
+        "pow",
+        "fmod",
+    )
+)
 """Operations that can make nan or infinity of moderate numbers."""
 _OPERANDS: Final = {
     "in": slice(0),
@@ -112,14 +163,16 @@ def operands(op: tuple[Any, ...]) -> tuple[int, ...]:
 class Tape:
     """Operations in the order in which they were first done, each once.
 
-    ``ops[i]`` is ``(name, *arguments)``: indices of earlier ones; ``("in", k)`` is the k-th input, ``("const", x)`` a number.
-    ``("call", routine, *arguments)`` leaves a memory, ``("part", i, cell)`` is a cell of it; ``rolled``: whether there may be such.
-    ``cells``: how many numbers the routines have in memory.
-    ``most``: the number of operations beyond which `TooLong` is raised.
-    ``refusal``: the first thing that was asked for in vain. ``absent[i]``: whether it comes of something
-    that may be missing, nan. ``model``: whether what is recorded now is a model's
-    own arithmetic, which has the values that numpy gives; of what it made, ``wild[i]``: whether it may be nan or infinite, and
-    ``sharp``: numbers that decide a jump, whose products and sums are rounded one by one. ``modeled``: what was recorded so.
+    ``ops[i]`` is ``(name, *arguments)``: indices of earlier ones; ``("in", k)`` is the k-th input,
+    ``("const", x)`` a number. ``("call", routine, *arguments)`` leaves a memory,
+    ``("part", i, cell)`` is a cell of it; ``rolled``: whether there may be such. ``cells``: how
+    many numbers the routines have in memory. ``most``: the number of operations beyond which
+    `TooLong` is raised.
+    ``refusal``: the first thing that was asked for in vain. ``absent[i]``: whether it comes of
+    something that may be missing, nan. ``model``: whether what is recorded now is a model's
+    own arithmetic, which has the values that numpy gives; of what it made, ``wild[i]``: whether it
+    may be nan or infinite, and ``sharp``: numbers that decide a jump, whose products and sums are
+        rounded one by one. ``modeled``: what was recorded so.
     """
 
     def __init__(self, rolled: bool = True, most: int = MOST) -> None:
@@ -190,7 +243,8 @@ class Tape:
         return x
 
     def needed(self, outputs: Sequence[Number], given: Container[int] = ()) -> list[int]:
-        """Operations that the outputs depend on, each as late as it can be: few numbers then wait in registers.
+        """Operations that the outputs depend on, each as late as it can be: few numbers then wait
+        in registers.
 
         given: operations whose results are known, so that their operands are not needed.
         """
@@ -237,7 +291,9 @@ def is_known(x: Scalar, value: float) -> bool:
 
 
 def _is_zero(x: Scalar, beside: Scalar) -> bool:
-    """Whether a number is a known zero that changes nothing in a sum; in a model 0.0 makes 0.0 of -0.0."""
+    """Whether a number is a known zero that changes nothing in a sum; in a model 0.0 makes 0.0 of
+    -0.0.
+    """
     return is_known(x, 0.0) and not (beside.tape.model and copysign(1.0, x) > 0.0)
 
 
@@ -304,9 +360,16 @@ def _undone(name: str) -> Callable[[Scalar], Scalar | None]:
 
 
 _SHORT: dict[str, Callable[..., Scalar | None]] = {
-    "add": _add, "sub": _sub, "mul": _mul, "div": _div, "select": _select, "and": _joined(True), "or": _joined(False),
-    "neg": _undone("neg"), "not": _undone("not"),
-}  # fmt: skip
+    "add": _add,
+    "sub": _sub,
+    "mul": _mul,
+    "div": _div,
+    "select": _select,
+    "and": _joined(True),
+    "or": _joined(False),
+    "neg": _undone("neg"),
+    "not": _undone("not"),
+}
 
 
 def is_logical(x: Scalar) -> bool:
@@ -373,16 +436,28 @@ def _refusing(what: str) -> Callable[..., Any]:
 
 _LATER = "a number that is known only when the filter runs is"
 for _names, _what in (
-    ("bool", "a branch depends on a number that is known only when the filter runs; numpy.where "
-     "chooses without one"),
-    ("float complex", f"{_LATER} asked for as a float; numpy's functions take it as it is, and "
-     "numpy.stack or numpy.empty_like(x) makes an array of such numbers"),
-    ("int index", f"{_LATER} asked for as an index or a whole number; put the table into u, or "
-     "choose by numpy.where"),
-    ("hash", f"{_LATER} looked up in a dict, a set or a cache; put the table into u, or choose by "
-     "numpy.where"),
+    (
+        "bool",
+        "a branch depends on a number that is known only when the filter runs; numpy.where "
+        "chooses without one",
+    ),
+    (
+        "float complex",
+        f"{_LATER} asked for as a float; numpy's functions take it as it is, and "
+        "numpy.stack or numpy.empty_like(x) makes an array of such numbers",
+    ),
+    (
+        "int index",
+        f"{_LATER} asked for as an index or a whole number; put the table into u, or "
+        "choose by numpy.where",
+    ),
+    (
+        "hash",
+        f"{_LATER} looked up in a dict, a set or a cache; put the table into u, or choose by "
+        "numpy.where",
+    ),
     ("str repr format reduce_ex", f"{_LATER} written as text or bytes"),
-):  # fmt: skip
+):
     for _name in _names.split():
         setattr(Number, f"__{_name}__", _refusing(_what))
 Real.register(Number)

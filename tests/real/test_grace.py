@@ -21,7 +21,7 @@ from celnav.filters.sequential import ukf
 from celnav.gaussian.belief import Gaussian
 from celnav.models import earth, ephemeris, gravity
 from celnav.real import grace
-from celnav.real.grace import positions, settings, study
+from celnav.real.grace import positions, settings, show, study
 
 REAL = Path(__file__).parents[3] / "shared" / "data" / "grace"
 START, COUNT = 270820800.0, 320
@@ -117,6 +117,7 @@ def results(folder):
     """The study of the made files, in which a revolution is an eighth of the day."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(study, "REVOLUTION", 40)
+        patch.setattr(show, "REVOLUTION", 40)  # which took it over when it was imported
         patch.setattr(study, "TRAINED", 100)
         yield grace.STUDY.reproduce(grace=folder)
 

@@ -1,4 +1,6 @@
-"""Positions of a satellite in a file, one to a line, and axes along its orbit. Units: m, s; Earth-fixed axes."""
+"""Positions of a satellite in a file, one to a line, and axes along its orbit. Units: m, s;
+Earth-fixed axes.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,9 @@ MOST_BYTES, MOST_EPOCHS = 10_000_000, 100_000
 
 
 class Positions(NamedTuple):
-    """Epochs ``(T,)`` every `STEP_S`, GPS seconds since 2000-01-01 12:00, and positions ``(T, 3)`` m, nan where there is none."""
+    """Epochs ``(T,)`` every `STEP_S`, GPS seconds since 2000-01-01 12:00, and positions ``(T, 3)``
+    m, nan where there is none.
+    """
 
     times: Array
     z: Array
@@ -31,7 +35,8 @@ def read(path: str | Path) -> Positions:
 
     Raises
     ------
-    InputError: naming the file and the line that is none, or what is wrong with all of it. OSError: if it cannot be read.
+    InputError: naming the file and the line that is none, or what is wrong with all of it. OSError:
+    if it cannot be read.
     """
     content = Path(path).read_bytes()
     if content[:2] == b"\x1f\x8b":
@@ -50,14 +55,16 @@ def read(path: str | Path) -> Positions:
             row = []
         if len(row) != 5 or not np.isfinite(row).all():
             raise InputError(
-                f"{path}: line {number}: expected five numbers, seconds x y z quality, got {line[:60]!r}"
+                f"{path}: line {number}: expected five numbers, seconds x y z quality, got "
+                f"{line[:60]!r}"
             )
         late = (row[0] - rows[0][0]) / STEP_S if rows else 0.0
         if rows and not (
             row[0] > rows[-1][0] and late < MOST_EPOCHS and abs(late - round(late)) < 1e-6
         ):
             raise InputError(
-                f"{path}: line {number}: expected increasing seconds at steps of {STEP_S:g}, got {row[0]:.10g}"
+                f"{path}: line {number}: expected increasing seconds at steps of {STEP_S:g}, got "
+                f"{row[0]:.10g}"
             )
         rows.append(row)
     if len(rows) < 100:
@@ -83,7 +90,9 @@ def aligned(log: Positions, other: Positions) -> Array:
 
 
 def axes(truth: Array) -> Array:
-    """Rotations ``(T, 3, 3)`` from Earth-fixed axes to radial, along and across the track; nan beside a gap."""
+    """Rotations ``(T, 3, 3)`` from Earth-fixed axes to radial, along and across the track; nan
+    beside a gap.
+    """
     velocity = np.gradient(truth, STEP_S, axis=0) + np.cross([0.0, 0.0, earth.ROTATION_RATE], truth)
     up, across = (
         v / np.linalg.norm(v, axis=-1, keepdims=True) for v in (truth, np.cross(truth, velocity))

@@ -1,4 +1,6 @@
-"""What filters believe of GRACE-A and its fixes, and how that was found on 2 and 3 August 2008. Units: m, s; Earth-fixed axes."""
+"""What filters believe of GRACE-A and its fixes, and how that was found on 2 and 3 August 2008.
+Units: m, s; Earth-fixed axes.
+"""
 
 from __future__ import annotations
 
@@ -25,18 +27,35 @@ from celnav.models import earth, ephemeris, gravity, orbit
 from celnav.real.grace.positions import STEP_S, Positions, read
 
 __all__ = [
-    "DEGREE", "DOF", "SETTINGS", "TRAINED", "Setting", "Training", "Weighed", "around", "believed", "fitted", "linear",
-    "orientation", "prior", "step", "trained", "training", "weighing",
-]  # fmt: skip
+    "DEGREE",
+    "DOF",
+    "SETTINGS",
+    "TRAINED",
+    "Setting",
+    "Training",
+    "Weighed",
+    "around",
+    "believed",
+    "fitted",
+    "linear",
+    "orientation",
+    "prior",
+    "step",
+    "trained",
+    "training",
+    "weighing",
+]
 
 POLE = (0.24 * np.pi / 648000.0, 0.47 * np.pi / 648000.0)
 TT_GPS_S, GPS_UTC_S, UT1_UTC_S = 51.184, 14.0, -0.458
 """Motion of the pole, x and y, rad; differences of time scales."""
 
 
-# -- what is believed ----------------------------------------------------------------------------------------------------------
+# -- what is believed ------------------------------------------------------------------------------
 class Around(NamedTuple):
-    """By epoch, on Earth-fixed axes ``(T, 3)``: how these turn (rad/s), Sun and Moon from the Earth's center (m)."""
+    """By epoch, on Earth-fixed axes ``(T, 3)``: how these turn (rad/s), Sun and Moon from the
+    Earth's center (m).
+    """
 
     spin: Array
     sun: Array
@@ -44,7 +63,9 @@ class Around(NamedTuple):
 
 
 def orientation(times: Array) -> tuple[Array, Array]:
-    """Rotations ``(T, 3, 3)`` from celestial to Earth-fixed axes at GPS seconds since 2000-01-01 12:00, and TT ``(T, 2)``."""
+    """Rotations ``(T, 3, 3)`` from celestial to Earth-fixed axes at GPS seconds since 2000-01-01
+    12:00, and TT ``(T, 2)``.
+    """
     tt = np.stack([np.full(times.shape, 2451545.0), (times + TT_GPS_S) / 86400.0], -1)
     return earth.orientation(tt, tt - [0.0, (TT_GPS_S + GPS_UTC_S - UT1_UTC_S) / 86400.0], POLE), tt
 
@@ -59,7 +80,9 @@ def around(times: Array) -> Around:
 
 
 def step(x: Array, epoch: Any, field: gravity.Gravity) -> Array:
-    """State ``(..., 6)`` m, m/s on Earth-fixed axes after an interval: one Runge-Kutta step of order 4 (10 s: 0.01 mm)."""
+    """State ``(..., 6)`` m, m/s on Earth-fixed axes after an interval: one Runge-Kutta step of
+    order 4 (10 s: 0.01 mm).
+    """
     h, r, v = epoch.dt, x[..., :3], x[..., 3:]
     spin, sun, moon = epoch.u
 
@@ -82,7 +105,9 @@ def step(x: Array, epoch: Any, field: gravity.Gravity) -> Array:
 
 
 class Setting(NamedTuple):
-    """Deviation (m) and correlation over a step of a fix's errors; velocity (m/s) that unknown forces add in a step, per axis."""
+    """Deviation (m) and correlation over a step of a fix's errors; velocity (m/s) that unknown
+    forces add in a step, per axis.
+    """
 
     sigma: float
     phi: float
@@ -108,17 +133,21 @@ def believed(field: gravity.Gravity, setting: Settings) -> tuple[Motion, Sensor,
 
 
 def prior(log: Positions) -> Gaussian:
-    """Position and velocity from a polynomial through the first two minutes, taken for much worse than it is."""
+    """Position and velocity from a polynomial through the first two minutes, taken for much worse
+    than it is.
+    """
     there = np.flatnonzero(~np.isnan(log.z[:, 0]))[:13]
     fit = np.polynomial.polynomial.polyfit(log.times[there] - log.times[0], log.z[there], 5)
     return Gaussian(np.concatenate([fit[0], fit[1]]), np.diag([100.0**2] * 3 + [1.0] * 3))
 
 
-# -- settings, from 2 and 3 August ---------------------------------------------------------------------------------------------
+# -- settings, from 2 and 3 August -----------------------------------------------------------------
 DEGREE, TRAINED = 16, 8500
 """Of gravity; epochs of each day that a likelihood is of."""
 SCREEN, SCREENED_M = Setting(4.0, 0.95, 1e-4), 6.0
-"""A fix that a filter so set finds this far from where it expects it is left out of the screened likelihood."""
+"""A fix that a filter so set finds this far from where it expects it is left out of the screened
+likelihood.
+"""
 
 
 DOF = 4.0
@@ -133,11 +162,15 @@ SETTINGS = {
 }
 """What filters believe.
 
-robust: where all fixes are most probable, with Student's t of `DOF` for the increments of their errors. colored: the same, with
-the variance of that distribution. screened: by a normal likelihood without those fixes that are `SCREENED_M` off. normal: by that
-of all, which a few rule. by correlation: deviation of residuals, and the lag at which their correlation is 1/e. white: as colored,
-without its correlation; inflated: with the R that a mean of many fixes so correlated costs, (1 + phi) / (1 - phi) times as large;
-by NIS: with the R that makes NIS right; by likelihood: the R and Q with which all fixes are most probable as white and normal."""
+robust: where all fixes are most probable, with Student's t of `DOF` for the increments of their
+    errors. colored: the same, with
+the variance of that distribution. screened: by a normal likelihood without those fixes that are
+`SCREENED_M` off. normal: by that
+of all, which a few rule. by correlation: deviation of residuals, and the lag at which their
+correlation is 1/e. white: as colored, without its correlation; inflated: with the R that a mean of
+many fixes so correlated costs, (1 + phi) / (1 - phi) times as large;
+by NIS: with the R that makes NIS right; by likelihood: the R and Q with which all fixes are most
+    probable as white and normal."""
 _scale, _phi, _q = SETTINGS["robust"]
 _sigma = _scale * float(np.sqrt(DOF / (DOF - 2.0)))
 SETTINGS |= dict.fromkeys(("white", "white, gated"), Setting(_sigma, 0.0, _q))
@@ -148,9 +181,9 @@ SETTINGS["white, inflated"] = Setting(_sigma * float(np.sqrt((1.0 + _phi) / (1.0
 class Training(NamedTuple):
     """Two days of fixes as two runs, less a trajectory that lies within meters of the satellite.
 
-    times: seconds ``(T,)``. z: fixes less the trajectory ``(T, 2, 3)``. u: what an interval does to what a state is less the
-    trajectory, ``(T - 1, 2, 6, 6)`` times it plus ``(T - 1, 2, 6)``. prior: of both. far: which fixes are `SCREENED_M` off,
-    ``(T, 2, 1)``.
+    times: seconds ``(T,)``. z: fixes less the trajectory ``(T, 2, 3)``. u: what an interval does to
+    what a state is less the trajectory, ``(T - 1, 2, 6, 6)`` times it plus ``(T - 1, 2, 6)``.
+    prior: of both. far: which fixes are `SCREENED_M` off, ``(T, 2, 1)``.
     """
 
     times: Array
@@ -167,7 +200,8 @@ class Training(NamedTuple):
 def training(paths: Sequence[Path], field: gravity.Gravity, count: int) -> Training:
     """The first ``count`` epochs of two days; the trajectory is that of a filter set as `SCREEN`.
 
-    Over meters a motion is linear to 1e-11 m/s^2. So it is computed once, and not in each flight of a search.
+    Over meters a motion is linear to 1e-11 m/s^2. So it is computed once, and not in each flight of
+    a search.
     """
     logs = [read(path) for path in paths]
     each = [prior(log) for log in logs]
@@ -186,9 +220,16 @@ def training(paths: Sequence[Path], field: gravity.Gravity, count: int) -> Train
     pieces = [
         slice(k, min(k + 200, count - 1)) for k in range(0, count - 1, 200)
     ]  # all at once take gigabytes
-    moved = np.concatenate([
-        step(track.mean[p, :, None] + points, Epoch(dt=STEP_S, u=Around(*(part[p, :, None] for part in u))), field) for p in pieces
-    ])  # fmt: skip
+    moved = np.concatenate(
+        [
+            step(
+                track.mean[p, :, None] + points,
+                Epoch(dt=STEP_S, u=Around(*(part[p, :, None] for part in u))),
+                field,
+            )
+            for p in pieces
+        ]
+    )
     far = (
         np.any(np.abs(track.innovation) > SCREENED_M, -1, keepdims=True)
         & (times > 0.0)[:, None, None]
@@ -209,7 +250,8 @@ def linear(believed: tuple[Motion, Sensor, Array]) -> tuple[Motion, Sensor, Arra
 def trained(field: gravity.Gravity, setting: Settings, kind: str = "colored") -> Filter:
     """A filter of a `Training`.
 
-    kind: "colored", "white", or "tails": colored with Student's t for the increments of a fix's errors (see `Weighed`).
+    kind: "colored", "white", or "tails": colored with Student's t for the increments of a fix's
+        errors (see `Weighed`).
     """
     M, S, Phi = linear(believed(field, setting))
     if kind == "white":
@@ -220,7 +262,9 @@ def trained(field: gravity.Gravity, setting: Settings, kind: str = "colored") ->
 
 
 def fitted(data: Training, field: gravity.Gravity, start: Setting, kind: str = "colored") -> Tuned:
-    """The most probable ``sigma``, ``q``, and for colored noise ``phi``, by the likelihood of fixes; ``kind``: see `trained`."""
+    """The most probable ``sigma``, ``q``, and for colored noise ``phi``, by the likelihood of
+    fixes; ``kind``: see `trained`.
+    """
 
     def build(parameters: Array) -> tuple[Filter, Gaussian]:
         sigma, q, *phi = parameters
@@ -237,7 +281,9 @@ def fitted(data: Training, field: gravity.Gravity, start: Setting, kind: str = "
 
 
 def weighing(dof: float) -> list[Any]:
-    """Hooks: the logarithm of an innovation's density under Student's t, then the weights that go with it."""
+    """Hooks: the logarithm of an innovation's density under Student's t, then the weights that go
+    with it.
+    """
 
     def density(_memory: Any, joint: Joint, _epoch: Any) -> tuple[Array, Joint]:
         V: Any = joint.measurement_noise

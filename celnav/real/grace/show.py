@@ -1,4 +1,6 @@
-"""What is shown of GRACE-A: errors beside what is claimed, correlations, sizes, a table, a recording."""
+"""What is shown of GRACE-A: errors beside what is claimed, correlations, sizes, a table, a
+recording.
+"""
 
 from __future__ import annotations
 
@@ -27,14 +29,19 @@ if TYPE_CHECKING:
 __all__ = ["FIGURES", "RECORDINGS", "TABLES", "record"]
 
 LINES = {
-    "white": Line("fixes taken for white", colors.COMPARISON), "colored": Line("told of the correlation", colors.ESTIMATE),
-    "robust": Line("so, with Student's t", colors.REFERENCE), "white, gated": Line("white, with a gate", colors.PAPER),
-    "white, inflated": Line("white, R inflated", colors.MEASUREMENT), "white, by NIS": Line("white, R by NIS", colors.OPEN_LOOP),
+    "white": Line("fixes taken for white", colors.COMPARISON),
+    "colored": Line("told of the correlation", colors.ESTIMATE),
+    "robust": Line("so, with Student's t", colors.REFERENCE),
+    "white, gated": Line("white, with a gate", colors.PAPER),
+    "white, inflated": Line("white, R inflated", colors.MEASUREMENT),
+    "white, by NIS": Line("white, R by NIS", colors.OPEN_LOOP),
     "white, by likelihood": Line("white, R and Q by likelihood", colors.SIGMA),
-    "screened": Line("colored, set without far fixes", colors.BOUND), "normal": Line("colored, set by all as normal", colors.BODY),
+    "screened": Line("colored, set without far fixes", colors.BOUND),
+    "normal": Line("colored, set by all as normal", colors.BODY),
     "by correlation": Line("colored, set by correlation", colors.OPEN_LOOP),
-    "augmented": Line("noise in the state", colors.FAINT), "without z_0": Line("without the first fix", colors.FAINT, "--"),
-}  # fmt: skip
+    "augmented": Line("noise in the state", colors.FAINT),
+    "without z_0": Line("without the first fix", colors.FAINT, "--"),
+}
 BAND = 1.96
 
 
@@ -52,8 +59,20 @@ def day(r: Results) -> Figure:
             )
 
         title = f"{LINES[name].label}: {inside:.0%} of the radial errors within the predicted 95 %"
-        return [Panel(title, [claimed, curve(hours, error, LINES[name]._replace(label="error", color="black", width=0.6))],
-                      "hours of 1 August 2008", "radial (m)", more={"ylim": (-limit, limit), "xlim": (0.0, 24.0)})]  # fmt: skip
+        return [
+            Panel(
+                title,
+                [
+                    claimed,
+                    curve(
+                        hours, error, LINES[name]._replace(label="error", color="black", width=0.6)
+                    ),
+                ],
+                "hours of 1 August 2008",
+                "radial (m)",
+                more={"ylim": (-limit, limit), "xlim": (0.0, 24.0)},
+            )
+        ]
 
     return panels(
         *map(panel, ("white", "colored", "robust")), size=(9.0, 7.0), sharex="col", legend=None
@@ -86,8 +105,17 @@ def bursts(r: Results) -> Figure:
         "the day": (0.0, float(hours[-1])),
         "around the largest error of a fix": (worst - 0.45, worst + 0.65),
     }
-    row = [Panel(title, drawn, "hours of 1 August 2008", "error (m)", "", {"xlim": span, "ylim": (0.0, 45.0)})
-           for title, span in each.items()]  # fmt: skip
+    row = [
+        Panel(
+            title,
+            drawn,
+            "hours of 1 August 2008",
+            "error (m)",
+            "",
+            {"xlim": span, "ylim": (0.0, 45.0)},
+        )
+        for title, span in each.items()
+    ]
     return panels(row, size=(10.5, 4.2), sharey=True)
 
 
@@ -113,9 +141,13 @@ def autocorrelations(r: Results) -> Figure:
         curve(STEP_S * near, of_lags(r.get(BEST, f"{name}/white"), near), LINES[name], marker=".")
         for name in ("white", "colored")
     ]
-    return panels([Panel("errors of the fixes", found, "minutes apart", "correlation", "x"),
-                   Panel("whitened innovations", [*left, level(0.0)], "seconds apart", "correlation")],
-                  size=(9.0, 3.4))  # fmt: skip
+    return panels(
+        [
+            Panel("errors of the fixes", found, "minutes apart", "correlation", "x"),
+            Panel("whitened innovations", [*left, level(0.0)], "seconds apart", "correlation"),
+        ],
+        size=(9.0, 3.4),
+    )
 
 
 SHADES = {"radial": colors.PAPER, "along the track": colors.COMPARISON, "across": colors.TRUTH}
@@ -161,8 +193,17 @@ def table_1(r: Results) -> Rows:
         nees, nis = (
             float(np.nanmean(column(r, part, name, what)[REVOLUTION:])) for what in ("nees", "nis")
         )
-        rows.append({"gravity": part, "filter": name, "RMSE (m)": rmse(r, part, name), "claimed (m)": rmse(r, part, name, "std"),
-                     "NEES/3": nees, "NIS/3": nis, "left out": r.value(part, f"{name}/rejected", 0)})  # fmt: skip
+        rows.append(
+            {
+                "gravity": part,
+                "filter": name,
+                "RMSE (m)": rmse(r, part, name),
+                "claimed (m)": rmse(r, part, name, "std"),
+                "NEES/3": nees,
+                "NIS/3": nis,
+                "left out": r.value(part, f"{name}/rejected", 0),
+            }
+        )
     return rows
 
 
@@ -172,7 +213,8 @@ FIGURES = {
         day,
     ),
     "figure_02": (
-        "Bursts of errors: a gate locks a filter out, and Student's t mistrusts the steps by which they end.",
+        "Bursts of errors: a gate locks a filter out, and Student's t mistrusts the steps by which "
+        "they end.",
         bursts,
     ),
     "figure_03": (
@@ -222,13 +264,28 @@ def _shown(results: Results) -> Showcase:
 
     growing = [f"world/{name}/trail" for name in ("truth", *drawn)]
     return Showcase(
-        "grace", NOTES, results.times(BEST)[keep], est,
-        [Group("position", "m", slice(0, 3), axes=("radial", "along", "across"))], axes=np.eye(3),
-        unit="m, radial, along, across", measured=results.get(BEST, "fixes")[keep], nis_dof=3, scene=scene,
-        spaces=[Space("world", f"orbit, 1000 km, errors {LARGER:,.0f} times as large", (12.0, -16.0, 9.0), growing=growing)],
-        legend={colors.MEASUREMENT: "GPS fixes"}, parameters={key: tuple(value) for key, value in SETTINGS.items()},
+        "grace",
+        NOTES,
+        results.times(BEST)[keep],
+        est,
+        [Group("position", "m", slice(0, 3), axes=("radial", "along", "across"))],
+        axes=np.eye(3),
+        unit="m, radial, along, across",
+        measured=results.get(BEST, "fixes")[keep],
+        nis_dof=3,
+        scene=scene,
+        spaces=[
+            Space(
+                "world",
+                f"orbit, 1000 km, errors {LARGER:,.0f} times as large",
+                (12.0, -16.0, 9.0),
+                growing=growing,
+            )
+        ],
+        legend={colors.MEASUREMENT: "GPS fixes"},
+        parameters={key: tuple(value) for key, value in SETTINGS.items()},
         facts={"data": "GRACE-A, 2008-08-01"},
-    )  # fmt: skip
+    )
 
 
 NOTES = """# GRACE-A, 1 August 2008: real GPS fixes, and where the satellite was

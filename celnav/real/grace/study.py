@@ -1,11 +1,14 @@
-"""A satellite's GPS fixes, whose errors are correlated from one to the next: what filters claim, and where it really was.
+"""A satellite's GPS fixes, whose errors are correlated from one to the next: what filters claim,
+and where it really was.
 
-GRACE-A, 1 to 3 August 2008. The fixes of 2 and 3 August decide all that is set (`celnav.real.grace.settings`); then filters fly
-1 August, for which there are positions good to 3 to 6 cm. This is a second look. In the first, all filters had a gate of 5
-deviations, and settings by a likelihood without the fixes that were far off; bursts of the fixes' errors locked filters out, and
-what was found was the gate's. So the truth had been looked at when this was written: that there are bursts was known. Settings are
-of 2 and 3 August still. Ranges are those of the first look; those of rows that it did not have were written before these were
-computed. Units: m, s; errors radial, along and across the track.
+GRACE-A, 1 to 3 August 2008. The fixes of 2 and 3 August decide all that is set
+(`celnav.real.grace.settings`); then filters fly 1 August, for which there are positions good to 3
+to 6 cm. This is a second look. In the first, all filters had a gate of 5 deviations, and settings
+by a likelihood without the fixes that were far off; bursts of the fixes' errors locked filters out,
+and what was found was the gate's. So the truth had been looked at when this was written: that there
+are bursts was known. Settings are of 2 and 3 August still. Ranges are those of the first look;
+those of rows that it did not have were written before these were computed. Units: m, s; errors
+radial, along and across the track.
 """
 
 from __future__ import annotations
@@ -48,9 +51,22 @@ from celnav.study.study import Part, Results, Rngs, Study
 from celnav.study.trial import Group
 
 __all__ = [
-    "BEST", "CITATION", "DEGREES", "FIELD", "FIXES", "HOOKED", "INPUTS", "NAMES", "REVOLUTION", "SEARCHED", "STUDY", "TITLE",
-    "TRUTH", "column", "flights",
-]  # fmt: skip
+    "BEST",
+    "CITATION",
+    "DEGREES",
+    "FIELD",
+    "FIXES",
+    "HOOKED",
+    "INPUTS",
+    "NAMES",
+    "REVOLUTION",
+    "SEARCHED",
+    "STUDY",
+    "TITLE",
+    "TRUTH",
+    "column",
+    "flights",
+]
 
 CITATION = """@misc{GRACE2008,
   author = {Zhang, Shoujian},
@@ -64,7 +80,7 @@ FIXES = tuple(f"*2008-08-0{day}*.pos.spp*" for day in (1, 2, 3))
 TRUTH, FIELD = "*2008-08-01*.svr.*", "*.gfc"
 
 
-# -- what is flown -------------------------------------------------------------------------------------------------------------
+# -- what is flown ---------------------------------------------------------------------------------
 GATE = 5.0
 """Deviations of an innovation: the gate of the first look."""
 WHITE = ("white", "white, inflated", "white, by NIS", "white, by likelihood")
@@ -74,7 +90,9 @@ NAMES = (*WHITE, *COLORED, *HOOKED, "without z_0", "augmented")
 
 
 def flights(field: gravity.Gravity, names: Sequence[str]) -> dict[tuple[str, ...], Filter]:
-    """Filters by the names that they fly as runs of one batch: a white one has a coefficient of 0. "augmented" flies alone."""
+    """Filters by the names that they fly as runs of one batch: a white one has a coefficient of 0.
+    "augmented" flies alone.
+    """
     own = tuple(name for name in names if name != "augmented")
     hooks = [
         of_runs(hook, np.array([one == name for one in own]))
@@ -120,10 +138,11 @@ def flown(names: Sequence[str], degree: int, files: Files, _rngs: Rngs) -> dict[
 
     Returns
     -------
-    times ``(T,)`` s; errors of the fixes ``fixes (T, 3)`` m, radial, along and across. Of each filter ``<name>/error`` and
-    ``<name>/std (T, 1, 3)`` on these axes, ``<name>/cov (T, 1, 3, 3)``; ``<name>/nees``, ``<name>/nis (T, 1)``, of three
-    components, nan where there is none;
-    ``<name>/white (T, 3)``, whitened innovations; ``<name>/rejected (1,)``, the share of components that the gate left out.
+    times ``(T,)`` s; errors of the fixes ``fixes (T, 3)`` m, radial, along and across. Of each
+    filter ``<name>/error`` and ``<name>/std (T, 1, 3)`` on these axes, ``<name>/cov (T, 1, 3, 3)``;
+    ``<name>/nees``, ``<name>/nis (T, 1)``, of three components, nan where there is none;
+    ``<name>/white (T, 3)``, whitened innovations; ``<name>/rejected (1,)``, the share of components
+    that the gate left out.
     """
     log, field = read(files.fixes[0]), gravity.read(files.field, degree)
     truth, times = aligned(log, read(files.truth)), log.times - log.times[0]
@@ -139,13 +158,18 @@ def flown(names: Sequence[str], degree: int, files: Files, _rngs: Rngs) -> dict[
             )
             used = track.used[:, i]
             out |= {
-                f"{name}/error": error[:, None], f"{name}/cov": cov[:, None],
+                f"{name}/error": error[:, None],
+                f"{name}/cov": cov[:, None],
                 f"{name}/std": np.sqrt(cov.diagonal(0, -2, -1))[:, None],
-                f"{name}/nees": np.vecdot(error, np.linalg.solve(cov, error[..., None])[..., 0])[:, None],
+                f"{name}/nees": np.vecdot(error, np.linalg.solve(cov, error[..., None])[..., 0])[
+                    :, None
+                ],
                 f"{name}/nis": np.where(used.all(-1), track.nis[:, i], np.nan)[:, None],
                 f"{name}/white": np.where(used, track.whitened[:, i], np.nan),
-                f"{name}/rejected": np.array([track.events["rejected"][i] / np.isfinite(log.z).sum()]),
-            }  # fmt: skip
+                f"{name}/rejected": np.array(
+                    [track.events["rejected"][i] / np.isfinite(log.z).sum()]
+                ),
+            }
     return out
 
 
@@ -159,12 +183,13 @@ SEARCHED = {
 
 
 def judged(files: Files, _rngs: Rngs) -> dict[str, Array]:
-    """How probable settings make 2 and 3 August: those that were found first, then each of their parts by a fifth less and more.
+    """How probable settings make 2 and 3 August: those that were found first, then each of their
+    parts by a fifth less and more.
 
     Returns
     -------
-    Of each of `SEARCHED` ``<name> (7,)``, of the white one ``(5,)``: logarithms. nis ``(1,)``: of the white filter whose R is set
-    by it, over its degrees of freedom.
+    Of each of `SEARCHED` ``<name> (7,)``, of the white one ``(5,)``: logarithms. nis ``(1,)``: of
+    the white filter whose R is set by it, over its degrees of freedom.
     """
     field, factors = gravity.read(files.field, DEGREE), np.ones((7, 3))
     data = training(files.fixes[1:], field, TRAINED)
@@ -215,14 +240,18 @@ def parts(_effort: float, grace: Path) -> dict[str, Part]:
     return out | {"settings": Part(judged, files, cost=25.0)}
 
 
-# -- the ledger ----------------------------------------------------------------------------------------------------------------
+# -- the ledger ------------------------------------------------------------------------------------
 BEST, OUTLIER_M, REVOLUTION, CHI_SQUARE_MEDIAN = f"degree {DEGREE}", 30.0, 564, 2.36597
-"""Epochs of a revolution: nothing is judged before the first is over, and the bootstrap draws whole ones."""
+"""Epochs of a revolution: nothing is judged before the first is over, and the bootstrap draws whole
+ones.
+"""
 Columns = Callable[[Results], Sequence[Array]]
 
 
 def column(r: Results, part: str, name: str, what: str) -> Array:
-    """``(T,)`` of a filter: length of its error or of its std, squared; NEES or NIS over their 3; nan where there is no truth."""
+    """``(T,)`` of a filter: length of its error or of its std, squared; NEES or NIS over their 3;
+    nan where there is no truth.
+    """
     if name == "fixes":
         return np.asarray(np.square(r.get(part, name)).sum(1))
     values = r.get(part, f"{name}/{what}")[:, 0]
@@ -260,8 +289,12 @@ def honest(name: str, accept: Bounds = (None, None), part: str = BEST) -> Decide
 
 def typical(name: str, accept: Bounds) -> Decided:
     """Median of NEES over that of a consistent filter."""
-    return over_day(f"median NEES over a consistent one's, {name}", lambda a: float(np.median(a)) / (CHI_SQUARE_MEDIAN / 3.0),
-                    lambda r: [column(r, BEST, name, "nees")], accept)  # fmt: skip
+    return over_day(
+        f"median NEES over a consistent one's, {name}",
+        lambda a: float(np.median(a)) / (CHI_SQUARE_MEDIAN / 3.0),
+        lambda r: [column(r, BEST, name, "nees")],
+        accept,
+    )
 
 
 def inside(name: str) -> Decided:
@@ -314,63 +347,175 @@ finding = partial(
     revised="2026-11-23: a second look, without a gate; the truth had been looked at with one",
 )
 FINDINGS = [
-    finding("fixes-colored", "Errors of real fixes are correlated from one to the next: of those that err less than 30 m.",
-        all_of(correlated(1, (0.9, None)), correlated(30), correlated(90)), figure="figure_03",
+    finding(
+        "fixes-colored",
+        "Errors of real fixes are correlated from one to the next: of those that err less than 30 "
+        "m.",
+        all_of(correlated(1, (0.9, None)), correlated(30), correlated(90)),
+        figure="figure_03",
         expected="undecided",
-        why="0.9 from one fix to the next is far from white", found="By {0} after 10 s, {1} after 5 min, {2} after 15."),
-    finding("white-overconfident", "A UKF that takes them for white errs by a multiple of what it claims.",
-        all_of(claims("white", (2.0, None)), honest("white", (4.0, None)), size("white")), figure="figure_01",
-        expected="undecided", why="twice the claim, four times the NEES", found="{0} times its claim, NEES/3 {1}; RMSE {2} m."),
-    finding("colored-honest", "Told of the correlation, the same UKF is honest.",
-        all_of(honest("colored", HONEST), claims("colored", (0.71, 1.41)), size("colored")), figure="figure_01",
-        expected="undecided", why="NEES within a factor 2 of its dimension", found="NEES/3 {0}, {1} times its claim; RMSE {2} m."),
-    finding("colored-better", "It is the better estimate as well, and better than the fixes.",
+        why="0.9 from one fix to the next is far from white",
+        found="By {0} after 10 s, {1} after 5 min, {2} after 15.",
+    ),
+    finding(
+        "white-overconfident",
+        "A UKF that takes them for white errs by a multiple of what it claims.",
+        all_of(claims("white", (2.0, None)), honest("white", (4.0, None)), size("white")),
+        figure="figure_01",
+        expected="undecided",
+        why="twice the claim, four times the NEES",
+        found="{0} times its claim, NEES/3 {1}; RMSE {2} m.",
+    ),
+    finding(
+        "colored-honest",
+        "Told of the correlation, the same UKF is honest.",
+        all_of(honest("colored", HONEST), claims("colored", (0.71, 1.41)), size("colored")),
+        figure="figure_01",
+        expected="undecided",
+        why="NEES within a factor 2 of its dimension",
+        found="NEES/3 {0}, {1} times its claim; RMSE {2} m.",
+    ),
+    finding(
+        "colored-better",
+        "It is the better estimate as well, and better than the fixes.",
         all_of(against("colored", "white", (None, 1.0)), against("colored", "fixes", (None, 1.0))),
-        expected="undecided", why="below 1", found="{0} of the white filter's RMSE, {1} of the fixes'.", figure="figure_04"),
-    finding("typical", "In a typical epoch the filter that is told of the correlation is honest, the other is not.",
-        all_of(typical("colored", HONEST), typical("white", (2.0, None)), inside("colored"), inside("white")), figure="figure_01",
-        why="the median of NEES within a factor 2 of that of a consistent filter; beyond twice that", expected="not shown",
+        expected="undecided",
+        why="below 1",
+        found="{0} of the white filter's RMSE, {1} of the fixes'.",
+        figure="figure_04",
+    ),
+    finding(
+        "typical",
+        "In a typical epoch the filter that is told of the correlation is honest, the other is "
+        "not.",
+        all_of(
+            typical("colored", HONEST),
+            typical("white", (2.0, None)),
+            inside("colored"),
+            inside("white"),
+        ),
+        figure="figure_01",
+        why="the median of NEES within a factor 2 of that of a consistent filter; beyond twice that",
+        expected="not shown",
         found="Median NEES {0} and {1} times a consistent filter's. {2:.0%} and {3:.0%} of the "
-        "components (radial, along and across the track) lie within the predicted 95 % intervals."),
-    finding("inflated", "An R as large as the correlation costs makes an honest filter of the white one, and one as good.",
-        all_of(honest("white, inflated", HONEST), against("white, inflated", "colored", (0.95, 1.05))), figure="figure_04",
-        why="as for the colored one; within 5 %", expected="not shown",
-        found="NEES/3 {0}, and {1} of the colored one's RMSE."),
-    finding("misleads", "Neither the R that makes NIS right nor the most probable R and Q make an honest filter of a white one.",
-        all_of(honest("white, by NIS", (4.0, None)), claims("white, by NIS", (2.0, None)),
-               honest("white, by likelihood", (4.0, None)), claims("white, by likelihood", (2.0, None))), figure="figure_04",
-        why="as for the white one", found="By NIS NEES/3 {0}, {1} times its claim; by likelihood {2} and {3}."),
-    finding("innovations-tell", "Innovations tell which is right without any truth: those of white filters are correlated.",
-        all_of(whiteness("white", (0.3, None)), whiteness("colored", (-0.2, 0.2))), figure="figure_03",
+        "components (radial, along and across the track) lie within the predicted 95 % intervals.",
+    ),
+    finding(
+        "inflated",
+        "An R as large as the correlation costs makes an honest filter of the white one, and one "
+        "as good.",
+        all_of(
+            honest("white, inflated", HONEST), against("white, inflated", "colored", (0.95, 1.05))
+        ),
+        figure="figure_04",
+        why="as for the colored one; within 5 %",
+        expected="not shown",
+        found="NEES/3 {0}, and {1} of the colored one's RMSE.",
+    ),
+    finding(
+        "misleads",
+        "Neither the R that makes NIS right nor the most probable R and Q make an honest filter of "
+        "a white one.",
+        all_of(
+            honest("white, by NIS", (4.0, None)),
+            claims("white, by NIS", (2.0, None)),
+            honest("white, by likelihood", (4.0, None)),
+            claims("white, by likelihood", (2.0, None)),
+        ),
+        figure="figure_04",
+        why="as for the white one",
+        found="By NIS NEES/3 {0}, {1} times its claim; by likelihood {2} and {3}.",
+    ),
+    finding(
+        "innovations-tell",
+        "Innovations tell which is right without any truth: those of white filters are correlated.",
+        all_of(whiteness("white", (0.3, None)), whiteness("colored", (-0.2, 0.2))),
+        figure="figure_03",
         expected="undecided",
-        why="clearly correlated, and next to not", found="By {0} from one to the next; those of the colored one by {1}."),
-    finding("augmented-same", "Carrying the noise in the state, the exact reference, gives the same.",
+        why="clearly correlated, and next to not",
+        found="By {0} from one to the next; those of the colored one by {1}.",
+    ),
+    finding(
+        "augmented-same",
+        "Carrying the noise in the state, the exact reference, gives the same.",
         all_of(against("augmented", "colored", (0.95, 1.05)), honest("augmented")),
-        why="within 5 %", figure="figure_04", found="{0} times the RMSE, NEES/3 {1}."),
-    finding("first-sample", "Without the first fix, as the differences alone have it, the position is known much later.",
-        lambda r: [Number("RMSE of the first revolution, over that with it", early(r, "without z_0") / early(r, "colored"),
-                          (1.5, None)), against("without z_0", "colored")(r)], expected="not shown",
-        why="half as much again", found="{0} times the RMSE in the first revolution, {1} afterwards."),
-    finding("tail", "With settings of a normal likelihood the filter is overconfident, with all fixes or without those far off.",
-        all_of(honest("screened", (2.0, None)), honest("normal", (2.0, None)), honest("by correlation"),
-               *(against(name, "colored") for name in ("screened", "normal", "by correlation"))),
-        expected="undecided", why="NEES beyond twice its dimension", figure="figure_04",
-        found="NEES/3 is {0} without fixes that are 6 m off, {1} with all, {2} by the correlation of residuals; RMSE {3}, {4} and "
-        "{5} times that of Student's t."),
-    finding("robust", "A filter with Student's t for the noise weathers the bursts: it errs less, and is honest.",
-        all_of(against("robust", "colored", (None, 1.0)), honest("robust", HONEST), typical("robust", HONEST)), figure="figure_02",
-        why="below 1; as for the colored one", expected="not shown",
-        found="{0} of the colored one's RMSE; NEES/3 {1}, its median {2}."),
-    finding("gate-locks", "A gate of 5 deviations locks the white filter out of its fixes.",
-        all_of(against("white, gated", "white", (2.0, None)), of(BEST, "white, gated/rejected", "share of components left out")),
+        why="within 5 %",
+        figure="figure_04",
+        found="{0} times the RMSE, NEES/3 {1}.",
+    ),
+    finding(
+        "first-sample",
+        "Without the first fix, as the differences alone have it, the position is known much "
+        "later.",
+        lambda r: [
+            Number(
+                "RMSE of the first revolution, over that with it",
+                early(r, "without z_0") / early(r, "colored"),
+                (1.5, None),
+            ),
+            against("without z_0", "colored")(r),
+        ],
+        expected="not shown",
+        why="half as much again",
+        found="{0} times the RMSE in the first revolution, {1} afterwards.",
+    ),
+    finding(
+        "tail",
+        "With settings of a normal likelihood the filter is overconfident, with all fixes or "
+        "without those far off.",
+        all_of(
+            honest("screened", (2.0, None)),
+            honest("normal", (2.0, None)),
+            honest("by correlation"),
+            *(against(name, "colored") for name in ("screened", "normal", "by correlation")),
+        ),
         expected="undecided",
-        why="twice the error", figure="figure_02", found="{0} times the RMSE without; it leaves out {1:.1%} of the components."),
-    finding("gravity-matters", "Gravity to degree 2 is a motion that errs more than its process noise: neither is honest then.",
-        all_of(honest("colored", (2.0, None), "degree 2"), honest("white", (2.0, None), "degree 2"),
-               against("colored", "colored", (1.0, None), "degree 2"), honest("colored", HONEST, "degree 8")),
-        why="out of the range of an honest one", expected="not shown", figure="figure_04",
-        found="NEES/3 {0} and {1}, {2} times the RMSE; with degree 8 NEES/3 is {3}."),
-]  # fmt: skip
+        why="NEES beyond twice its dimension",
+        figure="figure_04",
+        found="NEES/3 is {0} without fixes that are 6 m off, {1} with all, {2} by the correlation of residuals; RMSE {3}, {4} and "
+        "{5} times that of Student's t.",
+    ),
+    finding(
+        "robust",
+        "A filter with Student's t for the noise weathers the bursts: it errs less, and is honest.",
+        all_of(
+            against("robust", "colored", (None, 1.0)),
+            honest("robust", HONEST),
+            typical("robust", HONEST),
+        ),
+        figure="figure_02",
+        why="below 1; as for the colored one",
+        expected="not shown",
+        found="{0} of the colored one's RMSE; NEES/3 {1}, its median {2}.",
+    ),
+    finding(
+        "gate-locks",
+        "A gate of 5 deviations locks the white filter out of its fixes.",
+        all_of(
+            against("white, gated", "white", (2.0, None)),
+            of(BEST, "white, gated/rejected", "share of components left out"),
+        ),
+        expected="undecided",
+        why="twice the error",
+        figure="figure_02",
+        found="{0} times the RMSE without; it leaves out {1:.1%} of the components.",
+    ),
+    finding(
+        "gravity-matters",
+        "Gravity to degree 2 is a motion that errs more than its process noise: neither is honest "
+        "then.",
+        all_of(
+            honest("colored", (2.0, None), "degree 2"),
+            honest("white", (2.0, None), "degree 2"),
+            against("colored", "colored", (1.0, None), "degree 2"),
+            honest("colored", HONEST, "degree 8"),
+        ),
+        why="out of the range of an honest one",
+        expected="not shown",
+        figure="figure_04",
+        found="NEES/3 {0} and {1}, {2} times the RMSE; with degree 8 NEES/3 is {3}.",
+    ),
+]
 
 
 def lost(likelihood: Array) -> float:
@@ -379,12 +524,23 @@ def lost(likelihood: Array) -> float:
 
 
 CHECKS = [
-    check("settings-likely", "On 2 and 3 August no setting a fifth off in one parameter is more probable",
-        all_of(*(of("settings", name, f"log-likelihood lost at least, {name}", (-0.5, None), lost) for name in SEARCHED)),
-        revised="2026-11-23: by more than half of its unit, which is what a standard error loses; was 0"),
-    check("settings-nis", "NIS of the white filter whose R is set by it, on 2 and 3 August",
-        of("settings", "nis", "NIS per component", (0.97, 1.03))),
-]  # fmt: skip
+    check(
+        "settings-likely",
+        "On 2 and 3 August no setting a fifth off in one parameter is more probable",
+        all_of(
+            *(
+                of("settings", name, f"log-likelihood lost at least, {name}", (-0.5, None), lost)
+                for name in SEARCHED
+            )
+        ),
+        revised="2026-11-23: by more than half of its unit, which is what a standard error loses; was 0",
+    ),
+    check(
+        "settings-nis",
+        "NIS of the white filter whose R is set by it, on 2 and 3 August",
+        of("settings", "nis", "NIS per component", (0.97, 1.03)),
+    ),
+]
 
 
 def early(r: Results, name: str) -> float:
@@ -393,28 +549,40 @@ def early(r: Results, name: str) -> float:
 
 
 STUDY = Study(
-    "grace", (Group("position", "m", slice(0, 3)),), None, parts, [*FINDINGS, *CHECKS], figure="figure_01",
+    "grace",
+    (Group("position", "m", slice(0, 3)),),
+    None,
+    parts,
+    [*FINDINGS, *CHECKS],
+    figure="figure_01",
     says="A satellite's GPS fixes have errors that follow one another. Is a filter honest that takes them for white, and one that "
     "is told?",
     found=(
         Sentence(
-            "In the mean of the day the filter that was told, by a likelihood that knows of bursts, is nearest to consistent: "
-            "NEES/3 {colored-honest[0]:.2f} at {colored-honest[2]:.1f} m RMSE. The white one errs {white-overconfident[2]:.1f} m, "
-            "{white-overconfident[0]:.1f} times what it predicts. But a few bursts of the fixes' errors, up to 40 m, rule that "
+            "In the mean of the day the filter that was told, by a likelihood that knows of "
+            "bursts, is nearest to consistent: "
+            "NEES/3 {colored-honest[0]:.2f} at {colored-honest[2]:.1f} m RMSE. The white one errs "
+            "{white-overconfident[2]:.1f} m, "
+            "{white-overconfident[0]:.1f} times what it predicts. But a few bursts of the fixes' "
+            "errors, up to 40 m, rule that "
             "mean, so that intervals leave both undecided. This is a second look at that day.",
             {"colored-honest": "undecided", "white-overconfident": "undecided"},
         ),
         Sentence(
-            "Told by normal likelihoods, with the bursts or without, it is overconfident by its NEES/3 ({tail[0]:.1f} and "
+            "Told by normal likelihoods, with the bursts or without, it is overconfident by its "
+            "NEES/3 ({tail[0]:.1f} and "
             "{tail[1]:.1f}), undecided as well.",
             {"tail": "undecided"},
         ),
         Sentence(
-            "Student's t in the filter does not weather them: its RMSE is {robust[0]:.2f} times as large.", {"robust": "not shown"}
+            "Student's t in the filter does not weather them: its RMSE is {robust[0]:.2f} times as "
+            "large.",
+            {"robust": "not shown"},
         ),
         Sentence(
-            "A gate leaves {gate-locks[1]:.0%} of the components out, at {gate-locks[0]:.1f} times the RMSE, undecided.",
+            "A gate leaves {gate-locks[1]:.0%} of the components out, at {gate-locks[0]:.1f} times "
+            "the RMSE, undecided.",
             {"gate-locks": "undecided"},
         ),
     ),
-)  # fmt: skip
+)
