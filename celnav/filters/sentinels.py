@@ -44,7 +44,7 @@ from celnav.filters.engine import (
 from celnav.filters.flight import Sentinel, epoch_of, part_of
 from celnav.filters.mixing import WATCH
 from celnav.gaussian.belief import settled
-from celnav.gaussian.linalg import EPS, Array, SquareRoot
+from celnav.gaussian.linalg import EPS, Array
 from celnav.gaussian.rules import AnyDimension, Taylor
 from celnav.tape.numbers import Numbers
 from celnav.tape.tape import Number
@@ -83,11 +83,8 @@ def difference(
         rows = sentinel.after[some]
         tally = (rows - sentinel.before[some])[..., :failed]
         try:
-            stepped = _stepped(own, state, epoch)
-            if plain and _agree(*stepped, rows[..., engine.held :], tally):
-                continue
             after = _state(sentinel.shape_after, rows, engine.held)
-            name = otherwise(own, state, epoch, after, [*np.moveaxis(tally, -1, 0)], stepped)
+            name = otherwise(own, state, epoch, after, [*np.moveaxis(tally, -1, 0)])
         except Exception as error:
             return f"numpy raises {type(error).__name__}: {error}"
         if name:
@@ -102,46 +99,9 @@ def _silent(z: Any, data: Data, at: int) -> bool:
     return any(what == PART and np.isnan(x).all() for what, x in zip(there, parts, strict=False))
 
 
-def _agree(state: Any, counts: list[Any], rows: Array, tally: Array) -> bool:
-    """Whether a step by numpy is as close to ``rows (..., size)`` of a belief as `otherwise` asks,
-    at a glance.
-
-    Roots whose rows differ by CLOSE / 4n of their lengths have covariances that differ by less than
-    CLOSE.
-    """
-    mean, matrix = state.belief
-    std, (n, N) = state.belief.std, (matrix.shape[-1], mean.shape[-1])
-    lower = places((n, n), "lower")
-    if n != N or rows.shape[-1] != N + len(lower):
-        return False
-    scale = CLOSE * std
-    row, column = np.divmod(lower, n)
-    least = scale[..., row] * (
-        0.25 / n if isinstance(state.belief, SquareRoot) else std[..., column]
-    )
-    flat = matrix.reshape(*matrix.shape[:-2], n * n)
-    numbers, above = flat[..., lower], flat[..., column * n + row]
-    # What is not kept of a root is zero, of a covariance the same.
-    kept = (
-        np.where(row == column, numbers, 0.0) if isinstance(state.belief, SquareRoot) else numbers
-    )
-    if (np.abs(above - kept) > least).any():
-        return False
-    counted = np.empty(tally.shape)
-    for i, count in enumerate(counts):
-        counted[..., i] = count
-    close = np.abs(tally - counted) <= CLOSE * (1.0 + np.abs(counted))
-    if not close.all():
-        return False
-    close = np.abs(rows[..., :N] - mean) <= scale
-    return bool(close.all() and (np.abs(rows[..., N:] - numbers) <= least).all())
-
-
-def otherwise(
-    filter: Any, state: Any, epoch: Any, after: Any, tally: list[Array], stepped: Any = None
-) -> str:
-    """What a step by numpy gives otherwise; ``stepped``: what it gives."""
-    stepped, counts = stepped or _stepped(filter, state, epoch)
+def otherwise(filter: Any, state: Any, epoch: Any, after: Any, tally: list[Array]) -> str:
+    """What a step by numpy gives otherwise."""
+    stepped, counts = _stepped(filter, state, epoch)
     # A fixed lag keeps nothing in machine code: then beliefs are compared.
     alike = [what for _, what in leaves(stepped)] == [what for _, what in leaves(after)]
     found, mine = list(_measured(stepped, counts, alike)), list(_measured(after, tally, alike))
