@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from celnav.tape.numbers import Numbers
-from celnav.tape.tape import Number, Tape
+from celnav.tape.numbers import TracedArray
+from celnav.tape.tape import Tape, TracedScalar
 
 FUNCTIONS = {
     "add": np.add, "sub": np.subtract, "mul": np.multiply, "div": np.divide, "neg": np.negative, "abs": np.abs, "sqrt": np.sqrt,
@@ -22,7 +22,7 @@ def inputs(tape, *shapes, absent=True):
     """An array of inputs of each shape."""
     found = []
     for shape in shapes:
-        x = Numbers(shape)
+        x = TracedArray(shape)
         for at in np.ndindex(*shape):
             x[at] = tape.input(absent)
         found.append(x)
@@ -47,7 +47,7 @@ def values(tape, given, y):
             known.append(FUNCTIONS[name](*(known[a] for a in arguments)))
     array = np.asarray(y, object)
     return np.array(
-        [float(known[x.i]) if isinstance(x, Number) else float(x) for x in array.flat]
+        [float(known[x.i]) if isinstance(x, TracedScalar) else float(x) for x in array.flat]
     ).reshape(array.shape)
 
 
@@ -68,7 +68,7 @@ def _left(routine, given):
 
 
 def recorded(function, *arrays):
-    """What a function of arrays gives when it is recorded on `Numbers` and worked out afterwards."""
+    """What a function of arrays gives when it is recorded on `TracedArray` and worked out afterwards."""
     tape = Tape()
     y = function(*inputs(tape, *map(np.shape, arrays)))
     with np.errstate(all="ignore"):

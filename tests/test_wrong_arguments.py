@@ -34,7 +34,7 @@ MODULES = {
 }
 HOT = """
 attitude: multiply inverse positive matrix rotate exp log angle to_euler to_rodrigues from_rodrigues cross transport
-spaces: wrap leading trailing components
+spaces: wrap component_major components_first points_last
 rules: Rule.points Rule.image Rule.kept Rule.num_sigmas Taylor.points Taylor.image Taylor.kept
 earth: meridian_radius transverse_radius radii normal_gravity earth_rate transport_rate inertial_forces
 gravity: Gravity.potential Gravity.acceleration Gravity.gradient
@@ -46,17 +46,18 @@ gyro: Body.nadir Body.rates
 pulsar: Timing.delay Timing.shapiro Timing.shapiro_exact Timing.gradient
 gnss: satellites eccentric_anomaly tilted turned spun
 pseudorange: sources emitted measure jacobian
-linalg: block cholesky downdate fan matvec outer semidefinite_root side_by_side solve_lower surely
+linalg: block cholesky downdate sigma_deviations matvec outer semidefinite_root side_by_side solve_lower is_concretely_true
     solve_right tria whiten SquareRoot.lost Covariance.lost
 recorded: cholesky semidefinite_root solve_lower tria
-belief: any_lost nees settled
+belief: any_lost nees mask_failed
 trial: check_groups squares Noiseless.standard_normal
 """
 """What a filter calls at every step takes arrays as they are: a look at each would cost more than the product it makes."""
 INSIDE = """
-checks: as_matrix numbers finite number integer integers whole choice function sequence together beside instance kind unmasked takes
+checks: as_matrix numbers finite number integer integers as_integer choice function sequence together
+    broadcast_batches instance describe unmasked accepts
 drawing: Drawing.set render styled
-rules: few AnyDimension
+rules: check_point_count AnyDimension
 sparse_grid: check_orders univariate
 views: blueprint
 figures: band bars components consistency curve errors interval level panels quantiles rmse rmse_table sigma

@@ -29,18 +29,7 @@ from celnav.gaussian.checks import finite, integer, number, numbers, sequence
 from celnav.gaussian.linalg import FORMS, Array
 from celnav.gaussian.spaces import EUCLIDEAN, wrap
 
-__all__ = [
-    "Component",
-    "Diagnosis",
-    "Interval",
-    "Model",
-    "SensorConsistency",
-    "autocorrelation",
-    "diagnose",
-    "first_order",
-    "forgotten_wraps",
-    "grid_index",
-]
+__all__ = ["Diagnosis", "diagnose", "first_order"]
 
 LEAST = 20  # samples of a component, and pairs of them, below which nothing can be said
 SMALL = 1.1  # ratio of the σ of a mean to that of white noise, for noise that is nearly white

@@ -19,10 +19,10 @@ from celnav.filters.run import ENGINES, run
 from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.checks import (
     choice,
+    describe,
     finite,
     function,
     integer,
-    kind,
     number,
     numbers,
     sequence,
@@ -30,7 +30,7 @@ from celnav.gaussian.checks import (
 from celnav.gaussian.linalg import Array
 from celnav.tape.tape import CannotCompile
 
-__all__ = ["STEP", "Tuned", "likelihood_gradient", "maximize_likelihood"]
+__all__ = ["likelihood_gradient", "maximize_likelihood"]
 
 Build = Callable[[Array], tuple[Filter, Gaussian]]
 Domain = str | tuple[float, float]
@@ -244,7 +244,7 @@ def _data(epochs: Iterable[Epoch]) -> Sequence[Epoch]:
 def _built(build: Build, parameters: Array) -> tuple[Filter, Gaussian]:
     built = build(parameters)
     if not (isinstance(built, tuple) and len(built) == 2):
-        raise ValueError(f"build: expected a filter and a prior, got {kind(built)}")
+        raise ValueError(f"build: expected a filter and a prior, got {describe(built)}")
     return built
 
 

@@ -23,19 +23,25 @@ from celnav.filters.joint import (
     KEEP,
     Hook,
     Joint,
-    at,
+    broadcast_to_runs,
     by_matrix,
     condition,
     evaluate,
     joint,
     linear,
     marginal,
-    over_runs,
+    noise_at,
     rule_for,
 )
-from celnav.filters.model import Motion, Noise, Sensor, check_prior, given_back, noise_of
-from celnav.filters.records import Epoch, Info, still
-from celnav.filters.sequential import Sequential, checked, missing, sigma_point, silent
+from celnav.filters.model import Motion, Noise, Sensor, check_prior, check_return, noise_of
+from celnav.filters.records import Epoch, Info, is_zero_interval
+from celnav.filters.sequential import (
+    Sequential,
+    as_measurement,
+    is_missing,
+    missing_info,
+    sigma_point,
+)
 from celnav.gaussian.belief import Gaussian, symmetric
 from celnav.gaussian.checks import (
     Shape,
@@ -53,27 +59,17 @@ from celnav.gaussian.linalg import (
     Array,
     SquareRoot,
     block,
+    is_concretely_true,
     matvec,
     side_by_side,
     solve_right,
-    surely,
     tria,
 )
 from celnav.gaussian.rules import UNSCENTED
 from celnav.gaussian.spaces import EUCLIDEAN
 from celnav.tape.numbers import present
 
-__all__ = [
-    "Colored",
-    "Decorrelated",
-    "Decorrelation",
-    "augmented",
-    "colored",
-    "coloring",
-    "decorrelated",
-    "decorrelation",
-    "zeta_of",
-]
+__all__ = ["augmented", "colored", "decorrelated"]
 
 Coloring = ArrayLike | Callable[[Any], Array]
 """``Phi (..., m, m)`` or ``epoch -> Phi``."""
@@ -188,7 +184,7 @@ def zeta_of(sensor: Sensor, Phi: Coloring, increments: Any) -> Noise:
 
 def _stationary(noise: Noise, Phi: Any, mean: Array, epoch: Any) -> Array:
     """Columns of the increments of a stationary noise."""
-    V, phi = at(noise, mean, epoch), Phi(epoch) if callable(Phi) else Phi
+    V, phi = noise_at(noise, mean, epoch), Phi(epoch) if callable(Phi) else Phi
     V = V if V.ndim else V * np.eye(phi.shape[-1])
     carried = phi @ V
     return symmetric(
@@ -201,7 +197,7 @@ def difference(Phi: Array, z: Array, z_next: Array) -> Array:
     the others.
     """
     absent = ~present(z)
-    if surely(~absent.any()):
+    if is_concretely_true(~absent.any()):
         return np.asanyarray(z_next - matvec(Phi, z))
     spoiled = matvec((Phi != 0.0).astype(float), absent.astype(float)) > 0.0
     return np.asanyarray(np.where(spoiled, np.nan, z_next - matvec(Phi, np.where(absent, 0.0, z))))
@@ -240,13 +236,13 @@ class Colored(Sequential):
         (sensor,) = self.sensors
         z = self._measured(state, epoch)
         if state.z is None:
-            belief, info = state.belief, silent(sensor, z) if self.first_sample else Info()
-            if self.first_sample and not missing(z):
+            belief, info = state.belief, missing_info(sensor, z) if self.first_sample else Info()
+            if self.first_sample and not is_missing(z):
                 belief, info, _ = self.update_sensor(sensor, belief, z, epoch, (), None)
             return ColoredState(belief, z, state.lagged, state.memory), (info,)
         Phi = self.Phi(epoch) if callable(self.Phi) else self.Phi
         if Phi.ndim > 2:
-            state = state._replace(belief=over_runs("Phi", Phi.shape[:-2], state.belief))
+            state = state._replace(belief=broadcast_to_runs("Phi", Phi.shape[:-2], state.belief))
         return self.advance(state, Phi, difference(Phi, state.z, z), epoch, z)
 
     def advance(
@@ -272,8 +268,8 @@ class Colored(Sequential):
         """
         motion, (sensor,), mean = self.motion, self.sensors, belief.mean
         W, Z, rule = (
-            at(motion.noise, mean, epoch),
-            at(self.zeta, mean, epoch),
+            noise_at(motion.noise, mean, epoch),
+            noise_at(self.zeta, mean, epoch),
             rule_for(self.rule, belief),
         )
         outputs: Any = partial(self.rows, Phi)
@@ -320,7 +316,7 @@ class Colored(Sequential):
         """The measurement of an epoch, nan where there is none."""
         first = state.z is None
         # Nothing leads up to the first sample; each later one ends an interval.
-        if still(epoch) is not first:
+        if is_zero_interval(epoch) is not first:
             expected = (
                 "0 at the first epoch (start from a prior at that time)"
                 if first
@@ -330,7 +326,7 @@ class Colored(Sequential):
         m = self.sensors[0].m
         if epoch.z is None and m is not None:
             return np.full(m, np.nan)
-        z = checked(epoch.z[0] if isinstance(epoch.z, tuple) else epoch.z, self.sensors[0])
+        z = as_measurement(epoch.z[0] if isinstance(epoch.z, tuple) else epoch.z, self.sensors[0])
         if m is not None and z.shape[-1] != m:
             raise ValueError(f"z: expected {m} components to go with h, got {z.shape[-1]}")
         return z
@@ -413,10 +409,14 @@ class Decorrelated(Colored):
         """The decorrelated system; a row that was not measured has no part in ``J`` (its noise is
         its own).
         """
-        if surely(used.all()) and self._constant is not None:
+        if is_concretely_true(used.all()) and self._constant is not None:
             return self._constant
-        H, W, Z = self.sensors[0].h, at(self.motion.noise, mean, epoch), at(self.zeta, mean, epoch)
-        if surely(used.all()):
+        H, W, Z = (
+            self.sensors[0].h,
+            noise_at(self.motion.noise, mean, epoch),
+            noise_at(self.zeta, mean, epoch),
+        )
+        if is_concretely_true(used.all()):
             return decorrelation(H, W, Z)
         unit = used[..., None] * 1.0
         return decorrelation(
@@ -426,7 +426,7 @@ class Decorrelated(Colored):
 
 def _leaving_out(hook: Hook, memory: Any, joint: Joint, epoch: Any) -> tuple[Any, Joint]:
     """The hook, held to leaving measurements out."""
-    memory, after = given_back("hooks", hook(memory, joint, epoch), "memory, joint")
+    memory, after = check_return("hooks", hook(memory, joint, epoch), "memory, joint")
     instance("hooks", after, Joint, "hooks that give back (memory, joint)")
     if any(
         getattr(after, part) is not getattr(joint, part)
@@ -506,7 +506,9 @@ def _augmented_f(motion: Motion, phi: Any, m: int, x: Array, epoch: Any) -> Arra
 
 
 def _augmented_noise(motion: Motion, zeta: Noise, m: int, mean: Array, epoch: Any) -> Array:
-    return block([[at(motion.noise, mean[..., :-m], epoch), 0], [0, at(zeta, mean, epoch)]])
+    return block(
+        [[noise_at(motion.noise, mean[..., :-m], epoch), 0], [0, noise_at(zeta, mean, epoch)]]
+    )
 
 
 def _augmented_h(sensor: Sensor, x: Array, epoch: Any) -> Array:

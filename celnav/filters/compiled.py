@@ -21,9 +21,9 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from celnav.filters.engine import NONE, Data, Engine, Kept, each_run, signature
+from celnav.filters.engine import NONE, Data, Engine, Kept, map_run_constants, signature
 from celnav.filters.fixed_lag import FixedLag
-from celnav.filters.flight import Flight, as_data, epoch_of, fly, part_of
+from celnav.filters.flight import CompiledRun, as_data, epoch_of, part_of, run_compiled
 from celnav.filters.joint import by_matrix
 from celnav.filters.records import Epoch, Epochs, FilterError, Info, State
 from celnav.filters.run import REPEATED, as_epochs, run, steps
@@ -31,9 +31,9 @@ from celnav.filters.sentinels import (
     Watch,
     changed,
     difference,
+    different_quantity,
     functions_of,
-    held,
-    otherwise,
+    model_contents,
     restorer,
 )
 from celnav.filters.sequential import Sequential
@@ -44,7 +44,7 @@ from celnav.gaussian.linalg import Array, Covariance, SquareRoot
 from celnav.tape.cuda import CudaError, device
 from celnav.tape.tape import MOST, CannotCompile, place_of
 
-__all__ = ["Compiled", "chosen", "compiled", "run_by", "steps_by"]
+__all__ = ["Compiled", "compiled"]
 
 # operations of a step, the most that engine="auto" compiles, in some five seconds, and a device
 # takes
@@ -165,7 +165,7 @@ class Compiled:
         lost = np.flatnonzero(track.failed_at.ravel() >= 0)
         if not len(lost):
             return track
-        return self._again(track, engine, prior, data, lost, **options)
+        return self._rerun_failed(track, engine, prior, data, lost, **options)
 
     def _recording(self, by_numpy: Callable[[], Any]) -> AbstractContextManager[None]:
         """Where steps may be recorded; what was recorded of models that have changed since is
@@ -173,14 +173,14 @@ class Compiled:
         """
         if self._kept and self._watch.is_still():
             return recording(self._watch.holds, by_numpy, lambda: None)
-        holds = held(self.filter)
+        holds = model_contents(self.filter)
         if changed(self._watch.holds, holds):
             self._kept = Kept()
         return recording(holds, by_numpy, restorer(self.filter))
 
     def _flown(
         self, prior: Any, data: Data, epochs: Any, keep: Collection[str], every: int
-    ) -> tuple[Engine, Flight]:
+    ) -> tuple[Engine, CompiledRun]:
         """The flight, after numpy has taken the same steps at some epochs, or `CannotCompile`."""
         fresh, first = not self._kept, not self._flights
         on = device() if self.engine == "cuda" else None
@@ -204,7 +204,7 @@ class Compiled:
         if number != 0:
             self._next, self._interval = self._interval, min(MORE * self._interval, SPAN)
         names = engine.keeping(keep)
-        flight = fly(engine, prior, data, names, every, self.jobs, on, watched, number)
+        flight = run_compiled(engine, prior, data, names, every, self.jobs, on, watched, number)
         why = next(
             (
                 f"step {int(data.k[one.at])}: {name}"
@@ -214,7 +214,7 @@ class Compiled:
             "",
         )
         due = due or flight.fresh
-        path = changed(self._watch.holds, held(self.filter)) if due or why else ""
+        path = changed(self._watch.holds, model_contents(self.filter)) if due or why else ""
         if not why and not path:
             if due:
                 self._left = SPARED
@@ -271,7 +271,7 @@ class Compiled:
     def _planned(self, key: Any, state: Any, epoch: Epoch) -> Plan:
         """A plan for steps of a signature, of this thread."""
         with self._lock:
-            holds = held(self.filter)
+            holds = model_contents(self.filter)
             undo, again = restorer(self.filter), lambda: self.filter.step(state, epoch)
             with recording(holds, again, undo):
                 self.filter.step(state, epoch)  # what models keep of their first call are floats
@@ -283,18 +283,18 @@ class Compiled:
         """What a step has found, if numpy finds it too; taken anew where what models hold has
         changed.
         """
-        if changed(plan.watch.holds, held(self.filter)):
+        if changed(plan.watch.holds, model_contents(self.filter)):
             self._own.__dict__.clear()
             return self.step(state, epoch)
         *tally, failed = np.moveaxis(plan.tally, -1, 0)
         if (failed >= 0.0).any():  # a run that is lost has no numbers to compare
             return found
         try:
-            name = otherwise(self.filter, state, epoch, found[0], tally)
+            name = different_quantity(self.filter, state, epoch, found[0], tally)
             why = f"step {epoch.k}: another {name}" if name else ""
         except Exception as error:
             why = f"step {epoch.k}: numpy raises {type(error).__name__}: {error}"
-        path = changed(plan.watch.holds, held(self.filter))
+        path = changed(plan.watch.holds, model_contents(self.filter))
         if path or why:
             self._own.__dict__.clear()
             raise _remembers(plan.watch.holds, path) if path else _otherwise(plan.watch.holds, why)
@@ -304,7 +304,7 @@ class Compiled:
         plan.left = plan.interval - 1
         return found
 
-    def _again(
+    def _rerun_failed(
         self,
         track: Track,
         engine: Engine,
@@ -394,7 +394,9 @@ def _otherwise(holds: dict[str, Any], why: str) -> CannotCompile:
     return CannotCompile(f"{OTHER} ({why}): {LOOKS}{functions_of(holds)}")
 
 
-def _track(engine: Engine, data: Data, flight: Flight, every: int, about: dict[str, Any]) -> Track:
+def _track(
+    engine: Engine, data: Data, flight: CompiledRun, every: int, about: dict[str, Any]
+) -> Track:
     """The record of a flight."""
     rows = {name: x.reshape(len(x), *engine.batch, x.shape[-1]) for name, x in flight.rows.items()}
     sensors = [i for i, m in enumerate(engine.innovations) if m]
@@ -455,7 +457,7 @@ def _of(
     spread = form.of(prior)[1]
     some = form(mean, spread if spread.ndim == 2 else part(spread, 2))
     epochs = [epoch_of(data, i, part, batch) for i in range(len(data.kinds))[:count]]
-    return each_run(filter, lambda x: part(x, 2)), some, epochs
+    return map_run_constants(filter, lambda x: part(x, 2)), some, epochs
 
 
 def compiled(filter: Any, *, jobs: int = 1, engine: str = "compiled") -> Compiled:
@@ -476,7 +478,7 @@ def compiled(filter: Any, *, jobs: int = 1, engine: str = "compiled") -> Compile
     return Compiled(filter, integer("jobs", jobs), engine, MOST if engine == "compiled" else WORTH)
 
 
-def chosen(engine: str, filter: Any, jobs: int, prior: Any, epochs: Any) -> Compiled:
+def resolve_engine(engine: str, filter: Any, jobs: int, prior: Any, epochs: Any) -> Compiled:
     """A filter by an engine; of "auto" `CannotCompile` where numpy takes less time. What is
     compiled stays.
 
@@ -553,7 +555,7 @@ def _by_matrices(filter: Any) -> bool:
 def _equal(filter: Any, engine: str) -> Compiled | None:
     """The last filter whose models hold the same, such as that of an earlier unit of work."""
     alike = [x for x in _KEPT.values() if x.engine == engine and type(x.filter) is type(filter)]
-    holds = held(filter) if alike else {}
+    holds = model_contents(filter) if alike else {}
     return next((other for other in reversed(alike) if other.holds(holds)), None)
 
 
@@ -617,7 +619,7 @@ def run_by(
                 f"also, reduce: expected none with engine={engine!r}, which keeps no states "
                 "between epochs"
             )
-        return chosen(engine, filter, jobs, prior, epochs).run(prior, epochs, **options)
+        return resolve_engine(engine, filter, jobs, prior, epochs).run(prior, epochs, **options)
     except (CannotCompile, ImportError) as error:
         if engine != "auto":
             raise
@@ -633,7 +635,7 @@ def steps_by(
     """
     epochs = _listed(filter, prior, epochs)
     try:
-        made = chosen(engine, filter, 1, prior, epochs)
+        made = resolve_engine(engine, filter, 1, prior, epochs)
         track = made.run(prior, epochs, keep="cov", on_failure="flag")
     except (CannotCompile, ImportError):
         if engine != "auto":

@@ -20,30 +20,30 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from celnav.filters.records import Epoch, Info, Inputs
-from celnav.gaussian.belief import Gaussian, settled
-from celnav.gaussian.checks import kind, together
+from celnav.gaussian.belief import Gaussian, mask_failed
+from celnav.gaussian.checks import describe, together
 from celnav.gaussian.linalg import Array, Covariance, SquareRoot
 from celnav.tape import llvm
 from celnav.tape.kernel import Kernel
-from celnav.tape.numbers import Numbers, present
+from celnav.tape.numbers import TracedArray, present
 from celnav.tape.tape import (
     MOST,
     CannotCompile,
-    Number,
     Tape,
     TooLong,
+    TracedScalar,
     as_number,
-    do,
+    cannot_compile,
+    emit,
     operands,
-    refused,
 )
 
-TALLY = ("log_likelihood", "missing", "rejected", "redone", "failed_at")
+COUNTERS = ("log_likelihood", "missing", "rejected", "redone", "failed_at")
 """What each run counts, first in its state."""
 
 
 # -- trees: nested tuples of arrays ----------------------------------------------------------------
-def leaves(tree: Any, what: str = "") -> Iterator[tuple[Any, str]]:
+def tree_leaves(tree: Any, what: str = "") -> Iterator[tuple[Any, str]]:
     """Arrays of a tree, and what each is: "lower" a root, "symmetric" a covariance, "belief" a
     mean, "" anything else.
     """
@@ -52,19 +52,19 @@ def leaves(tree: Any, what: str = "") -> Iterator[tuple[Any, str]]:
         yield tree[1], "lower" if isinstance(tree, SquareRoot) else "symmetric"
     elif isinstance(tree, tuple):
         for part in tree:
-            yield from leaves(part, what)
+            yield from tree_leaves(part, what)
     elif tree is not None:
         yield tree, what
 
 
-def rebuilt(tree: Any, parts: Iterator[Any]) -> Any:
-    """The tree with other arrays, in the order of `leaves`."""
+def tree_unflatten(tree: Any, parts: Iterator[Any]) -> Any:
+    """The tree with other arrays, in the order of `tree_leaves`."""
     if tree is None:
         return None
     if not isinstance(tree, tuple):
         return next(parts)
     make: Any = type(tree)
-    inner = [rebuilt(part, parts) for part in tree]
+    inner = [tree_unflatten(part, parts) for part in tree]
     return make(*inner) if hasattr(tree, "_fields") else tuple(inner)
 
 
@@ -102,17 +102,17 @@ class Shape(NamedTuple):
     def of(cls, state: Any) -> Shape:
         """The shape of a state of one run."""
         found = []
-        for array, what in leaves(state):
+        for array, what in tree_leaves(state):
             x = np.asanyarray(array)
             kept = entries(x.shape, what)
             absent = (False,) * len(kept) if what else tuple(_absent(x[at]) for at in kept)
             found.append((x.shape, what, absent))
-        return cls(rebuilt(state, iter(range(len(found)))), tuple(found))
+        return cls(tree_unflatten(state, iter(range(len(found)))), tuple(found))
 
 
 def _absent(x: Any) -> bool:
     """Whether a number may be missing."""
-    return x.tape.absent[x.i] if isinstance(x, Number) else bool(x != x)
+    return x.tape.absent[x.i] if isinstance(x, TracedScalar) else bool(x != x)
 
 
 # -- kinds of epochs -------------------------------------------------------------------------------
@@ -120,7 +120,7 @@ FULL, PART, SILENT, NONE = range(4)
 """What an epoch has of a sensor: all components of all runs; some; nan only; nothing at all."""
 
 
-class Kind(NamedTuple):
+class EpochKind(NamedTuple):
     """What must be alike in epochs for one record to serve them. ``z``: what there is of each
     sensor; ``u``: shape of inputs.
     """
@@ -143,7 +143,7 @@ class Data(NamedTuple):
     t: Array
     dt: Array
     kinds: Array
-    known: list[Kind]
+    known: list[EpochKind]
     sensors: Sequence[Any]
     z: list[Array]
     u: dict[Any, Inputs]
@@ -275,14 +275,14 @@ class Engine:
         self.kept = Kept() if kept is None else kept
         self.schedules, self.named = dict[Any, Any](), dict[frozenset[str], tuple[str, ...]]()
         if not hasattr(prior, "mean"):
-            raise TypeError(f"prior: expected one Gaussian, for all models, got {kind(prior)}")
+            raise TypeError(f"prior: expected one Gaussian, for all models, got {describe(prior)}")
         constants: list[Array] = []
 
         def collect(array: Array) -> Array:
             constants.append(array)
             return array
 
-        each_run(filter, collect)
+        map_run_constants(filter, collect)
         axes = {f"z{i}": z.shape[1:-1] for i, z in enumerate(data.z)}
         axes |= {f"matrix {i}": array.shape[:-2] for i, array in enumerate(constants)}
         self.batch = together(
@@ -294,9 +294,9 @@ class Engine:
         self.constants = [
             np.broadcast_to(array, (*self.batch, *array.shape[-2:])) for array in constants
         ]
-        self.tally = np.zeros((self.runs, len(TALLY)))
-        self.tally[:, TALLY.index("failed_at")] = -1.0
-        self.held = len(TALLY) + sum(math.prod(x.shape[-2:]) for x in constants)
+        self.tally = np.zeros((self.runs, len(COUNTERS)))
+        self.tally[:, COUNTERS.index("failed_at")] = -1.0
+        self.held = len(COUNTERS) + sum(math.prod(x.shape[-2:]) for x in constants)
         self.dt = data.interval
         self.apart = data.dt.ndim > 1  # each run has an interval of its own
         self.widths = [z.shape[-1] for z in data.z]
@@ -312,7 +312,7 @@ class Engine:
         if not self.batch:
             state = self.filter.start(prior)
             return state, state
-        one = each_run(self.filter, lambda array: array[(0,) * (array.ndim - 2)])
+        one = map_run_constants(self.filter, lambda array: array[(0,) * (array.ndim - 2)])
         return one.start(_first_run(prior)), self.filter.start(prior)
 
     def columns(self) -> dict[str, int]:
@@ -344,7 +344,7 @@ class Engine:
         shape = Shape.of(state)
         axes, first, common = len(self.batch), self.held, set[int]()
         parts = [self.tally, *(x.reshape(self.runs, -1) for x in self.constants)]
-        for (x, what), (own, _, _) in zip(leaves(states), shape.arrays, strict=True):
+        for (x, what), (own, _, _) in zip(tree_leaves(states), shape.arrays, strict=True):
             values = np.asarray(x, np.float64)
             if values.shape != (*self.batch, *own):
                 values = np.broadcast_to(values, (*self.batch, *own))
@@ -373,7 +373,7 @@ class Engine:
             out.append((values, is_own(x[0], self.batch)))
         return out
 
-    def recorded_as(self, before: Shape, kind: Kind, u: list[tuple[Array, bool]]) -> Recorded:
+    def recorded_as(self, before: Shape, kind: EpochKind, u: list[tuple[Array, bool]]) -> Recorded:
         """The step, recorded."""
         key = before, kind, self.forms(u), self.dt, tuple(self.widths), bool(self.batch)
         if key not in self.kept.records:
@@ -430,11 +430,11 @@ class Engine:
         found: Code = self.kept.code[key]
         return found
 
-    def record(self, before: Shape, kind: Kind, u: list[tuple[Array, bool]]) -> Recorded:
+    def record(self, before: Shape, kind: EpochKind, u: list[tuple[Array, bool]]) -> Recorded:
         """The step from a state of a shape over an epoch of a kind."""
         tape, inputs = Tape(self.rolled, self.most), list[tuple[str, int]]()
 
-        def take(place: str, at: int, absent: bool = False) -> Number:
+        def take(place: str, at: int, absent: bool = False) -> TracedScalar:
             inputs.append((place, at))
             return tape.input(absent)
 
@@ -444,21 +444,23 @@ class Engine:
             place: str,
             at: Iterable[int],
             absent: Iterable[bool] = repeat(False),
-        ) -> Numbers:
+        ) -> TracedArray:
             """An array; ``at``: where those of its numbers stand that it is kept as."""
-            x = Numbers(shape)
+            x = TracedArray(shape)
             for where, i, missing in zip(entries(shape, what), at, absent, strict=False):
                 x[where] = take(place, i, missing)
                 if what == "symmetric":
                     x[where[::-1]] = x[where]
             return x
 
-        tally, held = [take("state", i) for i in range(len(TALLY))], count(len(TALLY))
-        filter = each_run(self.filter, lambda array: taken(array.shape[-2:], "", "state", held))
+        tally, held = [take("state", i) for i in range(len(COUNTERS))], count(len(COUNTERS))
+        filter = map_run_constants(
+            self.filter, lambda array: taken(array.shape[-2:], "", "state", held)
+        )
         arrays = [
             taken(shape, what, "state", held, absent) for shape, what, absent in before.arrays
         ]
-        state = rebuilt(before.tree, iter(arrays))
+        state = tree_unflatten(before.tree, iter(arrays))
 
         z: list[Any] = []
         first = 0
@@ -470,7 +472,7 @@ class Engine:
             first += m
         at_dt, first = first, first + self.apart
         shared, parts = 3, []
-        for (values, own), (_, what) in zip(u, leaves(kind.u[0]), strict=True):
+        for (values, own), (_, what) in zip(u, tree_leaves(kind.u[0]), strict=True):
             shape = values.shape[1 + len(self.batch) * own :]
             places = np.arange(int(np.prod(shape))).reshape(shape) + (first if own else shared)
             x = taken(
@@ -493,7 +495,7 @@ class Engine:
                 if self.apart
                 else take("shared", 2)
             )
-        given, about = rebuilt(kind.u[0], iter(parts))
+        given, about = tree_unflatten(kind.u[0], iter(parts))
         epoch = Epoch(
             k, t, dt, given, z[0] if len(z) == 1 else tuple(z) if z else None, about=about
         )
@@ -501,19 +503,21 @@ class Engine:
         state, infos = filter.step(state, epoch)
         if tape.refusal is not None:  # a model caught it, and went another way
             raise tape.refusal
-        measured = {x.i for part in z for x in np.ravel(part) if isinstance(x, Number)}
+        measured = {x.i for part in z for x in np.ravel(part) if isinstance(x, TracedScalar)}
         if self.batch and any(
             tape.modeled[i] and not measured.isdisjoint(operands(op))
             for i, op in enumerate(tape.ops)
         ):
-            raise refused("a model looks at epoch.z, of all runs; put what it is to know into u")
+            raise cannot_compile(
+                "a model looks at epoch.z, of all runs; put what it is to know into u"
+            )
         after = Shape.of(state)
         if "belief" in getattr(state, "_fields", ()):
             state = state._replace(belief=self._settled(state.belief))
         tally = self._counted(tally, state.belief, infos, k)
         stored = [(i, x) for i, x in enumerate(tally)]
         at = self.held
-        for array, what in leaves(state):
+        for array, what in tree_leaves(state):
             x = np.asanyarray(array)
             for place in entries(x.shape, what):
                 stored.append((at, x[place]))
@@ -531,7 +535,7 @@ class Engine:
         The matrix of several runs stays: it may be that of all. Rows of lost runs are numpy's.
         """
         if not self.batch:
-            return settled(belief)
+            return mask_failed(belief)
         return type(belief)(np.where(belief.lost()[..., None], np.nan, belief.mean), belief[1])
 
     def _counted(self, tally: list[Any], belief: Any, infos: Sequence[Info], k: Any) -> list[Any]:
@@ -541,18 +545,18 @@ class Engine:
         likelihood, missing, rejected, redone, failed = tally
         for info in infos:
             if (more := info.log_likelihood) is not None:
-                likelihood = do("add", likelihood, _alone(more))
+                likelihood = emit("add", likelihood, _alone(more))
                 absent = ~present(np.asanyarray(info.innovation))
-                missing = do("add", missing, _alone(np.add.reduce(absent, -1, int)))
-                rejected = do(
+                missing = emit("add", missing, _alone(np.add.reduce(absent, -1, int)))
+                rejected = emit(
                     "add",
                     rejected,
                     _alone(np.add.reduce(~np.asanyarray(info.used) & ~absent, -1, int)),
                 )
             if info.redone is not None:
-                redone = do("add", redone, as_number(_alone(info.redone)))
-        lost = do("and", _alone(belief.lost()), do("lt", failed, 0.0))
-        return [likelihood, missing, rejected, redone, do("select", lost, k, failed)]
+                redone = emit("add", redone, as_number(_alone(info.redone)))
+        lost = emit("and", _alone(belief.lost()), emit("lt", failed, 0.0))
+        return [likelihood, missing, rejected, redone, emit("select", lost, k, failed)]
 
     def _rows(self, belief: Any, infos: Sequence[Info]) -> Iterator[Any]:
         """What may be kept of an epoch, in the order in which `columns` names it."""
@@ -578,7 +582,7 @@ def _alone(x: Any) -> Any:
     return x[()] if isinstance(x, np.ndarray) else x
 
 
-def each_run(thing: Any, function: Callable[[Array], Array]) -> Any:
+def map_run_constants(thing: Any, function: Callable[[Array], Array]) -> Any:
     """A filter with other arrays in place of those that each run has of its own: matrices
     ``(..., n, m)`` with axes of runs.
     """
@@ -594,10 +598,10 @@ def each_run(thing: Any, function: Callable[[Array], Array]) -> Any:
         same: Gaussian = _changed(one, own)
         return same
 
-    return each_array(thing, matrices, gaussian)
+    return map_constants(thing, matrices, gaussian)
 
 
-def each_array(
+def map_constants(
     thing: Any,
     function: Callable[[Array], Array],
     gaussian: Callable[[Gaussian], Gaussian] = lambda one: one,
@@ -614,12 +618,12 @@ def each_array(
         given = (thing.func, *thing.args)
         return (
             thing
-            if (inner := each_array(given, function, gaussian)) is given
+            if (inner := map_constants(given, function, gaussian)) is given
             else partial(*inner, **thing.keywords)
         )
     if isinstance(thing, tuple):
         make: Any = type(thing)
-        parts = [each_array(part, function, gaussian) for part in thing]
+        parts = [map_constants(part, function, gaussian) for part in thing]
         if all(a is b for a, b in zip(parts, thing, strict=True)):
             return thing
         return make(*parts) if hasattr(thing, "_fields") else tuple(parts)
@@ -630,7 +634,7 @@ def each_array(
         for name in sorted({field.name for field in fields(thing)} | set(vars(thing)))
     }
     return _changed(
-        thing, {name: each_array(part, function, gaussian) for name, part in own.items()}
+        thing, {name: map_constants(part, function, gaussian) for name, part in own.items()}
     )
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from celnav.files import write_text
-from celnav.filters.engine import PART, TALLY, Engine, Kind, Shape, entries
+from celnav.filters.engine import COUNTERS, PART, Engine, EpochKind, Shape, entries
 from celnav.filters.flight import as_data, sensors
 from celnav.filters.model import check_prior
 from celnav.filters.records import Epoch
@@ -76,8 +76,8 @@ def export_c(
     inputs = {shape: engine.inputs(found, 2) for shape, found in data.u.items()}
     part = (PART,) * len(own)
     before, moving = (
-        Kind(False, part, data.known[data.kinds[0]].u),
-        Kind(True, part, data.known[data.kinds[1]].u),
+        EpochKind(False, part, data.known[data.kinds[0]].u),
+        EpochKind(True, part, data.known[data.kinds[1]].u),
     )
     first = engine.record(engine.begin, before, inputs[before.u])
     step = engine.record(first.after, moving, inputs[moving.u])
@@ -127,7 +127,7 @@ def _head(name: str, engine: Engine, after: Shape, dt: float | None) -> str:
     """What the file is, and where each number stands."""
     lines = [f"A navigation filter in C99, recorded from celnav: {engine.filter!r}.", ""]
     lines.append(f"state[{name.upper()}_STATE], to be kept from call to call:")
-    lines += [f"  {at}: {what}" for at, what in enumerate(TALLY)]
+    lines += [f"  {at}: {what}" for at, what in enumerate(COUNTERS)]
     at = engine.held
     for shape, what, _ in after.arrays:
         size = len(entries(shape, what))

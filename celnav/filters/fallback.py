@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from celnav.filters.joint import whole
+from celnav.filters.joint import broadcast_belief
 from celnav.filters.model import Motion
 from celnav.filters.records import Epoch, Info, State
-from celnav.filters.sequential import Sequential, plain
+from celnav.filters.sequential import Sequential, require_sequential
 from celnav.gaussian.belief import Gaussian
-from celnav.gaussian.linalg import Array, Belief, surely
+from celnav.gaussian.linalg import Array, Belief, is_concretely_true
 
-__all__ = ["Fallback", "merged", "pick"]
+__all__ = ["Fallback"]
 
 Step = tuple[State, tuple[Info, ...]]
 
@@ -37,8 +37,8 @@ class Fallback:
     second: Sequential
 
     def __post_init__(self) -> None:
-        plain("first", self.first)
-        plain("second", self.second)
+        require_sequential("first", self.first)
+        require_sequential("second", self.second)
         if self.first.form is not self.second.form or len(self.first.sensors) != len(
             self.second.sensors
         ):
@@ -55,7 +55,7 @@ class Fallback:
 
         state = self.first.start(prior)
         return state._replace(
-            belief=whole(self.first.form, *state.belief)
+            belief=broadcast_belief(self.first.form, *state.belief)
         )  # runs are done again one by one
 
     def step(self, state: State, epoch: Epoch) -> Step:
@@ -63,7 +63,7 @@ class Fallback:
         ahead, _, moved = self._done(state, lambda filter: (filter.predict(state, epoch), ()))
         after, infos, updated = self._done(ahead, lambda filter: filter.update(ahead, epoch))
         redone = moved | updated
-        if not surely(~redone.any()):
+        if not is_concretely_true(~redone.any()):
             infos = (
                 (infos[0]._replace(redone=redone), *infos[1:]) if infos else (Info(redone=redone),)
             )
@@ -77,9 +77,9 @@ class Fallback:
         """
         after, infos = step(self.first)
         lost = _unsound(after.belief)
-        if not surely(~lost.any()):
+        if not is_concretely_true(~lost.any()):
             lost = lost & ~_unsound(before.belief)
-        if not surely(~lost.any()):
+        if not is_concretely_true(~lost.any()):
             other, others = step(self.second)
             belief = self.first.form(
                 *(pick(lost, b, a) for a, b in zip(after.belief, other.belief, strict=True))

@@ -15,15 +15,15 @@ import numpy as np
 
 from celnav.filters.records import Epoch, Filter, Info
 from celnav.filters.track import KEEP, Collector, Track
-from celnav.gaussian.belief import Gaussian, settled
-from celnav.gaussian.checks import beside, instance, integer, kind, numbers
+from celnav.gaussian.belief import Gaussian, mask_failed
+from celnav.gaussian.checks import broadcast_batches, describe, instance, integer, numbers
 from celnav.gaussian.linalg import Array, Belief
 
-__all__ = ["FixedLag", "Held"]
+__all__ = ["FixedLag"]
 MOST_KEPT = 1_000_000
 
 
-class Held(NamedTuple):
+class FixedLagState(NamedTuple):
     """State of a `FixedLag`: states of its filter before and after each of the epochs kept, these
     epochs, and what each did.
     """
@@ -67,7 +67,7 @@ class FixedLag:
         ):
             raise ValueError(
                 "filter: expected a filter, such as celnav.ukf(motion, sensor), got "
-                f"{kind(self.filter)}"
+                f"{describe(self.filter)}"
             )
         object.__setattr__(self, "lag", integer("lag", self.lag, 0, MOST_KEPT))
 
@@ -76,18 +76,18 @@ class FixedLag:
         """The filter's own `Motion`; None if it has none."""
         return getattr(self.filter, "motion", None)
 
-    def start(self, prior: Gaussian) -> Held:
+    def start(self, prior: Gaussian) -> FixedLagState:
         """State before the first epoch."""
-        return Held((self.filter.start(prior),))
+        return FixedLagState((self.filter.start(prior),))
 
-    def step(self, state: Held, epoch: Epoch) -> tuple[Held, tuple[Info, ...]]:
+    def step(self, state: FixedLagState, epoch: Epoch) -> tuple[FixedLagState, tuple[Info, ...]]:
         """State after an epoch, and an `Info` of each sensor."""
-        instance("state", state, Held, "what the filter's start(prior) or last step gave")
+        instance("state", state, FixedLagState, "what the filter's start(prior) or last step gave")
         if state.belief.mean.dtype.hasobject:
             after, infos = self.filter.step(
                 state.states[-1], epoch
             )  # nobody sees the states of a compiled flight: none are kept
-            return Held((after,)), infos
+            return FixedLagState((after,)), infos
         given = instance("epoch", epoch, Epoch, "a record of celnav.Epoch")
         epoch = given._replace(
             u=_copied(given.u), z=_copied(given.z)
@@ -98,15 +98,15 @@ class FixedLag:
             )
         after, infos = self.filter.step(state.states[-1], epoch)
         if not hasattr(self.filter, "run") and "belief" in getattr(after, "_fields", ()):
-            after = after._replace(belief=settled(after.belief))  # as `celnav.run` goes on
+            after = after._replace(belief=mask_failed(after.belief))  # as `celnav.run` goes on
         count = self.lag + 1
-        return Held(
+        return FixedLagState(
             (*state.states, after)[-count - 1 :],
             (*state.epochs, epoch)[-count:],
             (*state.infos, infos)[-count:],
         ), infos
 
-    def late(self, state: Held, k: Any, z: Any) -> tuple[Held, tuple[Info, ...]]:
+    def late(self, state: FixedLagState, k: Any, z: Any) -> tuple[FixedLagState, tuple[Info, ...]]:
         """State as if a sample had come on time, and what the sensors did to it in the present
         epoch.
 
@@ -117,7 +117,7 @@ class FixedLag:
 
         ValueError if an epoch is not kept any more, or has a measurement of that component already.
         """
-        instance("state", state, Held, "what the filter's last step gave")
+        instance("state", state, FixedLagState, "what the filter's last step gave")
         at = numbers("k", k)
         parts = [
             None if part is None else numbers("z", part, (..., "m"))
@@ -127,7 +127,7 @@ class FixedLag:
         for part in (part for part in parts if part is not None):
             if np.isinf(part).any():
                 raise ValueError("z: expected finite numbers or nan, got an infinite one")
-            beside("z", part.shape[:-1], at.shape, "k")
+            broadcast_batches("z", part.shape[:-1], at.shape, "k")
             come = come | ~np.isnan(part).all(-1)
         kept = [epoch.k for epoch in state.epochs]
         beyond = come & ~np.isin(at, kept)
@@ -149,16 +149,16 @@ class FixedLag:
             ),
             len(epochs),
         )
-        held = Held(state.states[: first + 1], state.epochs[:first], state.infos[:first])
+        held = FixedLagState(state.states[: first + 1], state.epochs[:first], state.infos[:first])
         for epoch in epochs[first:]:
             held, _ = self.step(held, epoch)
         return held, held.infos[-1] if held.infos else ()
 
-    def track(self, state: Held) -> Track:
+    def track(self, state: FixedLagState) -> Track:
         """The `Track` of the epochs kept, late samples included; `celnav.smooth` of it begins with
         the fixed-lag estimate.
         """
-        if not instance("state", state, Held, "what the filter's last step gave").epochs:
+        if not instance("state", state, FixedLagState, "what the filter's last step gave").epochs:
             raise ValueError("state: expected one after a step, got one before the first")
         collector = Collector(1, KEEP["cov"])
         for after, epoch, infos in zip(state.states[1:], state.epochs, state.infos, strict=True):
@@ -201,7 +201,7 @@ def _both(known: Any, late: Array | None, here: Any, k: int) -> Any:
     if known is None:
         return new
     new, known = numbers("z", new, (..., known.shape[-1])), numbers("z", known)
-    beside("z", new.shape[:-1], known.shape[:-1], f"epoch {k}")
+    broadcast_batches("z", new.shape[:-1], known.shape[:-1], f"epoch {k}")
     twice = ~(np.isnan(known) | np.isnan(new))
     if twice.any():
         which = ", ".join(str(int(i)) for i in np.argwhere(twice)[0])

@@ -17,30 +17,30 @@ import numpy as np
 
 from celnav.filters import memory
 from celnav.filters.engine import (
+    COUNTERS,
     FULL,
     NONE,
     PART,
     SILENT,
-    TALLY,
     Code,
     Data,
     Engine,
-    Kind,
+    EpochKind,
     Recorded,
     Shape,
     Start,
     is_own,
-    leaves,
-    rebuilt,
+    tree_leaves,
+    tree_unflatten,
 )
 from celnav.filters.model import Sensor
 from celnav.filters.records import Epoch, Epochs, Inputs, check_interval
-from celnav.filters.sequential import checked, measurements
+from celnav.filters.sequential import as_measurement, measurements
 from celnav.gaussian.checks import numbers
 from celnav.gaussian.linalg import Array
 from celnav.tape import llvm, ptx
 from celnav.tape.cuda import Device
-from celnav.tape.tape import CannotCompile, Number
+from celnav.tape.tape import CannotCompile, TracedScalar
 
 DRAWN = 4  # sentinels besides the first, the last and one of each record
 MANY = 20  # sensors, of which there are more kinds of epochs than integers
@@ -95,20 +95,20 @@ def as_data(filter: Any, epochs: Epochs | Sequence[Epoch]) -> Data:
         if len(found) > MANY:
             code = np.unique(code, return_inverse=True)[1]  # which would overflow
     there = sorted(set(code.tolist()))
-    kinds, known, shapes = np.zeros(len(k), int), list[Kind](), list(u)
+    kinds, known, shapes = np.zeros(len(k), int), list[EpochKind](), list(u)
     for number, one in enumerate(there):
         alike = code == one
         i = int(alike.argmax())
         kinds[alike] = number
         present = tuple(int(status[i]) for status, _ in found)
-        known.append(Kind(bool(moves[i]), present, shapes[which[i]]))
+        known.append(EpochKind(bool(moves[i]), present, shapes[which[i]]))
     return Data(k, t, dt, kinds, known, own, [values for _, values in found], u)
 
 
 def _parts(tree: Any) -> list[Array]:
     """The arrays of an input."""
     try:
-        return [numbers("u", x) for x, _ in leaves(tree)]
+        return [numbers("u", x) for x, _ in tree_leaves(tree)]
     except ValueError as error:
         raise CannotCompile(
             f"an input that is no array of numbers cannot be compiled: {error}"
@@ -122,7 +122,7 @@ def _gathered(given: list[Any], count: int) -> tuple[Array, dict[Any, Inputs]]:
     """
     which, same = np.zeros(count, int), dict[Any, list[Any]]()
     for at, tree, parts in given:
-        shape = rebuilt(tree, iter(range(len(parts)))), tuple(x.shape[1:] for x in parts)
+        shape = tree_unflatten(tree, iter(range(len(parts)))), tuple(x.shape[1:] for x in parts)
         if len(given) == 1:
             return which, {shape: Inputs(at, parts)}
         some = same.setdefault(shape, [])
@@ -160,7 +160,7 @@ def epoch_of(
     at, columns = data.u[kind.u]
     inputs = [x[np.searchsorted(at, i)] for x in columns]
     own = [part(x, x.ndim - len(batch)) if is_own(x, batch) else x for x in inputs]
-    u, about = rebuilt(kind.u[0], iter(own))
+    u, about = tree_unflatten(kind.u[0], iter(own))
     dt = data.dt[i]
     interval = part(dt, 0) if dt.ndim else float(dt)
     measured = z[0] if len(z) == 1 else z or None
@@ -185,7 +185,7 @@ def _measured(sensor: Any, parts: Any) -> tuple[Array, Array]:
         parts = np.stack(
             np.broadcast_arrays(*(one if part is None else numbers("z", part) for part in parts))
         )
-    values = checked(parts, sensor)
+    values = as_measurement(parts, sensor)
     if np.isfinite(np.add.reduce(values, None)):
         return np.where(present, FULL, NONE), values
     missing = np.isnan(values)
@@ -205,7 +205,7 @@ class Sentinel(NamedTuple):
     after: Array
 
 
-class Flight(NamedTuple):
+class CompiledRun(NamedTuple):
     """What a flight leaves.
 
     rows: ``(K, runs, ...)`` by name. tally: of each run ``(runs, 5 stride)``. sentinels: of the
@@ -219,7 +219,7 @@ class Flight(NamedTuple):
     fresh: bool
 
 
-def fly(
+def run_compiled(
     engine: Engine,
     prior: Any,
     data: Data,
@@ -229,7 +229,7 @@ def fly(
     device: Device | None = None,
     watched: Sequence[int] = (),
     number: int | None = None,
-) -> Flight:
+) -> CompiledRun:
     """All runs through all epochs, on a device, or None: on this processor.
 
     names: of the columns that are kept. watched: the runs whose states are kept before and after
@@ -253,7 +253,7 @@ def fly(
         name: memory.empty((K, whole, columns[name]), bool if name.startswith("used") else float)
         for name in names
     }
-    tally = np.empty((runs, len(TALLY) * engine.stride))
+    tally = np.empty((runs, len(COUNTERS) * engine.stride))
     sentinels = _sentinels(plan.steps, None if fresh else number)
     seen = np.empty((2, len(sentinels), len(watched), plan.size))  # before and after
     if device:
@@ -315,7 +315,7 @@ def fly(
                 seen[side, k][:, entries] = once[side, k, entries]
     if whole > runs:
         rows = {name: np.ascontiguousarray(x[:, :runs]) for name, x in rows.items()}
-    return Flight(
+    return CompiledRun(
         rows,
         tally,
         [
@@ -353,7 +353,7 @@ def _on_host(
     kernels: addresses of machine code. cells: of its memory. steps: which of it each epoch takes.
     The flight writes the rows of the runs from the ``first`` on.
     """
-    addresses, loop = np.array(kernels, np.uint64), llvm.fly()
+    addresses, loop = np.array(kernels, np.uint64), llvm.run_loop()
 
     def begin(
         stored: Array, state: Array, shared: Array, own: Array, rows: dict[str, Array], first: int
@@ -526,7 +526,7 @@ def _common(engine: Engine, plan: Schedule, start: frozenset[int]) -> list[froze
             same = frozenset(
                 i
                 for i, x in made.kernel.state
-                if i >= engine.held and (not isinstance(x, Number) or uniform[x.i])
+                if i >= engine.held and (not isinstance(x, TracedScalar) or uniform[x.i])
             )
             found[end] = found.get(end, same) & same
         if found == before:

@@ -17,17 +17,17 @@ from typing import Any
 import numpy as np
 
 from celnav.filters.engine import (
-    TALLY,
+    COUNTERS,
     Data,
     Engine,
+    EpochKind,
     Kept,
-    Kind,
     Recorded,
     Shape,
     Start,
-    each_array,
+    map_constants,
 )
-from celnav.filters.flight import as_data, fly
+from celnav.filters.flight import as_data, run_compiled
 from celnav.filters.records import Epoch, Epochs
 from celnav.gaussian.linalg import Array
 from celnav.gaussian.rules import AnyDimension
@@ -61,7 +61,7 @@ class Gradient:
     def __init__(self, build: Build, epochs: Epochs | Sequence[Epoch], flights: float = np.inf):
         self.build, self.epochs, self.flights = build, epochs, flights
         self.kept = Kept()
-        self.recorded: list[tuple[Shape, Kind, Any, bytes]] = []
+        self.recorded: list[tuple[Shape, EpochKind, Any, bytes]] = []
         self.seeds = np.zeros(0, bool)
         self.first: Any = None
 
@@ -99,17 +99,19 @@ class Gradient:
         ):  # what had no derivative has one now
             self.seeds, self.kept, engine.kept, self.recorded = seeds, Kept(), Kept(), []
         engine.seeds = set(np.flatnonzero(self.seeds).tolist())
-        for one in () if alike(self.first, built[0]) else self.recorded:
+        for one in () if same_program(self.first, built[0]) else self.recorded:
             engine.check(engine, *one)
         flown = []
         for engine.slopes in slopes:
-            flown.append(fly(engine, built[1], data, (), 1, 1).tally.reshape(-1, len(TALLY), 2))
+            flown.append(
+                run_compiled(engine, built[1], data, (), 1, 1).tally.reshape(-1, len(COUNTERS), 2)
+            )
         self.kept, self.recorded, self.first = (
             engine.kept,
             self.recorded + engine.recorded,
             self.first or built[0],
         )
-        lost = flown[0][:, TALLY.index("failed_at"), 0] >= 0.0
+        lost = flown[0][:, COUNTERS.index("failed_at"), 0] >= 0.0
         batch = Engine(*built, data).batch  # without the axis that lifting adds
         gradient = np.stack([tally[:, 0, 1] for tally in flown], -1)
         return np.where(lost, np.nan, flown[0][:, 0, 0]).reshape(batch), gradient.reshape(
@@ -130,7 +132,7 @@ class _WithGradient(Engine):
 
     def __init__(self, built: tuple[Any, Any], data: Data, kept: Kept):
         super().__init__(*built, data, kept, rolled=False)
-        self.recorded: list[tuple[Shape, Kind, Any, bytes]] = []
+        self.recorded: list[tuple[Shape, EpochKind, Any, bytes]] = []
 
     def columns(self) -> dict[str, int]:
         return {}
@@ -141,7 +143,7 @@ class _WithGradient(Engine):
         return start._replace(parts=[both.reshape(self.runs, -1)])
 
     def plain(
-        self, before: Shape, kind: Kind, u: list[tuple[Array, bool]]
+        self, before: Shape, kind: EpochKind, u: list[tuple[Array, bool]]
     ) -> tuple[Recorded, bytes]:
         """The step without derivatives, and what it is known by."""
         made = super().record(before, kind, u)
@@ -151,7 +153,7 @@ class _WithGradient(Engine):
         self,
         engine: _WithGradient,
         before: Shape,
-        kind: Kind,
+        kind: EpochKind,
         u: list[tuple[Array, bool]],
         known: bytes,
     ) -> None:
@@ -161,7 +163,7 @@ class _WithGradient(Engine):
                 "a model knows the parameters otherwise than by matrices of the filter"
             )
 
-    def record(self, before: Shape, kind: Kind, u: list[tuple[Array, bool]]) -> Recorded:
+    def record(self, before: Shape, kind: EpochKind, u: list[tuple[Array, bool]]) -> Recorded:
         made, known = self.plain(before, kind, u)
         self.check(self.twin, before, kind, u, known)
         size = len(made.kernel.tape.ops)
@@ -187,7 +189,7 @@ def _arrays(filter: Any) -> list[Array]:
         arrays.append(array)
         return array
 
-    each_array(filter, collect)
+    map_constants(filter, collect)
     return arrays
 
 
@@ -207,7 +209,7 @@ def _varying(filters: Sequence[Any]) -> set[int]:
 def _lifted(filter: Any, held: set[int]) -> Any:
     """The filter, with matrices as those that each run has of its own."""
     count = iter(range(10**6))
-    return each_array(filter, lambda x: x[None] if next(count) in held and x.ndim == 2 else x)
+    return map_constants(filter, lambda x: x[None] if next(count) in held and x.ndim == 2 else x)
 
 
 def _start(built: tuple[Any, Any], held: set[int], data: Any) -> Array:
@@ -215,7 +217,7 @@ def _start(built: tuple[Any, Any], held: set[int], data: Any) -> Array:
     return Engine(_lifted(built[0], held), built[1], data).start(built[1]).numbers
 
 
-def alike(a: Any, b: Any, matrices: bool = True) -> bool:
+def same_program(a: Any, b: Any, matrices: bool = True) -> bool:
     """Whether parts of two filters are known to be the same program: the same data, but for the
     filters' own ``matrices``, and functions of the same code with the same values in their
     closures."""
@@ -228,17 +230,19 @@ def alike(a: Any, b: Any, matrices: bool = True) -> bool:
     if isinstance(a, str | float | int):
         return bool(a == b)
     if isinstance(a, tuple | list):
-        return len(a) == len(b) and all(alike(x, y, matrices) for x, y in zip(a, b, strict=True))
+        return len(a) == len(b) and all(
+            same_program(x, y, matrices) for x, y in zip(a, b, strict=True)
+        )
     if isinstance(a, dict):
-        return list(a) == list(b) and all(alike(a[name], b[name], matrices) for name in a)
+        return list(a) == list(b) and all(same_program(a[name], b[name], matrices) for name in a)
     if isinstance(a, partial):
-        return alike((a.func, a.args, a.keywords), (b.func, b.args, b.keywords), matrices)
+        return same_program((a.func, a.args, a.keywords), (b.func, b.args, b.keywords), matrices)
     if isinstance(a, FunctionType):
         x, y = (
             [f.__defaults__, f.__kwdefaults__, [cell.cell_contents for cell in f.__closure__ or ()]]
             for f in (a, b)
         )
-        return a.__code__ is b.__code__ and alike(x, y, matrices=False)
+        return a.__code__ is b.__code__ and same_program(x, y, matrices=False)
     names = (
         ["make"]
         if isinstance(a, AnyDimension)
@@ -247,7 +251,7 @@ def alike(a: Any, b: Any, matrices: bool = True) -> bool:
         else []
     )
     return bool(names) and all(
-        alike(getattr(a, name), getattr(b, name), matrices) for name in names
+        same_program(getattr(a, name), getattr(b, name), matrices) for name in names
     )
 
 

@@ -12,13 +12,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.filters.records import Epoch, Info, still
-from celnav.gaussian.belief import Gaussian, settled
-from celnav.gaussian.checks import finite, kind, sequence
+from celnav.filters.records import Epoch, Info, is_zero_interval
+from celnav.gaussian.belief import Gaussian, mask_failed
+from celnav.gaussian.checks import describe, finite, sequence
 from celnav.gaussian.linalg import Array, Belief, SquareRoot, whiten
 from celnav.gaussian.spaces import EUCLIDEAN, Space
 
-__all__ = ["InteractingModels", "imm", "mixed"]
+__all__ = ["imm"]
 LEAST = -float(np.finfo(float).max)  # what can be taken off minus infinity
 
 
@@ -90,7 +90,7 @@ class InteractingModels:
         of an interval.
         """
         weights, states = state.log_probabilities, state.states
-        if not still(epoch):
+        if not is_zero_interval(epoch):
             stay, chances = np.where(np.eye(len(states)), 0.0, -np.inf), self.log_transition
             if not isinstance(epoch.dt, float):  # of some runs it may be nothing
                 chances = np.where(np.equal(epoch.dt, 0.0)[..., None, None], stay, chances)
@@ -114,7 +114,7 @@ class InteractingModels:
             info, weights = _weighed(each, weights)
             infos.append(info)
         return self._state(
-            tuple(one._replace(belief=settled(one.belief)) for one, _ in stepped), weights
+            tuple(one._replace(belief=mask_failed(one.belief)) for one, _ in stepped), weights
         ), tuple(infos)
 
     def _state(self, states: tuple[Any, ...], weights: Array) -> ImmState:
@@ -218,7 +218,7 @@ def imm(
     )
     if wrong:
         raise ValueError(
-            f"filters: expected filters, such as celnav.ukf(motion, sensor), got {kind(wrong[0])}"
+            f"filters: expected filters, such as celnav.ukf(motion, sensor), got {describe(wrong[0])}"
         )
     chances = finite("transition", transition, (k, k))
     first = np.full(k, 1.0 / k) if initial is None else finite("initial", initial, (k,))

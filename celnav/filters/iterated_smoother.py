@@ -22,7 +22,12 @@ from celnav.filters.joint import Joint
 from celnav.filters.model import Sensor
 from celnav.filters.records import Epoch, Epochs
 from celnav.filters.run import ENGINE, ENGINES, as_epochs, run
-from celnav.filters.sequential import MOST_ITERATIONS, Sequential, over, plain
+from celnav.filters.sequential import (
+    MOST_ITERATIONS,
+    Sequential,
+    linearized_over,
+    require_sequential,
+)
 from celnav.filters.smoother import smooth
 from celnav.filters.track import Track
 from celnav.gaussian.belief import Gaussian
@@ -62,7 +67,7 @@ def iterated_smoother(
     >>> filter = celnav.ukf(motion, radar)
     >>> smoothed = celnav.iterated_smoother(filter, prior, times, z, iterations=5)
     """
-    plain("filter", filter)
+    require_sequential("filter", filter)
     count = integer("iterations", iterations, 1, MOST_ITERATIONS)
     by, why = choice("engine", ENGINE.get() if engine is None else engine, ENGINES), ""
     epochs: Any = as_epochs(times, z, u)
@@ -132,7 +137,7 @@ class Relinearized(Sequential):
         before it.
         """
         motion = self.motion
-        return over(
+        return linearized_over(
             epoch.about[0],
             rule or self.rule,
             belief,
@@ -151,14 +156,14 @@ class Relinearized(Sequential):
             state=both.measurement,
             process_noise=None if noise is None else (0, noise),
             measurement_noise=None,
-            known=None,
+            prior_factor=None,
         )
 
     def measured(
         self, sensor: Sensor, belief: Belief, z: Array, epoch: Epoch, rule: Any = None
     ) -> Joint:
         """The joint of what a sensor measures and of the state."""
-        return over(
+        return linearized_over(
             epoch.about[1],
             rule or self.rule,
             belief,

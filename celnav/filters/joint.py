@@ -39,28 +39,28 @@ from celnav.filters.model import (
     Noise,
     Sensor,
     as_floats,
-    given_back,
+    check_return,
     is_linear,
     matrices_of,
 )
 from celnav.filters.records import Info
-from celnav.gaussian.checks import beside, instance, numbers
+from celnav.gaussian.checks import broadcast_batches, instance, numbers
 from celnav.gaussian.linalg import (
     POSITIVE,
     Array,
     Belief,
     Form,
     block,
+    is_concretely_true,
     matvec,
     side_by_side,
     solve_right,
-    surely,
     whiten,
 )
 from celnav.gaussian.rules import Image, Taylor
 from celnav.gaussian.spaces import EUCLIDEAN, Space
 from celnav.tape.numbers import each_row, in_model, known_alike, present
-from celnav.tape.tape import refused
+from celnav.tape.tape import cannot_compile
 
 KEEP: Final = object()
 """Stands for "the state itself" among the outputs of a function: its columns are then exact, on any
@@ -89,7 +89,7 @@ class Joint(NamedTuple):
     sign: Array
     process_noise: tuple[Any, Any] | None = None
     measurement_noise: Array | None = None
-    known: Array | None = None
+    prior_factor: Array | None = None
 
     def columns(self) -> tuple[Array, Array]:
         """The pre-array ``(..., m + n, q + r + s)``, drawn above, and the signs of its columns.
@@ -173,13 +173,13 @@ def joint(
         that go through the points.
     """
     rule = rule_for(rule, belief, augment)
-    W: Any = at(process_noise, belief.mean, epoch)
-    V = at(measurement_noise, belief.mean, epoch)
+    W: Any = noise_at(process_noise, belief.mean, epoch)
+    V = noise_at(measurement_noise, belief.mean, epoch)
     W = W if W is None or type(W) is tuple else (0, W)
     for name, columns in (("Q", W and W[1]), ("R", V), *(("augment", E) for E in augment)):
         if columns is not None and columns.ndim > 2:
             # A model may need the axes of runs that only the noise has.
-            belief = over_runs(name, columns.shape[:-2], belief)
+            belief = broadcast_to_runs(name, columns.shape[:-2], belief)
     m = None if z is None else z.shape[-1]
     images = None
     if not callable(outputs):
@@ -213,7 +213,7 @@ def _innovation(z: Array, measurement: Image, space: Space, belief: Belief) -> A
     if z.shape[-1] != m:
         raise ValueError(f"z: expected {m} components to go with h, got {z.shape[-1]}")
     if z.ndim > 1 and z.shape[:-1] != belief.mean.shape[:-1]:
-        beside("z", z.shape[:-1], belief.mean.shape[:-1], "the belief")
+        broadcast_batches("z", z.shape[:-1], belief.mean.shape[:-1], "the belief")
     if space is EUCLIDEAN:
         return np.asanyarray(z - center - shift)
     # The mean may lie across a seam from the center.
@@ -230,7 +230,7 @@ def rule_for(rule: Any, belief: Belief, augment: Sequence[Array] = ()) -> Any:
     return rule(n + sum([E.shape[-1] for E in augment]) if augment else n)
 
 
-def at(noise: Any, mean: Array, epoch: Any) -> Any:
+def noise_at(noise: Any, mean: Array, epoch: Any) -> Any:
     """Columns of a noise at an epoch."""
     return in_model(noise, mean, epoch) if callable(noise) else noise
 
@@ -411,7 +411,7 @@ def _linear_image(value: Array, J: Array, root: Array, augment: Sequence[Array])
 
 
 # -- axes of runs ----------------------------------------------------------------------------------
-def over_runs(name: str, batch: tuple[int, ...], belief: Belief) -> Belief:
+def broadcast_to_runs(name: str, batch: tuple[int, ...], belief: Belief) -> Belief:
     """The belief, with a mean for each of the runs that only an argument has; ValueError names one
     that does not go with it.
     """
@@ -419,20 +419,20 @@ def over_runs(name: str, batch: tuple[int, ...], belief: Belief) -> Belief:
     if not batch or batch == runs:
         return belief
     if belief.mean.dtype.hasobject:
-        raise refused(
+        raise cannot_compile(
             f"{name}: a function that gives a matrix for each run is not recorded; give the "
             "matrices "
             "(runs, n, n) themselves, or put them into u"
         )
-    together = beside(name, batch, runs, "the belief")
+    together = broadcast_batches(name, batch, runs, "the belief")
     if together == runs:
         return belief
     return belief._replace(mean=np.broadcast_to(belief.mean, (*together, belief.mean.shape[-1])))
 
 
-def whole(form: Form, mean: Array, spread: Array) -> Belief:
+def broadcast_belief(form: Form, mean: Array, spread: Array) -> Belief:
     """The belief, where mean and covariance differ from run to run in axes of their own."""
-    batch = beside("Q, R", spread.shape[:-2], mean.shape[:-1], "the belief")
+    batch = broadcast_batches("Q, R", spread.shape[:-2], mean.shape[:-1], "the belief")
     return form(
         np.broadcast_to(mean, (*batch, mean.shape[-1])),
         np.broadcast_to(spread, (*batch, *spread.shape[-2:])),
@@ -443,10 +443,10 @@ def _belief(form: Form, mean: Array, spread: Array) -> Belief:
     """The belief; a covariance that all runs share stays one."""
     if spread.ndim == 2 or spread.shape[:-2] == mean.shape[:-1]:
         return form(mean, spread)
-    return whole(form, mean, spread)
+    return broadcast_belief(form, mean, spread)
 
 
-def alike(used: Array) -> Array:
+def shared_mask(used: Array) -> Array:
     """A mask ``(..., m)`` as one, ``(m,)``, where it is that of all runs: what they share then
     stays one for all.
     """
@@ -481,9 +481,9 @@ def condition(
         joint, memory = _adapted(joint, hooks, memory, epoch)
     y, m = joint.innovation, joint.innovation.shape[-1]
     used = present(y)
-    mask = alike(used)
+    mask = shared_mask(used)
     A, sign = joint.columns()
-    if not surely(mask.all()):
+    if not is_concretely_true(mask.all()):
         # Rows that were not measured: no columns from the prior, a unit noise of their own and a
         # zero innovation.
         A = block(
@@ -495,7 +495,9 @@ def condition(
     if gain is not None:
         K = gain(A, sign, m) if callable(gain) else gain
         K = numbers("gain", K, (..., A.shape[-2] - m, m)) * mask[..., None, :]
-    S, U, spread = form.condition(A, sign, m, K, known=joint.known, noise=joint.measurement_noise)
+    S, U, spread = form.condition(
+        A, sign, m, K, prior_factor=joint.prior_factor, noise=joint.measurement_noise
+    )
     whitened = whiten(S, y)  # S^-1 y
     step = joint.state.shift + (matvec(U, whitened) if K is None else matvec(K, y))
     if space.transport is not None:
@@ -528,10 +530,10 @@ def _adapted(joint: Joint, hooks: Sequence[Hook], memory: Any, epoch: Any) -> tu
     for hook, remembered in zip(
         hooks, (None,) * len(hooks) if memory is None else memory, strict=True
     ):
-        remembered, joint = given_back("hooks", hook(remembered, joint, epoch), "memory, joint")
+        remembered, joint = check_return("hooks", hook(remembered, joint, epoch), "memory, joint")
         instance("hooks", joint, Joint, "hooks that give back (memory, joint)")
         memories.append(remembered)
     same = joint.sign is given.sign and joint.process_noise is given.process_noise
     if not same or not known_alike(joint.state.columns, columns):
-        joint = joint._replace(known=None)
+        joint = joint._replace(prior_factor=None)
     return joint, tuple(memories)

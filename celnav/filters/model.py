@@ -18,26 +18,12 @@ import numpy as np
 
 from celnav.filters.mixing import check_matrices_apart, unknown
 from celnav.gaussian.belief import Gaussian, symmetric
-from celnav.gaussian.checks import finite, function, instance, kind, numbers, takes, unmasked
+from celnav.gaussian.checks import accepts, describe, finite, function, instance, numbers, unmasked
 from celnav.gaussian.linalg import Array, Covariance, SquareRoot, matvec
 from celnav.gaussian.spaces import EUCLIDEAN, Space
 from celnav.tape.numbers import in_model
 
-__all__ = [
-    "Linear",
-    "Model",
-    "Motion",
-    "Noise",
-    "Sensor",
-    "as_floats",
-    "check_matrices",
-    "check_prior",
-    "check_roots",
-    "given_back",
-    "is_linear",
-    "matrices_of",
-    "noise_of",
-]
+__all__ = ["Linear", "Motion", "Sensor"]
 
 Model = Callable[..., Any]
 """``(points (p, ..., N), epoch, *noise points (p, ..., k)) -> (p, ..., M)``."""
@@ -108,10 +94,10 @@ class _Model:
                     f"{columns.shape[-2]}"
                 )
         elif not any(
-            takes(model, count) for count in range(2, 10)
+            accepts(model, count) for count in range(2, 10)
         ):  # how many noises go through it only the filter knows
             raise ValueError(
-                f"{name}: expected a function (points, epoch, *noise), got {kind(model)} of other "
+                f"{name}: expected a function (points, epoch, *noise), got {describe(model)} of other "
                 "arguments"
             )
         if self.jacobian is not None:
@@ -324,12 +310,12 @@ def check_prior(prior: Any) -> None:
     )
 
 
-def given_back(name: str, value: Any, what: str) -> Any:
+def check_return(name: str, value: Any, what: str) -> Any:
     """What a function from outside gave back, if it is a tuple of what ``what`` names; ValueError
     otherwise.
     """
     if not isinstance(value, tuple | list) or len(value) != what.count(",") + 1:
-        raise ValueError(f"{name}: expected ({what}) from the function, got {kind(value)}")
+        raise ValueError(f"{name}: expected ({what}) from the function, got {describe(value)}")
     return value
 
 

@@ -13,24 +13,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from celnav.gaussian.belief import Gaussian
-from celnav.gaussian.checks import finite, kind, numbers
-from celnav.gaussian.linalg import Array, surely
+from celnav.gaussian.checks import describe, finite, numbers
+from celnav.gaussian.linalg import Array, is_concretely_true
 
-__all__ = [
-    "Epoch",
-    "Epochs",
-    "Filter",
-    "FilterError",
-    "FromFunctions",
-    "Info",
-    "Inputs",
-    "State",
-    "as_seconds",
-    "check_interval",
-    "epochs",
-    "still",
-    "without_input",
-]
+__all__ = ["Epoch", "Filter", "FilterError", "FromFunctions", "Info", "epochs"]
 
 _LOG_2PI = float(np.log(2.0 * np.pi))
 
@@ -64,9 +50,9 @@ class Epoch(NamedTuple):
     about: Any = None
 
 
-def still(epoch: Any) -> bool:
+def is_zero_interval(epoch: Any) -> bool:
     """Whether the interval of an epoch is known to be nothing, in every run."""
-    return epoch.dt == 0.0 if isinstance(epoch.dt, float) else surely(~np.any(epoch.dt))
+    return epoch.dt == 0.0 if isinstance(epoch.dt, float) else is_concretely_true(~np.any(epoch.dt))
 
 
 class Info(NamedTuple):
@@ -378,7 +364,7 @@ def _rows(name: str, values: Any, times: int) -> Any:
         count = -1
     if count < 0:
         raise ValueError(
-            f"{name}: expected a sequence with a row for each time, got {kind(values)}"
+            f"{name}: expected a sequence with a row for each time, got {describe(values)}"
         )
     if count != times and (name != "u" or count != times - 1):
         acts = " (row k acts from times[k] to times[k + 1])" if name == "u" else ""
@@ -439,7 +425,7 @@ def check_interval(filter: Any, epoch: Any, before: Any) -> None:
     if dt is None:
         raise ValueError(
             "epochs: expected celnav.epochs(times, z), or records like celnav.Epoch, got "
-            f"{kind(epoch)}"
+            f"{describe(epoch)}"
         )
     interval = numbers("dt", dt)
     if before is not None and not interval.any() and np.any(np.asarray(epoch.t) > before):

@@ -16,10 +16,10 @@ from celnav.gaussian.linalg import (
     Belief,
     SquareRoot,
     block,
+    is_concretely_true,
     matvec,
     solve_lower,
     solve_right,
-    surely,
 )
 from celnav.gaussian.rules import Image
 
@@ -44,7 +44,7 @@ def regressed(seen: Joint, belief: Belief, way: Array) -> Joint:
         ),
         state=Image(belief.mean, np.zeros(n), kept, partial(np.eye, n)),
         sign=np.concatenate([np.ones(n), np.broadcast_to(seen.sign, left.shape[-1:])]),
-        known=belief[1],
+        prior_factor=belief[1],
     )
 
 
@@ -73,7 +73,7 @@ def pseudo_gain(
         noise = EPS * np.abs(center).max(-1) / unit.min(-1)
     bound = np.maximum(4.0 * (S.shape[-1] * EPS + noise), least)
     singular = np.asanyarray((S.diagonal(0, -2, -1) <= bound[..., None] * unit).any(-1))
-    eye, none = np.eye(S.shape[-1]), surely(~singular.any())
+    eye, none = np.eye(S.shape[-1]), is_concretely_true(~singular.any())
     recorded = S.dtype.hasobject  # there a singular run is lost: the numpy engine flies it again
     regular = S if none else np.where(singular[..., None, None], np.nan if recorded else eye, S)
     gain = solve_right(regular, signed @ solve_lower(regular, D_y).mT)

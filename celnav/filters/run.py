@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.filters.joint import at
+from celnav.filters.joint import noise_at
 from celnav.filters.mixing import LOOKED_AT, WATCH
 from celnav.filters.records import (
     Epoch,
@@ -24,11 +24,11 @@ from celnav.filters.records import (
 )
 from celnav.filters.sequential import Sequential
 from celnav.filters.track import Collector, Track, rows_of
-from celnav.gaussian.belief import settled
-from celnav.gaussian.checks import choice, function, instance, integer, kind
+from celnav.gaussian.belief import mask_failed
+from celnav.gaussian.checks import choice, describe, function, instance, integer
 from celnav.gaussian.linalg import Array
 
-__all__ = ["ENGINE", "ENGINES", "REPEATED", "as_epochs", "explain", "repeated", "run", "steps"]
+__all__ = ["run", "steps"]
 
 ENGINES = ("numpy", "compiled", "cuda", "auto")
 ENGINE: ContextVar[str] = ContextVar("engine", default="auto")
@@ -152,7 +152,7 @@ def steps(
     """
     if not (hasattr(filter, "start") and hasattr(filter, "step")):
         raise ValueError(
-            f"filter: expected a filter, such as celnav.ukf(motion, sensor), got {kind(filter)}"
+            f"filter: expected a filter, such as celnav.ukf(motion, sensor), got {describe(filter)}"
         )
     state, before = filter.start(prior), None
     try:
@@ -160,7 +160,7 @@ def steps(
     except TypeError:
         raise ValueError(
             "epochs: expected celnav.epochs(times, z), or records like celnav.Epoch, got "
-            f"{kind(epochs)}"
+            f"{describe(epochs)}"
         ) from None
     models: list[Any] = []
     settles = not hasattr(filter, "run")  # a compiled filter does it itself
@@ -179,7 +179,7 @@ def steps(
         finally:
             LOOKED_AT.reset(token)
         if settles and "belief" in getattr(state, "_fields", ()):
-            state = state._replace(belief=settled(state.belief))
+            state = state._replace(belief=mask_failed(state.belief))
         yield epoch, state, infos
 
 
@@ -230,7 +230,7 @@ def explain(filter: Any, before: Any, after: Any, epoch: Epoch) -> str:
         return "the covariance lost positive definiteness"
     why = "the innovation covariance is not positive definite"
     for sensor in getattr(filter, "sensors", ()):
-        columns = at(sensor.noise, predicted.belief.mean, epoch)
+        columns = noise_at(sensor.noise, predicted.belief.mean, epoch)
         if not len(sensor.augment) and (columns is None or not columns.any(-1).all()):
             return (
                 f"{why}; a measurement without noise must say what is not known already: of "

@@ -31,23 +31,23 @@ from zlib import crc32
 import numpy as np
 
 from celnav.filters.engine import (
+    COUNTERS,
     PART,
-    TALLY,
     Data,
     Engine,
     Shape,
-    each_run,
-    leaves,
+    map_run_constants,
     places,
-    rebuilt,
+    tree_leaves,
+    tree_unflatten,
 )
 from celnav.filters.flight import Sentinel, epoch_of, part_of
 from celnav.filters.mixing import WATCH
-from celnav.gaussian.belief import settled
+from celnav.gaussian.belief import mask_failed
 from celnav.gaussian.linalg import EPS, Array
 from celnav.gaussian.rules import AnyDimension, Taylor
-from celnav.tape.numbers import Numbers
-from celnav.tape.tape import Number
+from celnav.tape.numbers import TracedArray
+from celnav.tape.tape import TracedScalar
 
 CLOSE = 1e-6  # of a standard deviation, or of the size of any other number
 DIFFERENCED = 1e-4  # likewise where numpy takes differences and machine code has derivatives
@@ -67,7 +67,7 @@ def difference(
 ) -> str:
     """What the numpy engine computes otherwise from the states before a sentinel; empty:
     nothing."""
-    failed = TALLY.index("failed_at")
+    failed = COUNTERS.index("failed_at")
     sound = np.flatnonzero((sentinel.before[:, failed] < 0) & (sentinel.after[:, failed] < 0))
     # Memories need not have the runs in front: then each run is taken alone.
     plain = len(sentinel.shape.arrays) == len(sentinel.shape_after.arrays) == 2
@@ -75,7 +75,7 @@ def difference(
     for some in groups if len(sound) else ():
         runs = np.array(watched)[some]
         part = partial(part_of, batch=engine.batch, runs=runs)
-        own = each_run(filter, partial(part, own=2)) if engine.constants else filter
+        own = map_run_constants(filter, partial(part, own=2)) if engine.constants else filter
         epoch = epoch_of(data, sentinel.at, part, engine.batch)
         if not plain and _silent(epoch.z, data, sentinel.at):
             continue  # numpy calls no hook then, unless another run measures something
@@ -84,7 +84,7 @@ def difference(
         tally = (rows - sentinel.before[some])[..., :failed]
         try:
             after = _state(sentinel.shape_after, rows, engine.held)
-            name = otherwise(own, state, epoch, after, [*np.moveaxis(tally, -1, 0)])
+            name = different_quantity(own, state, epoch, after, [*np.moveaxis(tally, -1, 0)])
         except Exception as error:
             return f"numpy raises {type(error).__name__}: {error}"
         if name:
@@ -99,11 +99,11 @@ def _silent(z: Any, data: Data, at: int) -> bool:
     return any(what == PART and np.isnan(x).all() for what, x in zip(there, parts, strict=False))
 
 
-def otherwise(filter: Any, state: Any, epoch: Any, after: Any, tally: list[Array]) -> str:
+def different_quantity(filter: Any, state: Any, epoch: Any, after: Any, tally: list[Array]) -> str:
     """What a step by numpy gives otherwise."""
     stepped, counts = _stepped(filter, state, epoch)
     # A fixed lag keeps nothing in machine code: then beliefs are compared.
-    alike = [what for _, what in leaves(stepped)] == [what for _, what in leaves(after)]
+    alike = [what for _, what in tree_leaves(stepped)] == [what for _, what in tree_leaves(after)]
     found, mine = list(_measured(stepped, counts, alike)), list(_measured(after, tally, alike))
     pairs = [(x, y) for (_, x, _), (_, y, _) in zip(found, mine, strict=True)]
     sizes = [size for *_, size in found]
@@ -168,8 +168,8 @@ def _stepped(filter: Any, state: Any, epoch: Any) -> tuple[Any, list[Array]]:
     with np.errstate(all="ignore"):
         state, infos = filter.step(state, epoch)
     if "belief" in getattr(state, "_fields", ()):
-        state = state._replace(belief=settled(state.belief))
-    counts: list[Any] = [0.0] * TALLY.index("failed_at")
+        state = state._replace(belief=mask_failed(state.belief))
+    counts: list[Any] = [0.0] * COUNTERS.index("failed_at")
     for info in infos:
         if (likelihood := info.log_likelihood) is not None:
             counts[0] = counts[0] + likelihood
@@ -185,7 +185,7 @@ def _stepped(filter: Any, state: Any, epoch: Any) -> tuple[Any, list[Array]]:
 def _measured(state: Any, tally: list[Any], memory: bool) -> Iterator[tuple[str, Array, Array]]:
     """Names, values and sizes of what is to agree; without ``memory``: of the belief alone."""
     mean: Any = None
-    for x, what in leaves(state if memory else state.belief):
+    for x, what in tree_leaves(state if memory else state.belief):
         if what == "belief":
             mean = x
         elif what:
@@ -199,7 +199,7 @@ def _measured(state: Any, tally: list[Any], memory: bool) -> Iterator[tuple[str,
             values = np.asarray(x, float)
             size = np.abs(values)
             yield "memory", values, size + 1e-6 * size.max(initial=1e-3)
-    for name, count in zip(TALLY, tally, strict=False):
+    for name, count in zip(COUNTERS, tally, strict=False):
         yield name, np.asarray(count, float), 1.0 + np.abs(np.asarray(count, float))
 
 
@@ -218,23 +218,23 @@ def _state(shape: Shape, rows: Array, held: int) -> Any:
                 x[..., mirrored] = values
             values = x
         arrays.append(values.reshape((*rows.shape[:-1], *own)))
-    return rebuilt(shape.tree, iter(arrays))
+    return tree_unflatten(shape.tree, iter(arrays))
 
 
 def _nudged(tree: Any, rng: np.random.Generator) -> Any:
     """A tree with each number moved by an ulp or two, covariances alike on both sides."""
     moved = []
-    for x, what in leaves(tree):
+    for x, what in tree_leaves(tree):
         way = rng.choice([-2.0, -1.0, 1.0, 2.0], np.shape(x))
         if what == "symmetric":
             lower = np.tril(way)
             way = lower + np.tril(lower, -1).mT
         moved.append(np.asarray(x) * (1.0 + EPS * way))
-    return rebuilt(tree, iter(moved))
+    return tree_unflatten(tree, iter(moved))
 
 
 # -- what functions hold -----------------------------------------------------------------------
-def held(filter: Any) -> dict[str, Any]:
+def model_contents(filter: Any) -> dict[str, Any]:
     """What the functions of a filter hold, by its path: closures, attributes, globals that they
     name.
     """
@@ -292,7 +292,7 @@ class Watch:
     """What the models of a filter held when it was made; `is_still` looks whether they hold it yet.
 
     Names and contents are compared by identity, which takes a microsecond or two. What cannot be
-    compared so, such as an iterator, counts as changed: then `held` says.
+    compared so, such as an iterator, counts as changed: then `model_contents` says.
     """
 
     def __init__(self, filter: Any):
@@ -385,7 +385,7 @@ def _look(
 ) -> None:
     """Set what a thing is known by, and what it holds; ``things``: set the things themselves
     too."""
-    if isinstance(thing, Number | Numbers):  # left by a recording
+    if isinstance(thing, TracedScalar | TracedArray):  # left by a recording
         found[path] = id(thing)
         return
     if isinstance(thing, bool | int | float | complex | str | bytes | np.number | None):

@@ -16,49 +16,41 @@ from celnav.filters.joint import (
     Gain,
     Hook,
     Joint,
+    broadcast_belief,
+    broadcast_to_runs,
     by_matrix,
     condition,
     evaluate,
     joint,
     marginal,
-    over_runs,
-    whole,
 )
 from celnav.filters.model import Motion, Sensor, check_matrices, check_prior, check_roots
-from celnav.filters.records import Epoch, Info, State, still
+from celnav.filters.records import Epoch, Info, State, is_zero_interval
 from celnav.filters.regression import regressed
 from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.checks import (
+    accepts,
     choice,
+    describe,
     finite,
     function,
     instance,
     integer,
-    kind,
     number,
     numbers,
-    takes,
 )
-from celnav.gaussian.linalg import EPS, FORMS, Array, Belief, Form, surely
+from celnav.gaussian.linalg import EPS, FORMS, Array, Belief, Form, is_concretely_true
 from celnav.gaussian.rules import AnyDimension, Taylor, cubature, gauss_hermite, unscented
 from celnav.gaussian.spaces import EUCLIDEAN, Space
 from celnav.gaussian.sparse_grid import smolyak
 
 __all__ = [
-    "MOST_ITERATIONS",
     "Iterated",
-    "Sequential",
     "SingleDraw",
-    "checked",
     "ckf",
     "ekf",
     "ghkf",
-    "measurements",
-    "missing",
-    "over",
-    "plain",
     "sigma_point",
-    "silent",
     "sparse_grid_filter",
     "ukf",
 ]
@@ -86,9 +78,9 @@ class Sequential:
 
     def __repr__(self) -> str:
         form = next(name for name, form in FORMS.items() if form is self.form)
-        sensors = ", ".join(kind(sensor.h) for sensor in self.sensors)
+        sensors = ", ".join(describe(sensor.h) for sensor in self.sensors)
         name = type(self).__name__
-        return f"{name}({kind(self.motion.f)}; {sensors}; {self.rule!r}, {form})"
+        return f"{name}({describe(self.motion.f)}; {sensors}; {self.rule!r}, {form})"
 
     def start(self, prior: Gaussian) -> State:
         """State before the first epoch."""
@@ -109,7 +101,7 @@ class Sequential:
             )
         check_matrices(N, n, self.motion, *self.sensors)
         if not all(by_matrix(model, self.rule) for model in (self.motion, *self.sensors)):
-            belief = whole(
+            belief = broadcast_belief(
                 self.form, *belief
             )  # a covariance of all runs stays one where their matrices are
         return State(belief, (None,) * len(self.sensors))
@@ -122,8 +114,8 @@ class Sequential:
         """State at the end of the interval, before anything is measured."""
         instance("state", state, State, "what the filter's start(prior) or last step gave")
         if not hasattr(epoch, "dt"):
-            raise ValueError(f"epoch: expected a record like celnav.Epoch, got {kind(epoch)}")
-        if still(epoch):
+            raise ValueError(f"epoch: expected a record like celnav.Epoch, got {describe(epoch)}")
+        if is_zero_interval(epoch):
             return state
         return state._replace(
             belief=marginal(self.form, self.predicted(state.belief, epoch), self.motion.space)
@@ -135,13 +127,13 @@ class Sequential:
         for i, (sensor, z) in enumerate(
             zip(self.sensors, measurements(epoch.z, len(self.sensors)), strict=True)
         ):
-            if missing(z):
-                infos.append(silent(sensor, z))
-                belief = belief if z is None else over_runs("z", z.shape[:-1], belief)
+            if is_missing(z):
+                infos.append(missing_info(sensor, z))
+                belief = belief if z is None else broadcast_to_runs("z", z.shape[:-1], belief)
                 continue
             hooks = self.hooks[i] if self.hooks else ()
             belief, info, memory[i] = self.update_sensor(
-                sensor, belief, checked(z, sensor), epoch, hooks, memory[i]
+                sensor, belief, as_measurement(z, sensor), epoch, hooks, memory[i]
             )
             infos.append(info)
         return State(belief, tuple(memory)), tuple(infos)
@@ -219,7 +211,7 @@ class Sequential:
         """
         V, measured = seen.measurement_noise, seen.measurement
         exact = np.ones(1, bool) if V is None else np.asanyarray(~V.any(-1))
-        if surely(~exact.any()):
+        if is_concretely_true(~exact.any()):
             return after
         if by_matrix(sensor, self.rule):
             deviation, size = (
@@ -244,7 +236,7 @@ class Sequential:
             & np.asanyarray(info.used)
             & (np.asanyarray(info.sqrt_S).diagonal(0, -2, -1) <= least)
         ).any(-1)
-        if surely(~known.any()):
+        if is_concretely_true(~known.any()):
             return after
         return self.form(
             np.where(known[..., None], np.nan, after.mean),
@@ -260,7 +252,7 @@ def measurements(z: Any, sensors: int) -> tuple[Any, ...]:
     return each[:sensors]
 
 
-def checked(z: Any, sensor: Sensor) -> Array:
+def as_measurement(z: Any, sensor: Sensor) -> Array:
     """A measurement ``(..., m)`` as floats."""
     measured = numbers("z", z)
     if measured.ndim == 0:
@@ -274,14 +266,14 @@ def checked(z: Any, sensor: Sensor) -> Array:
     )
 
 
-def missing(z: Any) -> bool:
+def is_missing(z: Any) -> bool:
     """Whether nothing was measured, in any run."""
     return z is None or (
         type(z) is np.ndarray and z.dtype == np.float64 and bool(np.isnan(z).all())
     )
 
 
-def silent(sensor: Sensor, z: Any) -> Info:
+def missing_info(sensor: Sensor, z: Any) -> Info:
     """The record of a measurement that is wholly missing."""
     if z is None:
         return Info(silent=True)
@@ -336,7 +328,7 @@ def sigma_point(
         hint = " (celnav.from_filterpy makes it one)" if hasattr(rule, "sigma_points") else ""
         raise ValueError(
             "rule: expected a rule, such as celnav.unscented(n) or celnav.unscented, got "
-            f"{kind(rule)}{hint}"
+            f"{describe(rule)}{hint}"
         )
     rule = rule if hasattr(rule, "image") or isinstance(rule, AnyDimension) else AnyDimension(rule)
     plain = Sequential(
@@ -421,13 +413,13 @@ def ekf(motion: Motion, *sensors: Sensor, **options: Any) -> Sequential:
     return sigma_point(motion, *sensors, rule=Taylor(), **options)
 
 
-def plain(name: str, filter: Any) -> Sequential:
+def require_sequential(name: str, filter: Any) -> Sequential:
     """A filter that predicts, then updates, and does nothing else; ValueError names another."""
     made: Sequential = instance(name, filter, Sequential, "celnav.ukf(motion, sensor)")
     if type(made).step is not Sequential.step:
         raise ValueError(
             f"{name}: expected a filter that predicts, then updates, such as celnav.ukf, got "
-            f"{kind(filter)}"
+            f"{describe(filter)}"
         )
     return made
 
@@ -437,7 +429,7 @@ def _each(hooks: Any, sensors: int) -> tuple[tuple[Hook, ...], ...]:
     if isinstance(hooks, str) or not isinstance(hooks, Sequence):
         raise ValueError(
             "hooks: expected a list of hooks, such as [celnav.filters.adaptive.gate(4.0)], got "
-            f"{kind(hooks)}"
+            f"{describe(hooks)}"
         )
     lists = [hook for hook in hooks if isinstance(hook, list | tuple)]
     if lists and not len(lists) == len(hooks) == sensors:
@@ -446,9 +438,11 @@ def _each(hooks: Any, sensors: int) -> tuple[tuple[Hook, ...], ...]:
             f"{len(lists)} lists"
         )
     each = tuple(tuple(own) for own in hooks) if lists else (tuple(hooks),) * sensors
-    wrong = [hook for own in each for hook in own if not takes(hook, 3)]
+    wrong = [hook for own in each for hook in own if not accepts(hook, 3)]
     if wrong:
-        raise ValueError(f"hooks: expected functions (memory, joint, epoch), got {kind(wrong[0])}")
+        raise ValueError(
+            f"hooks: expected functions (memory, joint, epoch), got {describe(wrong[0])}"
+        )
     return each
 
 
@@ -507,7 +501,7 @@ class Iterated(Sequential):
         the belief ``about``.
         """
         space = self.motion.space
-        return over(
+        return linearized_over(
             about,
             self.rule,
             belief,
@@ -517,7 +511,7 @@ class Iterated(Sequential):
         )
 
 
-def over(
+def linearized_over(
     about: Belief,
     rule: Any,
     belief: Belief,
@@ -530,7 +524,8 @@ def over(
     """
     if isinstance(rule, Taylor):
         return draw(
-            Taylor(rule.step, about=about.mean), over_runs("about", about.mean.shape[:-1], belief)
+            Taylor(rule.step, about=about.mean),
+            broadcast_to_runs("about", about.mean.shape[:-1], belief),
         )
     if about is belief or by_matrix(model, rule):
         return draw(rule, belief)
@@ -563,7 +558,7 @@ class SingleDraw(Sequential):
     @classmethod
     def of(cls, filter: Sequential) -> SingleDraw:
         """The same filter, drawing once."""
-        plain("filter", filter)
+        require_sequential("filter", filter)
         if (
             len(filter.sensors) != 1
             or filter.motion.Q is not None
@@ -592,13 +587,13 @@ class SingleDraw(Sequential):
 
     def step(self, state: State, epoch: Epoch) -> tuple[State, tuple[Info, ...]]:
         (z,) = measurements(epoch.z, 1)
-        if still(epoch):
+        if is_zero_interval(epoch):
             return super().step(state, epoch)
         if z is not None:
-            z = checked(z, self.sensors[0])
-            state = state._replace(belief=over_runs("z", z.shape[:-1], state.belief))
+            z = as_measurement(z, self.sensors[0])
+            state = state._replace(belief=broadcast_to_runs("z", z.shape[:-1], state.belief))
         (sensor,), belief, space = self.sensors, state.belief, self.motion.space
-        if missing(z):
+        if is_missing(z):
             ahead = joint(
                 self.rule,
                 belief,
@@ -608,7 +603,9 @@ class SingleDraw(Sequential):
                 spaces=(space,),
                 augment=self.noises,
             )
-            return state._replace(belief=marginal(self.form, ahead, space)), (silent(sensor, z),)
+            return state._replace(belief=marginal(self.form, ahead, space)), (
+                missing_info(sensor, z),
+            )
         both = joint(
             self.rule,
             belief,

@@ -21,16 +21,16 @@ from celnav.filters.fallback import Fallback
 from celnav.filters.fixed_lag import FixedLag
 from celnav.filters.imm import InteractingModels
 from celnav.filters.joint import condition
-from celnav.filters.records import Epoch, Epochs, FilterError, Info, still
+from celnav.filters.records import Epoch, Epochs, FilterError, Info, is_zero_interval
 from celnav.filters.regression import pseudo_gain
 from celnav.filters.run import run
 from celnav.filters.sequential import Sequential, SingleDraw
 from celnav.filters.track import Track
 from celnav.filters.two_stage import TwoStage
-from celnav.gaussian.checks import choice, instance, kind
-from celnav.gaussian.linalg import NEGLIGIBLE, Array, Belief, surely
+from celnav.gaussian.checks import choice, describe, instance
+from celnav.gaussian.linalg import NEGLIGIBLE, Array, Belief, is_concretely_true
 
-__all__ = ["back", "smooth"]
+__all__ = ["smooth"]
 
 FORWARD_ONLY: dict[type, str] = {
     Colored: "whose differences of measurements share their noise with the motion; "
@@ -98,7 +98,7 @@ def smooth(
         )
         raise ValueError(
             "filter: expected one that predicts, then updates, such as celnav.ukf, got "
-            f"{kind(chosen)}{reason}"
+            f"{describe(chosen)}{reason}"
         )
     epochs = track.epochs
     if not isinstance(epochs, Epochs) and any(b.k != a.k + 1 for a, b in pairwise(epochs)):
@@ -182,10 +182,10 @@ class Backward:
         """The belief at the beginning of an epoch's interval given everything."""
         before, there, about = epoch.about
         after, gain = state.belief, np.eye(before[1].shape[-1])
-        if not still(epoch):
+        if not is_zero_interval(epoch):
             after, gain = back(self.filter, before, after, epoch._replace(about=about))
         lost = np.isnan(there)
-        if not surely(~lost.any()):
+        if not is_concretely_true(~lost.any()):
             form, here = self.filter.form, lost[..., None]
             mean = np.where(lost, before.mean, after.mean)
             after = form(mean, np.where(here, before[1], after[1]))

@@ -15,19 +15,19 @@ from typing import Any
 import numpy as np
 
 from celnav.filters.engine import (
+    COUNTERS,
     FULL,
     NONE,
     PART,
     SILENT,
-    TALLY,
     Data,
     Engine,
-    Kind,
+    EpochKind,
     Recorded,
     Shape,
     entries,
-    leaves,
-    rebuilt,
+    tree_leaves,
+    tree_unflatten,
 )
 from celnav.filters.flight import as_data
 from celnav.filters.records import Epoch, Info, State
@@ -38,10 +38,10 @@ from celnav.tape import llvm
 from celnav.tape.tape import CannotCompile
 
 FLOAT = np.dtype(np.float64)
-FAILED = TALLY.index("failed_at")
+FAILED = COUNTERS.index("failed_at")
 SEEN = ("innovation", "whitened", "used")
 SILENCE = Info(silent=True)
-START = tuple(-1.0 if name == "failed_at" else 0.0 for name in TALLY)
+START = tuple(-1.0 if name == "failed_at" else 0.0 for name in COUNTERS)
 
 
 # -- what a plan is chosen by --------------------------------------------------------------------
@@ -116,12 +116,12 @@ class _Between(Engine):
         if not self.batch:
             return self.state, self.state
         alone = []
-        for x, what in leaves(self.state):
+        for x, what in tree_leaves(self.state):
             axes = 1 if what == "belief" else 2 if what else np.ndim(x)
             alone.append(x[(0,) * (np.ndim(x) - axes)])
-        return rebuilt(self.state, iter(alone)), self.state
+        return tree_unflatten(self.state, iter(alone)), self.state
 
-    def record(self, before: Shape, kind: Kind, u: list[tuple[Array, bool]]) -> Recorded:
+    def record(self, before: Shape, kind: EpochKind, u: list[tuple[Array, bool]]) -> Recorded:
         made = super().record(before, kind, u)
         if self.batch and not all(
             what for shape in (before, made.after) for _, what, _ in shape.arrays
@@ -195,7 +195,7 @@ class Plan:
         self.start[:, FAILED] = -1.0
         if engine.constants:
             held = [x.reshape(self.runs, -1) for x in engine.constants]
-            self.start[: self.runs, len(TALLY) : engine.held] = np.concatenate(held, 1)
+            self.start[: self.runs, len(COUNTERS) : engine.held] = np.concatenate(held, 1)
         self.widths, self.apart = engine.widths, engine.apart
         self.given = [own for _, own in inputs]  # which inputs are of each run
         shared = 3 + sum(x.size for x, own in inputs if not own)
@@ -221,14 +221,14 @@ class Plan:
         if not self.batch:
             alone = self.memory[parts[2]]
             alone[:] = self.start[0]
-            self.tally = alone[: len(TALLY)]
+            self.tally = alone[: len(COUNTERS)]
             self.into = [alone[at].reshape(own) for at, own in self.begin]
             self.out = [alone[at].reshape(own) for at, own in self.end]
             self.rows = [
                 row and (*row[:2], row[2].view(np.bool_)[: row[2].size])  # a truth value is a byte
                 for row in self.rows
             ]
-            numbers = struct.Struct(f"{shared + own + len(TALLY)}d")
+            numbers = struct.Struct(f"{shared + own + len(COUNTERS)}d")
             self.pack = partial(numbers.pack_into, self.memory.data, 8 * first)
 
         fields = self.memory.ctypes.data + 8 * ends[3:-1].astype(np.uint64)
@@ -247,7 +247,7 @@ class Plan:
         if self.hooks is not None:
             self.into[0][...], self.into[1][...] = state.belief
         else:
-            for place, (x, _) in zip(self.into, leaves(state), strict=True):
+            for place, (x, _) in zip(self.into, tree_leaves(state), strict=True):
                 place[...] = x
         self.call()
         if self.tally.item(FAILED) >= 0.0:
@@ -260,7 +260,7 @@ class Plan:
             for kept in self.rows
         ]
         if self.hooks is None:
-            return rebuilt(self.tree, (x.copy() for x in self.out)), tuple(infos)
+            return tree_unflatten(self.tree, (x.copy() for x in self.out)), tuple(infos)
         mean, matrix = self.out
         belief = tuple.__new__(self.form, (mean.copy(), matrix.copy()))
         return tuple.__new__(State, (belief, self.hooks)), tuple(infos)
@@ -273,7 +273,7 @@ class Plan:
             return np.broadcast_to(x, (*batch, *own)).reshape(runs, -1)
 
         values = self.start.copy()
-        for (x, _), (at, own) in zip(leaves(state), self.begin, strict=True):
+        for (x, _), (at, own) in zip(tree_leaves(state), self.begin, strict=True):
             values[:runs, at] = each(x, own)
         values[runs:] = values[runs - 1]
         blocks, size, lanes = self.work.shape
@@ -284,7 +284,7 @@ class Plan:
         if self.apart:
             mine.append(each(epoch.dt, ()))
         first = 3
-        for (x, _), differs in zip(leaves((epoch.u, epoch.about)), self.given, strict=True):
+        for (x, _), differs in zip(tree_leaves((epoch.u, epoch.about)), self.given, strict=True):
             if differs:
                 mine.append(np.asarray(x).reshape(runs, -1))
             else:
@@ -300,7 +300,7 @@ class Plan:
             mean = state.belief.mean
             if not np.isnan(each(mean, mean.shape[-1:])[lost]).any(-1).all():
                 return None
-        self.tally = out[:, : len(TALLY)].reshape(*batch, len(TALLY))
+        self.tally = out[:, : len(COUNTERS)].reshape(*batch, len(COUNTERS))
         likelihood = self.tally[..., 0] / self.measured
 
         def row(kept: Array) -> Array:
@@ -315,7 +315,7 @@ class Plan:
             for kept in self.rows
         ]
         after = [out[:, at].reshape(*batch, *own) for at, own in self.end]
-        return rebuilt(self.tree, iter(after)), tuple(infos)
+        return tree_unflatten(self.tree, iter(after)), tuple(infos)
 
 
 def _info(innovation: Array, whitened: Array, used: Array, likelihood: Any) -> Info:

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from celnav.filters.fallback import merged, pick
-from celnav.filters.joint import whole
+from celnav.filters.joint import broadcast_belief
 from celnav.filters.records import Epoch, Filter, Info, State
 from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.linalg import Array
@@ -18,7 +18,7 @@ from celnav.tape.tape import CannotCompile
 __all__ = ["Switching"]
 
 
-class Turn(NamedTuple):
+class SwitchingState(NamedTuple):
     """State of a `Switching`; ``chosen (...)``: numbers of the filters that made the last step,
     None before the first.
     """
@@ -56,12 +56,12 @@ class Switching:
         """The filters' own, if they have one."""
         return getattr(self.filters(0), "motion", None)
 
-    def start(self, prior: Gaussian) -> Turn:
+    def start(self, prior: Gaussian) -> SwitchingState:
 
         state = self.filters(0).start(prior)
-        return Turn(whole(type(state.belief), *state.belief), state.memory)
+        return SwitchingState(broadcast_belief(type(state.belief), *state.belief), state.memory)
 
-    def step(self, state: Turn, epoch: Epoch) -> tuple[Turn, tuple[Info, ...]]:
+    def step(self, state: SwitchingState, epoch: Epoch) -> tuple[SwitchingState, tuple[Info, ...]]:
 
         if state.belief.mean.dtype.hasobject:
             raise CannotCompile("which filter makes a step is known only when it runs")
@@ -88,4 +88,6 @@ class Switching:
                     *(pick(own, b, a) for a, b in zip(belief, after.belief, strict=True))
                 )
                 infos = tuple(merged(own, a, b) for a, b in zip(infos, more, strict=True))
-        return Turn(belief, state.memory, np.broadcast_to(chosen, belief.mean.shape[:-1])), infos
+        return SwitchingState(
+            belief, state.memory, np.broadcast_to(chosen, belief.mean.shape[:-1])
+        ), infos

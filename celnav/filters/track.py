@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from celnav.show.report import Report
 
-__all__ = ["KEEP", "Collector", "Track", "rows_of"]
+__all__ = ["Track"]
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,13 +17,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.filters.joint import KEEP, alike, condition, joint, marginal
-from celnav.filters.model import Motion, Sensor, given_back, matrices_of
-from celnav.filters.records import Epoch, Info, State, still
+from celnav.filters.joint import KEEP, condition, joint, marginal, shared_mask
+from celnav.filters.model import Motion, Sensor, check_return, matrices_of
+from celnav.filters.records import Epoch, Info, State, is_zero_interval
 from celnav.filters.regression import pseudo_gain
-from celnav.filters.sequential import Sequential, plain, sigma_point
+from celnav.filters.sequential import Sequential, require_sequential, sigma_point
 from celnav.gaussian.belief import Gaussian, symmetric
-from celnav.gaussian.checks import as_matrix, finite, function, instance, kind, numbers
+from celnav.gaussian.checks import as_matrix, describe, finite, function, instance, numbers
 from celnav.gaussian.linalg import (
     Array,
     SquareRoot,
@@ -38,7 +38,7 @@ from celnav.gaussian.linalg import (
 from celnav.gaussian.rules import UNSCENTED, Taylor
 from celnav.gaussian.spaces import EUCLIDEAN
 
-__all__ = ["LINEAR", "Boost", "Plain", "Stage", "TwoStage", "two_stage"]
+__all__ = ["two_stage"]
 
 Slope = Array | Callable[[Array, Epoch], Array]
 """``Gamma (..., m, p)``: derivative of the measurement with respect to the bias; constant or
@@ -79,7 +79,7 @@ class Plain:
     filter: Sequential
 
     def __post_init__(self) -> None:
-        space = plain("filter", self.filter).motion.space
+        space = require_sequential("filter", self.filter).motion.space
         if len(self.filter.sensors) != 1 or space != EUCLIDEAN:
             raise ValueError("filter: expected one sensor and states that are vectors")
 
@@ -88,7 +88,7 @@ class Plain:
 
     def predict(self, state: State, epoch: Epoch) -> tuple[State, Array | None]:
         """State after the interval, and the transition matrix ``(..., n, n)``."""
-        if still(epoch):
+        if is_zero_interval(epoch):
             return state, None
         moved = self.filter.predicted(state.belief, epoch)
         return state._replace(
@@ -101,7 +101,7 @@ class Plain:
         info: Any = infos[0]
         if info.sqrt_S is None:
             return after, None, info
-        used = alike(info.used)
+        used = shared_mask(info.used)
         H = np.where(used[..., None], info.jacobian(), 0.0)
         return (
             after,
@@ -212,7 +212,7 @@ class TwoStage:
         ):
             raise ValueError(
                 "first: expected a first stage, such as celnav.filters.two_stage.Plain(filter), "
-                f"got {kind(first)}"
+                f"got {describe(first)}"
             )
         instance("bias", bias, Gaussian, "celnav.Gaussian(mean, cov)")
         p = bias.mean.shape[-1]
@@ -275,7 +275,7 @@ class TwoStage:
             boost = Boost(
                 both.innovation, outer(both.sqrt_S), stage.innovation, outer(stage.sqrt_S)
             )
-            memory, factors = given_back("boost", self.boost(memory, boost), "memory, factors")
+            memory, factors = check_return("boost", self.boost(memory, boost), "memory, factors")
             root = np.sqrt(numbers("boost", factors, (..., own.mean.shape[-1])))
             after = after._replace(
                 mean=own.mean + _boosted(own.cov, root, S, stage.sqrt_S, both.innovation)

@@ -17,28 +17,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from celnav.gaussian.checks import number, numbers
-from celnav.gaussian.linalg import Array, surely
-from celnav.gaussian.spaces import Space, components, trailing
+from celnav.gaussian.linalg import Array, is_concretely_true
+from celnav.gaussian.spaces import Space, component_major, points_last
 
-__all__ = [
-    "IDENTITY",
-    "angle",
-    "attitude",
-    "cross",
-    "exp",
-    "from_euler",
-    "from_rodrigues",
-    "inverse",
-    "log",
-    "matrix",
-    "multiply",
-    "positive",
-    "rotate",
-    "to_euler",
-    "to_rodrigues",
-    "transport",
-    "unit",
-]
+__all__ = ["attitude"]
 
 IDENTITY = np.array([0.0, 0.0, 0.0, 1.0])
 UNIT_TOLERANCE = 1e-6
@@ -104,7 +86,7 @@ _PRODUCT[_TERMS[:, 0], 4 * _TERMS[:, 1] + _TERMS[:, 2]] = _TERMS[:, 3]
 
 def multiply(q: Array, p: Array) -> Array:
     """Product ``(..., 4)``: first p, then q."""
-    a, b = components(q), components(p)
+    a, b = component_major(q), component_major(p)
     if a.ndim != b.ndim:
         ndim = max(a.ndim, b.ndim)
         a, b = (c.reshape(4, *(1,) * (ndim - c.ndim), *c.shape[1:]) for c in (a, b))
@@ -115,7 +97,7 @@ def multiply(q: Array, p: Array) -> Array:
     if backwards:
         pairs = pairs.transpose((0, 1, *range(pairs.ndim - 1, 1, -1)))
     rows = (_PRODUCT @ pairs.reshape(16, -1)).reshape(4, *pairs.shape[2:])
-    return rows.T if backwards else trailing(rows)
+    return rows.T if backwards else points_last(rows)
 
 
 def inverse(q: Array) -> Array:
@@ -131,7 +113,7 @@ def positive(q: Array) -> Array:
 
 def matrix(q: Array) -> Array:
     """Direction cosines ``A(q) (..., 3, 3)``, inertial to body."""
-    a, b, c, d = components(q)
+    a, b, c, d = component_major(q)
     rows = (
         (d * d + a * a - b * b - c * c, 2.0 * (a * b + c * d), 2.0 * (a * c - b * d)),
         (2.0 * (a * b - c * d), d * d - a * a + b * b - c * c, 2.0 * (b * c + a * d)),
@@ -144,7 +126,7 @@ def rotate(q: Array, v: ArrayLike) -> Array:
     """Components ``(..., 3)`` on body axes of vectors ``v (..., 3)`` given on inertial ones:
     ``matrix(q) @ v``.
     """
-    (a, b, c, d), (x, y, z) = components(q), components(numbers("v", v))
+    (a, b, c, d), (x, y, z) = component_major(q), component_major(numbers("v", v))
     # t = 2 v x rho, then v + q4 t + t x rho.
     tx, ty, tz = 2.0 * (y * c - z * b), 2.0 * (z * a - x * c), 2.0 * (x * b - y * a)
     rows = (
@@ -152,12 +134,12 @@ def rotate(q: Array, v: ArrayLike) -> Array:
         y + d * ty + tz * a - tx * c,
         z + d * tz + tx * b - ty * a,
     )
-    return trailing(np.stack(rows))
+    return points_last(np.stack(rows))
 
 
 def exp(phi: Array) -> Array:
     """Quaternion ``(..., 4)`` of a rotation vector ``(..., 3)`` rad."""
-    vector = components(phi)
+    vector = component_major(phi)
     quarter = np.maximum(0.25 * np.sqrt(_square(vector)), _TINY)
     # By the tangent of a quarter of the angle: as exact as sine and cosine, and several times as
     # fast.
@@ -166,7 +148,7 @@ def exp(phi: Array) -> Array:
     rows = _rows(4, np.asanyarray(t), vector)
     np.multiply(vector, t / (quarter * (2.0 + 2.0 * t2)), out=rows[:3])
     np.divide(1.0 - t2, 1.0 + t2, out=rows[3, ...])
-    return trailing(rows)
+    return points_last(rows)
 
 
 def _square(vector: Array) -> Array:
@@ -213,24 +195,24 @@ def to_rodrigues(q: Array, a: float = 1.0, b: float = 4.0) -> Array:
     ``b = 2 (a + 1)`` they are the rotation vector to first order. The defaults are
     ``4 tan(angle / 4)`` along the axis.
     """
-    of_q = components(q)
-    return trailing(of_q[:3] * (np.copysign(b, of_q[3]) / (a + np.abs(of_q[3]))))
+    of_q = component_major(q)
+    return points_last(of_q[:3] * (np.copysign(b, of_q[3]) / (a + np.abs(of_q[3]))))
 
 
 def from_rodrigues(p: Array, a: float = 1.0, b: float = 4.0) -> Array:
     """Unit quaternion ``(..., 4)`` of generalized Rodrigues parameters ``(..., 3)``."""
-    vector = components(p)
+    vector = component_major(p)
     square = _square(vector)
     root = b if a == 1.0 else np.sqrt(b * b + (1.0 - a * a) * square)
     rows = _rows(4, square, vector)
     np.divide(b * root - a * square, b * b + square, out=rows[3, ...])
     np.multiply(vector, (a + rows[3]) / b, out=rows[:3])
-    return trailing(rows)
+    return points_last(rows)
 
 
 def cross(v: Array) -> Array:
     """Matrix ``[v x] (..., 3, 3)``."""
-    x, y, z = components(v)
+    x, y, z = component_major(v)
     o = np.zeros_like(x)
     return np.stack([np.stack(row, -1) for row in ((o, -z, y), (z, o, -x), (-y, x, o))], -2)
 
@@ -271,7 +253,7 @@ def attitude(a: float = 1.0, b: float = 4.0, *, transported: bool = False) -> Sp
 
 def _turned(a: float, b: float, point: Array, tangent: Array) -> Array:
     square = np.square(point).sum(-1, keepdims=True)
-    if surely(np.abs(square - 1.0).max(initial=0.0) > 2.0 * UNIT_TOLERANCE):
+    if is_concretely_true(np.abs(square - 1.0).max(initial=0.0) > 2.0 * UNIT_TOLERANCE):
         raise ValueError(
             f"state: expected unit quaternions, got a norm of {np.sqrt(square.max()):.6g}"
         )

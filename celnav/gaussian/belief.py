@@ -9,7 +9,7 @@ from math import isfinite
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.gaussian.checks import as_matrix, beside, finite, integers, kind
+from celnav.gaussian.checks import as_matrix, broadcast_batches, describe, finite, integers
 from celnav.gaussian.linalg import (
     LEFT_OVER,
     Array,
@@ -21,7 +21,7 @@ from celnav.gaussian.linalg import (
     whiten,
 )
 
-__all__ = ["Gaussian", "any_lost", "nees", "settled", "symmetric"]
+__all__ = ["Gaussian", "nees"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +64,7 @@ class Gaussian:
                 f"mean: expected shape (..., {P.shape[-1]}) to go with the covariance, got "
                 f"{x.shape}"
             )
-        beside("mean", x.shape[:-1], P.shape[:-2], "the covariance")
+        broadcast_batches("mean", x.shape[:-1], P.shape[:-2], "the covariance")
         for name, value in (("mean", x), ("cov", P), ("sqrt_cov", root)):
             object.__setattr__(self, name, value)
 
@@ -79,7 +79,7 @@ class Gaussian:
         """
         if not hasattr(rng, "standard_normal"):
             raise ValueError(
-                f"rng: expected a generator, such as np.random.default_rng(0), got {kind(rng)}"
+                f"rng: expected a generator, such as np.random.default_rng(0), got {describe(rng)}"
             )
         n, size = self.cov.shape[-1], integers("size", size)
         batch = np.broadcast_shapes(self.mean.shape[:-1], self.cov.shape[:-2])
@@ -87,7 +87,7 @@ class Gaussian:
         return draw + self.mean if self.mean.shape[-1] == n else draw
 
 
-def settled(belief: Belief) -> Belief:
+def mask_failed(belief: Belief) -> Belief:
     """The belief, nan as a whole in runs that are lost."""
     if not belief[1].dtype.hasobject and not any_lost(belief):
         return belief

@@ -156,7 +156,7 @@ def integer(name: str, value: Any, least: int = 1, most: int | None = None) -> i
     """A whole number from ``least`` to ``most``, which may have come as a float; ValueError names
     it if it is none.
     """
-    found = whole(value)
+    found = as_integer(value)
     if found is None or found < least or (most is not None and found > most):
         bounds = "an integer" + (
             f" of at least {least}" if most is None else f" from {least} to {most}"
@@ -168,7 +168,7 @@ def integer(name: str, value: Any, least: int = 1, most: int | None = None) -> i
     return found
 
 
-def whole(value: Any) -> int | None:
+def as_integer(value: Any) -> int | None:
     """An integer that may have come as a float; None for anything else."""
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value[()]
@@ -185,7 +185,7 @@ def integers(
     are none.
     """
     parts = np.asarray(value, dtype=object)
-    found = [None] if parts.ndim != 1 else [whole(part) for part in parts]
+    found = [None] if parts.ndim != 1 else [as_integer(part) for part in parts]
     out = tuple(
         part
         for part in found
@@ -241,7 +241,9 @@ def together(**batches: tuple[int, ...]) -> tuple[int, ...]:
         ) from None
 
 
-def beside(name: str, batch: tuple[int, ...], own: tuple[int, ...], whose: str) -> tuple[int, ...]:
+def broadcast_batches(
+    name: str, batch: tuple[int, ...], own: tuple[int, ...], whose: str
+) -> tuple[int, ...]:
     """Joint batch axes of an argument and of what it goes with; ValueError names it if they do not
     broadcast.
     """
@@ -257,9 +259,11 @@ def function(name: str, value: Any, arguments: str, hint: str = "") -> Any:
     """A function that can be called with its ``arguments``, such as "(mean, epoch)"; ValueError
     names it otherwise.
     """
-    if not takes(value, arguments.count(",") + 1):
+    if not accepts(value, arguments.count(",") + 1):
         other = " of other arguments" if callable(value) else ""
-        raise ValueError(f"{name}: expected a function {arguments}, got {kind(value)}{other}{hint}")
+        raise ValueError(
+            f"{name}: expected a function {arguments}, got {describe(value)}{other}{hint}"
+        )
     return value
 
 
@@ -268,11 +272,11 @@ def instance(name: str, value: Any, of: Any, expected: str) -> Any:
     ``expected``, with an example.
     """
     if not isinstance(value, of):
-        raise ValueError(f"{name}: expected {expected}, got {kind(value)}")
+        raise ValueError(f"{name}: expected {expected}, got {describe(value)}")
     return value
 
 
-def kind(value: Any) -> str:
+def describe(value: Any) -> str:
     """What came, in a word or two: a function or class by its name, anything else by its type."""
     if isinstance(value, type):
         return f"class {value.__name__}"
@@ -283,7 +287,7 @@ def kind(value: Any) -> str:
     )
 
 
-def takes(function: Any, count: int) -> bool:
+def accepts(function: Any, count: int) -> bool:
     """Whether something can be called with so many arguments, as far as one can tell."""
     try:
         signature(function).bind(*(None,) * count)

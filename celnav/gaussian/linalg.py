@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from celnav.gaussian import recorded
 from celnav.lazy import Late
-from celnav.tape.numbers import numbers, rarely
+from celnav.tape.numbers import rarely, traced
 
 Array = NDArray[Any]
 blas, lapack = Late("scipy.linalg.blas"), Late("scipy.linalg.lapack")
@@ -37,7 +37,7 @@ POSITIVE: Array = np.broadcast_to(1.0, 1)
 """The sign of columns that all count with +1."""
 
 
-def surely(condition: Any) -> bool:
+def is_concretely_true(condition: Any) -> bool:
     """Whether a condition on numbers holds; False while a step is recorded, where it is not known:
     for shortcuts and checks.
     """
@@ -236,7 +236,7 @@ def block(rows: Sequence[Sequence[Any]]) -> Array:
                 heights[i], widths[j] = cell.shape[-2:]
                 batches.add(cell.shape[:-2])
                 if cell.dtype.hasobject:
-                    like = numbers(cell)
+                    like = traced(cell)
     batch = batches.pop() if len(batches) == 1 else np.broadcast_shapes(*batches)
     out = np.zeros((*batch, sum(heights), sum(widths)), like=like)
     for row, height, bottom in zip(rows, heights, accumulate(heights), strict=True):
@@ -246,7 +246,7 @@ def block(rows: Sequence[Sequence[Any]]) -> Array:
     return out
 
 
-def fan(E: Array, nodes: Array, batch: int) -> Array:
+def sigma_deviations(E: Array, nodes: Array, batch: int) -> Array:
     """``E @ node`` of every node: points ``(p, ..., n)`` from ``E (..., n, k)`` and
     ``nodes (k, p)``, for ``batch`` axes of runs.
 
@@ -313,7 +313,7 @@ class SquareRoot(NamedTuple):
         Returns the root ``S (..., m, m)`` of the first rows, ``U = K @ S (..., n, m)`` and the root
         of the rest. With a prescribed ``gain`` K ``(..., n, m)`` the rest is that of
         ``last - K @ first`` (Joseph form). The covariance form has a shortcut where it is given
-        ``known``, the covariance of the last rows, and ``noise (..., m, s)``, the columns that only
+        ``prior_factor``, the covariance of the last rows, and ``noise (..., m, s)``, the columns that only
         the first rows have.
         """
         if gain is not None:
@@ -367,7 +367,7 @@ class Covariance(NamedTuple):
     def std(self) -> Array:
         """Standard deviations ``(..., n)``; nan where a variance is negative."""
         variances = self.cov.diagonal(0, -2, -1)
-        if surely(variances.min(initial=0.0) >= 0.0):
+        if is_concretely_true(variances.min(initial=0.0) >= 0.0):
             return np.asanyarray(np.sqrt(variances))
         return np.asanyarray(
             np.sqrt(
@@ -395,7 +395,7 @@ class Covariance(NamedTuple):
         m: int,
         gain: Array | None = None,
         *,
-        known: Array | None = None,
+        prior_factor: Array | None = None,
         noise: Array | None = None,
     ) -> tuple[Array, Array, Array]:
 
@@ -403,12 +403,12 @@ class Covariance(NamedTuple):
         S = cholesky(cls.marginal(Z, sign))
         if gain is not None:
             return S, gain @ S, cls.marginal(X - gain @ Z, sign)
-        if known is None or noise is None:
+        if prior_factor is None or noise is None:
             return S, *cls._condition_columns(A, sign, S)
         U = solve_lower(S, (Z * sign) @ X.mT).mT
-        left = known - outer(U)
+        left = prior_factor - outer(U)
         precise = S.diagonal(0, -2, -1) > PRECISE * np.sqrt(np.vecdot(noise, noise))
-        if not surely(~precise.any()):
+        if not is_concretely_true(~precise.any()):
             U, left = rarely(precise.any(-1), cls._condition_columns, (A, sign, S), (U, left))
         return S, U, left
 

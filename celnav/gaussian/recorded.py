@@ -12,9 +12,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from celnav.tape.numbers import Numbers, each_row, tape_of
-from celnav.tape.routine import Recorder, Routine, Stage
-from celnav.tape.tape import do, total
+from celnav.tape.numbers import TracedArray, each_row, tape_of
+from celnav.tape.routine import Loop, LoopBody, Recorder
+from celnav.tape.tape import emit, total
 
 Array = Any
 SUMS = 4
@@ -34,7 +34,7 @@ def _zero(x: Any) -> bool:
 def _product(a: list[Any], b: list[Any]) -> Any:
     """Of two rows; in several sums, none of which waits for another."""
     return total(
-        total(do("mul", x, y) for x, y in zip(a[k::SUMS], b[k::SUMS], strict=True))
+        total(emit("mul", x, y) for x, y in zip(a[k::SUMS], b[k::SUMS], strict=True))
         for k in range(SUMS)
     )
 
@@ -56,33 +56,37 @@ def _mirror(a: Any, rest: list[Any]) -> Mirror:
     """By I - v v' / (length (length - a)), where v is the row but v_i = a - length = -s / (length +
     a): of these two forms the one without cancellation."""
     if not rest:
-        return Mirror(a, rest, do("abs", a), 0.0, 0.0, False)
+        return Mirror(a, rest, emit("abs", a), 0.0, 0.0, False)
     s = _product(rest, rest)
-    length = do("sqrt", s if _zero(a) else do("add", s, do("mul", a, a)))
-    there = do("lt", SMALLEST, do("mul", length, length) if _zero(a) else s)
-    inverse = do("div", 1.0, length)
+    length = emit("sqrt", s if _zero(a) else emit("add", s, emit("mul", a, a)))
+    there = emit("lt", SMALLEST, emit("mul", length, length) if _zero(a) else s)
+    inverse = emit("div", 1.0, length)
     if _zero(a):
         return Mirror(a, rest, length, inverse, inverse, there)
-    grown, positive = do("add", length, do("abs", a)), do("lt", 0.0, a)
-    scale = do("div", do("select", positive, grown, 1.0), do("select", positive, s, grown))
+    grown, positive = emit("add", length, emit("abs", a)), emit("lt", 0.0, a)
+    scale = emit("div", emit("select", positive, grown, 1.0), emit("select", positive, s, grown))
     return Mirror(a, rest, length, inverse, scale, there)
 
 
 def _reflected(mirror: Mirror, along: Any, rest: list[Any]) -> tuple[Any, list[Any]]:
     """What becomes of another row."""
-    turned = do("mul", do("copysign", 1.0, mirror.a), along)
+    turned = emit("mul", emit("copysign", 1.0, mirror.a), along)
     if mirror.there is False:
         return turned, rest
     across = _product(rest, mirror.rest)
     inner = (
-        across if _zero(mirror.a) or _zero(along) else do("add", across, do("mul", mirror.a, along))
+        across
+        if _zero(mirror.a) or _zero(along)
+        else emit("add", across, emit("mul", mirror.a, along))
     )
-    d = do("mul", do("sub", do("mul", across, mirror.scale), along), mirror.inverse)
-    first = do("select", mirror.there, do("mul", inner, mirror.inverse), turned)
+    d = emit("mul", emit("sub", emit("mul", across, mirror.scale), along), mirror.inverse)
+    first = emit("select", mirror.there, emit("mul", inner, mirror.inverse), turned)
     if _zero(d):
         return first, rest
-    d = do("select", mirror.there, d, 0.0)
-    return first, [do("sub", x, do("mul", d, y)) for x, y in zip(rest, mirror.rest, strict=True)]
+    d = emit("select", mirror.there, d, 0.0)
+    return first, [
+        emit("sub", x, emit("mul", d, y)) for x, y in zip(rest, mirror.rest, strict=True)
+    ]
 
 
 def tria(A: Array) -> Array:
@@ -91,7 +95,7 @@ def tria(A: Array) -> Array:
     """
     n, q = A.shape
     rows = [[A[i, j] for j in range(q)] + [0.0] * max(n - q, 0) for i in range(n)]
-    tape, L = tape_of(A), Numbers((n, n))
+    tape, L = tape_of(A), TracedArray((n, n))
     if (
         tape is not None
         and tape.rolled
@@ -113,13 +117,13 @@ def tria(A: Array) -> Array:
 
 
 @cache
-def _rolled(there: tuple[tuple[bool, ...], ...]) -> tuple[Routine, list[tuple[int, int]]]:
+def _rolled(there: tuple[tuple[bool, ...], ...]) -> tuple[Loop, list[tuple[int, int]]]:
     """The same as loops over rows, and the places that it fills; ``there``: what is not known to be
     zero.
     """
     n, q = len(there), len(there[0])
     full: Array = np.array(there)
-    stages, places = list[Stage](), list[tuple[int, int]]()
+    stages, places = list[LoopBody](), list[tuple[int, int]]()
     left, kept = n * q, n * q + n * n
     for i in range(n):
         rest, below = i + 1 + np.flatnonzero(full[i, i + 1 :]), np.any(full[i + 1 :], axis=0)
@@ -148,7 +152,7 @@ def _rolled(there: tuple[tuple[bool, ...], ...]) -> tuple[Routine, list[tuple[in
             mirror = mirror._replace(a=a, rest=others)
             if mirror.there is not False:
                 inverse, scale, known = (stage.take("kept", k) for k in range(3))
-                mirror = mirror._replace(inverse=inverse, scale=scale, there=do("ne", known, 0.0))
+                mirror = mirror._replace(inverse=inverse, scale=scale, there=emit("ne", known, 0.0))
             first, moved = _reflected(mirror, *row(stage, "row", below))
             stage.put("left", 0, first)
             for j, x in zip(rest.tolist(), moved, strict=True):
@@ -156,20 +160,20 @@ def _rolled(there: tuple[tuple[bool, ...], ...]) -> tuple[Routine, list[tuple[in
             stages.append(stage.stage())
             places += [(r, i) for r in range(i + 1, n)]
             full[i + 1 :, rest] = True
-    return Routine(stages, kept + 3, [left + i * n + j for i, j in places]), places
+    return Loop(stages, kept + 3, [left + i * n + j for i, j in places]), places
 
 
 def cholesky(P: Array) -> Array:
     """Lower root; nan where a pivot is not positive."""
     n = len(P)
-    L = Numbers((n, n))
+    L = TracedArray((n, n))
     for i in range(n):
         for j in range(i + 1):
-            left = do("sub", P[i, j], total(do("mul", L[i, k], L[j, k]) for k in range(j)))
+            left = emit("sub", P[i, j], total(emit("mul", L[i, k], L[j, k]) for k in range(j)))
             if i == j:
-                L[i, i] = do("sqrt", do("select", do("lt", 0.0, left), left, -1.0))
+                L[i, i] = emit("sqrt", emit("select", emit("lt", 0.0, left), left, -1.0))
             else:
-                L[i, j] = do("div", left, L[j, j])
+                L[i, j] = emit("div", left, L[j, j])
     return L
 
 
@@ -178,35 +182,37 @@ def semidefinite_root(P: Array, nothing: float, round_off: float) -> Array:
     variance has a column of zeros, one that is negative by more than ``round_off`` of it is lost.
     """
     n = len(P)
-    L = Numbers((n, n))
+    L = TracedArray((n, n))
     for j in range(n):
         left = [
-            do("sub", P[i, j], total(do("mul", L[i, k], L[j, k]) for k in range(j)))
+            emit("sub", P[i, j], total(emit("mul", L[i, k], L[j, k]) for k in range(j)))
             for i in range(j, n)
         ]
-        size = do("abs", P[j, j])
-        positive = do("lt", do("mul", nothing, size), left[0])
-        root = do("sqrt", do("select", positive, left[0], 1.0))
-        absent = do("sqrt", do("select", do("le", do("mul", -round_off, size), left[0]), 0.0, -1.0))
+        size = emit("abs", P[j, j])
+        positive = emit("lt", emit("mul", nothing, size), left[0])
+        root = emit("sqrt", emit("select", positive, left[0], 1.0))
+        absent = emit(
+            "sqrt", emit("select", emit("le", emit("mul", -round_off, size), left[0]), 0.0, -1.0)
+        )
         for i, x in zip(range(j, n), left, strict=True):
-            L[i, j] = do("select", positive, root if i == j else do("div", x, root), absent)
+            L[i, j] = emit("select", positive, root if i == j else emit("div", x, root), absent)
     return L
 
 
 def solve_lower(L: Array, B: Array) -> Array:
     """``L^-1 B``, by substitution; what a zero on the diagonal gives is not finite."""
     n = len(L)
-    inverse = [do("div", 1.0, L[i, i]) for i in range(n)]
+    inverse = [emit("div", 1.0, L[i, i]) for i in range(n)]
 
     def column(b: Array) -> Array:
         """The solution ``(..., n)`` of one of B, both as rows."""
-        X = Numbers(b.shape)
+        X = TracedArray(b.shape)
         for i in range(n):
             for k in np.ndindex(*b.shape[:-1]):
-                left = do(
-                    "sub", b[(*k, i)], total(do("mul", L[i, j], X[(*k, j)]) for j in range(i))
+                left = emit(
+                    "sub", b[(*k, i)], total(emit("mul", L[i, j], X[(*k, j)]) for j in range(i))
                 )
-                X[(*k, i)] = do("mul", left, inverse[i])
+                X[(*k, i)] = emit("mul", left, inverse[i])
         return X
 
     return each_row(column, B.T, least=LONG_SOLUTION).T if B.ndim == 2 else column(B)

@@ -18,28 +18,32 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.gaussian.checks import LIMIT, choice, finite, instance, integer, kind, number, numbers
+from celnav.gaussian.checks import (
+    LIMIT,
+    choice,
+    describe,
+    finite,
+    instance,
+    integer,
+    number,
+    numbers,
+)
 from celnav.gaussian.linalg import (
     EPS,
     POSITIVE,
     Array,
-    fan,
     semidefinite_root,
     side_by_side,
+    sigma_deviations,
     solve_right,
 )
-from celnav.gaussian.spaces import EUCLIDEAN, Space, trailing
+from celnav.gaussian.spaces import EUCLIDEAN, Space, points_last
 from celnav.tape.derivative import along, at_zero
 
 __all__ = [
-    "MAX_POINTS",
-    "UNSCENTED",
-    "AnyDimension",
-    "Image",
     "Rule",
     "Taylor",
     "cubature",
-    "few",
     "from_filterpy",
     "gauss_hermite",
     "simplex",
@@ -151,11 +155,11 @@ class Rule:
                 "rule: expected points in every dimension, got none in "
                 f"{', '.join(map(str, self._idle))}"
             )
-        deviations = fan(root, self._transposed[:first], batch)
+        deviations = sigma_deviations(root, self._transposed[:first], batch)
         # In this order a sum keeps the memory layout of the deviations.
         points = [deviations + mean if space is EUCLIDEAN else space.plus(mean, deviations)]
         for E in augment:
-            noise = fan(E, self._transposed[first : first + E.shape[-1]], batch)
+            noise = sigma_deviations(E, self._transposed[first : first + E.shape[-1]], batch)
             points.append(np.broadcast_to(noise, (*points[0].shape[:-1], noise.shape[-1])))
             first += E.shape[-1]
         return points
@@ -166,7 +170,7 @@ class Rule:
         """
         center = y[0] if space.mean is None else space.mean(y, self.wm)
         values = (y if space is EUCLIDEAN else space.minus(y, center))[self._used]
-        values = values.T if values.ndim == 2 else trailing(values)  # (..., k, q)
+        values = values.T if values.ndim == 2 else points_last(values)  # (..., k, q)
         columns = np.subtract(values, center[..., None] if space is EUCLIDEAN else 0.0, order="C")
         if space.mean is None:
             shift = columns @ self._wm
@@ -263,7 +267,7 @@ class Taylor:
         directions = self.step * np.hstack([np.zeros((total, 1)), np.eye(total), -np.eye(total)])
         deviations, first = [], 0
         for E in roots:
-            deviations.append(fan(E, directions[first : first + E.shape[-1]], batch))
+            deviations.append(sigma_deviations(E, directions[first : first + E.shape[-1]], batch))
             first += E.shape[-1]
 
         points = [
@@ -314,7 +318,7 @@ class AnyDimension:
         self.make, self._rules = make, dict[int, Any]()
 
     def __repr__(self) -> str:
-        return kind(getattr(self.make, "func", self.make)).removeprefix("function ")
+        return describe(getattr(self.make, "func", self.make)).removeprefix("function ")
 
     def __call__(self, n: int) -> Any:
         """The rule of a dimension."""
@@ -323,19 +327,19 @@ class AnyDimension:
                 rule = self.make(n)
             except TypeError as error:
                 raise ValueError(
-                    f"rule: expected a function of the dimension, got {kind(self.make)}: {error}"
+                    f"rule: expected a function of the dimension, got {describe(self.make)}: {error}"
                 ) from error
             if isinstance(rule, type) or not hasattr(rule, "image"):
                 raise ValueError(
                     f"rule: expected a rule for {n} dimensions, such as celnav.unscented(n), got "
-                    f"{kind(rule)}"
+                    f"{describe(rule)}"
                 )
             self._rules[n] = rule
         return self._rules[n]
 
 
 # -- made for a dimension --------------------------------------------------------------------------
-def few(name: str, points: int, n: int) -> None:
+def check_point_count(name: str, points: int, n: int) -> None:
     """Refuse points before they are made: more than `MAX_POINTS`, or more numbers than
     `celnav.gaussian.checks.LIMIT`.
     """
@@ -362,7 +366,7 @@ def unscented(n: int, alpha: float = 1.0, beta: float = 0.0, kappa: float = 0.0)
     Rule(n=6, points=13, negative weights=1)
     """
     n = integer("n", n)
-    few("n", 2 * n + 1, n)
+    check_point_count("n", 2 * n + 1, n)
     alpha, beta, kappa = (
         number("alpha", alpha, above=0.0),
         number("beta", beta),
@@ -388,7 +392,7 @@ def simplex(n: int) -> Rule:
     Rule(n=6, points=7 and a center of weight 0, negative weights=0)
     """
     n = integer("n", n)
-    few("n", n + 1, n)
+    check_point_count("n", n + 1, n)
     d = np.arange(1, n + 1)
     nodes = np.sqrt((n + 1) / (d * (d + 1))) * (
         np.triu(np.ones((n + 1, n))) - d * np.eye(n + 1, n, -1)
@@ -410,7 +414,7 @@ def cubature(n: int, degree: int = 3) -> Rule:
     """
     n = integer("n", n)
     degree = choice("degree", degree, (3, 5))
-    few("n", 2 * n if degree == 3 else 2 * n * n + 1, n)
+    check_point_count("n", 2 * n if degree == 3 else 2 * n * n + 1, n)
     if degree == 3:
         return Rule(_axes(n, float(np.sqrt(n))), np.r_[0.0, np.full(2 * n, 0.5 / n)])
     pairs = np.zeros((2 * n * (n - 1), n))
@@ -461,7 +465,9 @@ def tensor_product(*rules: Rule) -> Rule:
         instance("rules", rule, Rule, "a Rule, such as celnav.unscented(2)")
     if not rules:
         raise ValueError("rules: expected at least one, got none")
-    few("rules", prod(rule.num_sigmas() for rule in rules), sum(rule.n for rule in rules))
+    check_point_count(
+        "rules", prod(rule.num_sigmas() for rule in rules), sum(rule.n for rule in rules)
+    )
     nodes: Array = np.zeros((1, 0))
     wm: Array = np.ones(1)
     wc: Array = np.ones(1)

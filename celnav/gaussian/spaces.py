@@ -17,7 +17,7 @@ import numpy as np
 from celnav.gaussian.checks import integer, integers, sequence
 from celnav.gaussian.linalg import Array, side_by_side
 
-__all__ = ["EUCLIDEAN", "Space", "angles", "components", "leading", "product", "trailing", "wrap"]
+__all__ = ["Space", "angles", "product"]
 
 
 class Space(NamedTuple):
@@ -176,7 +176,7 @@ def _check_length(name: str, vector: Array, length: int) -> None:
         )
 
 
-def leading(x: Array) -> Array:
+def components_first(x: Array) -> Array:
     """``(..., n)`` with the component axis first, as a view; numpy's ``moveaxis`` takes longer than
     a product of small matrices.
     """
@@ -184,17 +184,17 @@ def leading(x: Array) -> Array:
     return x.transpose((last, *range(last)))
 
 
-def trailing(x: Array) -> Array:
-    """``(n, ...)`` with the component axis last, as a view: what undoes `leading`."""
+def points_last(x: Array) -> Array:
+    """``(n, ...)`` with the component axis last, as a view: what undoes `components_first`."""
     return x.transpose((*range(1, x.ndim), 0))
 
 
-def components(x: Array) -> Array:
-    """`leading`, each component in one piece of memory, which models are fast on: sigma points lie
+def component_major(x: Array) -> Array:
+    """`components_first`, each component in one piece of memory, which models are fast on: sigma points lie
     so, what does not is copied.
     """
     if x.ndim == 1:
         return x
-    first = leading(x)
+    first = components_first(x)
     part = first[0].flags
     return first if part.c_contiguous or part.f_contiguous else np.ascontiguousarray(first)

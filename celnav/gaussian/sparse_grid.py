@@ -21,9 +21,9 @@ import numpy as np
 
 from celnav.gaussian.checks import integer, integers
 from celnav.gaussian.linalg import Array
-from celnav.gaussian.rules import MAX_POINTS, Rule, few
+from celnav.gaussian.rules import MAX_POINTS, Rule, check_point_count
 
-__all__ = ["DELAYED", "ORDERS", "index_set", "integrates", "point_count", "smolyak"]
+__all__ = ["integrates", "point_count", "smolyak"]
 
 ORDERS = (1, 3, 7, 15, 31, 63)
 """Points of the one-dimensional rules of level 1, 2, ...: a level more doubles the number and the
@@ -274,7 +274,7 @@ def _multisets(
 def _rule(n: int, level: int, g: tuple[int, ...], sizes: tuple[int, ...]) -> Rule:
     values, patterns = _patterns(level, g, sizes)
     total = sum(p.number for p in patterns)
-    few("level", total, n)
+    check_point_count("level", total, n)
     channels = [[j for j in range(n) if g[j] == c] for c in sorted(set(g))]
     points, weights = (
         np.zeros((total, n)),

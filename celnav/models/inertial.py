@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from celnav.gaussian.checks import finite, instance
 from celnav.gaussian.linalg import Array, matvec
-from celnav.gaussian.spaces import components, leading, trailing
+from celnav.gaussian.spaces import component_major, components_first, points_last
 from celnav.models import earth
 from celnav.models.earth import Flight
 
@@ -91,7 +91,9 @@ def navigation(flight: Flight, at: Array | int | slice, phi: Array, bias: Array)
 def misalignment_matrix(phi: Array) -> Array:
     """``C_n^n' (..., 3, 3)`` of Euler angles ``(..., 3)``."""
     return np.moveaxis(
-        np.array(_rows(np.sin(leading(phi)), np.cos(leading(phi)))), (0, 1), (-2, -1)
+        np.array(_rows(np.sin(components_first(phi)), np.cos(components_first(phi)))),
+        (0, 1),
+        (-2, -1),
     )
 
 
@@ -127,19 +129,23 @@ def derivative(x: Array, nav: Navigation) -> Array:
     """Rate of the state ``(..., 13)``; gyro drift and accelerometer bias are constant [Liang2014,
     Eqs. 20-25, corrected].
     """
-    return np.moveaxis(_rates(components(x), nav), 0, -1)
+    return np.moveaxis(_rates(component_major(x), nav), 0, -1)
 
 
 def _rates(X: Array, nav: Navigation) -> Array:
     """The same with the component axis first."""
     s, c = np.sin(X[PHI]), np.cos(X[PHI])
-    C, Cb, f = _rows(s, c), leading(leading(nav.attitude)), leading(nav.force)
+    C, Cb, f = (
+        _rows(s, c),
+        components_first(components_first(nav.attitude)),
+        components_first(nav.force),
+    )
     L, (north, east) = nav.latitude, earth.radii(nav.latitude, nav.height_m)
-    (Vx, Vy, _, dL), (vx, vy) = X[3:7], leading(nav.velocity)
+    (Vx, Vy, _, dL), (vx, vy) = X[3:7], components_first(nav.velocity)
     secL, tanL = 1.0 / np.cos(L), np.tan(L)
     ie, en = (
-        leading(earth.earth_rate(L)),
-        leading(earth.transport_rate(nav.velocity, L, nav.height_m)),
+        components_first(earth.earth_rate(L)),
+        components_first(earth.transport_rate(nav.velocity, L, nav.height_m)),
     )
 
     # The errors of the computed rates; that of the Earth's rate has no east component.
@@ -171,13 +177,13 @@ def advance(x: Array, nav: Navigation, dt: float) -> Array:
 
     It is not looked at whether a point has come near to phi_x = 90 degrees, see `SINGULAR`.
     """
-    X = components(x)
+    X = component_major(x)
     rate = _rates(X, nav)
     # The position moves with the velocity error in the middle of the interval.
     half, (north, east) = 0.5 * dt, earth.radii(nav.latitude, nav.height_m)
     rate[5] += half * rate[3] / (east * np.cos(nav.latitude))
     rate[6] += half * rate[4] / north
-    return trailing(X + dt * rate)
+    return points_last(X + dt * rate)
 
 
 def star_residuals(x: Array, attitude: Array, stars: Array) -> Array:
@@ -187,12 +193,12 @@ def star_residuals(x: Array, attitude: Array, stars: Array) -> Array:
     x: state ``(..., 13)``. attitude: ``(..., 3, 3)``, C_b^n'. stars: ``(k, 3)`` or ``(..., k, 3)``,
         unit directions on n.
     """
-    phi, back = components(x)[PHI], leading(leading(attitude.mT))
+    phi, back = component_major(x)[PHI], components_first(components_first(attitude.mT))
     C = _rows(np.sin(phi), np.cos(phi))
     shape = np.broadcast_shapes(phi.shape[1:], attitude.shape[:-2], stars.shape[:-2])
     out = np.empty_like(phi, shape=(3 * stars.shape[-2], *shape))
-    for k, r in enumerate(leading(stars.mT)):
-        star = leading(r)
+    for k, r in enumerate(components_first(stars.mT)):
+        star = components_first(r)
         moved = [_dot(C[i], star) - star[i] for i in range(3)]
         for i in range(3):
             out[3 * k + i] = _dot(back[i], moved)

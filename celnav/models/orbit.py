@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from celnav.gaussian.checks import LIMIT, finite, instance, integer, number
 from celnav.gaussian.linalg import Array
-from celnav.gaussian.spaces import components, trailing
+from celnav.gaussian.spaces import component_major, points_last
 
 
 class UnitWarning(UserWarning):
@@ -89,7 +89,7 @@ def step(state: Array, dt: float, earth: Earth = EARTH) -> Array:
 
     >>> motion = celnav.Motion(lambda x, epoch: orbit.step(x, epoch.dt), Q)
     """
-    x = components(state)
+    x = component_major(state)
     position, velocity, half = x[:3], x[3:], 0.5 * dt
     ahead, end = position + half * velocity, position + dt * velocity
     a1 = acceleration(position, earth)
@@ -100,7 +100,7 @@ def step(state: Array, dt: float, earth: Earth = EARTH) -> Array:
     out = np.empty_like(x)
     out[:3] = end + (dt * dt / 6.0) * (a1 + middle)
     out[3:] = velocity + (dt / 6.0) * (a1 + 2.0 * middle + a4)
-    return trailing(out)
+    return points_last(out)
 
 
 def transition(state: Array, dt: float, earth: Earth = EARTH) -> Array:
@@ -323,7 +323,7 @@ def flow(state: Array, dt: float, earth: Earth = EARTH, extra: Extra | None = No
 
 def _orbit(state: Array, dt: float, earth: Earth, extra: Extra | None) -> tuple[Array, Array]:
     """Positions ``(3, N, runs)`` at the nodes, and the state ``(..., 6)`` at the end."""
-    x = components(state).reshape(6, -1)
+    x = component_major(state).reshape(6, -1)
     times = dt * NODES.at
     start = x[:3, None] + times[:, None] * x[3:, None]
     r = x[:3, None] + np.zeros_like(start)

@@ -24,7 +24,7 @@ from types import ModuleType
 from typing import Any
 
 from celnav.files import InputError
-from celnav.gaussian.checks import kind, takes
+from celnav.gaussian.checks import accepts, describe
 from celnav.study.ledger import Row
 from celnav.study.parameters import Timed
 from celnav.study.study import Part, Study
@@ -200,7 +200,7 @@ def _drawn(value: Any) -> bool:
         and len(p) == 2
         and isinstance(p[0], str)
         and callable(p[1])
-        and takes(p[1], 1)
+        and accepts(p[1], 1)
         for p in pairs
     )
 
@@ -221,15 +221,15 @@ EXPECTED: dict[str, tuple[_Check, str, str]] = {
         lambda v: isinstance(v, dict) and bool(v) and all(isinstance(k, str) and _is_preset(c) for k, c in v.items()),
         '{"usual": Config()}, of a dataclass on celnav.study.parameters.Timed with a whole number of runs', "mission",
     ),
-    "filters": (lambda v: callable(v) and takes(v, 1), "a function (config) that gives filters by name", "mission"),
-    "trial": (lambda v: callable(v) and takes(v, 2), "a function (config, rngs) that gives a celnav.study.trial.Trial", ""),
+    "filters": (lambda v: callable(v) and accepts(v, 1), "a function (config) that gives filters by name", "mission"),
+    "trial": (lambda v: callable(v) and accepts(v, 2), "a function (config, rngs) that gives a celnav.study.trial.Trial", ""),
     "FIGURES": (_drawn, _DRAWN, ""),
     "TABLES": (_drawn, _DRAWN.replace("figure", "table"), ""),
     "RECORDINGS": (
         lambda v: isinstance(v, list | tuple) and all(isinstance(n, str) and _FILE.fullmatch(n) and n.endswith(".rrd") for n in v),
         '["first.rrd"], names of what record writes', "",
     ),
-    "record": (lambda v: callable(v) and takes(v, 2), "a function (results, outputs)", "RECORDINGS"),
+    "record": (lambda v: callable(v) and accepts(v, 2), "a function (results, outputs)", "RECORDINGS"),
     "CITATION": (lambda v: isinstance(v, str), "a text, a BibTeX entry", ""),
     "MISSION": (lambda v: isinstance(v, dict), "parameters by name", ""),
     "INPUTS": (lambda v: not v, "none: a study of one's own reads its files itself", ""),
@@ -250,7 +250,11 @@ def _wrong(module: ModuleType, mission: bool) -> Iterator[str]:
             if needed[by]:
                 yield f"{name}: expected {expected}, got none"
         elif not right(value := getattr(module, name)):
-            got = f"{value!r:.60}" if isinstance(value, str | dict | list | tuple) else kind(value)
+            got = (
+                f"{value!r:.60}"
+                if isinstance(value, str | dict | list | tuple)
+                else describe(value)
+            )
             yield f"{name}: expected {expected}, got {got}"
     study = getattr(module, "STUDY", None)
     if isinstance(study, Study):
@@ -265,9 +269,9 @@ def _wrong_study(study: Study, figures: Mapping[str, Any], mission: bool) -> Ite
             + f", got {study.groups!r:.60}"
         )
     if not (study.trial is None and not mission) and not (
-        callable(study.trial) and takes(study.trial, 2)
+        callable(study.trial) and accepts(study.trial, 2)
     ):
-        yield f"STUDY.trial: expected a function (config, rngs), got {kind(study.trial)}"
+        yield f"STUDY.trial: expected a function (config, rngs), got {describe(study.trial)}"
     parts: Mapping[str, Any] = {}
     try:
         parts = study.parts(1.0)
@@ -284,8 +288,8 @@ def _wrong_study(study: Study, figures: Mapping[str, Any], mission: bool) -> Ite
             yield f'STUDY.parts: expected {{"usual": celnav.study.study.Part(work, config, runs=100)}} of them, got {parts!r:.60}'
             parts = {}
     for name, part in parts.items():
-        if not (callable(part.work) and takes(part.work, 2)):
-            yield f"STUDY.parts {name!r}: expected a work (config, rngs) that gives arrays by name, got {kind(part.work)}"
+        if not (callable(part.work) and accepts(part.work, 2)):
+            yield f"STUDY.parts {name!r}: expected a work (config, rngs) that gives arrays by name, got {describe(part.work)}"
             continue
         try:
             ForkingPickler.dumps(part)
@@ -300,8 +304,8 @@ def _wrong_study(study: Study, figures: Mapping[str, Any], mission: bool) -> Ite
     for row in study.rows:
         if ids.count(row.id) > 1 and row is study.rows[ids.index(row.id)]:
             yield f"STUDY.rows: expected different ids, got {row.id!r} {ids.count(row.id)} times"
-        if row.decide is not None and not (callable(row.decide) and takes(row.decide, 1)):
-            yield f"STUDY.rows {row.id!r}: expected a function of the results that decides it, got {kind(row.decide)}"
+        if row.decide is not None and not (callable(row.decide) and accepts(row.decide, 1)):
+            yield f"STUDY.rows {row.id!r}: expected a function of the results that decides it, got {describe(row.decide)}"
         if row.figure and row.figure not in figures:
             yield f"STUDY.rows {row.id!r}: expected a figure of FIGURES ({', '.join(figures) or 'none'}), got {row.figure!r}"
         if row.needs and parts and row.needs not in parts:

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from celnav.filters.joint import at, evaluate
+from celnav.filters.joint import evaluate, noise_at
 from celnav.filters.model import Sensor, check_matrices, check_prior
 from celnav.filters.records import Epoch, Info, State
-from celnav.filters.sequential import checked
+from celnav.filters.sequential import as_measurement
 from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.checks import instance, integer, numbers, together, unmasked
 from celnav.gaussian.linalg import Array, Covariance, matvec, outer
@@ -82,7 +82,7 @@ class LeastSquares:
             return State(Covariance(x * np.nan, np.full((*x.shape, n), np.nan)), (x,)), (
                 Info(silent=True),
             )
-        z = checked(epoch.z[0] if isinstance(epoch.z, tuple) else epoch.z, self.sensor)
+        z = as_measurement(epoch.z[0] if isinstance(epoch.z, tuple) else epoch.z, self.sensor)
         if self.sensor.m not in (None, z.shape[-1]):
             raise ValueError(
                 f"z: expected {self.sensor.m} components to go with h, got {z.shape[-1]}"
@@ -90,7 +90,7 @@ class LeastSquares:
         batch = together(prior=x.shape[:-1], z=z.shape[:-1])
         x = np.broadcast_to(x, (*batch, n))
         used = np.broadcast_to(~np.isnan(z), (*batch, z.shape[-1]))
-        V = at(self.sensor.noise, x, epoch)
+        V = noise_at(self.sensor.noise, x, epoch)
         weight = np.where(used, 1.0 / np.sqrt(np.square(V).sum(-1)), 0.0)
         enough, moving, eye = used.sum(-1) >= n, np.ones(batch, bool), np.eye(n)
         root, known = np.zeros((*x.shape, n)), enough

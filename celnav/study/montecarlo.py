@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.random.bit_generator import ISeedSequence
 
-from celnav.gaussian.checks import integer, kind, number, sequence
+from celnav.gaussian.checks import describe, integer, number, sequence
 from celnav.gaussian.linalg import Array
 
 __all__ = [
@@ -96,7 +96,7 @@ def normals(rngs: Sequence[np.random.Generator], *shapes: tuple[int, ...]) -> li
     ):
         if not hasattr(rng, "standard_normal"):
             raise ValueError(
-                f"rngs: expected generators, such as np.random.default_rng(0), got {kind(rng)}"
+                f"rngs: expected generators, such as np.random.default_rng(0), got {describe(rng)}"
             )
 
     draws = [[rng.standard_normal(shape) for shape in shapes] for rng in every]

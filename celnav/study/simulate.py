@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from celnav.filters.colored import coloring, zeta_of
-from celnav.filters.joint import at, evaluate
+from celnav.filters.joint import evaluate, noise_at
 from celnav.filters.model import Motion, Sensor, check_matrices
 from celnav.filters.records import Epoch, epochs, without_input
 from celnav.gaussian.belief import Gaussian
@@ -98,7 +98,8 @@ def simulate(
             V = (
                 white(model, x, epoch, rows)
                 if V is None
-                else matvec(phi(epoch) if callable(phi) else phi, V) + draw(at(zeta, x, epoch))
+                else matvec(phi(epoch) if callable(phi) else phi, V)
+                + draw(noise_at(zeta, x, epoch))
             )
             return V
 

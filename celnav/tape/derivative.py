@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 
 from celnav.tape.kernel import Kernel
-from celnav.tape.numbers import Numbers, tape_of
-from celnav.tape.routine import Routine
-from celnav.tape.tape import Number, Scalar, Tape, do, operands
+from celnav.tape.numbers import TracedArray, tape_of
+from celnav.tape.routine import Loop
+from celnav.tape.tape import Scalar, Tape, TracedScalar, emit, operands
 
 Slopes = dict[int, Scalar]
 """Derivatives with respect to some variables, by their number; of the others it is 0."""
@@ -33,26 +33,28 @@ def along(center: Any, roots: Sequence[Any]) -> list[Any]:
     tape.variables = [
         tape.node("var", len(tape.ops)) for _ in range(sum(E.shape[-1] for E in roots))
     ]
-    unit, first, parts = np.array(tape.variables, object).view(Numbers), 0, []
+    unit, first, parts = np.array(tape.variables, object).view(TracedArray), 0, []
     for E in roots:
         parts.append((E @ unit[first : first + E.shape[-1]])[None])
         first += E.shape[-1]
     return parts
 
 
-def at_zero(y: Any) -> tuple[Numbers, Numbers]:
+def at_zero(y: Any) -> tuple[TracedArray, TracedArray]:
     """Values ``(...)`` of numbers where the tape's last variables are 0, and their derivatives
     ``(..., count)`` there.
     """
-    found = next((x for x in y.flat if isinstance(x, Number)), None)
+    found = next((x for x in y.flat if isinstance(x, TracedScalar)), None)
     count = len(found.tape.variables) if found is not None else 0
-    value, slope = Numbers(y.shape), Numbers((*y.shape, count))
+    value, slope = TracedArray(y.shape), TracedArray((*y.shape, count))
     if found is None:
         value[...] = y
         return value, slope
     known: dict[int, Carried] = {x.i: (0.0, {k: 1.0}) for k, x in enumerate(found.tape.variables)}
     for at in np.ndindex(*y.shape):
-        value[at], slopes = _carried(y[at], known) if isinstance(y[at], Number) else (y[at], {})
+        value[at], slopes = (
+            _carried(y[at], known) if isinstance(y[at], TracedScalar) else (y[at], {})
+        )
         for k, x in slopes.items():
             slope[(*at, k)] = x
     return value, slope
@@ -74,13 +76,15 @@ def with_slopes(kernel: Kernel, seeds: Collection[int]) -> Kernel:
             inputs.append(("state", 2 * at + 1))
     state = []
     for at, y in kernel.state:
-        slopes = _carried(y, known, _SMOOTH)[1] if isinstance(y, Number) and not y.logical else {}
+        slopes = (
+            _carried(y, known, _SMOOTH)[1] if isinstance(y, TracedScalar) and not y.logical else {}
+        )
         state += [(2 * at, y), (2 * at + 1, slopes.get(0, 0.0))]
     return Kernel(tape, inputs, state, [])
 
 
 def _carried(
-    x: Number, known: dict[int, Carried], partials: Mapping[str, Partials] | None = None
+    x: TracedScalar, known: dict[int, Carried], partials: Mapping[str, Partials] | None = None
 ) -> Carried:
     """Value and derivatives of a number; ``known``: those found already; ``partials``: of
     operations, None: `_PARTIALS`.
@@ -110,21 +114,21 @@ def _carried(
             )
         elif name == "part":
             cells = memory[arguments[0]]
-            known[i] = (Number(tape, i), {}) if cells is None else cells[arguments[1]]
+            known[i] = (TracedScalar(tape, i), {}) if cells is None else cells[arguments[1]]
         elif name in ("in", "const"):
-            known[i] = (Number(tape, i) if name == "in" else arguments[0], {})
+            known[i] = (TracedScalar(tape, i) if name == "in" else arguments[0], {})
         else:
             values, slopes = [known[a][0] for a in arguments], [known[a][1] for a in arguments]
             same = all(_same(tape, a, value) for a, value in zip(arguments, values, strict=True))
             tape.model = tape.modeled[i]
-            value = Number(tape, i) if same else do(name, *values)
+            value = TracedScalar(tape, i) if same else emit(name, *values)
             tape.model = False
             known[i] = (value, _chained(name, value, values, slopes, partials or _PARTIALS))
     return known[x.i]
 
 
 def _inside(
-    routine: Routine, given: Sequence[Carried], partials: Mapping[str, Partials]
+    routine: Loop, given: Sequence[Carried], partials: Mapping[str, Partials]
 ) -> list[Carried]:
     """Cells of a routine after it, row by row."""
     cells: list[Any] = [*given, *[None] * (routine.cells - len(given))]
@@ -143,7 +147,7 @@ def _inside(
                         [known[a][0] for a in arguments],
                         [known[a][1] for a in arguments],
                     )
-                    value = do(name, *values)
+                    value = emit(name, *values)
                     known.append((value, _chained(name, value, values, slopes, partials)))
             for place, index, x in stage.results:
                 cells[at[place] + index] = known[x.i]
@@ -151,7 +155,7 @@ def _inside(
 
 
 def _same(tape: Tape, i: int, value: Scalar) -> bool:
-    return (isinstance(value, Number) and value.i == i) or tape.ops[i][0] == "const"
+    return (isinstance(value, TracedScalar) and value.i == i) or tape.ops[i][0] == "const"
 
 
 def _chained(
@@ -165,7 +169,7 @@ def _chained(
     if name == "select":
         _, a, b = slopes
         return {
-            k: do("select", values[0], a.get(k, 0.0), b.get(k, 0.0))
+            k: emit("select", values[0], a.get(k, 0.0), b.get(k, 0.0))
             for k in sorted(a.keys() | b.keys())
         }
     out: Slopes = {}
@@ -173,7 +177,7 @@ def _chained(
         if slope:
             factor = partial(value, *values)
             for k, x in slope.items():
-                out[k] = do("add", out.get(k, 0.0), do("mul", factor, x))
+                out[k] = emit("add", out.get(k, 0.0), emit("mul", factor, x))
     return out
 
 
@@ -181,47 +185,47 @@ Partials = tuple[Callable[..., Scalar], ...]
 
 
 def _square(x: Scalar) -> Scalar:
-    return do("mul", x, x)
+    return emit("mul", x, x)
 
 
 _PARTIALS: dict[str, Partials] = {
     "add": (lambda *_: 1.0, lambda *_: 1.0),
     "sub": (lambda *_: 1.0, lambda *_: -1.0),
     "mul": (lambda _v, _a, b: b, lambda _v, a, _b: a),
-    "div": (lambda _v, _a, b: do("div", 1.0, b), lambda v, _a, b: do("neg", do("div", v, b))),
+    "div": (lambda _v, _a, b: emit("div", 1.0, b), lambda v, _a, b: emit("neg", emit("div", v, b))),
     "neg": (lambda *_: -1.0,),
-    "abs": (lambda _v, a: do("copysign", 1.0, a),),
-    "copysign": (lambda _v, a, b: do("mul", do("copysign", 1.0, a), do("copysign", 1.0, b)),),
-    "sqrt": (lambda v, _a: do("div", 0.5, v),),
-    "hypot": (lambda v, a, _b: do("div", a, v), lambda v, _a, b: do("div", b, v)),
-    "fmod": (lambda *_: 1.0, lambda v, a, b: do("div", do("sub", v, a), b)),
-    "sin": (lambda _v, a: do("cos", a),),
-    "cos": (lambda _v, a: do("neg", do("sin", a)),),
-    "tan": (lambda v, _a: do("add", 1.0, _square(v)),),
-    "asin": (lambda _v, a: do("div", 1.0, do("sqrt", do("sub", 1.0, _square(a)))),),
-    "acos": (lambda _v, a: do("div", -1.0, do("sqrt", do("sub", 1.0, _square(a)))),),
-    "atan": (lambda _v, a: do("div", 1.0, do("add", 1.0, _square(a))),),
+    "abs": (lambda _v, a: emit("copysign", 1.0, a),),
+    "copysign": (lambda _v, a, b: emit("mul", emit("copysign", 1.0, a), emit("copysign", 1.0, b)),),
+    "sqrt": (lambda v, _a: emit("div", 0.5, v),),
+    "hypot": (lambda v, a, _b: emit("div", a, v), lambda v, _a, b: emit("div", b, v)),
+    "fmod": (lambda *_: 1.0, lambda v, a, b: emit("div", emit("sub", v, a), b)),
+    "sin": (lambda _v, a: emit("cos", a),),
+    "cos": (lambda _v, a: emit("neg", emit("sin", a)),),
+    "tan": (lambda v, _a: emit("add", 1.0, _square(v)),),
+    "asin": (lambda _v, a: emit("div", 1.0, emit("sqrt", emit("sub", 1.0, _square(a)))),),
+    "acos": (lambda _v, a: emit("div", -1.0, emit("sqrt", emit("sub", 1.0, _square(a)))),),
+    "atan": (lambda _v, a: emit("div", 1.0, emit("add", 1.0, _square(a))),),
     "atan2": (
-        lambda _v, y, x: do("div", x, do("add", _square(x), _square(y))),
-        lambda _v, y, x: do("neg", do("div", y, do("add", _square(x), _square(y)))),
+        lambda _v, y, x: emit("div", x, emit("add", _square(x), _square(y))),
+        lambda _v, y, x: emit("neg", emit("div", y, emit("add", _square(x), _square(y)))),
     ),
     "exp": (lambda v, _a: v,),
-    "exp2": (lambda v, _a: do("mul", log(2.0), v),),
-    "expm1": (lambda v, _a: do("add", v, 1.0),),
-    "log": (lambda _v, a: do("div", 1.0, a),),
-    "log2": (lambda _v, a: do("div", 1.0 / log(2.0), a),),
-    "log10": (lambda _v, a: do("div", 1.0 / log(10.0), a),),
-    "log1p": (lambda _v, a: do("div", 1.0, do("add", 1.0, a)),),
-    "sinh": (lambda _v, a: do("cosh", a),),
-    "cosh": (lambda _v, a: do("sinh", a),),
-    "tanh": (lambda v, _a: do("sub", 1.0, _square(v)),),
-    "cbrt": (lambda v, a: do("div", v, do("mul", 3.0, a)),),
+    "exp2": (lambda v, _a: emit("mul", log(2.0), v),),
+    "expm1": (lambda v, _a: emit("add", v, 1.0),),
+    "log": (lambda _v, a: emit("div", 1.0, a),),
+    "log2": (lambda _v, a: emit("div", 1.0 / log(2.0), a),),
+    "log10": (lambda _v, a: emit("div", 1.0 / log(10.0), a),),
+    "log1p": (lambda _v, a: emit("div", 1.0, emit("add", 1.0, a)),),
+    "sinh": (lambda _v, a: emit("cosh", a),),
+    "cosh": (lambda _v, a: emit("sinh", a),),
+    "tanh": (lambda v, _a: emit("sub", 1.0, _square(v)),),
+    "cbrt": (lambda v, a: emit("div", v, emit("mul", 3.0, a)),),
     "pow": (
-        lambda _v, a, b: do("mul", b, do("pow", a, do("sub", b, 1.0))),
-        lambda v, a, _b: do("mul", v, do("log", a)),
+        lambda _v, a, b: emit("mul", b, emit("pow", a, emit("sub", b, 1.0))),
+        lambda v, a, _b: emit("mul", v, emit("log", a)),
     ),
 }
 _SMOOTH = _PARTIALS | {
-    "sqrt": (lambda v, _a: do("select", do("eq", v, 0.0), 0.0, do("div", 0.5, v)),)
+    "sqrt": (lambda v, _a: emit("select", emit("eq", v, 0.0), 0.0, emit("div", 0.5, v)),)
 }
 """The length of a row of zeros, which a singular root has, stays 0."""

@@ -7,8 +7,8 @@ from hashlib import sha256
 from types import MappingProxyType
 from typing import NamedTuple
 
-from celnav.tape.elementary import lowered
-from celnav.tape.tape import LOGICAL, Number, Scalar, Tape, as_number, do, operands
+from celnav.tape.elementary import expand_elementary
+from celnav.tape.tape import LOGICAL, Scalar, Tape, TracedScalar, as_number, emit, operands
 
 
 class Kernel(NamedTuple):
@@ -30,7 +30,7 @@ class Kernel(NamedTuple):
     at: Sequence[tuple[int, int]] | None = None
     flags: frozenset[int] = frozenset()
 
-    def results(self) -> list[tuple[str, int, Number]]:
+    def results(self) -> list[tuple[str, int, TracedScalar]]:
         """Where each result goes, "state" or "rows" and an index, and the result."""
         pairs = [("state", i, x) for i, x in self.state] + [
             ("rows", i, x) for i, x in enumerate(self.rows)
@@ -44,7 +44,7 @@ class Kernel(NamedTuple):
 
     def lowered(self) -> Kernel:
         """With elementary functions as arithmetic."""
-        tape, known = lowered(self.tape, [x for *_, x in self.results()])
+        tape, known = expand_elementary(self.tape, [x for *_, x in self.results()])
         found = {(place, i): known[x.i] for place, i, x in self.results()}
         state = [(i, found["state", i]) for i, _ in self.state]
         rows = [found["rows", i] for i in range(len(self.rows))]
@@ -89,7 +89,7 @@ class Kernel(NamedTuple):
         first = max([3, *(1 + at for place, at in self.inputs if place == "shared")])
         places = {i: ("shared", first + k) for k, i in enumerate(sorted(given))}
         common = [(i, x) for p, i, x in results if p == "state" and i in after]
-        common_results = [x for _, x in common] + [Number(tape, i) for i in places]
+        common_results = [x for _, x in common] + [TracedScalar(tape, i) for i in places]
         shared, inputs, known = self._part(common_results)
         once = Kernel(
             shared,
@@ -113,21 +113,23 @@ class Kernel(NamedTuple):
         return place in ("const", "shared")
 
     def _part(
-        self, outputs: Sequence[Number], given: Mapping[int, tuple[str, int]] = MappingProxyType({})
-    ) -> tuple[Tape, list[tuple[str, int]], dict[int, Number]]:
+        self,
+        outputs: Sequence[TracedScalar],
+        given: Mapping[int, tuple[str, int]] = MappingProxyType({}),
+    ) -> tuple[Tape, list[tuple[str, int]], dict[int, TracedScalar]]:
         """A tape of what the outputs need, its inputs, and its numbers by those of this tape.
 
         given: operations whose results are inputs, and their places.
         """
         old, new = self.tape, Tape(self.tape.rolled)
-        inputs, known = list[tuple[str, int]](), dict[int, Number]()
+        inputs, known = list[tuple[str, int]](), dict[int, TracedScalar]()
         for i in old.needed(outputs, given):
             name, *at = old.ops[i]
             if i in given or name == "in":
                 inputs.append(given[i] if i in given else self.inputs[at[0]])
                 known[i] = new.input(old.absent[i])
                 if name in LOGICAL:
-                    known[i] = do("ne", known[i], 0.0)
+                    known[i] = emit("ne", known[i], 0.0)
             elif name == "const":
                 known[i] = new.lift(at[0])
             elif name == "call":

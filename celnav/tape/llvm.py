@@ -8,7 +8,7 @@ A `Kernel` is one step. Its numbers come from, and go to, four places::
     rows    (rows stored, runs, n)   what is kept of a step, an array for each field
     cells   (C, lanes)               the memory of routines
 
-`fly` takes blocks of ``lanes`` runs, one after the other, through all steps. Every operation is
+`run_loop` takes blocks of ``lanes`` runs, one after the other, through all steps. Every operation is
 IEEE arithmetic in a fixed order (products and sums fused only where this module says so): a run has
 the same bytes in any block, lane or thread.
 """
@@ -27,11 +27,11 @@ from typing import Any
 import numpy as np
 
 from celnav.lazy import needed_by
-from celnav.tape.elementary import LOWERED
+from celnav.tape.elementary import EXPANSIONS
 from celnav.tape.kernel import Kernel, digest
-from celnav.tape.tape import Number, Tape, operands
+from celnav.tape.tape import Tape, TracedScalar, operands
 
-LIBM = tuple(LOWERED)
+LIBM = tuple(EXPANSIONS)
 LINE = 64  # bytes
 # blocks that go through an epoch together: what is stored of neighbors then lies on the same pages
 # of memory
@@ -211,7 +211,7 @@ class _Code:
         self.memory = dict[int, int]()  # where that of a call begins
         self.loaded = set[int]()
 
-    def body(self, tape: Tape, outputs: Sequence[Number]) -> None:
+    def body(self, tape: Tape, outputs: Sequence[TracedScalar]) -> None:
         """All operations that outputs need."""
         self.ops, needed = tape.ops, tape.needed(outputs)
         uses = Counter(a for i in needed for a in operands(tape.ops[i]))
@@ -571,7 +571,7 @@ def kernel_address(kernel: Kernel, lanes: int) -> int:
 
 
 @cache
-def fly() -> Any:
+def run_loop() -> Any:
     """The function that takes blocks of runs through steps; Python's lock is free while it
     works."""
     return _FLY(compiled(LOOP.replace("@TILE", str(TILE)), "fly"))

@@ -1,7 +1,7 @@
 """Arrays of numbers that are not known yet: run numpy code on them once, and its arithmetic is on a
 `Tape`.
 
-numpy's functions work on `Numbers` as they do on floats: products of matrices, sums, sines,
+numpy's functions work on `TracedArray` as they do on floats: products of matrices, sums, sines,
 comparisons, choices with ``np.where``.
 """
 
@@ -15,16 +15,16 @@ from typing import Any
 
 import numpy as np
 
-from celnav.tape.routine import Recorder, Routine, rolled
+from celnav.tape.routine import Loop, Recorder, rolled_loop
 from celnav.tape.tape import (
-    Number,
     Scalar,
     Tape,
+    TracedScalar,
     as_number,
-    do,
+    cannot_compile,
+    emit,
     is_known,
     is_logical,
-    refused,
     total,
 )
 
@@ -38,92 +38,94 @@ SORTED = 64
 
 def _maximum(a: Scalar, b: Scalar) -> Scalar:
     """The larger one, nan if one of them is."""
-    if type(a) is not Number:
+    if type(a) is not TracedScalar:
         a, b = b, a
-    if type(b) is not Number and b == b:
-        return do("select", do("lt", a, b), b, a)
-    return do("select", do("lt", a, b), b, do("select", do("ne", b, b), b, a))
+    if type(b) is not TracedScalar and b == b:
+        return emit("select", emit("lt", a, b), b, a)
+    return emit("select", emit("lt", a, b), b, emit("select", emit("ne", b, b), b, a))
 
 
 def _minimum(a: Scalar, b: Scalar) -> Scalar:
-    return do("neg", _maximum(do("neg", as_number(a)), do("neg", as_number(b))))
+    return emit("neg", _maximum(emit("neg", as_number(a)), emit("neg", as_number(b))))
 
 
 def _fmax(a: Scalar, b: Scalar) -> Scalar:
     """The larger one, or the one that is not nan."""
-    return do("select", do("or", do("le", b, a), do("ne", b, b)), a, b)
+    return emit("select", emit("or", emit("le", b, a), emit("ne", b, b)), a, b)
 
 
 def _power(x: Scalar, y: Scalar) -> Scalar:
-    if type(y) is Number or type(x) is not Number:
-        return do("pow", x, y)
+    if type(y) is TracedScalar or type(x) is not TracedScalar:
+        return emit("pow", x, y)
     half = 2.0 * float(y)
     if half != int(half) or abs(half) > 128:
-        return do("pow", x, y)
-    out: Scalar = do("sqrt", x) if int(half) % 2 else 1.0
+        return emit("pow", x, y)
+    out: Scalar = emit("sqrt", x) if int(half) % 2 else 1.0
     count, square = int(abs(half)) // 2, x
     while count:
         if count % 2:
-            out = do("mul", out, square)
-        count, square = count // 2, do("mul", square, square)
-    return do("div", 1.0, out) if half < 0 else out
+            out = emit("mul", out, square)
+        count, square = count // 2, emit("mul", square, square)
+    return emit("div", 1.0, out) if half < 0 else out
 
 
 def _remainder(x: Scalar, y: Scalar) -> Scalar:
     """Python's ``x % y``, of the sign of y."""
-    left = do("fmod", x, y)
-    opposite = do("lt", do("mul", left, do("copysign", 1.0, y)), 0.0)
-    zero = do("copysign", 0.0, y)
-    return do("select", opposite, do("add", left, y), do("select", do("eq", left, 0.0), zero, left))
+    left = emit("fmod", x, y)
+    opposite = emit("lt", emit("mul", left, emit("copysign", 1.0, y)), 0.0)
+    zero = emit("copysign", 0.0, y)
+    return emit(
+        "select", opposite, emit("add", left, y), emit("select", emit("eq", left, 0.0), zero, left)
+    )
 
 
 def _floor_divide(x: Scalar, y: Scalar) -> Scalar:
     """Python's ``x // y``, as numpy makes it of the remainder: ``floor(x / y)`` may be one more."""
-    left, ratio = do("fmod", x, y), do("div", x, y)
-    whole = do("div", do("sub", x, left), y)
-    opposite = do("lt", do("mul", left, do("copysign", 1.0, y)), 0.0)
-    whole = do("select", opposite, do("sub", whole, 1.0), whole)
-    down = do("floor", whole)
-    down = do("select", do("lt", 0.5, do("sub", whole, down)), do("add", down, 1.0), down)
-    down = do("select", do("eq", whole, 0.0), do("copysign", 0.0, ratio), down)
-    return do("select", do("eq", y, 0.0), ratio, down)
+    left, ratio = emit("fmod", x, y), emit("div", x, y)
+    whole = emit("div", emit("sub", x, left), y)
+    opposite = emit("lt", emit("mul", left, emit("copysign", 1.0, y)), 0.0)
+    whole = emit("select", opposite, emit("sub", whole, 1.0), whole)
+    down = emit("floor", whole)
+    down = emit("select", emit("lt", 0.5, emit("sub", whole, down)), emit("add", down, 1.0), down)
+    down = emit("select", emit("eq", whole, 0.0), emit("copysign", 0.0, ratio), down)
+    return emit("select", emit("eq", y, 0.0), ratio, down)
 
 
 def _trunc(x: Scalar) -> Scalar:
-    return do("copysign", do("floor", do("abs", x)), x)
+    return emit("copysign", emit("floor", emit("abs", x)), x)
 
 
 def _sign(x: Scalar) -> Scalar:
-    zero = do("select", do("eq", x, 0.0), 0.0, x)  # or nan
-    return do("select", do("lt", 0.0, x), 1.0, do("select", do("lt", x, 0.0), -1.0, zero))
+    zero = emit("select", emit("eq", x, 0.0), 0.0, x)  # or nan
+    return emit("select", emit("lt", 0.0, x), 1.0, emit("select", emit("lt", x, 0.0), -1.0, zero))
 
 
 def _heaviside(x: Scalar, at_zero: Scalar) -> Scalar:
-    up = do("select", do("lt", 0.0, x), 1.0, do("select", do("eq", x, 0.0), at_zero, x))
-    return do("select", do("lt", x, 0.0), 0.0, up)
+    up = emit("select", emit("lt", 0.0, x), 1.0, emit("select", emit("eq", x, 0.0), at_zero, x))
+    return emit("select", emit("lt", x, 0.0), 0.0, up)
 
 
 def _logaddexp(x: Scalar, y: Scalar) -> Scalar:
-    rest = do("log1p", do("exp", do("neg", do("abs", do("sub", x, y)))))
-    rest = do("select", do("eq", x, y), do("log", 2.0), rest)  # of two infinities too
-    return do("add", _maximum(x, y), rest)
+    rest = emit("log1p", emit("exp", emit("neg", emit("abs", emit("sub", x, y)))))
+    rest = emit("select", emit("eq", x, y), emit("log", 2.0), rest)  # of two infinities too
+    return emit("add", _maximum(x, y), rest)
 
 
 def _logical(x: Scalar) -> Scalar:
-    return x if is_logical(x) else do("ne", x, 0.0)
+    return x if is_logical(x) else emit("ne", x, 0.0)
 
 
 def _bitwise(name: str) -> Callable[..., Scalar]:
     def function(*arguments: Scalar) -> Scalar:
         if not all(map(is_logical, arguments)):
-            raise refused("bits of whole numbers are not recorded; k % 2 is the last one")
-        return do(name, *arguments)
+            raise cannot_compile("bits of whole numbers are not recorded; k % 2 is the last one")
+        return emit(name, *arguments)
 
     return function
 
 
 def _op(name: str) -> Callable[..., Scalar]:
-    return lambda *arguments: do(name, *arguments)
+    return lambda *arguments: emit(name, *arguments)
 
 
 _UFUNCS: dict[Any, Callable[..., Scalar]] = {
@@ -157,25 +159,25 @@ _UFUNCS: dict[Any, Callable[..., Scalar]] = {
     np.cbrt: _op("cbrt"),
     np.less: _op("lt"),
     np.less_equal: _op("le"),
-    np.greater: lambda a, b: do("lt", b, a),
-    np.greater_equal: lambda a, b: do("le", b, a),
+    np.greater: lambda a, b: emit("lt", b, a),
+    np.greater_equal: lambda a, b: emit("le", b, a),
     np.equal: _op("eq"),
     np.not_equal: _op("ne"),
-    np.logical_and: lambda a, b: do("and", _logical(a), _logical(b)),
+    np.logical_and: lambda a, b: emit("and", _logical(a), _logical(b)),
     np.bitwise_and: _bitwise("and"),
-    np.logical_or: lambda a, b: do("or", _logical(a), _logical(b)),
+    np.logical_or: lambda a, b: emit("or", _logical(a), _logical(b)),
     np.bitwise_or: _bitwise("or"),
-    np.logical_not: lambda x: do("not", _logical(x)),
+    np.logical_not: lambda x: emit("not", _logical(x)),
     np.invert: _bitwise("not"),
     np.maximum: _maximum,
     np.minimum: _minimum,
     np.fmax: _fmax,
-    np.fmin: lambda a, b: do("neg", _fmax(do("neg", a), do("neg", b))),
+    np.fmin: lambda a, b: emit("neg", _fmax(emit("neg", a), emit("neg", b))),
     np.power: _power,
     np.float_power: _power,
     np.remainder: _remainder,
-    np.square: lambda x: do("mul", x, x),
-    np.reciprocal: lambda x: do("div", 1.0, x),
+    np.square: lambda x: emit("mul", x, x),
+    np.reciprocal: lambda x: emit("div", 1.0, x),
     np.hypot: _op("hypot"),
     np.sign: _sign,
     np.rint: _op("rint"),
@@ -184,19 +186,19 @@ _UFUNCS: dict[Any, Callable[..., Scalar]] = {
     np.floor_divide: _floor_divide,
     np.heaviside: _heaviside,
     np.logaddexp: _logaddexp,
-    np.logical_xor: lambda a, b: do("ne", _logical(a), _logical(b)),
+    np.logical_xor: lambda a, b: emit("ne", _logical(a), _logical(b)),
     np.bitwise_xor: _bitwise("ne"),
-    np.signbit: lambda x: do("lt", do("copysign", 1.0, x), 0.0),
-    np.ceil: lambda x: do("neg", do("floor", do("neg", x))),
-    np.isfinite: lambda x: do("eq", do("sub", x, x), 0.0),
-    np.isnan: lambda x: do("ne", x, x),
-    np.isinf: lambda x: do("eq", do("abs", x), inf),
+    np.signbit: lambda x: emit("lt", emit("copysign", 1.0, x), 0.0),
+    np.ceil: lambda x: emit("neg", emit("floor", emit("neg", x))),
+    np.isfinite: lambda x: emit("eq", emit("sub", x, x), 0.0),
+    np.isnan: lambda x: emit("ne", x, x),
+    np.isinf: lambda x: emit("eq", emit("abs", x), inf),
     np.positive: lambda x: x,
     np.conjugate: lambda x: x,
-    np.deg2rad: lambda x: do("mul", x, np.pi / 180.0),
-    np.radians: lambda x: do("mul", x, np.pi / 180.0),
-    np.rad2deg: lambda x: do("mul", x, 180.0 / np.pi),
-    np.degrees: lambda x: do("mul", x, 180.0 / np.pi),
+    np.deg2rad: lambda x: emit("mul", x, np.pi / 180.0),
+    np.radians: lambda x: emit("mul", x, np.pi / 180.0),
+    np.rad2deg: lambda x: emit("mul", x, 180.0 / np.pi),
+    np.degrees: lambda x: emit("mul", x, 180.0 / np.pi),
 }
 
 
@@ -224,7 +226,9 @@ def _of_truth(ufunc: Any) -> Callable[..., Scalar]:
         return function
 
     def refuse(*_arguments: Scalar) -> Scalar:
-        raise refused(f"numpy.{ufunc.__name__} of truth values has no floats; multiply them by 1.0")
+        raise cannot_compile(
+            f"numpy.{ufunc.__name__} of truth values has no floats; multiply them by 1.0"
+        )
 
     return refuse
 
@@ -234,7 +238,7 @@ def _scalar(ufunc: Any) -> Callable[..., Scalar]:
 
     def function(*arguments: Scalar) -> Scalar:
         if len(arguments) != ufunc.nin:  # as of round(x, 2) and pow(x, y, z)
-            raise refused(f"numpy.{ufunc.__name__} is recorded of {ufunc.nin} operands only")
+            raise cannot_compile(f"numpy.{ufunc.__name__} is recorded of {ufunc.nin} operands only")
         truth = all(map(is_logical, arguments))
         return (_of_truth(ufunc) if truth else _UFUNCS[ufunc])(*arguments)
 
@@ -242,12 +246,12 @@ def _scalar(ufunc: Any) -> Callable[..., Scalar]:
 
 
 # -- arrays of them --------------------------------------------------------------------------------
-class Numbers(np.ndarray):
-    """An array of `Number` and of floats that are known; numpy's functions take it as they take
+class TracedArray(np.ndarray):
+    """An array of `TracedScalar` and of floats that are known; numpy's functions take it as they take
     arrays of floats.
     """
 
-    def __new__(cls, shape: tuple[int, ...]) -> Numbers:
+    def __new__(cls, shape: tuple[int, ...]) -> TracedArray:
         """Zeros."""
         out = super().__new__(cls, shape, dtype=object)
         out.fill(0.0)
@@ -261,19 +265,19 @@ class Numbers(np.ndarray):
         if own is not None:
             return own(*arguments, **options)
         if function.__module__ != "numpy" or function.__name__ not in _PLAIN.split():
-            raise refused(
+            raise cannot_compile(
                 f"{function.__module__}.{function.__name__} cannot be recorded; "
                 "numpy.where and arithmetic can"
             )
         found = super().__array_function__(function, types, arguments, options)
-        return type(found)(map(numbers, found)) if type(found) in (tuple, list) else numbers(found)
+        return type(found)(map(traced, found)) if type(found) in (tuple, list) else traced(found)
 
     def astype(self, dtype: Any, *arguments: Any, **options: Any) -> Any:  # noqa: ARG002
         """As floats, whole numbers or truth values; they stay numbers of full precision, so no
         other type will do.
         """
         kind = _as_float64(dtype, np.int64, np.int32, np.bool_)
-        floats = numbers(_each(_logical if kind.kind == "b" else as_number, self.view(np.ndarray)))
+        floats = traced(_each(_logical if kind.kind == "b" else as_number, self.view(np.ndarray)))
         return np.trunc(floats) if kind.kind == "i" else floats
 
     def __getitem__(self, at: Any) -> Any:
@@ -293,7 +297,9 @@ class Numbers(np.ndarray):
 
     def tobytes(self, *_arguments: Any) -> Any:
         """They are not known yet."""
-        raise refused("numbers that are known only when the filter runs are written as bytes")
+        raise cannot_compile(
+            "numbers that are known only when the filter runs are written as bytes"
+        )
 
     __bytes__ = tobytes
 
@@ -310,7 +316,7 @@ def _explained(error: IndexError, at: Any) -> Exception:
     """What is wrong with an index; one that is known only when the filter runs is none."""
     if all(recorded(part) is None for part in (at if isinstance(at, tuple) else (at,))):
         return error
-    return refused(
+    return cannot_compile(
         "an index or a mask is known only when the filter runs; choose by numpy.where, and put a "
         "table that is looked up into u"
     )
@@ -321,7 +327,7 @@ def _as_float64(dtype: Any, *others: Any) -> Any:
     will do."""
     kind = np.dtype(dtype)
     if kind not in (np.float64, np.object_, *others):
-        raise refused(f"numbers are recorded as float64, not as {kind}")
+        raise cannot_compile(f"numbers are recorded as float64, not as {kind}")
     return kind
 
 
@@ -329,36 +335,40 @@ def _axis(arguments: Any, options: dict[str, Any]) -> tuple[Any, ...]:
     return () if "axis" in options else arguments or (None,)
 
 
-def numbers(array: Any) -> Any:
-    """An array of objects as `Numbers`; one by itself too."""
-    if isinstance(array, Number):
+def traced(array: Any) -> Any:
+    """An array of objects as `TracedArray`; one by itself too."""
+    if isinstance(array, TracedScalar):
         array = np.asarray(array, object)
-    return array.view(Numbers) if isinstance(array, np.ndarray) and array.dtype.hasobject else array
+    return (
+        array.view(TracedArray)
+        if isinstance(array, np.ndarray) and array.dtype.hasobject
+        else array
+    )
 
 
 def tape_of(*arrays: Any) -> Tape | None:
     """The tape on which some of the numbers of arrays are; None where all are known."""
     return next(
-        (x.tape for array in arrays for x in _bare(array).flat if isinstance(x, Number)), None
+        (x.tape for array in arrays for x in _bare(array).flat if isinstance(x, TracedScalar)), None
     )
 
 
 def recorded(value: Any) -> Any:
-    """What holds a `Number`, as `Numbers`; None where nothing does."""
-    if isinstance(value, Number | Numbers):
-        return np.asanyarray(value, object).view(Numbers)
+    """What holds a `TracedScalar`, as `TracedArray`; None where nothing does."""
+    if isinstance(value, TracedScalar | TracedArray):
+        return np.asanyarray(value, object).view(TracedArray)
     if isinstance(value, list | tuple) or getattr(
         getattr(value, "dtype", None), "hasobject", False
     ):
         array = np.asarray(value, object)
-        if any(isinstance(x, Number) for x in array.flat):
-            return array.view(Numbers)
+        if any(isinstance(x, TracedScalar) for x in array.flat):
+            return array.view(TracedArray)
     return None
 
 
 def _bare(x: Any) -> Any:
     """As a plain array of objects."""
-    array = np.asarray(x, object) if isinstance(x, Number) else np.asarray(x)
+    array = np.asarray(x, object) if isinstance(x, TracedScalar) else np.asarray(x)
     return array if array.dtype.hasobject else array.astype(object)
 
 
@@ -389,29 +399,29 @@ def _ufunc(ufunc: Any, method: str, inputs: Sequence[Any], options: dict[str, An
     _as_float64(dtype, np.int64, np.bool_) if method == "reduce" else _as_float64(dtype)
     options.pop("order", None), options.pop("casting", None)
     if ufunc in (np.matmul, np.vecdot) and method == "__call__":
-        found = numbers(_products(ufunc, *map(_operand, inputs)))
+        found = traced(_products(ufunc, *map(_operand, inputs)))
     elif ufunc.__name__ in ("clip", "real"):  # the latter is what numpy 2.5 makes of x.real
         found = inputs[0] if ufunc.nin == 1 else np.minimum(np.maximum(*inputs[:2]), inputs[2])
     elif ufunc is np.divmod and method == "__call__":
         return np.floor_divide(*inputs), np.remainder(*inputs)
     elif ufunc not in _UFUNCS:
-        raise refused(f"numpy.{ufunc.__name__} cannot be recorded")
+        raise cannot_compile(f"numpy.{ufunc.__name__} cannot be recorded")
     elif method == "__call__":
         function = np.frompyfunc(_scalar(ufunc), ufunc.nin, 1)
-        found = numbers(function(*map(_operand, inputs), **options))
+        found = traced(function(*map(_operand, inputs), **options))
     elif method == "reduce" and ufunc in _REDUCED:
         return _reduced(ufunc, inputs[0], dtype=dtype, out=given, where=where, **options)
     elif method == "accumulate" and ufunc in _REDUCED:
         array, *more = map(_operand, inputs)
         array = _each(_REDUCED[ufunc], array)
-        found = numbers(np.frompyfunc(_scalar(ufunc), 2, 1).accumulate(array, *more, **options))
+        found = traced(np.frompyfunc(_scalar(ufunc), 2, 1).accumulate(array, *more, **options))
     else:
-        raise refused(f"numpy.{ufunc.__name__}.{method} cannot be recorded")
+        raise cannot_compile(f"numpy.{ufunc.__name__}.{method} cannot be recorded")
     if given is None and where is True:
         return found
     (out,) = given or (None,)
     if out is None or not out.dtype.hasobject:
-        raise refused(
+        raise cannot_compile(
             "a number that is known only when the filter runs is written into an array of floats, "
             "or into none; numpy.stack or numpy.empty_like(x) makes one for it"
         )
@@ -439,11 +449,11 @@ def _reduced(
 ) -> Any:
     """Over one axis, several or all (None)."""
     if where is not True or out is not None:
-        raise refused(f"numpy.{ufunc.__name__} over a part cannot be recorded")
+        raise cannot_compile(f"numpy.{ufunc.__name__} over a part cannot be recorded")
     bare = _bare(array)
     truth = _is_truth(bare)
     if ufunc not in _EMPTY if truth else np.dtype(dtype).kind in "bi":
-        raise refused(f"numpy.{ufunc.__name__} is recorded of floats only; multiply by 1.0")
+        raise cannot_compile(f"numpy.{ufunc.__name__} is recorded of floats only; multiply by 1.0")
     axes = (
         tuple(range(bare.ndim))
         if axis is None
@@ -460,19 +470,21 @@ def _reduced(
         result[at] = reduce(_scalar(ufunc), map(_REDUCED[ufunc], parts))
     if keepdims:
         result = result.reshape([1 if i in axes else bare.shape[i] for i in range(bare.ndim)])
-    return numbers(result)
+    return traced(result)
 
 
 def _products(ufunc: Any, a: Any, b: Any) -> Any:
     """Sums of products, of what is not known to be zero."""
     if _is_truth(a) and _is_truth(b):
-        raise refused("products of matrices of truth values are none of floats; multiply by 1.0")
+        raise cannot_compile(
+            "products of matrices of truth values are none of floats; multiply by 1.0"
+        )
     if ufunc is np.vecdot:
         return _contracted(np.broadcast_arrays(a, b))
     columns, row = b.ndim == 1, a.ndim == 1
     a, b = a[None] if row else a, b[:, None] if columns else b
     if a.ndim == b.ndim == 2 and 2 * a.size * b.shape[1] >= LONG_PRODUCT:
-        out = each_row(lambda row: _product(_bare(row), b), numbers(a), least=LONG_PRODUCT)
+        out = each_row(lambda row: _product(_bare(row), b), traced(a), least=LONG_PRODUCT)
     else:
         out = _product(a, b)
     return (
@@ -498,7 +510,7 @@ def _contracted(pair: Sequence[Any]) -> Any:
     out = np.empty(a.shape[:-1], object)
     for at in np.ndindex(*a.shape[:-1]):
         out[at] = total(
-            do("mul", as_number(x), as_number(y)) for x, y in zip(a[at], b[at], strict=True)
+            emit("mul", as_number(x), as_number(y)) for x, y in zip(a[at], b[at], strict=True)
         )
     return out if out.ndim else out[()]
 
@@ -527,9 +539,9 @@ def present(x: Any) -> Any:
         return x == x
 
     def there(v: Scalar) -> Scalar:
-        return do("eq", v, v) if type(v) is not Number or v.tape.absent[v.i] else True
+        return emit("eq", v, v) if type(v) is not TracedScalar or v.tape.absent[v.i] else True
 
-    return numbers(_each(there, _bare(x)))
+    return traced(_each(there, _bare(x)))
 
 
 def known_alike(a: Any, b: Any) -> bool:
@@ -541,7 +553,7 @@ def known_alike(a: Any, b: Any) -> bool:
 
 
 def _key(x: Scalar) -> Any:
-    return x.i if type(x) is Number else x.hex()
+    return x.i if type(x) is TracedScalar else x.hex()
 
 
 def each_row(function: Callable[..., Any], *points: Any, least: int = LONG) -> Any:
@@ -557,19 +569,21 @@ def each_row(function: Callable[..., Any], *points: Any, least: int = LONG) -> A
     variables = [tape.node("var", len(tape.ops)) for _ in range(sum(widths))]
     ends = np.cumsum(widths)
     one = [
-        np.array([variables[end - n : end]], object).view(Numbers)
+        np.array([variables[end - n : end]], object).view(TracedArray)
         for end, n in zip(ends, widths, strict=True)
     ]
     y = function(*one)
     outputs = [tape.lift(as_number(x)) for x in np.asarray(y, object).flat]
     rows = np.concatenate([_bare(x) for x in points], -1)
     left = (
-        rolled(tape, variables, outputs, rows.tolist(), least) if np.shape(y)[:-1] == (1,) else None
+        rolled_loop(tape, variables, outputs, rows.tolist(), least)
+        if np.shape(y)[:-1] == (1,)
+        else None
     )
     return (
         function(*points)
         if left is None
-        else numbers(np.array(left, object).reshape(count, len(outputs)))
+        else traced(np.array(left, object).reshape(count, len(outputs)))
     )
 
 
@@ -581,16 +595,16 @@ def rarely(
 
     Machine code calls the function only if the condition holds for a run of the vector.
     """
-    condition, tape = numbers(np.asanyarray(condition)), tape_of(condition)
+    condition, tape = traced(np.asanyarray(condition)), tape_of(condition)
     if tape is None or not tape.rolled:
         found = function(*arrays)
     else:
-        given = {x.i: x for array in arrays for x in _bare(array).flat if type(x) is Number}
+        given = {x.i: x for array in arrays for x in _bare(array).flat if type(x) is TracedScalar}
         first = 1 + len(given)
         stage = Recorder(1, given=(1, 0), made=(first, 0))
         inside = {i: stage.take("given", k, tape.absent[i]) for k, i in enumerate(given)}
         images = [
-            numbers(_each(lambda x: inside[x.i] if type(x) is Number else x, _bare(array)))
+            traced(_each(lambda x: inside[x.i] if type(x) is TracedScalar else x, _bare(array)))
             if recorded(array) is not None
             else array
             for array in arrays
@@ -600,10 +614,10 @@ def rarely(
             stage.put("made", k, x)
         sizes = [array.size for array in made]
         cells = range(first, first + sum(sizes))
-        routine = Routine([stage.stage()], cells.stop, cells, rare=True)
+        routine = Loop([stage.stage()], cells.stop, cells, rare=True)
         left = np.array(routine(tape, [condition.item(), *given.values()]), object)
         parts = np.split(left, np.cumsum(sizes)[:-1])
-        found = [numbers(x.reshape(array.shape)) for x, array in zip(parts, made, strict=True)]
+        found = [traced(x.reshape(array.shape)) for x, array in zip(parts, made, strict=True)]
     return tuple(
         np.where(condition[..., None, None], x, y) for x, y in zip(found, usual, strict=True)
     )
@@ -615,8 +629,8 @@ def _where(condition: Any, a: Any, b: Any) -> Any:
     a, b = _operand(a), _operand(b)
     if not (_is_truth(a) and _is_truth(b)):
         a, b = (_each(as_number, x) for x in (a, b))
-    choose = np.frompyfunc(lambda c, x, y: do("select", _logical(c), x, y), 3, 1)
-    return numbers(choose(_bare(condition), a, b))
+    choose = np.frompyfunc(lambda c, x, y: emit("select", _logical(c), x, y), 3, 1)
+    return traced(choose(_bare(condition), a, b))
 
 
 def _select(conditions: Any, choices: Any, default: Any = 0.0) -> Any:
@@ -630,19 +644,19 @@ def _interp(x: Any, xp: Any, fp: Any, left: Any = None, right: Any = None) -> An
     """The line from the last knot that is not beyond x."""
     xp, fp = _bare(xp).tolist(), _bare(fp).tolist()
     slopes = [
-        do("div", do("sub", fp[j + 1], fp[j]), do("sub", xp[j + 1], xp[j]))
+        emit("div", emit("sub", fp[j + 1], fp[j]), emit("sub", xp[j + 1], xp[j]))
         for j in range(len(xp) - 1)
     ]
 
     def one(v: Scalar) -> Scalar:
         y = fp[0] if left is None else left
         for knot, f, slope in zip(xp, fp, [*slopes, 0.0], strict=True):
-            line = do("add", do("mul", slope, do("sub", v, knot)), f)
-            y = do("select", do("le", knot, v), line, y)
-        y = do("select", do("lt", xp[-1], v), fp[-1] if right is None else right, y)
-        return do("select", do("ne", v, v), v, y)
+            line = emit("add", emit("mul", slope, emit("sub", v, knot)), f)
+            y = emit("select", emit("le", knot, v), line, y)
+        y = emit("select", emit("lt", xp[-1], v), fp[-1] if right is None else right, y)
+        return emit("select", emit("ne", v, v), v, y)
 
-    return numbers(_each(one, _bare(x)))
+    return traced(_each(one, _bare(x)))
 
 
 def _sort(x: Any, axis: Any = -1) -> Any:
@@ -650,7 +664,7 @@ def _sort(x: Any, axis: Any = -1) -> Any:
     moved = np.ravel(x) if axis is None else np.moveaxis(x, axis, 0)
     rows = list(moved)
     if len(rows) > SORTED:
-        raise refused(f"numpy.sort is recorded for at most {SORTED} numbers")
+        raise cannot_compile(f"numpy.sort is recorded for at most {SORTED} numbers")
     for end in range(len(rows) - 1, 0, -1):
         for j in range(end):
             a, b = rows[j : j + 2]
@@ -672,7 +686,7 @@ def _median(x: Any, axis: Any = None, keepdims: bool = False) -> Any:
 def _nan_to_num(
     x: Any, copy: bool = True, nan: Any = 0.0, posinf: Any = None, neginf: Any = None
 ) -> Any:
-    x, most = numbers(_bare(x)), np.finfo(float).max
+    x, most = traced(_bare(x)), np.finfo(float).max
     high, low = (
         bound if given is None else given for given, bound in ((posinf, most), (neginf, -most))
     )
@@ -699,7 +713,7 @@ def _einsum(subscripts: str, *operands: Any, **_options: Any) -> Any:
     whole: Any = 1.0
     for part, x in zip(named, bare, strict=True):
         order = [part.index(c) for c in letters if c in part]
-        whole = whole * numbers(
+        whole = whole * traced(
             x.transpose(order)[tuple(slice(None) if c in part else None for c in letters)]
         )
     summed = tuple(range(len(right), len(letters)))
@@ -715,7 +729,7 @@ def _like(value: float) -> Callable[..., Any]:
             shape = prototype if array is None else array.shape
         if np.dtype(dtype) not in (np.float64, np.object_):
             return np.full(shape, value, dtype)
-        out = Numbers(tuple(np.atleast_1d(shape)))
+        out = TracedArray(tuple(np.atleast_1d(shape)))
         out.fill(value if array is None or not _is_truth(array) else bool(value))
         return out
 
@@ -730,13 +744,15 @@ def _full_like(a: Any, fill_value: Any, *arguments: Any, **options: Any) -> Any:
 
 def _dot(a: Any, b: Any) -> Any:
     if np.ndim(a) > 2 or np.ndim(b) > 2:
-        raise refused("numpy.dot is recorded for vectors and matrices; a @ b takes batches of them")
+        raise cannot_compile(
+            "numpy.dot is recorded for vectors and matrices; a @ b takes batches of them"
+        )
     return np.matmul(a, b)
 
 
 def _norm(x: Any, ord: Any = None, axis: Any = None, keepdims: bool = False) -> Any:
     if ord not in (None, 2) or (axis is None and np.ndim(x) > 1):
-        raise refused("numpy.linalg.norm is recorded for lengths of vectors only")
+        raise cannot_compile("numpy.linalg.norm is recorded for lengths of vectors only")
     return np.sqrt(np.sum(np.square(x), axis, keepdims=keepdims))
 
 
@@ -748,7 +764,7 @@ def _solve(A: Any, b: Any) -> Any:
     X = np.empty(columns.shape, object)
     for at in np.ndindex(*batch):
         X[at] = _eliminated(A[at], columns[at])
-    return numbers(X[..., 0] if b.ndim == 1 else X)
+    return traced(X[..., 0] if b.ndim == 1 else X)
 
 
 def _eliminated(A: Any, b: Any) -> Any:
@@ -759,33 +775,34 @@ def _eliminated(A: Any, b: Any) -> Any:
     for i in range(len(rows)):
         below = [j for j in range(i + 1, len(rows)) if not is_known(rows[j][i], 0.0)]
         for j in below:
-            larger = do("lt", do("abs", rows[i][i]), do("abs", rows[j][i]))
+            larger = emit("lt", emit("abs", rows[i][i]), emit("abs", rows[j][i]))
             both = [
-                (do("select", larger, y, x), do("select", larger, x, y))
+                (emit("select", larger, y, x), emit("select", larger, x, y))
                 for x, y in zip(rows[i], rows[j], strict=True)
             ]
             rows[i], rows[j] = [p for p, _ in both], [q for _, q in both]
         for j in below:
-            factor = do("div", rows[j][i], rows[i][i])
+            factor = emit("div", rows[j][i], rows[i][i])
             rows[j] = [
-                do("sub", y, do("mul", factor, x)) for x, y in zip(rows[i], rows[j], strict=True)
+                emit("sub", y, emit("mul", factor, x))
+                for x, y in zip(rows[i], rows[j], strict=True)
             ]
     n, X = len(rows), np.empty(b.shape, object)
     for k in range(b.shape[-1]):
         for i in reversed(range(n)):
-            left = do(
+            left = emit(
                 "sub",
                 rows[i][n + k],
-                total(do("mul", rows[i][j], X[j, k]) for j in range(i + 1, n)),
+                total(emit("mul", rows[i][j], X[j, k]) for j in range(i + 1, n)),
             )
-            X[i, k] = do("div", left, rows[i][i])
+            X[i, k] = emit("div", left, rows[i][i])
     return X
 
 
 _FUNCTIONS: dict[Any, Callable[..., Any]] = {
     np.where: _where,
     np.einsum: _einsum,
-    np.broadcast_to: lambda array, shape, **_options: numbers(np.broadcast_to(_bare(array), shape)),
+    np.broadcast_to: lambda array, shape, **_options: traced(np.broadcast_to(_bare(array), shape)),
     np.select: _select,
     np.interp: _interp,
     np.sort: _sort,
@@ -820,12 +837,12 @@ get.
 
 # -- one of them by itself -------------------------------------------------------------------------
 def _operator(function: Callable[..., Any], swapped: bool = False) -> Any:
-    def method(self: Number, *other: Any) -> Any:
+    def method(self: TracedScalar, *other: Any) -> Any:
         if other and not isinstance(
-            other[0], Number | float | int | np.floating | np.integer | np.bool_
+            other[0], TracedScalar | float | int | np.floating | np.integer | np.bool_
         ):
             if isinstance(other[0], AnyNumber):
-                raise refused(f"a number is recorded with floats, not with {other[0]!r}")
+                raise cannot_compile(f"a number is recorded with floats, not with {other[0]!r}")
             return NotImplemented
         return function(*other, self) if swapped else function(self, *other)
 
@@ -839,7 +856,7 @@ def _python(ufunc: Any) -> Callable[..., Scalar]:
 
     def function(*arguments: Scalar) -> Scalar:
         if ufunc in (np.add, np.invert) and all(map(is_logical, arguments)):
-            raise refused(
+            raise cannot_compile(
                 "a sum or an inversion of single truth values is another number in Python than in "
                 "numpy; use numpy.logical_or, numpy.logical_not, or multiply them by 1.0"
             )
@@ -877,24 +894,24 @@ _OTHER = {
     "round": np.rint,
 }
 for _name, _of in {**_BINARY, **_OTHER}.items():
-    setattr(Number, f"__{_name}__", _operator(_python(_of)))
+    setattr(TracedScalar, f"__{_name}__", _operator(_python(_of)))
 for _name, _of in _BINARY.items():
-    setattr(Number, f"__r{_name}__", _operator(_python(_of), swapped=True))
+    setattr(TracedScalar, f"__r{_name}__", _operator(_python(_of), swapped=True))
 for _name, _swapped in (("divmod", False), ("rdivmod", True)):
     _pair = lambda x, y: (_floor_divide(x, y), _remainder(x, y))  # noqa: E731
-    setattr(Number, f"__{_name}__", _operator(_pair, _swapped))
+    setattr(TracedScalar, f"__{_name}__", _operator(_pair, _swapped))
 for _of in _UFUNCS:  # an array of objects that has lost its class calls methods of these names
-    if not hasattr(Number, _of.__name__):
-        setattr(Number, _of.__name__, _operator(_scalar(_of)))
+    if not hasattr(TracedScalar, _of.__name__):
+        setattr(TracedScalar, _of.__name__, _operator(_scalar(_of)))
 
 
-def _through(_self: Number, function: Any, _types: Any, arguments: Any, options: Any) -> Any:
+def _through(_self: TracedScalar, function: Any, _types: Any, arguments: Any, options: Any) -> Any:
     """numpy's functions of single numbers: as of arrays without axes."""
 
     def whole(x: Any) -> Any:
         return (
-            numbers(x)
-            if isinstance(x, Number)
+            traced(x)
+            if isinstance(x, TracedScalar)
             else type(x)(map(whole, x))
             if type(x) in (tuple, list)
             else x
@@ -904,7 +921,7 @@ def _through(_self: Number, function: Any, _types: Any, arguments: Any, options:
 
 
 for _name, _method in (
-    ("__array_ufunc__", Numbers.__array_ufunc__),
+    ("__array_ufunc__", TracedArray.__array_ufunc__),
     ("__array_function__", _through),
 ):
-    setattr(Number, _name, _method)
+    setattr(TracedScalar, _name, _method)

@@ -1,7 +1,7 @@
 """Routines that machine code calls: loops, which would be slow to compile unrolled, and rare
 branches.
 
-A `Routine` is called with numbers, which are the first cells of its memory, and leaves others
+A `Loop` is called with numbers, which are the first cells of its memory, and leaves others
 there. On a `Tape` its call is one operation.
 """
 
@@ -12,11 +12,11 @@ from functools import cached_property
 from hashlib import sha256
 from typing import NamedTuple
 
-from celnav.tape.elementary import lowered
-from celnav.tape.tape import Number, Scalar, Tape, as_number, operands
+from celnav.tape.elementary import expand_elementary
+from celnav.tape.tape import Scalar, Tape, TracedScalar, as_number, operands
 
 
-class Stage(NamedTuple):
+class LoopBody(NamedTuple):
     """Code for a number of ``rows``.
 
     places: by name ``(first, stride)``: where a place begins for the first row, and how much later
@@ -29,10 +29,10 @@ class Stage(NamedTuple):
     places: dict[str, tuple[int, int]]
     tape: Tape
     inputs: Sequence[tuple[str, int]]
-    results: Sequence[tuple[str, int, Number]]
+    results: Sequence[tuple[str, int, TracedScalar]]
 
 
-class Routine:
+class Loop:
     """Stages that share a memory. The arguments are in its first cells.
 
     own: number of cells of the routine. The cells of routines that it calls follow, ``cells`` in
@@ -41,7 +41,9 @@ class Routine:
     every run of the vector. The returned cells are then undefined.
     """
 
-    def __init__(self, stages: Sequence[Stage], own: int, left: Sequence[int], rare: bool = False):
+    def __init__(
+        self, stages: Sequence[LoopBody], own: int, left: Sequence[int], rare: bool = False
+    ):
         self.stages, self.own, self.left, self.rare = tuple(stages), own, tuple(left), rare
         self.cells = own + max(stage.tape.cells for stage in self.stages)
 
@@ -59,23 +61,23 @@ class Routine:
         return self.name
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Routine) and other.name == self.name
+        return isinstance(other, Loop) and other.name == self.name
 
     def __hash__(self) -> int:
         return hash(self.name)
 
-    def lowered(self) -> Routine:
+    def lowered(self) -> Loop:
         """With elementary functions as arithmetic."""
         stages = []
         for stage in self.stages:
-            tape, known = lowered(stage.tape, [x for *_, x in stage.results])
+            tape, known = expand_elementary(stage.tape, [x for *_, x in stage.results])
             results = [
                 (place, i, tape.lift(as_number(known[x.i]))) for place, i, x in stage.results
             ]
             stages.append(stage._replace(tape=tape, results=results))
-        return Routine(stages, self.own, self.left, self.rare)
+        return Loop(stages, self.own, self.left, self.rare)
 
-    def __call__(self, tape: Tape, arguments: Iterable[Scalar]) -> list[Number]:
+    def __call__(self, tape: Tape, arguments: Iterable[Scalar]) -> list[TracedScalar]:
         """What is left of arguments, on a tape."""
         call = tape.node("call", self, *(tape.lift(as_number(x)).i for x in arguments))
         return [tape.node("part", call.i, cell) for cell in self.left]
@@ -86,10 +88,10 @@ class Recorder:
 
     def __init__(self, rows: int, **places: tuple[int, int]):
         self.rows, self.places, self.tape = rows, places, Tape()
-        self.inputs, self.results = list[tuple[str, int]](), list[tuple[str, int, Number]]()
-        self._taken = dict[tuple[str, int], Number]()
+        self.inputs, self.results = list[tuple[str, int]](), list[tuple[str, int, TracedScalar]]()
+        self._taken = dict[tuple[str, int], TracedScalar]()
 
-    def take(self, place: str, index: int, absent: bool = False) -> Number:
+    def take(self, place: str, index: int, absent: bool = False) -> TracedScalar:
         """The number in a place of the row."""
         if (place, index) not in self._taken:
             self.inputs.append((place, index))
@@ -100,18 +102,18 @@ class Recorder:
         """Write a number there."""
         self.results.append((place, index, self.tape.lift(as_number(value))))
 
-    def stage(self) -> Stage:
+    def stage(self) -> LoopBody:
         """What was recorded."""
-        return Stage(self.rows, self.places, self.tape, self.inputs, self.results)
+        return LoopBody(self.rows, self.places, self.tape, self.inputs, self.results)
 
 
-def rolled(
+def rolled_loop(
     tape: Tape,
-    variables: Sequence[Number],
-    outputs: Sequence[Number],
+    variables: Sequence[TracedScalar],
+    outputs: Sequence[TracedScalar],
     rows: Sequence[Sequence[Scalar]],
     least: int,
-) -> list[Number] | None:
+) -> list[TracedScalar] | None:
     """Numbers that come of variables, for rows of values of these, one row after the other; None:
     it is better written out.
 
@@ -141,5 +143,5 @@ def rolled(
     for k, x in enumerate(outputs):
         stage.put("made", k, known[x.i])
     cells = made + m * len(rows)
-    arguments = [*(Number(tape, i) for i in common), *(x for row in rows for x in row)]
-    return Routine([stage.stage()], cells, range(made, cells))(tape, arguments)
+    arguments = [*(TracedScalar(tape, i) for i in common), *(x for row in rows for x in row)]
+    return Loop([stage.stage()], cells, range(made, cells))(tape, arguments)

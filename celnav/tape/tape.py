@@ -1,4 +1,4 @@
-"""A tape of operations, and the `Number` that one of them gives: what is known is computed at once,
+"""A tape of operations, and the `TracedScalar` that one of them gives: what is known is computed at once,
 nothing is done twice.
 
 What asks for a value that does not exist yet, an ``if`` or a ``float(x)``, raises `CannotCompile`,
@@ -20,7 +20,7 @@ from typing import Any, Final
 import numpy as np
 
 Scalar = Any
-"""A `Number`, or a float or bool that is known already."""
+"""A `TracedScalar`, or a float or bool that is known already."""
 
 
 class CannotCompile(ValueError):
@@ -37,7 +37,7 @@ class TooLong(CannotCompile):
     """A computation has more operations than are worth it."""
 
 
-def refused(what: str) -> CannotCompile:
+def cannot_compile(what: str) -> CannotCompile:
     """The error, with the line of the model, or else of the package, that led to it; the tape keeps
     it.
 
@@ -182,7 +182,7 @@ class Tape:
         self.absent: list[bool] = []
         self.model, self.wild = False, list[bool]()
         self.sharp, self.modeled = set[int](), list[bool]()
-        self.variables: list[Number] = []  # see `celnav.tape.derivative`
+        self.variables: list[TracedScalar] = []  # see `celnav.tape.derivative`
         self._known: dict[Any, int] = {}
         self._inputs = self.cells = 0
 
@@ -191,14 +191,14 @@ class Tape:
         """The same for tapes of the same operations."""
         return *self._known, *sorted(self.sharp)
 
-    def input(self, absent: bool = False) -> Number:
+    def input(self, absent: bool = False) -> TracedScalar:
         """A new input, the next in number; ``absent``: it may be nan where something is missing."""
         self._inputs += 1
         found = self.node("in", self._inputs - 1)
         self.absent[found.i] = self.wild[found.i] = absent
         return found
 
-    def node(self, *op: Any) -> Number:
+    def node(self, *op: Any) -> TracedScalar:
         """The number that an operation gives."""
         key = (op[0], op[1].hex()) if op[0] == "const" else op
         at = self._known.get(key)
@@ -221,7 +221,7 @@ class Tape:
                 if self.model and op[0] in _SHARP:
                     self._sharpen(needs)
             self.modeled.append(self.model)
-        return Number(self, at)
+        return TracedScalar(self, at)
 
     def _sharpen(self, found: Sequence[int]) -> None:
         """Mark what a jump depends on within a model."""
@@ -232,17 +232,17 @@ class Tape:
                 self.sharp.add(i)
                 stack += operands(self.ops[i])
 
-    def lift(self, x: Scalar) -> Number:
+    def lift(self, x: Scalar) -> TracedScalar:
         """A number on the tape, of one that is known."""
-        if type(x) is not Number:
+        if type(x) is not TracedScalar:
             return self.node("const", float(x))
         if x.tape is not self:
-            raise refused(
+            raise cannot_compile(
                 "a number of another recording: the model kept what it was called with before"
             )
         return x
 
-    def needed(self, outputs: Sequence[Number], given: Container[int] = ()) -> list[int]:
+    def needed(self, outputs: Sequence[TracedScalar], given: Container[int] = ()) -> list[int]:
         """Operations that the outputs depend on, each as late as it can be: few numbers then wait
         in registers.
 
@@ -262,10 +262,10 @@ class Tape:
         return order
 
 
-def do(name: str, *arguments: Scalar) -> Scalar:
+def emit(name: str, *arguments: Scalar) -> Scalar:
     """The result of an operation, done at once where the arguments are known."""
     for x in arguments:
-        if type(x) is Number:
+        if type(x) is TracedScalar:
             recording = x.tape
             break
     else:
@@ -287,7 +287,7 @@ def do(name: str, *arguments: Scalar) -> Scalar:
 
 def is_known(x: Scalar, value: float) -> bool:
     """Whether a number is known, and this one."""
-    return type(x) is not Number and x == value
+    return type(x) is not TracedScalar and x == value
 
 
 def _is_zero(x: Scalar, beside: Scalar) -> bool:
@@ -298,48 +298,48 @@ def _is_zero(x: Scalar, beside: Scalar) -> bool:
 
 
 def _add(a: Scalar, b: Scalar) -> Scalar | None:
-    if type(a) is not Number:
+    if type(a) is not TracedScalar:
         a, b = b, a
-    if type(b) is not Number:
+    if type(b) is not TracedScalar:
         return a if _is_zero(b, a) else None
     if a.name == "neg":
         a, b = b, a
-    return do("sub", a, b._argument(0)) if type(b) is Number and b.name == "neg" else None
+    return emit("sub", a, b._argument(0)) if type(b) is TracedScalar and b.name == "neg" else None
 
 
 def _sub(a: Scalar, b: Scalar) -> Scalar | None:
-    if type(b) is not Number:
+    if type(b) is not TracedScalar:
         return a if _is_zero(-float(b), a) else None
     if is_known(a, 0.0) and not b.tape.model:
-        return do("neg", b)
-    return do("add", a, b._argument(0)) if type(b) is Number and b.name == "neg" else None
+        return emit("neg", b)
+    return emit("add", a, b._argument(0)) if type(b) is TracedScalar and b.name == "neg" else None
 
 
 def _mul(a: Scalar, b: Scalar) -> Scalar | None:
-    if type(a) is not Number:
+    if type(a) is not TracedScalar:
         a, b = b, a
-    if type(b) is not Number:
+    if type(b) is not TracedScalar:
         if (
             b == 0.0
         ):  # a structural zero: what is not finite in the filter's own algebra shows elsewhere
             return None if a.tape.model and a.tape.wild[a.i] else 0.0
-        return a if b == 1.0 else do("neg", a) if b == -1.0 else None
+        return a if b == 1.0 else emit("neg", a) if b == -1.0 else None
     return None
 
 
 def _div(a: Scalar, b: Scalar) -> Scalar | None:
-    if type(b) is not Number:  # the reciprocal of a power of two is exact
+    if type(b) is not TracedScalar:  # the reciprocal of a power of two is exact
         exact = abs(frexp(b)[0]) == 0.5 and abs(b) > 1e-300
-        return do("mul", a, 1.0 / b) if exact else None
+        return emit("mul", a, 1.0 / b) if exact else None
     return 0.0 if is_known(a, 0.0) and not b.tape.model else None
 
 
 def _select(c: Scalar, a: Scalar, b: Scalar) -> Scalar | None:
-    if type(c) is not Number:
+    if type(c) is not TracedScalar:
         return a if c else b
-    same = type(a) is type(b) is Number and a.i == b.i
+    same = type(a) is type(b) is TracedScalar and a.i == b.i
     if is_logical(a) and is_logical(b):
-        return do("or", do("and", c, a), do("and", do("not", c), b))
+        return emit("or", emit("and", c, a), emit("and", emit("not", c), b))
     return a if same else None
 
 
@@ -348,7 +348,7 @@ def _joined(neutral: bool) -> Callable[[Scalar, Scalar], Scalar | None]:
 
     def short(a: Scalar, b: Scalar) -> Scalar | None:
         for x, y in ((a, b), (b, a)):
-            if type(x) is not Number:
+            if type(x) is not TracedScalar:
                 return y if bool(x) is neutral else not neutral
         return a if a.i == b.i else None
 
@@ -374,23 +374,23 @@ _SHORT: dict[str, Callable[..., Scalar | None]] = {
 
 def is_logical(x: Scalar) -> bool:
     """Whether it is true or false."""
-    return x.logical if type(x) is Number else type(x) is bool or type(x) is np.bool_
+    return x.logical if type(x) is TracedScalar else type(x) is bool or type(x) is np.bool_
 
 
 def as_number(x: Scalar) -> Scalar:
     """What is true or false as 1 or 0."""
-    if type(x) is Number:
-        return do("select", x, 1.0, 0.0) if x.logical else x
+    if type(x) is TracedScalar:
+        return emit("select", x, 1.0, 0.0) if x.logical else x
     return float(x) if is_logical(x) else x
 
 
 def total(terms: Any) -> Scalar:
     """Sum of numbers that are not known to be zero, in their order."""
     parts = [x for x in terms if not is_known(x, 0.0)]
-    return reduce(partial(do, "add"), parts) if parts else 0.0
+    return reduce(partial(emit, "add"), parts) if parts else 0.0
 
 
-class Number:
+class TracedScalar:
     """A number that is known only when the tape is run."""
 
     __slots__ = ("i", "tape")
@@ -408,20 +408,20 @@ class Number:
         """Whether it is true or false."""
         return self.name in LOGICAL
 
-    def _argument(self, k: int) -> Number:
-        return Number(self.tape, self.tape.ops[self.i][1 + k])
+    def _argument(self, k: int) -> TracedScalar:
+        return TracedScalar(self.tape, self.tape.ops[self.i][1 + k])
 
-    def any(self, *_arguments: Any, **_options: Any) -> Number:
+    def any(self, *_arguments: Any, **_options: Any) -> TracedScalar:
         """Whether it is not 0, as that of an array of one; `all` is the same."""
-        return self if self.logical else do("ne", self, 0.0)
+        return self if self.logical else emit("ne", self, 0.0)
 
-    def __copy__(self, _memory: Any = None) -> Number:
+    def __copy__(self, _memory: Any = None) -> TracedScalar:
         return self
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__"):
             raise AttributeError(name)
-        raise refused(f"a number that is known only when the filter runs has no {name}")
+        raise cannot_compile(f"a number that is known only when the filter runs has no {name}")
 
     all, __deepcopy__ = any, __copy__
     shape, ndim, dtype = (), 0, np.dtype(object)
@@ -429,7 +429,7 @@ class Number:
 
 def _refusing(what: str) -> Callable[..., Any]:
     def method(*_arguments: Any) -> Any:
-        raise refused(what)
+        raise cannot_compile(what)
 
     return method
 
@@ -459,5 +459,5 @@ for _names, _what in (
     ("str repr format reduce_ex", f"{_LATER} written as text or bytes"),
 ):
     for _name in _names.split():
-        setattr(Number, f"__{_name}__", _refusing(_what))
-Real.register(Number)
+        setattr(TracedScalar, f"__{_name}__", _refusing(_what))
+Real.register(TracedScalar)

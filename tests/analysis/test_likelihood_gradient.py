@@ -12,11 +12,11 @@ import celnav
 from celnav import Gaussian, Motion, Sensor, epochs
 from celnav.analysis.tuning import likelihood_gradient, maximize_likelihood
 from celnav.filters import adaptive
-from celnav.filters.gradient import Gradient, alike
+from celnav.filters.gradient import Gradient, same_program
 from celnav.tape import llvm
 from celnav.tape.derivative import with_slopes
 from celnav.tape.kernel import Kernel
-from celnav.tape.numbers import Numbers
+from celnav.tape.numbers import TracedArray
 from celnav.tape.tape import CannotCompile, Tape
 
 pytest.importorskip("llvmlite")
@@ -190,7 +190,7 @@ def test_gradient_of_a_scalar_filter_by_hand():
 def test_what_is_not_chosen_spoils_no_derivative():
     """A root of a negative number and a quotient by 0 that a choice leaves out, and the length of a row of zeros."""
     tape = Tape()
-    x = Numbers((2,))
+    x = TracedArray((2,))
     x[0], x[1] = tape.input(), tape.input()
     with np.errstate(all="ignore"):
         y = [
@@ -349,13 +349,13 @@ def test_what_is_known_to_be_the_same_program():
             Sensor([[1.0]], [[1.0]]),
         )
 
-    assert alike(made(0.5), made(0.5))
-    assert alike(made(0.5), made(0.5, Q=2.0))
-    assert not alike(made(0.5), made(0.6))
-    assert not alike(made(0.5), made(0.5, table=(1.0, 3.0)))
-    assert not alike(made([0.5]), made([0.6]))
-    assert not alike(made(0.5), celnav.ckf(made(0.5).motion, made(0.5).sensors[0]))
-    assert not alike(object(), object())
+    assert same_program(made(0.5), made(0.5))
+    assert same_program(made(0.5), made(0.5, Q=2.0))
+    assert not same_program(made(0.5), made(0.6))
+    assert not same_program(made(0.5), made(0.5, table=(1.0, 3.0)))
+    assert not same_program(made([0.5]), made([0.6]))
+    assert not same_program(made(0.5), celnav.ckf(made(0.5).motion, made(0.5).sensors[0]))
+    assert not same_program(object(), object())
 
 
 def test_the_values_of_names_are_part_of_a_program():
@@ -371,11 +371,11 @@ def test_the_values_of_names_are_part_of_a_program():
         return lambda x, _: values["rate"] * x
 
     for make in (lambda rate: partial(decay, rate=rate), slow, lambda rate: table(rate=rate)):
-        assert alike(make(0.5), make(0.5))
-        assert not alike(make(0.5), make(0.6))
-    assert not alike(table(rate=0.5), table(other=0.5))
-    assert not alike({"a": 1.0, "b": 2.0}, {"b": 2.0, "a": 1.0})
-    assert not alike({"a": 1.0}, {"a": 1.0, "b": 2.0})
+        assert same_program(make(0.5), make(0.5))
+        assert not same_program(make(0.5), make(0.6))
+    assert not same_program(table(rate=0.5), table(other=0.5))
+    assert not same_program({"a": 1.0, "b": 2.0}, {"b": 2.0, "a": 1.0})
+    assert not same_program({"a": 1.0}, {"a": 1.0, "b": 2.0})
 
     def build(p):
         motion = Motion(partial(decay, rate=1.0 if p[0] < 0.5 else 0.5), p[0] * np.eye(1))

@@ -206,13 +206,13 @@ def test_numpy_computes_one_covariance_of_models_that_are_matrices_fast():
     )
     many, long = celnav.epochs(np.arange(100.0)), celnav.epochs(np.arange(9000.0))
     with pytest.raises(CannotCompile, match="100 steps of 3000 runs take less time"):
-        compiled.chosen("auto", matrix, 1, prior, many)
+        compiled.resolve_engine("auto", matrix, 1, prior, many)
     for filter, belief, epochs in (
         (curved, prior, many),
         (matrix, own, many),
         (matrix, prior, long),
     ):
-        assert compiled.chosen("auto", filter, 1, belief, epochs).filter is filter
+        assert compiled.resolve_engine("auto", filter, 1, belief, epochs).filter is filter
 
 
 @pytest.mark.parametrize("form", ["square root", "covariance"])

@@ -156,7 +156,7 @@ def test_a_combination_known_exactly_stays_known(r, monkeypatch):
         np.ones((30, 40, 1)),
     )
     known = celnav.run(filter, *given, keep="cov")
-    monkeypatch.setattr(Compiled, "_again", lambda *_, **__: pytest.fail("a run is lost"))
+    monkeypatch.setattr(Compiled, "_rerun_failed", lambda *_, **__: pytest.fail("a run is lost"))
     found = celnav.run(filter, *given, keep="cov", engine="compiled")
     np.testing.assert_allclose(found.mean, known.mean, atol=1e-6)
     np.testing.assert_allclose(found.std, known.std, atol=1e-6)

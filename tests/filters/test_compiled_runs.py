@@ -17,7 +17,7 @@ from twice import FIELDS, assert_same, told, twice
 
 import celnav
 from celnav.filters.adaptive import gate, huber, innovation_window
-from celnav.filters.engine import each_run
+from celnav.filters.engine import map_run_constants
 from celnav.filters.fallback import Fallback
 from celnav.filters.records import FromFunctions, Info, State
 from celnav.gaussian.linalg import Covariance, SquareRoot
@@ -609,7 +609,7 @@ def test_matrices_of_each_run_are_read_in_every_flight():
     prior, z = celnav.Gaussian([0.0], 1.0), np.ones((5, runs, 1))
     kept, own = celnav.compiled(filter), []
     kept.run(prior, times, z)
-    each_run(filter, lambda array: own.append(array) or array)
+    map_run_constants(filter, lambda array: own.append(array) or array)
     for array in own:
         array[3] = 9.0
     found, known = kept.run(prior, times, z), celnav.run(filter, prior, times, z, engine="numpy")

@@ -11,7 +11,7 @@ import pytest
 
 import celnav
 from celnav.filters import flight
-from celnav.filters.engine import leaves
+from celnav.filters.engine import tree_leaves
 
 pytestmark = pytest.mark.usefixtures("eager")
 
@@ -345,7 +345,7 @@ def test_columns_are_those_of_the_epochs_one_by_one(u, part):
     for i, epoch in enumerate(some):
         mine, same = (flight.epoch_of(data, i, lambda x, _: x, ()) for data in (found, known))
         assert (mine.k, mine.t, mine.dt) == (same.k, same.t, same.dt) == epoch[:3]
-        trees = [leaves((one.u, one.about)) for one in (mine, same, epoch)]
+        trees = [tree_leaves((one.u, one.about)) for one in (mine, same, epoch)]
         for parts in zip(*trees, strict=True):
             np.testing.assert_array_equal(*(np.asarray(x) for x, _ in parts[:2]))
             np.testing.assert_array_equal(*(np.asarray(x) for x, _ in parts[1:]))

@@ -11,7 +11,7 @@ from twice import assert_same, twice
 import celnav
 from celnav.filters.adaptive import huber, innovation_window
 from celnav.filters.engine import Engine
-from celnav.filters.fixed_lag import FixedLag, Held
+from celnav.filters.fixed_lag import FixedLag, FixedLagState
 from celnav.gaussian.belief import nees
 from celnav.tape.tape import CannotCompile
 
@@ -358,7 +358,7 @@ def test_the_past_is_known_better_and_honestly():
 def test_it_holds_no_more_than_the_lag():
     fixed = FixedLag(FILTERS["ukf"], 2)
     state = fixed.start(PRIOR)
-    assert isinstance(state, Held)
+    assert isinstance(state, FixedLagState)
     for epoch in celnav.epochs(TIMES, Z):
         state, _ = fixed.step(state, epoch)
         assert len(state.epochs) == len(state.infos) == len(state.states) - 1 == min(epoch.k + 1, 3)

@@ -10,7 +10,7 @@ from twice import assert_same, twice
 
 import celnav
 from celnav.filters import flight
-from celnav.filters.sentinels import changed, held
+from celnav.filters.sentinels import changed, model_contents
 from celnav.tape.tape import CannotCompile
 
 pytestmark = pytest.mark.usefixtures("eager")
@@ -229,10 +229,10 @@ def test_machine_code_that_goes_wrong_late_is_found(monkeypatch):
 def test_what_a_filter_holds_is_the_same_if_nothing_changed():
     made = {"a": [1, {"b": np.arange(3.0)}], "nan": np.nan}
     filter = filter_of(lambda x, e: x * made["a"][0])
-    before = held(filter)
-    assert changed(before, held(filter)) == ""
+    before = model_contents(filter)
+    assert changed(before, model_contents(filter)) == ""
     made["a"][1]["b"][2] = 7.0
-    assert changed(before, held(filter)).endswith("'b'")
+    assert changed(before, model_contents(filter)).endswith("'b'")
 
 
 # -- round-off is judged by the state's conditioning -------------------------------------------

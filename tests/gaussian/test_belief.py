@@ -91,7 +91,7 @@ def test_conditioning_is_the_same_where_the_prior_covariance_is_given(form, sign
     A = prearray((3,), sign)
     A[..., 2:, 8:] = 0.0  # noise that only the first rows have
     known, noise = form.marginal(A[..., 2:, :], sign), A[..., :2, 8:]
-    given = form.condition(A, sign, 2, None, known=known, noise=noise)
+    given = form.condition(A, sign, 2, None, prior_factor=known, noise=noise)
     for mine, plain in zip(given, form.condition(A, sign, 2), strict=True):
         np.testing.assert_allclose(mine, plain, atol=1e-12)
 

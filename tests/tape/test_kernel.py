@@ -7,8 +7,8 @@ import pytest
 from taped import values
 
 from celnav.tape.kernel import Kernel
-from celnav.tape.numbers import Numbers, each_row
-from celnav.tape.tape import Number, Tape, as_number, do
+from celnav.tape.numbers import TracedArray, each_row
+from celnav.tape.tape import Tape, TracedScalar, as_number, emit
 
 OPERATIONS = ("add", "sub", "mul", "lt", "select", "sin", "neg")
 
@@ -22,9 +22,9 @@ def random_kernel(rng, size=60):
         name = OPERATIONS[rng.integers(len(OPERATIONS))]
         numbers = [as_number(made[i]) for i in rng.integers(len(made), size=3)]
         if name == "select":
-            made.append(do(name, do("lt", numbers[0], numbers[1]), numbers[2], numbers[0]))
+            made.append(emit(name, emit("lt", numbers[0], numbers[1]), numbers[2], numbers[0]))
         else:
-            made.append(do(name, *numbers[: 1 if name in ("sin", "neg") else 2]))
+            made.append(emit(name, *numbers[: 1 if name in ("sin", "neg") else 2]))
     results = [made[i] for i in rng.integers(len(made) // 2, len(made), size=8)]
     return Kernel(tape, inputs, list(enumerate(results[:5])), results[5:], (1, 2))
 
@@ -43,7 +43,7 @@ def test_two_parts_are_the_whole(seed):
     kernel = random_kernel(rng)
     before = {i for i in range(5) if rng.random() < 0.5}
     uniform = kernel.uniform(before)
-    same = {i for i, x in kernel.state if not isinstance(x, Number) or uniform[x.i]}
+    same = {i for i, x in kernel.state if not isinstance(x, TracedScalar) or uniform[x.i]}
     after = {i for i in same if rng.random() < 0.7}
     split = kernel.split(before, after)
 
@@ -74,7 +74,7 @@ def test_nothing_that_all_runs_have_in_common_is_done_for_each():
 
 def test_a_loop_over_rows_goes_where_its_numbers_are():
     tape = Tape()
-    x = Numbers((9, 2))
+    x = TracedArray((9, 2))
     for at in np.ndindex(*x.shape):
         x[at] = tape.input()
     y = each_row(lambda row: np.sin(row) * row[..., :1], x, least=0)

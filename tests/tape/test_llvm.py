@@ -12,7 +12,7 @@ from taped import FUNCTIONS, inputs, values
 
 from celnav.tape import llvm
 from celnav.tape.numbers import in_model
-from celnav.tape.tape import Tape, as_number, do
+from celnav.tape.tape import Tape, as_number, emit
 
 pytest.importorskip("llvmlite")
 
@@ -63,7 +63,7 @@ def flown(addresses, kinds, at, state, shared, own, kept, lanes):
     cells = llvm.aligned((CELLS, lanes))
     fields = np.array([rows.ctypes.data], np.uint64)
     pointers = (x.ctypes.data for x in (*table, blocks, shared, own, fields, cells))
-    llvm.fly()(
+    llvm.run_loop()(
         *pointers,
         len(state),
         shared.shape[1],
@@ -184,16 +184,16 @@ def test_truth_and_choice(lanes):
     given = np.stack([x.ravel() for x in np.meshgrid(X, X, [1.0, -1.0])])
     tape = Tape()
     a, b, c = inputs(tape, (3,))[0]
-    x, y = do("lt", a, b), do("le", c, 0.0)
+    x, y = emit("lt", a, b), emit("le", c, 0.0)
     told = [
-        do("and", x, y),
-        do("or", x, y),
-        do("not", x),
-        do("select", x, a, b),
-        do("select", x, 2.0, b),
-        do("select", do("not", y), a, -0.0),
+        emit("and", x, y),
+        emit("or", x, y),
+        emit("not", x),
+        emit("select", x, a, b),
+        emit("select", x, 2.0, b),
+        emit("select", emit("not", y), a, -0.0),
     ]
-    told += [do("select", do("or", do("not", x), y), do("select", y, a, b), NAN)]
+    told += [emit("select", emit("or", emit("not", x), y), emit("select", y, a, b), NAN)]
     found = computed(tape, [as_number(one) for one in told], given, lanes, False)
     u, v, w = given
     p, q = u < v, w <= 0.0
@@ -216,7 +216,7 @@ def test_constants_inputs_and_what_is_stored_twice(lanes):
     a, _ = inputs(tape, (2,))[0]
     constants = [0.0, -0.0, 1.0 / 3.0, 5e-324, INF, -INF, NAN, 1e300]
     found = computed(
-        tape, [a, a, *constants, True, do("neg", a)], np.stack([X, X[::-1]]), lanes, True
+        tape, [a, a, *constants, True, emit("neg", a)], np.stack([X, X[::-1]]), lanes, True
     )
     exactly(found, np.stack([X, X, *(np.full(len(X), x) for x in constants), np.ones(len(X)), -X]))
 
@@ -305,14 +305,16 @@ def tangled(steps, seed):
         name = names[rng.integers(len(names))]
         two = name in ("add", "sub", "mul", "div", "atan2", "copysign")
         known.append(
-            do(
+            emit(
                 name,
                 *(known[i] for i in rng.integers(max(0, len(known) - 12), len(known), 1 + two)),
             )
         )
         if rng.random() < 0.2:
             a, b = (known[i] for i in rng.integers(0, len(known), 2))
-            known.append(do("select", do("lt", a, b), do("select", do("ne", a, a), b, a), 0.5))
+            known.append(
+                emit("select", emit("lt", a, b), emit("select", emit("ne", a, a), b, a), 0.5)
+            )
     return tape, known[-10:]
 
 
@@ -351,7 +353,7 @@ def test_a_long_tape_is_cut_into_blocks():
     (x,) = inputs(tape, (2,))
     y = x[0]
     for k in range(llvm.BLOCK + 500):
-        y = do("add", y, do("mul", x[1], 1.0 / (1.0 + k)))
+        y = emit("add", y, emit("mul", x[1], 1.0 / (1.0 + k)))
     text = llvm.source(llvm.Kernel(tape, [("own", 0), ("own", 1)], [], [y]), 4, True)
     assert re.search(r"^b1:$", text, re.MULTILINE)
     found = computed(tape, [y], np.array([[1.0, 2.0], [0.5, -1.0]]), 4, True)[0]
@@ -393,7 +395,9 @@ def test_what_is_the_same_is_compiled_once():
     def made(factor):
         tape = Tape()
         x, y = inputs(tape, (2,))[0]
-        return llvm.Kernel(tape, [("own", 0), ("own", 1)], [], [do("mul", do("add", x, y), factor)])
+        return llvm.Kernel(
+            tape, [("own", 0), ("own", 1)], [], [emit("mul", emit("add", x, y), factor)]
+        )
 
     first, again, other = (
         llvm.kernel_address(made(factor), 4) for factor in (0.12345, 0.12345, 0.54321)

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 from taped import inputs, recorded
 
-from celnav.tape.numbers import Numbers, in_model, present
+from celnav.tape.numbers import TracedArray, in_model, present
 from celnav.tape.numbers import recorded as as_recorded
-from celnav.tape.tape import MOST, CannotCompile, Number, Tape, do
+from celnav.tape.tape import MOST, CannotCompile, Tape, TracedScalar, emit
 
 NAN, INF = np.nan, np.inf
 X = np.array([0.0, -0.0, 1.0, -1.0, 0.5, -2.5, 3.7, 7.0, -7.0, 1e-5, 1e100, INF, -INF, NAN])
@@ -364,9 +364,9 @@ def test_nothing_is_done_twice_and_what_is_known_at_once():
         np.where(True, x[0], x[1]),
     ):
         assert place(same) == place(x[0])
-    assert do("sub", 2.0, 3.0) == -1.0
+    assert emit("sub", 2.0, 3.0) == -1.0
     assert x[0] * 0.0 == 0.0
-    assert Numbers((2,)) @ x == 0.0
+    assert TracedArray((2,)) @ x == 0.0
     assert len(tape.ops) == count + 1  # -x
 
 
@@ -374,10 +374,10 @@ def test_only_what_is_asked_for_as_present_is_taken_to_be_there():
     tape = Tape()
     maybe, sure = tape.input(absent=True), tape.input()
     for x in (sure, maybe, maybe + sure, np.arccos(sure)[()]):
-        assert isinstance(x == x, Number)
-        assert isinstance(np.isnan(x)[()], Number)
+        assert isinstance(x == x, TracedScalar)
+        assert isinstance(np.isnan(x)[()], TracedScalar)
     there = present(as_recorded([sure, np.arccos(sure)[()], maybe, maybe + sure, 1.0, NAN]))
-    assert [type(x) is Number for x in there] == [False, False, True, True, False, False]
+    assert [type(x) is TracedScalar for x in there] == [False, False, True, True, False, False]
     assert [bool(there[i]) for i in (0, 1, 4, 5)] == [True, True, True, False]
     np.testing.assert_array_equal(present(np.array([1.0, NAN])), [True, False])
 
@@ -500,9 +500,9 @@ def test_a_tape_that_is_too_long_is_refused(monkeypatch):
 def test_what_holds_numbers_is_recognized():
     tape = Tape()
     (x,) = inputs(tape, (2,))
-    assert type(as_recorded([x[0], 1.0])) is Numbers
-    assert type(as_recorded(x[0])) is Numbers
-    assert type(as_recorded(np.array([x[0], 1.0], object))) is Numbers
+    assert type(as_recorded([x[0], 1.0])) is TracedArray
+    assert type(as_recorded(x[0])) is TracedArray
+    assert type(as_recorded(np.array([x[0], 1.0], object))) is TracedArray
     assert as_recorded([1.0, 2.0]) is None
     assert as_recorded(np.ones(2)) is None
     assert as_recorded(np.array([object()])) is None
@@ -522,7 +522,7 @@ MIXED = {
 @pytest.mark.parametrize("name", MIXED)
 def test_truth_values_among_numbers_are_numbers(name):
     def mixed(x):
-        both = np.empty(6) if type(x) is np.ndarray else np.empty(6, object).view(Numbers)
+        both = np.empty(6) if type(x) is np.ndarray else np.empty(6, object).view(TracedArray)
         for i in range(3):
             both[i], both[3 + i] = (x > 0.0)[i], x[i]
         return MIXED[name](both)
@@ -532,7 +532,7 @@ def test_truth_values_among_numbers_are_numbers(name):
 
 def test_what_is_known_is_folded_without_a_warning():
     with np.errstate(all="raise"):
-        assert do("div", 1.0, 0.0) == INF
-        assert do("log", 0.0) == -INF
-        assert do("exp", 1e4) == INF
-        assert math.isnan(do("sqrt", -1.0))
+        assert emit("div", 1.0, 0.0) == INF
+        assert emit("log", 0.0) == -INF
+        assert emit("exp", 1e4) == INF
+        assert math.isnan(emit("sqrt", -1.0))

@@ -8,8 +8,8 @@ from test_llvm import computed
 
 from celnav.gaussian import recorded
 from celnav.tape import llvm, numbers
-from celnav.tape.numbers import Numbers, each_row, rarely
-from celnav.tape.tape import Number, Tape
+from celnav.tape.numbers import TracedArray, each_row, rarely
+from celnav.tape.tape import Tape, TracedScalar
 
 RUNS = 11
 
@@ -31,7 +31,7 @@ def _everything_rolled(monkeypatch):
 
 def inputs(tape, *shape):
     """Numbers of a shape, the next inputs of a tape."""
-    x = Numbers(shape)
+    x = TracedArray(shape)
     for at in np.ndindex(*shape):
         x[at] = tape.input()
     return x
@@ -207,7 +207,7 @@ def test_what_is_rarely_needed_is_skipped_where_no_run_of_a_vector_needs_it(lane
     x, c = inputs(tape, 1, 1), inputs(tape)[()]
     rarely(c > 0.0, lambda x: (2.0 * x,), (x,), (x,))
     (part,) = (i for i, op in enumerate(tape.ops) if op[0] == "part")
-    left = flown(tape, np.array([Number(tape, part)], object), given, lanes)[0]
+    left = flown(tape, np.array([TracedScalar(tape, part)], object), given, lanes)[0]
     first = 9 // lanes * lanes
     assert left[9] == 2.0
     assert np.isnan(left[:first]).all()  # memory that was not written

@@ -27,7 +27,7 @@ from celnav.filters.records import Epoch, Filter, FromFunctions
 from celnav.filters.sequential import Iterated, ekf, sigma_point
 from celnav.filters.switching import Switching
 from celnav.gaussian.belief import Gaussian
-from celnav.gaussian.linalg import Array, Belief, surely
+from celnav.gaussian.linalg import Array, Belief, is_concretely_true
 from celnav.gaussian.rules import (
     Rule,
     Taylor,
@@ -258,7 +258,7 @@ def simulate(
 def dynamics(x: Array, epoch: Epoch) -> Array:
     """One step of the error model; a point beyond 89 degrees of phi_x is lost (nan), and with it its run."""
     y = inertial.advance(x, epoch.u.interval, epoch.dt)
-    if surely(np.abs(x[..., 0]).max() >= inertial.SINGULAR):
+    if is_concretely_true(np.abs(x[..., 0]).max() >= inertial.SINGULAR):
         y = np.where(np.abs(x[..., :1]) < inertial.SINGULAR, y, np.nan)
     return y
 

@@ -77,9 +77,9 @@ from celnav.study.numbers import (
 )
 from celnav.study.study import Part, Results, Rngs, Study, When, fly, together
 from celnav.study.trial import Trial
-from celnav.tape.numbers import Numbers
-from celnav.tape.tape import Number as Recorded
+from celnav.tape.numbers import TracedArray
 from celnav.tape.tape import Tape
+from celnav.tape.tape import TracedScalar as Recorded
 
 __all__ = [
     "AVERAGED_DEG", "AXES", "COARSE", "FIELD", "FIELD_DEG", "ROOTS", "SLOPES", "STUDY", "TIMED", "VECTOR", "apart", "changes",
@@ -457,7 +457,7 @@ def by_components(config: Config, rngs: Rngs) -> dict[str, Array]:
 # -- operations of point-by-point code, counted on a tape: nothing is known beforehand ---------------------------------------
 def counted(function: Callable[..., Any], *shapes: tuple[int, ...]) -> Array:
     """Operations of a function of arrays of such shapes ``(2,)``: as one each, and with 20 for what is no sum and no product."""
-    tape, given = Tape(rolled=False), [Numbers(shape[::-1]).T for shape in shapes]
+    tape, given = Tape(rolled=False), [TracedArray(shape[::-1]).T for shape in shapes]
     for x in given:
         for at in np.ndindex(*x.shape):
             x[at] = tape.input()

@@ -23,12 +23,20 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from celnav.filters.joint import KEEP, condition, joint
-from celnav.filters.model import check_prior, given_back
+from celnav.filters.model import check_prior, check_return
 from celnav.filters.records import Epoch, Info
 from celnav.filters.two_stage import LINEAR, Boost, Stage
 from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.checks import finite, function, instance, numbers, together, unmasked
-from celnav.gaussian.linalg import Array, Covariance, block, cholesky, matvec, side_by_side, surely
+from celnav.gaussian.linalg import (
+    Array,
+    Covariance,
+    block,
+    cholesky,
+    is_concretely_true,
+    matvec,
+    side_by_side,
+)
 from celnav.gaussian.spaces import EUCLIDEAN
 from celnav.models.noise import Noise
 
@@ -77,7 +85,7 @@ class Differenced:
     ) -> tuple[DifferencedState, Array | None]:
         """State that knows what the model says of the interval, and the transition matrix."""
         n, q = state.belief.mean.shape[-1], self.noise.L.shape[-1]
-        found = given_back("move", self.move(state.belief.mean, epoch), "state, Phi, G")
+        found = check_return("move", self.move(state.belief.mean, epoch), "state, Phi, G")
         shapes = (..., n), (..., n, n), (..., n, q)
         x, Phi, G = (
             numbers("move", unmasked("move", a), shape)
@@ -94,7 +102,7 @@ class Differenced:
         n, (q, m), first = x.shape[-1], J.shape[-2:], state.V is None
         z = numbers("z", epoch.z, () if epoch.z is None else (..., m))
         together(prior=x.shape[:-1], z=z.shape[:-1])
-        if surely(np.isnan(z).any()):
+        if is_concretely_true(np.isnan(z).any()):
             raise ValueError(
                 "z: expected a whole measurement at every epoch: what was missed cannot be differenced"
             )
