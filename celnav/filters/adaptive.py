@@ -235,7 +235,7 @@ def _noisy(joint: Joint) -> tuple[Array, Array, Array]:
     """Innovation and variances of the noise, 0 and 1 where a component was not measured or has no
     noise; where it was and has.
     """
-    e, noise = np.asanyarray(joint.innovation), joint.variances()[1]
+    e, noise = np.asanyarray(joint.innovation), joint.noise_variances()
     used = present(e) & (noise > 0.0)
     return np.where(used, e, 0.0), np.where(used, noise, 1.0), used
 

@@ -108,19 +108,24 @@ class Joint(NamedTuple):
         return A, _padded(self.sign, A.shape[-1] - len(self.sign))
 
     def covariances(self) -> tuple[Array, Array]:
-        """Of the innovation without measurement noise ``(..., m, m)``, and of state and innovation
-        ``(..., n, m)``.
+        """Covariance of the innovation without measurement noise ``(..., m, m)``, and that of state
+        and innovation ``(..., n, m)``.
         """
         A, sign = self._replace(measurement_noise=None).columns()
         m = self.measurement.columns.shape[-2]
-        cov = (A * sign) @ A[..., :m, :].mT
+        cov = A @ _signed(A[..., :m, :], sign).mT
         return cov[..., :m, :], cov[..., m:, :]
 
     def variances(self) -> tuple[Array, Array]:
         """Variances ``(..., m)`` of the innovation without measurement noise, and of that noise."""
+        A, sign = self._replace(measurement_noise=None).columns()
+        D = A[..., : self.measurement.columns.shape[-2], :]
+        return np.vecdot(_signed(D, sign), D), self.noise_variances()
+
+    def noise_variances(self) -> Array:
+        """Variances ``(..., m)`` of the measurement noise."""
         V = self.measurement_noise
-        noise = np.zeros(self.measurement.columns.shape[-2]) if V is None else np.vecdot(V, V)
-        return self.covariances()[0].diagonal(0, -2, -1), noise
+        return np.zeros(self.measurement.columns.shape[-2]) if V is None else np.vecdot(V, V)
 
     def leaving_out(self, mask: Array) -> Joint:
         """Without the components of the measurement where ``mask (..., m)`` is True."""
@@ -143,6 +148,11 @@ that gives it.
 def _padded(sign: Array, count: int) -> Array:
     """The signs of columns with ``count`` more columns of noise; one 1 goes on standing for all."""
     return sign if len(sign) == 1 or not count else np.append(sign, np.ones(count))
+
+
+def _signed(A: Array, sign: Array) -> Array:
+    """Columns times their signs."""
+    return A if len(sign) == 1 else A * sign
 
 
 # -- pushing a belief through models ---------------------------------------------------------------
@@ -506,7 +516,7 @@ def condition(
     def gain_used() -> Array:
         return solve_right(S, U) if K is None else K
 
-    R = joint.variances()[1] if hooks else None
+    R = joint.noise_variances() if hooks else None
     info = Info(measured, whitened, used, S, gain_used, joint.measurement.jacobian, R=R)
     return _belief(form, space.plus(joint.state.center, step), spread), info, memory
 
