@@ -27,7 +27,6 @@ from celnav.receiver import report as positioning_report
 from celnav.receiver.rinex import read_navigation, read_observations
 from celnav.receiver.tracks import FORMATS
 
-
 SKY = above(constellation(), TIMES)
 
 
@@ -321,7 +320,9 @@ def damaged(text, rng):
     return "\n".join(lines)
 
 
-@pytest.mark.parametrize(("b", "seeds"), [(SKY, range(20)), (above(both(), TIMES), range(20, 40))], ids=["C", "CG"])
+@pytest.mark.parametrize(
+    ("b", "seeds"), [(SKY, range(20)), (above(both(), TIMES), range(20, 40))], ids=["C", "CG"]
+)
 @pytest.mark.parametrize("which", ["observations", "navigation"])
 def test_damage_is_an_error_of_input_or_is_told_in_the_summary(tmp_path, which, b, seeds):
     texts = {"observations": observations(b, TIMES)[0], "navigation": navigation(b)}
