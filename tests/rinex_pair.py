@@ -64,7 +64,7 @@ def both():
 
 
 def above(b, times):
-    """Its satellites above 5 degrees at `PLACE` at some of the times, beside C05 and C19, which tests name.
+    """Satellites above 5 degrees at `PLACE` at some of the times, and C05 and C19, for tests.
 
     Of each satellite orbits are computed apart, and those below the horizon are never used.
     """

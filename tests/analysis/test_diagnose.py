@@ -43,9 +43,10 @@ def inside(count, of, level=0.95):
     [(0.0, 300, 1), (0.0, 40, 4), (0.7, 300, 1), (0.9, 400, 2), (-0.5, 300, 1)],
 )
 def test_bands_and_intervals_cover(phi, steps, runs):
-    """At 95 % of many logs: the bias 0, the size 1, the coefficient and the deviation; and white noise passes Ljung and Box.
+    """At 95 % of many logs: bias 0, size 1, coefficient, deviation; white noise passes Ljung-Box.
 
-    Of 200 logs 179 to 198 are within binomial error: in 19 cases of 20 it shows that 85 % are covered, or 99.9 %.
+    Of 200 logs 179 to 198 are within binomial error: in 19 cases of 20 it shows that only 85 % are
+    covered, or 99.9 %.
     """
     rng, many = np.random.default_rng(2), 200
     counts = np.zeros(5, int)
