@@ -11,9 +11,9 @@ from matplotlib.text import Text
 
 def faults(fig):
     """What cannot be read, in words: clipped texts, texts over one another, legends over data."""
-    canvas = FigureCanvasAgg(fig)
-    canvas.draw()
-    renderer, found = canvas.get_renderer(), []
+    renderer, found = FigureCanvasAgg(fig).get_renderer(), []
+    with renderer._draw_disabled():  # boxes need no pixels
+        fig.draw(renderer)
     flat = [ax for ax in fig.axes if ax.name != "3d"]
 
     def box(artist):

@@ -63,6 +63,17 @@ def both():
     )
 
 
+def above(b, times):
+    """Satellites above 5 degrees at `PLACE` at some of the times, and C05 and C19, for tests.
+
+    Of each satellite orbits are computed apart, and those below the horizon are never used.
+    """
+    latitude, longitude, _ = ecef2geodetic(*PLACE, ell=ELLIPSOID, deg=False)
+    q = pseudorange.sources(b, np.asarray(times), PLACE[None]).q
+    high = look(q, PLACE, local_axes(latitude, longitude)).elevation > np.radians(5.0)
+    return b.chosen(high.any(0) | np.isin(b.names, ["C05", "C19"]))
+
+
 def label(text, name):
     return f"{text:<60}{name:<20}\n"
 

@@ -43,8 +43,12 @@ def inside(count, of, level=0.95):
     [(0.0, 300, 1), (0.0, 40, 4), (0.7, 300, 1), (0.9, 400, 2), (-0.5, 300, 1)],
 )
 def test_bands_and_intervals_cover(phi, steps, runs):
-    """At 95 % of many logs: the bias 0, the size 1, the coefficient and the deviation; and white noise passes Ljung and Box."""
-    rng, many = np.random.default_rng(2), 300
+    """At 95 % of many logs: bias 0, size 1, coefficient, deviation; white noise passes Ljung-Box.
+
+    Of 200 logs 179 to 198 are within binomial error: in 19 cases of 20 it shows that only 85 % are
+    covered, or 99.9 %.
+    """
+    rng, many = np.random.default_rng(2), 200
     counts = np.zeros(5, int)
     colored = 0
     for _ in range(many):
@@ -564,14 +568,15 @@ def test_missing_samples_are_fitted_by_the_filter_that_loses_nothing():
     z = z[:, 0]
     z[np.random.default_rng(0).random(400) < 0.3] = np.nan
     track = celnav.run(celnav.ukf(walk, fix), start, times, z)
-    model = diagnose(track, prior=start, z=z).model
+    found = diagnose(track, prior=start, z=z)
+    model = found.model
     assert model.name == "augmented"
     assert model.phi_interval[0, 0] < 0.9 < model.phi_interval[0, 1]
     best = celnav.augmented(walk, celnav.Sensor([[1.0]], model.R), model.Phi)
     again = celnav.run(best, start, times, z)
     assert model.gain == pytest.approx(again.log_likelihood - track.log_likelihood)
     np.testing.assert_allclose(model.predicted, again.std[-1, :1])
-    assert "celnav.augmented(motion, sensor, Phi=" in str(diagnose(track, prior=start, z=z))
+    assert "celnav.augmented(motion, sensor, Phi=" in str(found)
 
 
 def test_noise_functions_and_measurement_functions_are_fitted_together():

@@ -231,7 +231,7 @@ def strict(parameters):
     return correlation(parameters)
 
 
-def correlated(steps=200):
+def correlated(steps=100):
     rng = np.random.default_rng(8)
     phi, q = truth = np.array([0.95, 0.8])
     x, z = rng.normal(), []

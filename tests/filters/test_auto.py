@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 import pytest
 from twice import assert_same
@@ -32,7 +34,13 @@ def filter_of(f=swing):
 def data(steps, runs):
     """Times and measurements ``(steps, runs, 1)``."""
     times = 0.1 * np.arange(steps)
-    return times, celnav.simulate(celnav.Motion(swing, 0.02), RADAR, PRIOR, times, runs=runs)[1]
+    return times, drawn(steps, runs).copy()
+
+
+@functools.cache
+def drawn(steps, runs):
+    motion, times = celnav.Motion(swing, 0.02), 0.1 * np.arange(steps)
+    return celnav.simulate(motion, RADAR, PRIOR, times, runs=runs)[1]
 
 
 @pytest.fixture
@@ -325,6 +333,6 @@ def test_a_step_is_seldom_recorded_in_vain_while_work_accumulates(records, monke
     monkeypatch.setattr(compiled, "MAKE_S", 1e-3)
     filter = filter_of(lambda x, epoch: looped(1.003 * x, epoch))
     times, z = data(20, 20)
-    for _ in range(64):
+    for _ in range(32):
         assert celnav.run(filter, PRIOR, times, z).engine.startswith("numpy: a step of more than")
-    assert len(records) <= 2 + np.log2(64)
+    assert len(records) <= 2 + np.log2(32)

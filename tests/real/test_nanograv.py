@@ -106,7 +106,7 @@ def test_noise_is_found_as_large_as_it_was_made(folder):
     rng = np.random.default_rng(2)
     a = arrivals.read(folder)[1]
     M, K = arrivals.model(a), arrivals.walk(a)
-    found, runs = [], 16
+    found, runs = [], 8
     for _ in range(runs):
         red = np.linalg.cholesky(K[1:, 1:]) @ rng.standard_normal(len(K) - 1)
         late = (

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rinex_pair import ALPHA, BETA, PLACE, TOE, constellation, observed
+from rinex_pair import ALPHA, BETA, PLACE, TOE, above, constellation, observed
 
 from celnav.files import InputError
 from celnav.models.gnss import B1I_HZ, LIGHT
@@ -22,7 +22,8 @@ NOISE = 0.5
 @pytest.fixture(scope="module")
 def noisy():
     """A log of 40 epochs with noise, and its broadcast sets."""
-    b, times = constellation(), TOE + 1800.0 + 30.0 * np.arange(40)
+    times = TOE + 1800.0 + 30.0 * np.arange(40)
+    b = above(constellation(), times[[0, -1]])
     log = observed(b, times, 3e4 + 30.0 * (times - times[0]))
     rng = np.random.default_rng(5)
     code, doppler = (

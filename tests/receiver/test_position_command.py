@@ -9,7 +9,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rinex_pair import PLACE, TIMES, both, constellation, navigation, observations, written
+from rinex_pair import (
+    PLACE,
+    TIMES,
+    above,
+    both,
+    constellation,
+    navigation,
+    observations,
+    written,
+)
 
 from celnav import cli
 from celnav.files import InputError, Outputs
@@ -18,12 +27,13 @@ from celnav.receiver import report as positioning_report
 from celnav.receiver.rinex import read_navigation, read_observations
 from celnav.receiver.tracks import FORMATS
 
+SKY = above(constellation(), TIMES)
+
 
 @pytest.fixture
 def files(tmp_path):
-    b = constellation()
-    return str(written(tmp_path, observations(b, TIMES)[0], "obs.rnx")), str(
-        written(tmp_path, navigation(b), "nav.rnx")
+    return str(written(tmp_path, observations(SKY, TIMES)[0], "obs.rnx")), str(
+        written(tmp_path, navigation(SKY), "nav.rnx")
     )
 
 
@@ -153,7 +163,7 @@ OBSERVATIONS = {
 @pytest.mark.parametrize("name", OBSERVATIONS)
 def test_damaged_observations_are_told(name, tmp_path):
     damage, words = OBSERVATIONS[name]
-    text = observations(constellation(), TIMES)[0]
+    text = observations(SKY, TIMES)[0]
     changed = damage(text)
     assert changed != text
     with pytest.raises(InputError, match=re.escape(words)):
@@ -161,7 +171,7 @@ def test_damaged_observations_are_told(name, tmp_path):
 
 
 def test_events_in_a_log_are_passed_over(tmp_path):
-    text = observations(constellation(), TIMES)[0]
+    text = observations(SKY, TIMES)[0]
     whole = read_observations(written(tmp_path, text, "whole.rnx"))
     event = (
         ">                              4  2\n"
@@ -180,7 +190,7 @@ def test_events_in_a_log_are_passed_over(tmp_path):
 
 
 def test_a_log_of_beidou_alone_is_in_its_own_time(tmp_path):
-    text = observations(constellation(), TIMES, 0.0, "   ")[0].replace("M: Mixed", "C: BDS  ", 1)
+    text = observations(SKY, TIMES, 0.0, "   ")[0].replace("M: Mixed", "C: BDS  ", 1)
     np.testing.assert_allclose(read_observations(written(tmp_path, text)).times, TIMES, atol=1e-6)
 
 
@@ -193,7 +203,7 @@ NAVIGATION = {
 @pytest.mark.parametrize("name", NAVIGATION)
 def test_damaged_orbits_are_told(name, tmp_path):
     damage, words = NAVIGATION[name]
-    text = navigation(constellation())
+    text = navigation(SKY)
     changed = damage(text)
     assert changed != text
     with pytest.raises(InputError, match=re.escape(words)):
@@ -310,10 +320,11 @@ def damaged(text, rng):
     return "\n".join(lines)
 
 
-@pytest.mark.parametrize(("make", "seeds"), [(constellation, range(30)), (both, range(30, 60))])
+@pytest.mark.parametrize(
+    ("b", "seeds"), [(SKY, range(20)), (above(both(), TIMES), range(20, 40))], ids=["C", "CG"]
+)
 @pytest.mark.parametrize("which", ["observations", "navigation"])
-def test_damage_is_an_error_of_input_or_is_told_in_the_summary(tmp_path, which, make, seeds):
-    b = make()
+def test_damage_is_an_error_of_input_or_is_told_in_the_summary(tmp_path, which, b, seeds):
     texts = {"observations": observations(b, TIMES)[0], "navigation": navigation(b)}
     read = {"observations": read_observations, "navigation": read_navigation}
     whole = {

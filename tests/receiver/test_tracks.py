@@ -12,7 +12,18 @@ import numpy as np
 import pytest
 import rerun as rr
 from pymap3d import geodetic2ecef
-from rinex_pair import ALPHA, BETA, PLACE, TOE, both, navigation, observations, observed, written
+from rinex_pair import (
+    ALPHA,
+    BETA,
+    PLACE,
+    TOE,
+    above,
+    both,
+    navigation,
+    observations,
+    observed,
+    written,
+)
 
 from celnav import cli
 from celnav.receiver import position as positioning
@@ -26,8 +37,9 @@ LONG = TOE + 1800.0 + 30.0 * np.arange(6)
 
 @pytest.fixture(scope="module", params=["CG", "G"])
 def found(request):
-    nav = Navigation(Path("nav.rnx"), both(), (np.array(ALPHA), np.array(BETA)))
-    obs = observed(both(), LONG, 3e4 + 30.0 * (LONG - LONG[0]))
+    sky = above(both(), LONG)
+    nav = Navigation(Path("nav.rnx"), sky, (np.array(ALPHA), np.array(BETA)))
+    obs = observed(sky, LONG, 3e4 + 30.0 * (LONG - LONG[0]))
     return report.position(positioning.prepare(obs, nav, systems=request.param), "ekf", PLACE)
 
 
@@ -137,8 +149,9 @@ def test_geojson_is_a_line_or_a_point(found):
 @pytest.fixture(scope="module")
 def doubtful():
     """Four satellites are left in two epochs, and a range of one of them is 10 km too long."""
-    nav = Navigation(Path("nav.rnx"), both(), (np.array(ALPHA), np.array(BETA)))
-    obs = observed(both(), LONG, 3e4 + 30.0 * (LONG - LONG[0]))
+    sky = above(both(), LONG)
+    nav = Navigation(Path("nav.rnx"), sky, (np.array(ALPHA), np.array(BETA)))
+    obs = observed(sky, LONG, 3e4 + 30.0 * (LONG - LONG[0]))
     obs, code = obs.of("C"), obs.of("C").code.copy()
     four = [obs.names.index(name) for name in ("C01", "C02", "C05", "C38")]
     code[2:4] = np.nan

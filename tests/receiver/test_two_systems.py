@@ -13,6 +13,7 @@ from rinex_pair import (
     PLACE,
     TIMES,
     TOE,
+    above,
     both,
     constellation,
     gps,
@@ -39,7 +40,7 @@ OFFSET = -37.0
 
 @pytest.fixture(scope="module")
 def pair():
-    b = both()
+    b = above(both(), LONG[[0, -1]])
     return Navigation(Path("nav.rnx"), b, (np.array(ALPHA), np.array(BETA))), observed(
         b, LONG, DRIFTING, OFFSET
     )
