@@ -9,7 +9,7 @@ all ranges first, then all rates.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -52,7 +52,7 @@ def sources(
         state = satellites(broadcast, when - delay)
         q = turned(state.position, ROTATION_RATE * delay)
         delay = np.linalg.norm(q - place, axis=-1) / LIGHT
-    return _seen(state, q, delay, place, velocity)
+    return _seen(state, q, delay, place, _beside(velocity))
 
 
 def emitted(
@@ -68,14 +68,32 @@ def emitted(
     The Earth turns by the geometric delay; a ``position (..., 3)`` that is off by a kilometer moves
     satellites by a centimeter.
     """
-    when, place = np.asarray(t, dtype=np.float64)[..., None], np.asarray(position)[..., None, :]
-    sent = when - pseudorange / LIGHT
+    when = np.asarray(t, dtype=np.float64)[..., None]
+    return emitted_each(
+        broadcast, when, pseudorange, np.asarray(position)[..., None, :], _beside(velocity)
+    )
+
+
+def emitted_each(
+    broadcast: Broadcast,
+    t: Array,
+    pseudorange: Array,
+    position: Array,
+    velocity: Array | float = 0.0,
+) -> Sources:
+    """The same with a time ``(..., S)``, position and velocity ``(..., S, 3)`` for each satellite."""
+    sent = t - pseudorange / LIGHT
     state = satellites(broadcast, sent - satellites(broadcast, sent).clock)
     q = state.position
     for _ in range(3):
-        delay = np.linalg.norm(q - place, axis=-1) / LIGHT
+        delay = np.linalg.norm(q - position, axis=-1) / LIGHT
         q = turned(state.position, ROTATION_RATE * delay)
-    return _seen(state, q, delay, place, velocity)
+    return _seen(state, q, delay, position, velocity)
+
+
+def _beside(velocity: Array | float) -> Any:
+    """A velocity ``(..., 3)`` with an axis for the satellites."""
+    return np.asarray(velocity)[..., None, :] if np.ndim(velocity) else velocity
 
 
 def _seen(
@@ -86,8 +104,7 @@ def _seen(
     inertial = moved + spun(q, ROTATION_RATE)
     away = q - place
     e = away / np.linalg.norm(away, axis=-1, keepdims=True)
-    own = np.asarray(velocity)[..., None, :] if np.ndim(velocity) else velocity
-    rate = (e * (moved - own)).sum(-1) / (1.0 + (e * inertial).sum(-1) / LIGHT)
+    rate = (e * (moved - velocity)).sum(-1) / (1.0 + (e * inertial).sum(-1) / LIGHT)
     return Sources(
         q, moved - rate[..., None] / LIGHT * inertial, LIGHT * state.clock, LIGHT * state.drift
     )

@@ -344,12 +344,10 @@ def _sources(
     T, S = rows.shape
     q, w = np.full((T, S, 3), 3e7), np.zeros((T, S, 3))
     clock, drift = np.zeros((T, S)), np.zeros((T, S))
-    for s in range(S):
-        for row in np.unique(rows[usable[:, s], s]):
-            k = np.flatnonzero(usable[:, s] & (rows[:, s] == row))
-            sets = navigation.sets.chosen(np.array([row]))
-            seen = pseudorange.emitted(sets, times[k], code[k, s, None], position[k], velocity[k])
-            q[k, s], w[k, s], clock[k, s], drift[k, s] = (part[:, 0] for part in seen)
+    k, s = np.nonzero(usable)
+    sets = navigation.sets.chosen(rows[k, s])
+    pairs = pseudorange.emitted_each(sets, times[k], code[k, s], position[k], velocity[k])
+    q[k, s], w[k, s], clock[k, s], drift[k, s] = pairs
     return pseudorange.Sources(q, w, clock, drift)
 
 

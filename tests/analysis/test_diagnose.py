@@ -43,12 +43,8 @@ def inside(count, of, level=0.95):
     [(0.0, 300, 1), (0.0, 40, 4), (0.7, 300, 1), (0.9, 400, 2), (-0.5, 300, 1)],
 )
 def test_bands_and_intervals_cover(phi, steps, runs):
-    """At 95 % of many logs: bias 0, size 1, coefficient, deviation; white noise passes Ljung-Box.
-
-    Of 200 logs 179 to 198 are within binomial error: in 19 cases of 20 it shows that only 85 % are
-    covered, or 99.9 %.
-    """
-    rng, many = np.random.default_rng(2), 200
+    """At 95 % of many logs: bias 0, size 1, coefficient, deviation; white noise passes Ljung-Box."""
+    rng, many = np.random.default_rng(2), 300
     counts = np.zeros(5, int)
     colored = 0
     for _ in range(many):
