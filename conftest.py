@@ -1,4 +1,6 @@
-"""Tests run studies and notebooks with few runs, and each paper's study once; the kernels of notebooks inherit this."""
+"""Tests run studies and notebooks with few runs, and each paper's study once; the kernels of
+notebooks inherit this.
+"""
 
 import atexit
 import os
@@ -27,7 +29,8 @@ def pytest_collection_modifyitems(items):
 
 @pytest.fixture(autouse=True, scope="module")
 def machine_code(request):
-    """Machine code is not optimized, which takes half of the time, except where a module asks for it.
+    """Machine code is not optimized, which takes half of the time, except where a module asks for
+    it.
 
     A module that compares the code that users get with numpy has ``OPTIMIZED = True``.
     """
@@ -43,7 +46,9 @@ def machine_code(request):
 
 @pytest.fixture
 def eager(monkeypatch):
-    """`celnav.run` is numpy's where no engine is named, and "auto" compiles whatever can be compiled."""
+    """`celnav.run` is numpy's where no engine is named, and "auto" compiles whatever can be
+    compiled.
+    """
     from celnav.filters import compiled
     from celnav.filters.run import ENGINE
 

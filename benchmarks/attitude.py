@@ -1,8 +1,9 @@
 """``python -m benchmarks.attitude``: what state switching saves, as time.
 
-Three kinds of code. Point by point: plain Python on floats, one point after the other, as a processor without vectors would
-work, with the augmented covariance factored whole (dense) or block by block. Arrays: celnav, one run alone and 500 at once.
-Filters take turns; the number of each is its smallest over the rounds. ``--full`` runs the paper's 100 Hz over 600 s for 200 runs.
+Three kinds of code. Point by point: plain Python on floats, one point after the other, as a
+processor without vectors would work, with the augmented covariance factored whole (dense) or block
+by block. Arrays: celnav, one run alone and 500 at once. Filters take turns; the number of each is
+its smallest over the rounds. ``--full`` runs the paper's 100 Hz over 600 s for 200 runs.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ POINTWISE = {"aukf": (9, 9), "ssukf": (6, 3)}
 """Dimensions of the noise beside the state in prediction and update."""
 
 
-# -- point by point ------------------------------------------------------------------------------------------------------------
+# -- point by point --------------------------------------------------------------------------------
 def cholesky(P: Matrix) -> Matrix:
     """Lower root, row by row."""
     n = len(P)
@@ -221,7 +222,9 @@ def scalar_work(noise: tuple[int, int], dense: bool, per: int) -> Callable[[], f
 
 
 def agreement() -> float:
-    """Largest difference of the point-by-point SSUKF from that of the package after a star interval (rad)."""
+    """Largest difference of the point-by-point SSUKF from that of the package after a star interval
+    (rad).
+    """
     config = replace(PRESETS["100 Hz"], duration_s=0.25)
     sim = simulate(config, [generator(0, 0, 0)])
     scalar = Scalar(6, 3, dense=False)
@@ -233,7 +236,8 @@ def agreement() -> float:
     return float(np.abs(np.abs(mean[-1, 0, :4]) - np.abs(scalar.q)).max())
 
 
-# -- dense roots: the joint covariance of state and noise is factored as a whole, as the paper writes it ------------------------
+# -- dense roots: the joint covariance of state and noise is factored as a whole, as the paper
+# writes it
 def dense_filters(config: Config, *, form: str = "covariance") -> dict[str, Filter]:
     """AUKF and SSUKF that factor the whole augmented covariance."""
     w, v = noise_root(config.gyro, config.step_s).diagonal(), np.full(3, config.sigma_n)
@@ -279,12 +283,14 @@ def _augmented(state: State, noise: Array) -> State:
 
 
 def _reduced(state: State) -> State:
-    """About attitude and drift alone: of a lower root, too, the first rows are all there is of them."""
+    """About attitude and drift alone: of a lower root, too, the first rows are all there is of
+    them.
+    """
     belief = state.belief
     return state._replace(belief=type(belief)(belief.mean[..., :7], belief[1][..., :6, :6]))
 
 
-# -- arrays --------------------------------------------------------------------------------------------------------------------
+# -- arrays ----------------------------------------------------------------------------------------
 def array_work(name: str, runs: int, per: int, dense: bool) -> Callable[[], float]:
     """One star interval of a filter of the package; returns CPU seconds."""
     config = replace(
@@ -313,7 +319,9 @@ def calls(noise: tuple[int, int], per: int) -> int:
 
 
 def linearity(rounds: int) -> float:
-    """Coefficient of determination of time over calls, point by point with block roots: both filters, 1:1 to 25:1."""
+    """Coefficient of determination of time over calls, point by point with block roots: both
+    filters, 1:1 to 25:1.
+    """
     cases = [(noise, per) for noise in POINTWISE.values() for per in (1, 5, 10, 15, 20, 25)]
     found = compared({str(case): scalar_work(case[0], False, case[1]) for case in cases}, rounds)
     return float(np.corrcoef([calls(*case) for case in cases], list(found.values()))[0, 1] ** 2)
@@ -350,7 +358,9 @@ def table(rounds: int) -> dict[str, dict[str, float]]:
 
 
 def full_rate(runs: int = 200) -> dict[str, float]:
-    """The paper's 100 Hz over 600 s: CPU and wall seconds, and how far AUKF and SSUKF are apart (arcsec)."""
+    """The paper's 100 Hz over 600 s: CPU and wall seconds, and how far AUKF and SSUKF are apart
+    (arcsec).
+    """
     cpu, wall, apart, first = process_time(), perf_counter(), 0.0, 0.0
     for part in blocks(runs, 200):
         one = trial(PRESETS["100 Hz"], [generator(0, 0, r) for r in part])
@@ -398,7 +408,8 @@ def main() -> int:
             f"{kind:40} {1e6 * aukf:10.0f} {1e6 * ssukf:10.0f} {ssukf / aukf:7.2f}   {others}{made}"
         )
     print(
-        f"time over calls of f and h, point by point, block roots: r^2 = {linearity(options.rounds):.4f}"
+        "time over calls of f and h, point by point, block roots: r^2 = "
+        f"{linearity(options.rounds):.4f}"
     )
     if options.full:
         found["100 Hz, 600 s, 200 runs, AUKF and SSUKF"] = full_rate()

@@ -1,10 +1,13 @@
-"""``python -m benchmarks.campaign``: what a campaign costs over the bare filter, how it scales, what it needs and survives.
+"""``python -m benchmarks.campaign``: what a campaign costs over the bare filter, how it scales,
+what it needs and survives.
 
-overhead: CPU time of a campaign in one process over that of the bare batched filter on the same runs, and over the filter with
-errors and NEES taken down by hand; block by block in turn.
-scaling: wall time with one process over that with two; and of the bare filter, in one and in two processes that know nothing of
+overhead: CPU time of a campaign in one process over that of the bare batched filter on the same
+runs, and over the filter with errors and NEES taken down by hand; block by block in turn.
+scaling: wall time with one process over that with two; and of the bare filter, in one and in two
+    processes that know nothing of
 each other: what the machine has to give.
-memory: peak of 1,000 and of 100,000 runs. kills: the table after kill -9 at random moments, 20 times.
+memory: peak of 1,000 and of 100,000 runs. kills: the table after kill -9 at random moments, 20
+    times.
 """
 
 from __future__ import annotations
@@ -62,7 +65,9 @@ def bare_block(work: Study, part: range) -> None:
 
 
 def judged_block(work: Study, part: range) -> None:
-    """The same with what a study of its own would take down at each epoch: errors, deviations, NEES, and NIS."""
+    """The same with what a study of its own would take down at each epoch: errors, deviations,
+    NEES, and NIS.
+    """
 
     def also(epoch: Epoch, state: Any, _info: Any) -> dict[str, Any]:
         error, root = made.compare(epoch.truth, state.belief)
@@ -74,7 +79,9 @@ def judged_block(work: Study, part: range) -> None:
 
 
 class InTurn(Executor):
-    """Does each unit of a study in this process, and in turn with it the bare work of the same runs, and the judged one."""
+    """Does each unit of a study in this process, and in turn with it the bare work of the same
+    runs, and the judged one.
+    """
 
     def __init__(self, work: Study) -> None:
         self._work = work
@@ -109,7 +116,9 @@ def timed(function: Callable[[], object], clock: Callable[[], float]) -> float:
 
 
 def overhead(runs: int) -> None:
-    """CPU time. The campaign's has all that it does: plan, bound (one run of a configuration), store, read and merge."""
+    """CPU time. The campaign's has all that it does: plan, bound (one run of a configuration),
+    store, read and merge.
+    """
     work = workload(runs)
     executor = InTurn(work)
     with tempfile.TemporaryDirectory() as folder:
@@ -117,7 +126,8 @@ def overhead(runs: int) -> None:
     bare, judged, units = (sum(executor.times[name]) for name in ("bare", "judged", "unit"))
     whole -= bare + judged
     print(
-        f"{runs} runs of 600 steps, CPU s: bare {bare:.2f}, judged by hand {judged:.2f}, units {units:.2f}, campaign {whole:.2f}"
+        f"{runs} runs of 600 steps, CPU s: bare {bare:.2f}, judged by hand {judged:.2f}, units "
+        f"{units:.2f}, campaign {whole:.2f}"
     )
     for name in ("bare", "judged"):
         ratios = [
@@ -125,7 +135,8 @@ def overhead(runs: int) -> None:
         ]
         each = f"{100 * (statistics.median(ratios) - 1):+.1f} % (median of {len(ratios)} units but the first)"
         print(
-            f"overhead over {name}: {100 * (whole / sum(executor.times[name]) - 1):+.1f} %, of a unit {each}"
+            f"overhead over {name}: {100 * (whole / sum(executor.times[name]) - 1):+.1f} %, of a "
+            f"unit {each}"
         )
 
 
@@ -144,12 +155,14 @@ def scaling(rounds: int, runs: int) -> None:
         gains.append(one / two)
         attainable.append(2.0 * alone / both)
         print(
-            f"one process {one:.1f} s, two {two:.1f} s: {gains[-1]:.2f}; the machine gives {attainable[-1]:.2f}",
+            f"one process {one:.1f} s, two {two:.1f} s: {gains[-1]:.2f}; the machine gives "
+            f"{attainable[-1]:.2f}",
             flush=True,
         )
     best = statistics.median(attainable)
     print(
-        f"scaling: {statistics.median(gains):.2f} with two processes; two bare processes apart attain {best:.2f}"
+        f"scaling: {statistics.median(gains):.2f} with two processes; two bare processes apart "
+        f"attain {best:.2f}"
     )
 
 
@@ -188,7 +201,9 @@ phi = [0.0, 0.8]
 
 
 def kills(trials: int, seed: int) -> int:
-    """Kill a campaign at a random moment, go on, kill a worker at another, compare the table. Returns how many were the same."""
+    """Kill a campaign at a random moment, go on, kill a worker at another, compare the table.
+    Returns how many were the same.
+    """
     rng, same = random.Random(seed), 0
     with tempfile.TemporaryDirectory() as top:
         file = Path(top, "study.toml")
@@ -207,7 +222,8 @@ def kills(trials: int, seed: int) -> int:
             found = _finish(file, folder)
             same += found == wanted
             print(
-                f"{i + 1}: killed {first} and {second}, {'same' if found == wanted else 'OTHER'} table",
+                f"{i + 1}: killed {first} and {second}, {'same' if found == wanted else 'OTHER'} "
+                "table",
                 flush=True,
             )
     print(f"kills: {same} of {trials} tables have the same bytes")
@@ -240,8 +256,8 @@ def _finish(file: Path, folder: Path) -> str:
 
 
 def _killed(file: Path, folder: Path, units: int, wait: float, *, worker: bool) -> str:
-    """Start, wait for so many units and a little longer, then kill -9 the campaign (and see that no worker is left), or a worker
-    (and let the campaign finish)."""
+    """Start, wait for so many units and a little longer, then kill -9 the campaign (and see that no
+    worker is left), or a worker (and let the campaign finish)."""
     process = _start(file, folder)
     while process.poll() is None and (_done(folder) < units or not _children(process.pid)):
         time.sleep(0.01)

@@ -1,8 +1,10 @@
-"""``python -m benchmarks.cuda``: the common workload on an NVIDIA device, against the compiled engine and JAX on the same device.
+"""``python -m benchmarks.cuda``: the common workload on an NVIDIA device, against the compiled
+engine and JAX on the same device.
 
-Wall time of a filter's `run`, with all that it arranges, copies and checks; "in flights" is what its threads wait for the device
-together, copies among that. Before any time is taken the estimate is compared with that
-of the numpy engine. Many runs are flown in parts, each of which has the same measurements.
+Wall time of a filter's `run`, with all that it arranges, copies and checks; "in flights" is what
+its threads wait for the device together, copies among that. Before any time is taken the estimate
+is compared with that of the numpy engine. Many runs are flown in parts, each of which has the same
+measurements.
 """
 
 from __future__ import annotations
@@ -131,7 +133,8 @@ def main() -> int:
     if max(apart.values()) > LEAST:
         return 1
     print(
-        "\n| filter | kept | runs | s | in flights, s | us per run-step | compiled, s | JAX, s |\n|---|---|--:|--:|--:|--:|--:|--:|"
+        "\n| filter | kept | runs | s | in flights, s | us per run-step | compiled, s | JAX, s "
+        "|\n|---|---|--:|--:|--:|--:|--:|--:|"
     )
     for runs in counts:
         some = z[:, : min(runs, PART)]
@@ -147,7 +150,8 @@ def main() -> int:
                 host = wall(flights(form, "compiled", some, runs, keep, options.jobs), 1)
                 step = 1e6 * own / (runs * options.steps)
                 print(
-                    f"| {form} | {keep} | {runs} | {own:.2f} | {within:.2f} | {step:.5f} | {host:.2f} | {jax} |",
+                    f"| {form} | {keep} | {runs} | {own:.2f} | {within:.2f} | {step:.5f} | "
+                    f"{host:.2f} | {jax} |",
                     flush=True,
                 )
     return 0

@@ -1,7 +1,9 @@
-"""``python -m benchmarks.dropin``: a step of the drop-in against filterpy's own `UnscentedKalmanFilter`, one run.
+"""``python -m benchmarks.dropin``: a step of the drop-in against filterpy's own
+`UnscentedKalmanFilter`, one run.
 
-A chain of integrators, a product with a matrix for each model: the cheapest there is, so that what the filters spend themselves
-shows most. Each round flies all three one after another, each in its turn first, and ratios are taken within rounds.
+A chain of integrators, a product with a matrix for each model: the cheapest there is, so that what
+the filters spend themselves shows most. Each round flies all three one after another, each in its
+turn first, and ratios are taken within rounds.
 """
 
 from __future__ import annotations
@@ -26,7 +28,9 @@ KINDS: tuple[Callable[..., Any], ...] = (UnscentedKalmanFilter, SquareRootUKF, S
 
 
 def filter_of(kind: Callable[..., Any], n: int, m: int) -> Any:
-    """A filter, its models one vector at a time, with the points of filterpy's examples: the center has a negative weight."""
+    """A filter, its models one vector at a time, with the points of filterpy's examples: the center
+    has a negative weight.
+    """
     F, H = np.eye(n) + 0.1 * np.eye(n, k=1), np.eye(m, n)
     kf = kind(
         n,

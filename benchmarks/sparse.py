@@ -1,8 +1,10 @@
-"""``python -m benchmarks.sparse``: a cycle of the covariance filter with rules of many points, against its model alone.
+"""``python -m benchmarks.sparse``: a cycle of the covariance filter with rules of many points,
+against its model alone.
 
-The model is that of the second paper (13 states, 8 measurements, 50 runs); numbers are CPU time of one run's cycle. "Model
-inside" is the time that the filter spends in its model; "model alone" evaluates the same points again and again, which then
-stay in cache: less than any filter can reach. "One run" is a run that is flown alone, its cycle the least of all rounds.
+The model is that of the second paper (13 states, 8 measurements, 50 runs); numbers are CPU time of
+one run's cycle. "Model inside" is the time that the filter spends in its model; "model alone"
+evaluates the same points again and again, which then stay in cache: less than any filter can reach.
+    "One run" is a run that is flown alone, its cycle the least of all rounds.
 """
 
 from __future__ import annotations
@@ -56,7 +58,9 @@ class Timed:
 
 
 def work(rule: Rule, block: int, runs: int = RUNS) -> Callable[[], tuple[float, float, float]]:
-    """One pass over all runs in blocks: CPU microseconds of a run's cycle, of the model inside, and of the model alone."""
+    """One pass over all runs in blocks: CPU microseconds of a run's cycle, of the model inside, and
+    of the model alone.
+    """
     config = replace(A, steps=STEPS)
     firsts = range(0, runs, block)
     parts = [
@@ -115,7 +119,8 @@ def main(arguments: list[str] | None = None) -> int:
     lone = {name: min(once()[0] for _ in range(options.rounds)) for name, once in single.items()}
     first = next(iter(passes))
     lines = [
-        "| rule | cycle, us | model inside, us | model alone, us | filter / inside | filter / alone | against 27 | one run, us |",
+        "| rule | cycle, us | model inside, us | model alone, us | filter / inside | filter / "
+        "alone | against 27 | one run, us |",
         "|---|--:|--:|--:|--:|--:|--:|--:|",
     ]
     result = {}
@@ -124,11 +129,19 @@ def main(arguments: list[str] | None = None) -> int:
         over = [median(r[name][0] / r[name][i] for r in rounds) for i in (1, 2)]
         against = median(r[name][0] / r[first][0] for r in rounds)
         lines.append(
-            f"| {name} | {cycle:.1f} | {inside:.1f} | {alone:.1f} | {over[0]:.2f} | {over[1]:.2f} | {against:.2f} | "
+            f"| {name} | {cycle:.1f} | {inside:.1f} | {alone:.1f} | {over[0]:.2f} | {over[1]:.2f} "
+            f"| {against:.2f} | "
             f"{lone[name]:.0f} |"
         )
-        result[name] = {"cycle_us": cycle, "inside_us": inside, "alone_us": alone, "filter_to_inside": over[0],
-                        "filter_to_alone": over[1], "to_27_points": against, "one_run_us": lone[name]}  # fmt: skip
+        result[name] = {
+            "cycle_us": cycle,
+            "inside_us": inside,
+            "alone_us": alone,
+            "filter_to_inside": over[0],
+            "filter_to_alone": over[1],
+            "to_27_points": against,
+            "one_run_us": lone[name],
+        }
     print("\n".join(lines))
     options.out.mkdir(parents=True, exist_ok=True)
     (options.out / "sparse.json").write_text(

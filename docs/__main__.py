@@ -1,7 +1,7 @@
 """Build the site: ``python -m docs [OUT]``. It needs no net, and a warning is an error.
 
-The pages of this folder and the notebooks, as they were executed, are gathered in a folder of their own, so that Sphinx finds them
-side by side and leaves nothing behind here.
+The pages of this folder and the notebooks, as they were executed, are gathered in a folder of their
+own, so that Sphinx finds them side by side and leaves nothing behind here.
 """
 
 from __future__ import annotations
@@ -22,7 +22,9 @@ HERE = Path(__file__).resolve().parent
 
 
 def within(notebook: str) -> str:
-    """A notebook with its links to anchors that its own outputs make as HTML, of which Sphinx knows nothing."""
+    """A notebook with its links to anchors that its own outputs make as HTML, of which Sphinx knows
+    nothing.
+    """
     content = json.loads(notebook)
     for cell in content["cells"]:
         if cell["cell_type"] == "markdown":

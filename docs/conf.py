@@ -59,7 +59,9 @@ def parameters(thing: Any) -> set[str]:
 
 
 def each_begins(names: set[str], lines: list[str]) -> Iterator[str]:
-    """The lines, parted where one goes on to the next of some ``names``: each begins a line of its own."""
+    """The lines, parted where one goes on to the next of some ``names``: each begins a line of its
+    own.
+    """
     for line in lines:
         start = 0
         for found in ANOTHER.finditer(line):
@@ -73,7 +75,9 @@ def each_begins(names: set[str], lines: list[str]) -> Iterator[str]:
 def written(
     _app: Sphinx, _what: str, _name: str, thing: Any, _options: Any, lines: list[str]
 ) -> None:
-    """Docstrings, in which ``name: what it is`` speaks of an argument, as fields of reStructuredText."""
+    """Docstrings, in which ``name: what it is`` speaks of an argument, as fields of
+    reStructuredText.
+    """
     made: list[str] = []
     for line in each_begins(parameters(thing), lines):
         if made and line and not line.strip("-"):  # a heading of a docstring, such as Raises

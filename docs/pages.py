@@ -1,4 +1,6 @@
-"""Pages that are made of what the package holds: sources of the bibliography, errata of the ledgers."""
+"""Pages that are made of what the package holds: sources of the bibliography, errata of the
+ledgers.
+"""
 
 from __future__ import annotations
 
@@ -63,11 +65,15 @@ KINDS = {
 
 
 def errata() -> str:
-    """What the five papers print wrongly, and what had to be rebuilt, each shown by a number in the paper's notebook."""
+    """What the five papers print wrongly, and what had to be rebuilt, each shown by a number in the
+    paper's notebook.
+    """
     made = [
         "# Errata of the five papers",
-        "What is printed and demonstrably wrong, and what was lost in the texts at hand and rebuilt. What can be "
-        "computed has its number on the page of `celnav reproduce`, and the notebook shows it. If your copy differs, tell us.",
+        "What is printed and demonstrably wrong, and what was lost in the texts at hand and "
+        "rebuilt. What can be "
+        "computed has its number on the page of `celnav reproduce`, and the notebook shows it. If "
+        "your copy differs, tell us.",
     ]
     for i, paper in enumerate(PAPERS, 1):
         rows = load(paper).STUDY.rows

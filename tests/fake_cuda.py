@@ -1,4 +1,6 @@
-"""A driver as NVIDIA's, of a device that is the host: programs are the same LLVM assembly, compiled for it, thread by thread."""
+"""A driver as NVIDIA's, of a device that is the host: programs are the same LLVM assembly, compiled
+for it, thread by thread.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,8 @@ _NAMES = ("block", "width", "thread")
 
 
 class Driver:
-    """``failing``: the status that a function returns, from its n-th call on; ``free``: bytes that the device has.
+    """``failing``: the status that a function returns, from its n-th call on; ``free``: bytes that
+    the device has.
 
     ``literal``: the PTX itself is done, line by line.
     """
@@ -61,7 +64,7 @@ class Driver:
         self.sources[found] = text
         return found
 
-    # -- what the package calls ----------------------------------------------------------------------------------------------
+    # -- what the package calls --------------------------------------------------------------------
     def cuInit(self, flags):
         return 0
 
@@ -158,7 +161,9 @@ class Driver:
 
 
 def on_the_host(text):
-    """The entry of a program, with its block, their width and its thread as further arguments in place of registers."""
+    """The entry of a program, with its block, their width and its thread as further arguments in
+    place of registers.
+    """
     text, count = re.subn(r"(?m)^.*@llvm\.nvvm\.read\.ptx\.sreg\..*$\n", "", text)
     assert count == 6  # three declarations, three calls
     more = ", ".join(f"i32 %{name}" for name in _NAMES)

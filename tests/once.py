@@ -1,4 +1,6 @@
-"""The study of a paper with few runs, computed once in a session: where its notebook looks for it, too."""
+"""The study of a paper with few runs, computed once in a session: where its notebook looks for it,
+too.
+"""
 
 from __future__ import annotations
 

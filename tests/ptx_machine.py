@@ -1,6 +1,7 @@
 """PTX, read and done line by line as NVIDIA's manual has it, for one thread; memory is the host's.
 
-Registers of 64 bits hold integers, as which floats are unpacked and packed again. fma is rounded twice, at 64 and at 53 bits.
+Registers of 64 bits hold integers, as which floats are unpacked and packed again. fma is rounded
+twice, at 64 and at 53 bits.
 """
 
 from __future__ import annotations
@@ -42,28 +43,56 @@ def whole(function):
 
 
 FLOATS = {
-    "add": lambda a, b: a + b, "sub": lambda a, b: a - b, "mul": lambda a, b: a * b, "div": divided, "fma": fused,
-    "rcp": lambda a: divided(1.0, a), "sqrt": lambda a: math.sqrt(a) if a >= 0.0 else math.nan, "neg": lambda a: -a, "abs": abs,
-    "max": lambda a, b: b if a != a or a < b else a, "min": lambda a, b: b if a != a or b < a else a,
-    "copysign": lambda a, b: math.copysign(b, a), "cvt.rmi": whole(math.floor), "cvt.rni": whole(round),
-}  # fmt: skip
+    "add": lambda a, b: a + b,
+    "sub": lambda a, b: a - b,
+    "mul": lambda a, b: a * b,
+    "div": divided,
+    "fma": fused,
+    "rcp": lambda a: divided(1.0, a),
+    "sqrt": lambda a: math.sqrt(a) if a >= 0.0 else math.nan,
+    "neg": lambda a: -a,
+    "abs": abs,
+    "max": lambda a, b: b if a != a or a < b else a,
+    "min": lambda a, b: b if a != a or b < a else a,
+    "copysign": lambda a, b: math.copysign(b, a),
+    "cvt.rmi": whole(math.floor),
+    "cvt.rni": whole(round),
+}
 INTEGERS = {
-    "add": lambda a, b: a + b, "sub": lambda a, b: a - b, "mul.lo": lambda a, b: a * b, "mad.lo": lambda a, b, c: a * b + c,
-    "shl": lambda a, b: a << b, "shr": lambda a, b: a >> b, "or": lambda a, b: a | b, "and": lambda a, b: a & b, "mov": lambda a: a,
-    "xor": lambda a, b: a ^ b, "not": lambda a: ~a, "cvta.to.global": lambda a: a, "cvt": lambda a: a,
-}  # fmt: skip
+    "add": lambda a, b: a + b,
+    "sub": lambda a, b: a - b,
+    "mul.lo": lambda a, b: a * b,
+    "mad.lo": lambda a, b, c: a * b + c,
+    "shl": lambda a, b: a << b,
+    "shr": lambda a, b: a >> b,
+    "or": lambda a, b: a | b,
+    "and": lambda a, b: a & b,
+    "mov": lambda a: a,
+    "xor": lambda a, b: a ^ b,
+    "not": lambda a: ~a,
+    "cvta.to.global": lambda a: a,
+    "cvt": lambda a: a,
+}
 COMPARED = {
-    "lt": lambda a, b: a < b, "le": lambda a, b: a <= b, "gt": lambda a, b: a > b, "ge": lambda a, b: a >= b,
-    "eq": lambda a, b: a == b, "ne": lambda a, b: a < b or a > b, "nan": lambda a, b: a != a or b != b,
-    "num": lambda a, b: a == a and b == b, "neu": lambda a, b: a != b,
-}  # fmt: skip
+    "lt": lambda a, b: a < b,
+    "le": lambda a, b: a <= b,
+    "gt": lambda a, b: a > b,
+    "ge": lambda a, b: a >= b,
+    "eq": lambda a, b: a == b,
+    "ne": lambda a, b: a < b or a > b,
+    "nan": lambda a, b: a != a or b != b,
+    "num": lambda a, b: a == a and b == b,
+    "neu": lambda a, b: a != b,
+}
 for _name in ("lt", "le", "gt", "ge"):
     COMPARED[f"{_name}u"] = lambda a, b, of=COMPARED[_name]: a != a or b != b or of(a, b)
 COMPARED["equ"] = lambda a, b: a != a or b != b or a == b
 
 
 class Machine:
-    """A program, to be called with its parameters, a block, the width of blocks and a thread, which it takes through."""
+    """A program, to be called with its parameters, a block, the width of blocks and a thread, which
+    it takes through.
+    """
 
     def __init__(self, text):
         self.code, self.labels, self.tables = [], {}, {}

@@ -77,8 +77,12 @@ def _labels(axis, *, all_of_them=False):
     ticks = (
         [*axis.get_major_ticks(), *axis.get_minor_ticks()] if all_of_them else axis._update_ticks()
     )
-    return [label for tick in ticks for label in (tick.label1, tick.label2)
-            if all_of_them or (label.get_visible() and label.get_text())]  # fmt: skip
+    return [
+        label
+        for tick in ticks
+        for label in (tick.label1, tick.label2)
+        if all_of_them or (label.get_visible() and label.get_text())
+    ]
 
 
 def _overlap(a, b):

@@ -96,10 +96,15 @@ def navigation(b, toe=TOE):
         ahead = 14.0 * b.gps[s]
         y, mo, d, h, mi, sec = civil(toe + ahead)
         rows = [
-            [b.a0[s], b.a1[s], b.a2[s]], [1.0, b.crs[s], b.delta_n[s], b.M0[s]], [b.cuc[s], b.e[s], b.cus[s], b.sqrt_a[s]],
-            [(b.toe[s] + ahead) % 604800.0, b.cic[s], b.Omega0[s], b.cis[s]], [b.i0[s], b.crc[s], b.omega[s], b.Omega_dot[s]],
-            [b.i_dot[s], 0.0, float(WEEK), 0.0], [2.0, b.health[s], b.tgd[s], 0.0], [345600.0, 0.0],
-        ]  # fmt: skip
+            [b.a0[s], b.a1[s], b.a2[s]],
+            [1.0, b.crs[s], b.delta_n[s], b.M0[s]],
+            [b.cuc[s], b.e[s], b.cus[s], b.sqrt_a[s]],
+            [(b.toe[s] + ahead) % 604800.0, b.cic[s], b.Omega0[s], b.cis[s]],
+            [b.i0[s], b.crc[s], b.omega[s], b.Omega_dot[s]],
+            [b.i_dot[s], 0.0, float(WEEK), 0.0],
+            [2.0, b.health[s], b.tgd[s], 0.0],
+            [345600.0, 0.0],
+        ]
         text += (
             f"{name} {y} {mo} {d} {h} {mi} {sec}" + "".join(f"{v:19.12E}" for v in rows[0]) + "\n"
         )
@@ -108,7 +113,8 @@ def navigation(b, toe=TOE):
 
 
 def measurements(b, times, bias, offset=0.0):
-    """Pseudoranges and Doppler ``(T, S)`` at `PLACE`, by a clock ahead by ``bias`` m, with the atmosphere, in a plain loop.
+    """Pseudoranges and Doppler ``(T, S)`` at `PLACE`, by a clock ahead by ``bias`` m, with the
+    atmosphere, in a plain loop.
 
     ``offset``: m, by which it is further ahead of the clock of GPS.
     """
@@ -134,7 +140,9 @@ def measurements(b, times, bias, offset=0.0):
 
 
 def observations(b, times, ahead=14.0, system="GPS", offset=0.0):
-    """An observation file at times (s of BDT), and its pseudoranges and Doppler: C19 is away at the second epoch, G01 is there."""
+    """An observation file at times (s of BDT), and its pseudoranges and Doppler: C19 is away at the
+    second epoch, G01 is there.
+    """
     text = label(
         f"{3.04:9.2f}{'':11}{'OBSERVATION DATA':<20}{'M: Mixed':<20}", "RINEX VERSION / TYPE"
     )
@@ -175,7 +183,9 @@ def written(tmp_path, text, name="file.rnx"):
 
 
 def observed(b, times, bias, offset=0.0):
-    """A log of a receiver at `PLACE` whose clock is ahead by ``bias`` m, of GPS's by ``offset`` more."""
+    """A log of a receiver at `PLACE` whose clock is ahead by ``bias`` m, of GPS's by ``offset``
+    more.
+    """
     return Observations(
         Path("obs.rnx"), "TEST", PLACE, times, b.names, *measurements(b, times, bias, offset)
     )

@@ -8,14 +8,48 @@ from celnav.tape.numbers import TracedArray
 from celnav.tape.tape import Tape, TracedScalar
 
 FUNCTIONS = {
-    "add": np.add, "sub": np.subtract, "mul": np.multiply, "div": np.divide, "neg": np.negative, "abs": np.abs, "sqrt": np.sqrt,
-    "copysign": np.copysign, "floor": np.floor, "sin": np.sin, "cos": np.cos, "tan": np.tan, "asin": np.arcsin, "acos": np.arccos,
-    "atan": np.arctan, "atan2": np.arctan2, "exp": np.exp, "log": np.log, "pow": np.power, "sinh": np.sinh, "cosh": np.cosh,
-    "tanh": np.tanh, "exp2": np.exp2, "log2": np.log2, "log10": np.log10, "log1p": np.log1p, "expm1": np.expm1, "cbrt": np.cbrt,
-    "lt": np.less, "le": np.less_equal, "eq": np.equal, "ne": np.not_equal, "and": np.logical_and, "or": np.logical_or,
-    "not": np.logical_not, "select": np.where, "fmod": np.fmod, "hypot": np.hypot,
-    "rint": np.rint, "pow2": np.exp2, "exponent": lambda x: np.frexp(x)[1] - 1.0,
-}  # fmt: skip
+    "add": np.add,
+    "sub": np.subtract,
+    "mul": np.multiply,
+    "div": np.divide,
+    "neg": np.negative,
+    "abs": np.abs,
+    "sqrt": np.sqrt,
+    "copysign": np.copysign,
+    "floor": np.floor,
+    "sin": np.sin,
+    "cos": np.cos,
+    "tan": np.tan,
+    "asin": np.arcsin,
+    "acos": np.arccos,
+    "atan": np.arctan,
+    "atan2": np.arctan2,
+    "exp": np.exp,
+    "log": np.log,
+    "pow": np.power,
+    "sinh": np.sinh,
+    "cosh": np.cosh,
+    "tanh": np.tanh,
+    "exp2": np.exp2,
+    "log2": np.log2,
+    "log10": np.log10,
+    "log1p": np.log1p,
+    "expm1": np.expm1,
+    "cbrt": np.cbrt,
+    "lt": np.less,
+    "le": np.less_equal,
+    "eq": np.equal,
+    "ne": np.not_equal,
+    "and": np.logical_and,
+    "or": np.logical_or,
+    "not": np.logical_not,
+    "select": np.where,
+    "fmod": np.fmod,
+    "hypot": np.hypot,
+    "rint": np.rint,
+    "pow2": np.exp2,
+    "exponent": lambda x: np.frexp(x)[1] - 1.0,
+}
 
 
 def inputs(tape, *shapes, absent=True):
@@ -68,7 +102,9 @@ def _left(routine, given):
 
 
 def recorded(function, *arrays):
-    """What a function of arrays gives when it is recorded on `TracedArray` and worked out afterwards."""
+    """What a function of arrays gives when it is recorded on `TracedArray` and worked out
+    afterwards.
+    """
     tape = Tape()
     y = function(*inputs(tape, *map(np.shape, arrays)))
     with np.errstate(all="ignore"):

@@ -27,15 +27,24 @@ NAMES = re.findall(
     ),
 )
 WITHOUT = {  # records that are given, not made; what they are part of has the example
-    "gaussian.spaces.Space", "analysis.diagnose.Diagnosis", "filters.sequential.Iterated", "filters.records.Filter",
-    "filters.dropin.SquareRootUKF", "FilterError", "study.study.Study", "study.study.Results", "study.ledger.Claim",
-}  # fmt: skip
+    "gaussian.spaces.Space",
+    "analysis.diagnose.Diagnosis",
+    "filters.sequential.Iterated",
+    "filters.records.Filter",
+    "filters.dropin.SquareRootUKF",
+    "FilterError",
+    "study.study.Study",
+    "study.study.Results",
+    "study.ledger.Claim",
+}
 GIVEN = ("de440.bsp", "EGM2008.gfc", "csrukf", "finding(")  # files and studies of others
 PLAIN = {"analysis", "filters", "gaussian", "models", "study"}
 
 
 def examples():
-    """Every docstring with an example, by module and line; the module's text gives them, whatever object they belong to."""
+    """Every docstring with an example, by module and line; the module's text gives them, whatever
+    object they belong to.
+    """
     for path in sorted(ROOT.rglob("*.py")):
         if path.relative_to(ROOT).parts[0] in PLAIN:
             text = path.read_text(encoding="utf-8")
@@ -84,18 +93,52 @@ def problem():
     truth, z = celnav.simulate(motion, gps, prior, times, runs=2)
     filter = celnav.ukf(motion, gps)
     return {
-        **{name: getattr(celnav, name) for name in celnav.__all__}, "celnav": celnav, "np": np, "pandas": pandas, "orbit": orbit,
-        "F": F, "H": H, "Q": Q, "R": R, "P0": P0, "x0": x0, "f": f, "h": lambda x, epoch: x[..., :3], "motion": motion,
-        "gps": gps, "sensor": gps, "radar": gps, "camera": celnav.Sensor(H, R), "cruise": motion, "turn": motion, "prior": prior,
-        "times": times, "truth": truth, "z": z, "filter": filter, "other": filter, "Fs": np.tile(F, (30, 1, 1)),
-        "A": np.array([[0.0, 1.0], [0.0, 0.0]]), "track": celnav.run(filter, prior, times, z, keep="cov"), "build": build,
-        "pictures": np.full_like(z, np.nan), "picture": z[18], "problem": celnav.Problem(motion, gps, prior, times),
-        "squares_of_one_filter": np.arange(1.0, 9.0), "squares_of_another": np.arange(2.0, 10.0), "ratio": metrics.ratio,
-        "epochs": celnav.epochs(times, z), "MerweScaledSigmaPoints": MerweScaledSigmaPoints, "fx": lambda x, dt: x,
-        "rngs": [np.random.default_rng(i) for i in range(2)], "filters": {"ukf": filter},
-        "groups": (celnav.Group("position", "m", slice(0, 3), 1000.0),), "step": lambda x: x**2, "measure": lambda x: x[..., :3],
+        **{name: getattr(celnav, name) for name in celnav.__all__},
+        "celnav": celnav,
+        "np": np,
+        "pandas": pandas,
+        "orbit": orbit,
+        "F": F,
+        "H": H,
+        "Q": Q,
+        "R": R,
+        "P0": P0,
+        "x0": x0,
+        "f": f,
+        "h": lambda x, epoch: x[..., :3],
+        "motion": motion,
+        "gps": gps,
+        "sensor": gps,
+        "radar": gps,
+        "camera": celnav.Sensor(H, R),
+        "cruise": motion,
+        "turn": motion,
+        "prior": prior,
+        "times": times,
+        "truth": truth,
+        "z": z,
+        "filter": filter,
+        "other": filter,
+        "Fs": np.tile(F, (30, 1, 1)),
+        "A": np.array([[0.0, 1.0], [0.0, 0.0]]),
+        "track": celnav.run(filter, prior, times, z, keep="cov"),
+        "build": build,
+        "pictures": np.full_like(z, np.nan),
+        "picture": z[18],
+        "problem": celnav.Problem(motion, gps, prior, times),
+        "squares_of_one_filter": np.arange(1.0, 9.0),
+        "squares_of_another": np.arange(2.0, 10.0),
+        "ratio": metrics.ratio,
+        "epochs": celnav.epochs(times, z),
+        "MerweScaledSigmaPoints": MerweScaledSigmaPoints,
+        "fx": lambda x, dt: x,
+        "rngs": [np.random.default_rng(i) for i in range(2)],
+        "filters": {"ukf": filter},
+        "groups": (celnav.Group("position", "m", slice(0, 3), 1000.0),),
+        "step": lambda x: x**2,
+        "measure": lambda x: x[..., :3],
         "infos": filter.step(filter.start(prior), celnav.Epoch(z=z[0]))[1],
-    }  # fmt: skip
+    }
 
 
 @pytest.mark.parametrize("name", TESTS)

@@ -1,4 +1,6 @@
-"""With numpy and scipy alone: filters and studies work, and what needs more names the command that brings it."""
+"""With numpy and scipy alone: filters and studies work, and what needs more names the command that
+brings it.
+"""
 
 from __future__ import annotations
 
@@ -118,7 +120,9 @@ def test_every_public_name_works(tmp_path):
 
 
 def test_import_is_small():
-    """scipy's parts and the compiler come when they are first used: importing them would take longer than all the rest."""
+    """scipy's parts and the compiler come when they are first used: importing them would take
+    longer than all the rest.
+    """
     late = {"scipy.linalg", "scipy.special", "celnav.filters.engine", "celnav.tape.llvm"}
     program = f"import celnav\nprint(*{late} & set(sys.modules))"
     assert alone(program).stdout == "\n"

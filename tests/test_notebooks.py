@@ -1,4 +1,6 @@
-"""Notebooks are executed in order, their outputs are committed, and lessons teach: the algorithm is there, not only figures."""
+"""Notebooks are executed in order, their outputs are committed, and lessons teach: the algorithm is
+there, not only figures.
+"""
 
 from __future__ import annotations
 

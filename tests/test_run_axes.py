@@ -134,7 +134,9 @@ def test_a_filter_runs_them_all(name):
 
 
 def test_reports_and_diagnoses_of_several_runs_are_those_of_each(tmp_path):
-    """Errors, predictions and innovations of run 0 are among them; figures and tables are drawn of all."""
+    """Errors, predictions and innovations of run 0 are among them; figures and tables are drawn of
+    all.
+    """
     tracks = three(lambda z: celnav.run(FILTERS["ukf"], PRIOR, TIMES, z, keep="cov"), Z)
     truths = three(np.copy, TRUTH)
     alone, _, several = (t.report(x) for t, x in zip(tracks, truths, strict=True))

@@ -1,4 +1,6 @@
-"""Types as a user's own mypy sees them: the programs of the README and of the site, checked strictly."""
+"""Types as a user's own mypy sees them: the programs of the README and of the site, checked
+strictly.
+"""
 
 from __future__ import annotations
 

@@ -17,7 +17,9 @@ def twice(filter, *arguments, of=None, engine="compiled", **options):
 
 
 def assert_same(known, found, least=1e-9, engine="compiled"):
-    """Every field: means and deviations within ``least`` of value and deviation, what is counted exactly."""
+    """Every field: means and deviations within ``least`` of value and deviation, what is counted
+    exactly.
+    """
     assert found.engine == engine
     assert repr(found) == repr(known)
     mine, theirs = (
@@ -54,7 +56,9 @@ def assert_same(known, found, least=1e-9, engine="compiled"):
 
 
 def deviations(track):
-    """Standard deviations that go with the components of a mean, or the largest where there are not as many; 1 if none are kept."""
+    """Standard deviations that go with the components of a mean, or the largest where there are not
+    as many; 1 if none are kept.
+    """
     if track.std is None:
         return 1.0
     return track.std if track.std.shape == track.mean.shape else track.std.max(-1, keepdims=True)

@@ -1,4 +1,6 @@
-"""A log that is asked: white, biased, wrongly sized and colored residuals are told apart, and bands cover what they promise."""
+"""A log that is asked: white, biased, wrongly sized and colored residuals are told apart, and bands
+cover what they promise.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,9 @@ def noise(phi, steps, runs=1, m=1, rng=None):
 
 
 def inside(count, of, level=0.95):
-    """Whether a count of successes is within binomial error, of one in a thousand, of a probability."""
+    """Whether a count of successes is within binomial error, of one in a thousand, of a
+    probability.
+    """
     return binom.ppf(0.0005, of, level) <= count <= binom.ppf(0.9995, of, level)
 
 
@@ -89,7 +93,9 @@ def test_statistics_by_their_formulas():
 
 @pytest.mark.parametrize("phi", [(0.9,), (-0.6,), (0.0,), (1.2, -0.7), (0.3, -0.6)])
 def test_correlations_are_summed_as_long_as_two_of_them_are_positive(phi):
-    """The initial positive sequence; half of the lags that there are, and the subtracted mean costs what it hides."""
+    """The initial positive sequence; half of the lags that there are, and the subtracted mean costs
+    what it hides.
+    """
     rng, N = np.random.default_rng(6), 200
     x = rng.standard_normal(N)
     for k in range(2, N):
@@ -127,7 +133,9 @@ def test_lags_without_pairs_have_no_degree_of_freedom():
 
 
 def test_gaps_and_missing_components_cost_only_themselves():
-    """Pairs of a lag are those that exist, by their times; what is left out of a long log changes no conclusion."""
+    """Pairs of a lag are those that exist, by their times; what is left out of a long log changes
+    no conclusion.
+    """
     x, t = noise(0.8, 2000, m=2)[:, 0], np.arange(2000.0)
     rng = np.random.default_rng(3)
     x[rng.random(x.shape) < 0.3] = np.nan
@@ -156,7 +164,9 @@ def test_gaps_and_missing_components_cost_only_themselves():
 
 
 def test_first_order_noise_by_the_joint_density():
-    """The restricted likelihood of all samples at once, by the whole covariance, has its maximum where the recursion says."""
+    """The restricted likelihood of all samples at once, by the whole covariance, has its maximum
+    where the recursion says.
+    """
     at = np.delete(np.arange(60), [7, 8, 30])
     x = noise(0.6, 60)[at, 0, 0]
     found = first_order(x[:, None], at, 10, 0.95)
@@ -213,7 +223,9 @@ def test_a_little_correlation_of_much_data_is_called_little():
 
 
 def satellite(**changed):
-    """[Sun2015]'s satellite with its colored noise, and what a filter believes that takes it for white."""
+    """[Sun2015]'s satellite with its colored noise, and what a filter believes that takes it for
+    white.
+    """
     config = scenario.Config(steps=200, runs=6, noise_level="stationary", phi=0.8, **changed)
     flown = scenario.simulate(config, [generator(3, 0, run) for run in range(6)])
     motion = celnav.Motion(
@@ -223,7 +235,9 @@ def satellite(**changed):
 
 
 def test_a_white_filter_in_colored_noise_is_diagnosed_and_cured():
-    """Phi and R are recovered within their intervals, the filter that is advised passes, and claims what its errors are."""
+    """Phi and R are recovered within their intervals, the filter that is advised passes, and claims
+    what its errors are.
+    """
     config, flown, motion, gps = satellite()
     track = celnav.run(celnav.ukf(motion, gps), flown.prior, config.times, flown.z)
     found = diagnose(track, prior=flown.prior, z=flown.z, names=["x", "y", "z"], level=0.99)
@@ -282,7 +296,9 @@ def test_a_filter_of_angles_has_no_filter_for_colored_noise(turning, gap):
 
 
 def test_a_large_first_innovation_hides_no_color():
-    """What is normalized by its claim decides, not what is large because the prior was wide; Phi and R come of the likelihood."""
+    """What is normalized by its claim decides, not what is large because the prior was wide; Phi
+    and R come of the likelihood.
+    """
     motion, radar = celnav.Motion([[1.0]], [[1e-4]]), celnav.Sensor([[1.0]], [[0.25]])
     start = celnav.Gaussian([0.0], [[1e6]])
     _, z = celnav.simulate(motion, radar, start, T, runs=5, seed=2, Phi=[[0.8]])
@@ -330,7 +346,7 @@ def flat(text):
     return str(text).replace("\n         ", " ")
 
 
-# -- noise that is fitted ---------------------------------------------------------------------------
+# -- noise that is fitted --------------------------------------------------------------------------
 def least_squares(x, C):
     """Mean, its σ and the restricted log-likelihood of samples of covariance C, written out."""
     one, inverse = np.ones(len(x)), np.linalg.inv(C)
@@ -368,7 +384,9 @@ def test_the_filter_that_is_suggested_predicts_what_is_said():
 
 
 def test_first_order_noise_plus_white_noise_by_the_joint_density():
-    """No neighbor of the fit is more probable, and likelihood, σ of the mean are those of the matrix."""
+    """No neighbor of the fit is more probable, and likelihood, σ of the mean are those of the
+    matrix.
+    """
     rng, place = np.random.default_rng(4), np.delete(np.arange(300), slice(100, 130))
     x = (noise(0.9, 300, 2, rng=rng) + 0.7 * rng.standard_normal((300, 2, 1)))[place, :, 0]
     found = first_order(x, place, 20, 0.95)
@@ -415,7 +433,7 @@ def test_noise_that_alternates_is_fitted_too():
     assert "nan" not in str(found)
 
 
-# -- lags -------------------------------------------------------------------------------------------
+# -- lags ------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("jitter", [0, 1])
 def test_a_slow_sensor_is_judged_on_its_own_samples(jitter):
     """At each 25th epoch of a fast one, or one beside it, as if there were no other epochs."""
@@ -499,7 +517,7 @@ def test_the_figure_of_a_slow_sensor_has_its_lags_and_measured_epochs():
     assert np.isfinite(binned.get_ydata()).all()
 
 
-# -- tracks -----------------------------------------------------------------------------------------
+# -- tracks ----------------------------------------------------------------------------------------
 WALK = constant_velocity(2, 0.01)
 FIX = celnav.Sensor(np.eye(2, 4), 4.0 * np.eye(2))
 HERE = celnav.Gaussian(np.zeros(4), np.diag([4.0, 4.0, 1.0, 1.0]))
@@ -586,7 +604,7 @@ def test_noise_functions_and_measurement_functions_are_fitted_together():
     assert np.isfinite(found.model.white_gain)
 
 
-# -- angles -----------------------------------------------------------------------------------------
+# -- angles ----------------------------------------------------------------------------------------
 def polar(x, _epoch):
     return np.stack([np.hypot(x[..., 0], x[..., 1]), np.arctan2(x[..., 1], x[..., 0])], -1)
 
@@ -669,7 +687,7 @@ def test_jumps_are_a_wrap_only_if_a_third_of_them_are_turns(turns, wraps):
     ]
 
 
-# -- pages, whole -----------------------------------------------------------------------------------
+# -- pages, whole ----------------------------------------------------------------------------------
 SOUND = """\
 one run, 300 epochs over 299 s, 1 s apart; 4 components missing
 
@@ -774,7 +792,7 @@ def test_the_page_of_a_track_with_colored_noise():
     assert str(diagnose(track, prior=start, z=z)) == TRACK
 
 
-# -- arguments ---------------------------------------------------------------------------------------
+# -- arguments -------------------------------------------------------------------------------------
 @pytest.mark.parametrize(
     ("arguments", "options", "match"),
     [

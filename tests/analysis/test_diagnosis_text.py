@@ -73,9 +73,12 @@ def test_the_table_has_a_dash_for_what_is_unknown():
         name="north", predicted=None, step=None, p=np.nan, band=np.full(3, np.nan), bias=-12.0
     )
     assert page(WHITE, bare)[1] == [
-        "component  samples  rms  predicted σ  mean       (95 %)     lag 1   correlation at lag 1  p if white",
-        "z0             100  1.5         1.25   0.1  -0.2 to 0.4       2 s  0.050 (white: ±0.200)         0.2",
-        "north          100  1.5            -   -12  -0.2 to 0.4  1 sample               no pairs           -",
+        "component  samples  rms  predicted σ  mean       (95 %)     lag 1   correlation at lag 1  "
+        "p if white",
+        "z0             100  1.5         1.25   0.1  -0.2 to 0.4       2 s  0.050 (white: ±0.200)  "
+        "       0.2",
+        "north          100  1.5            -   -12  -0.2 to 0.4  1 sample               no pairs  "
+        "         -",
     ]
 
 
@@ -84,12 +87,24 @@ def test_the_table_has_a_dash_for_what_is_unknown():
     [
         (0.8, WHITE, "as large as predicted; NIS per degree of freedom is 0.8"),
         (1.2, WHITE, "as large as predicted; NIS per degree of freedom is 1.2"),
-        (0.64, WHITE, "conservative, 0.8 times as large as predicted; NIS per degree of freedom is 0.64"),
+        (
+            0.64,
+            WHITE,
+            "conservative, 0.8 times as large as predicted; NIS per degree of freedom is 0.64",
+        ),
         (0.64, COLORED, "0.8 times as large as predicted; NIS per degree of freedom is 0.64"),
-        (2.25, WHITE, "overconfident, 1.5 times as large as predicted; NIS per degree of freedom is 2.25"),
-        (2.25, COLORED, "overconfident, 1.5 times as large as predicted; NIS per degree of freedom is 2.25"),
+        (
+            2.25,
+            WHITE,
+            "overconfident, 1.5 times as large as predicted; NIS per degree of freedom is 2.25",
+        ),
+        (
+            2.25,
+            COLORED,
+            "overconfident, 1.5 times as large as predicted; NIS per degree of freedom is 2.25",
+        ),
     ],
-)  # fmt: skip
+)
 def test_what_is_said_of_the_size(nis, component, expected):
     """A band includes its ends; small innovations are called conservative only if they are white."""
     line = said("size", component, sensors=(SOUND._replace(nis=nis),))
@@ -211,12 +226,18 @@ UNCLEAR = "the likelihood has no clear maximum there, so these numbers are uncer
     ("changed", "word", "verdict", "innovations", "more"),
     [
         ({}, "suggested", COLOR, "white (p 0.5, 0.75)", []),
-        ({"p": np.array([0.5, 0.02])}, "fitted, not suggested", COLOR, "still not white (p 0.5, 0.02)", []),
+        (
+            {"p": np.array([0.5, 0.02])},
+            "fitted, not suggested",
+            COLOR,
+            "still not white (p 0.5, 0.02)",
+            [],
+        ),
         ({"p": np.array([0.5, 0.03])}, "suggested", COLOR, "white (p 0.5, 0.03)", []),
         ({"white_gain": 49.9}, "fitted, not suggested", WRONG, "white (p 0.5, 0.75)", []),
         ({"converged": False}, "fitted, not suggested", COLOR, "white (p 0.5, 0.75)", [UNCLEAR]),
     ],
-)  # fmt: skip
+)
 def test_a_fitted_filter_is_suggested_only_if_nothing_speaks_against_it(
     changed, word, verdict, innovations, more
 ):
@@ -224,7 +245,8 @@ def test_a_fitted_filter_is_suggested_only_if_nothing_speaks_against_it(
     assert said("model", COLORED, WHITE, model=model) == [
         f"{word}: {FITTED}",
         "Phi lies in 0.4 to 0.6, 0.1 to 0.4, σ of its noise in 1.5 to 2.5, 2 to 4 (95 %)",
-        f"the log-likelihood grows by 50 with it, by {model.white_gain:.3g} with other Q and R alone: {verdict}",
+        f"the log-likelihood grows by 50 with it, by {model.white_gain:.3g} with other Q and R "
+        f"alone: {verdict}",
         f"its innovations are {innovations}",
         *more,
     ]

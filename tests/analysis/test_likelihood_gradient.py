@@ -1,4 +1,6 @@
-"""The gradient of the likelihood: the chain rule through a filter's own step, against recursions by hand and differences."""
+"""The gradient of the likelihood: the chain rule through a filter's own step, against recursions by
+hand and differences.
+"""
 
 from __future__ import annotations
 
@@ -135,7 +137,9 @@ POINT = np.array([0.7, 0.4, 0.9])
 
 @pytest.mark.parametrize("case", CASES)
 def test_gradient_against_differences_of_flights(case):
-    """The chain rule through the compiled step, and differences of the fourth order of the numpy engine's likelihood."""
+    """The chain rule through the compiled step, and differences of the fourth order of the numpy
+    engine's likelihood.
+    """
     build, z = CASES[case]
     when = epochs(TIMES, z)
     found = likelihood_gradient(build, POINT, when, engine="compiled")
@@ -188,7 +192,9 @@ def test_gradient_of_a_scalar_filter_by_hand():
 
 
 def test_what_is_not_chosen_spoils_no_derivative():
-    """A root of a negative number and a quotient by 0 that a choice leaves out, and the length of a row of zeros."""
+    """A root of a negative number and a quotient by 0 that a choice leaves out, and the length of a
+    row of zeros.
+    """
     tape = Tape()
     x = TracedArray((2,))
     x[0], x[1] = tape.input(), tape.input()
@@ -340,7 +346,9 @@ def test_bad_parameters_are_refused_by_name():
 
 
 def test_what_is_known_to_be_the_same_program():
-    """Functions of one code over equal values, data but for matrices; everything else is looked at again."""
+    """Functions of one code over equal values, data but for matrices; everything else is looked at
+    again.
+    """
 
     def made(gain, Q=1.0, table=(1.0, 2.0)):
         table = np.array(table)

@@ -39,7 +39,9 @@ def test_bands_and_intervals_cover_as_they_say():
 
 
 def test_blocks_of_time_cover_where_errors_are_correlated_and_single_epochs_do_not():
-    """RMS of 300 series of 2000 epochs, correlated by 0.9 from one to the next: a tenth as many of them are independent."""
+    """RMS of 300 series of 2000 epochs, correlated by 0.9 from one to the next: a tenth as many of
+    them are independent.
+    """
     rng, phi = np.random.default_rng(3), 0.9
     series = rng.standard_normal((300, 2000))
     for k in range(1, 2000):
@@ -128,7 +130,9 @@ def test_intervals_of_an_rmse_cover_for_few_runs_too(runs):
 @pytest.mark.parametrize("block", [1, 3])
 @pytest.mark.parametrize("level", [0.95, 0.8])
 def test_an_interval_is_widened_as_students_t_asks(block, level):
-    """Of a statistic whose values are given by hand; a positive one of samples that are not negative in the logarithm."""
+    """Of a statistic whose values are given by hand; a positive one of samples that are not
+    negative in the logarithm.
+    """
     drawn = np.random.default_rng(5).uniform(1.0, 4.0, 60)
 
     def ends(sample, first=2.0):

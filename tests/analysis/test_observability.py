@@ -84,7 +84,9 @@ def test_the_information_degree_is_that_of_a_kalman_filter_and_ignores_units():
 
 
 def test_degrees_depend_on_units_in_closed_form():
-    """Three integrators of which the first is measured: O is the unit matrix, in units of 1/c of the third it is diag(1, 1, c)."""
+    """Three integrators of which the first is measured: O is the unit matrix, in units of 1/c of
+    the third it is diag(1, 1, c).
+    """
     chain, c = np.eye(3, k=1), 7.0
     np.testing.assert_array_equal(ob.observability_matrix(chain, np.eye(1, 3), 2), np.eye(3))
     own = ob.observability_matrix(
@@ -114,7 +116,8 @@ def test_what_is_not_seen_has_degree_zero_and_the_covariance_weighs_what_is():
     np.testing.assert_array_equal(
         ob.state_singular_values([[3.0, 0.0, 0.0], [0.0, 2.0, 0.0]]), [3.0, 2.0, 0.0]
     )
-    # The values 5 and 1 belong to (0.8, 0.6) and (-0.6, 0.8). An initial state along the second is told by it, in both components.
+    # The values 5 and 1 belong to (0.8, 0.6) and (-0.6, 0.8). An initial state along the second is
+    # told by it, in both components.
     matrix = np.diag([5.0, 1.0]) @ [[0.8, 0.6], [-0.6, 0.8]]
     np.testing.assert_allclose(ob.state_singular_values(matrix), [5.0, 1.0])
     np.testing.assert_allclose(ob.state_singular_values(matrix, np.eye(2)), [5.0, 1.0])

@@ -1,4 +1,6 @@
-"""The likelihood is the density of the measurements, and its maximum finds the noise that made them."""
+"""The likelihood is the density of the measurements, and its maximum finds the noise that made
+them.
+"""
 
 import numpy as np
 import pytest
@@ -66,7 +68,9 @@ def test_log_likelihood_is_the_joint_density(form):
 
 
 def test_recovers_the_noise_that_made_the_data():
-    """Within three standard errors of the truth, from a start 5 and 10 times off, and not less probable than the truth."""
+    """Within three standard errors of the truth, from a start 5 and 10 times off, and not less
+    probable than the truth.
+    """
     truth = np.array([0.4, 0.7])
     when = epochs(np.arange(80), simulate(np.random.default_rng(2), 80, 20, *truth))
     tuned = maximize_likelihood(builder(20), [4.0, 0.14], when)
@@ -80,7 +84,9 @@ def test_recovers_the_noise_that_made_the_data():
 
 
 def test_one_parameter_in_closed_form():
-    """White noise around 0: the estimate is the root mean square, its standard error sigma / sqrt(2 N), to second order."""
+    """White noise around 0: the estimate is the root mean square, its standard error sigma / sqrt(2
+    N), to second order.
+    """
     z = 3.0 * np.random.default_rng(3).normal(size=(150, 1))
 
     def build(parameters):
@@ -98,7 +104,9 @@ def test_one_parameter_in_closed_form():
 
 
 def test_standard_errors_are_the_curvature_of_the_joint():
-    """Both parameters' errors and their correlation, from scipy's joint density differentiated by the profile."""
+    """Both parameters' errors and their correlation, from scipy's joint density differentiated by
+    the profile.
+    """
     runs, steps = 20, 40
     z = simulate(np.random.default_rng(4), steps, runs, 0.4, 0.7)
     when = epochs(np.arange(steps), z)
@@ -108,7 +116,8 @@ def test_standard_errors_are_the_curvature_of_the_joint():
         return run(*builder(runs)(np.exp(logs)), when).log_likelihood.sum()
 
     best = np.log(tuned.parameters)
-    # the profile likelihood falls by 1/2 one standard error away, with the other parameter at its best
+    # the profile likelihood falls by 1/2 one standard error away, with the other parameter at its
+    # best
     away = best[0] + 0.3 * np.sqrt(tuned.covariance[0, 0])
     profile = minimize_scalar(
         lambda b: -at([away, b]), bracket=(best[1] - 0.05, best[1] + 0.05), tol=1e-6
@@ -117,7 +126,9 @@ def test_standard_errors_are_the_curvature_of_the_joint():
 
 
 def test_what_the_data_do_not_determine_is_told():
-    """A parameter without effect, and one that wants to be 0, give no standard error that looks like one."""
+    """A parameter without effect, and one that wants to be 0, give no standard error that looks
+    like one.
+    """
     z = simulate(np.random.default_rng(5), 40, 4, 0.4, 0.7)
 
     def idle(parameters):
@@ -145,7 +156,9 @@ def test_what_the_data_do_not_determine_is_told():
 
 
 def test_failing_parameters_are_improbable():
-    """A filter that cannot work below some noise: the search turns back and finds the inner maximum."""
+    """A filter that cannot work below some noise: the search turns back and finds the inner
+    maximum.
+    """
     z = 3.0 * np.random.default_rng(7).normal(size=(80, 1))
     failed = []
 
@@ -199,7 +212,9 @@ def test_data_and_builders_that_are_none():
 
 
 def test_build_that_raises_is_improbable():
-    """A correlation near 1, searched for among all positive numbers: where there is no such process the search turns back."""
+    """A correlation near 1, searched for among all positive numbers: where there is no such process
+    the search turns back.
+    """
     when, truth = correlated()
     tried = []
 
@@ -218,7 +233,9 @@ def test_build_that_raises_is_improbable():
 
 
 def correlation(parameters):
-    """An AR(1) process of variance q^2 seen through white noise of deviation 0.5; parameters ``(..., 2)``: phi, q."""
+    """An AR(1) process of variance q^2 seen through white noise of deviation 0.5; parameters
+    ``(..., 2)``: phi, q.
+    """
     phi, q = parameters[..., :1], parameters[..., 1:, None]
     assert (phi < 1.0).all()
     motion = Motion(lambda x, _: phi * x, sqrt_Q=q * np.sqrt(1.0 - phi**2)[..., None])

@@ -74,8 +74,18 @@ def test_a_mission_is_flown_and_everything_is_written(mission, tmp_path, capsys,
         assert cli.main(["run", str(mission)]) == 0
     assert cli.main(["run", str(mission)]) == 0
     out = tmp_path / "out" / "missions" / "my-mission"
-    drawn = {f"figures/{stem}.{kind}" for kind in ("png", "svg") for stem in
-             ("accuracy_position", "accuracy_velocity", "consistency", "time_position", "time_velocity", "errors")}  # fmt: skip
+    drawn = {
+        f"figures/{stem}.{kind}"
+        for kind in ("png", "svg")
+        for stem in (
+            "accuracy_position",
+            "accuracy_velocity",
+            "consistency",
+            "time_position",
+            "time_velocity",
+            "errors",
+        )
+    }
     assert files(out) == drawn | {
         "table.csv",
         "table.parquet",
@@ -205,7 +215,8 @@ def test_a_mission_of_failures_only_has_a_page_and_reasons(mission, tmp_path, ca
         (
             ["run", "sweep.toml"],
             2,
-            "config.first_noise, config.sigma_km: a list of values is a study; use: celnav campaign",
+            "config.first_noise, config.sigma_km: a list of values is a study; use: celnav "
+            "campaign",
         ),
         (
             ["run", "mission.toml", "--jobs", "0"],
@@ -369,8 +380,8 @@ def test_the_parameters_of_a_paper_are_listed_with_units(capsys):
     assert cli.main(["list", "ssukf"]) == 0
     printed = capsys.readouterr().out
     assert (
-        "drift_deg_per_h                  0.02                     deg/h     stationary deviation of the"
-        in printed
+        "drift_deg_per_h                  0.02                     deg/h     stationary deviation "
+        "of the" in printed
     )
     assert "preset 100 Hz: preintegrated = false\n" in printed
 

@@ -39,7 +39,9 @@ def plan():
 
 
 class Shuffled(Executor):
-    """Does its work last come, first served, or in any other order; has ``submit`` and nothing else."""
+    """Does its work last come, first served, or in any other order; has ``submit`` and nothing
+    else.
+    """
 
     def __init__(self, seed):
         self._random = random.Random(seed)
@@ -66,7 +68,9 @@ def test_an_executor_of_threads_gives_the_same_table(wanted, tmp_path):
 
 
 def mortal(lives, dies=lambda unit: True, opened=None):
-    """Executors whose worker dies after some units, or always by a unit: then everything that was handed out is lost."""
+    """Executors whose worker dies after some units, or always by a unit: then everything that was
+    handed out is lost.
+    """
     deaths = []
 
     class Mortal(Executor):

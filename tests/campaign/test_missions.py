@@ -86,16 +86,27 @@ def test_tables_within_the_configuration_have_dotted_keys():
         }
     )
     assert found.swept == {"setting.F": (0.0, 0.5), "pulled": (True, False)}
-    assert [(p.config.setting.F, p.config.setting.L, p.config.setting.kappa) for p in found.configurations[::2]] == [
-        (0.0, 0.5, 1.0), (0.5, 0.5, 1.0)
-    ]  # fmt: skip
+    assert [
+        (p.config.setting.F, p.config.setting.L, p.config.setting.kappa)
+        for p in found.configurations[::2]
+    ] == [(0.0, 0.5, 1.0), (0.5, 0.5, 1.0)]
 
 
 def test_everything_else_can_be_chosen():
     found = study(
-        {"paper": "csrukf", "preset": "stress", "title": "T", "filters": ["csrukf"], "runs": 7, "seed": 3, "block": 2, "every": 5,
-         "settle_s": 10, "limits": {"position": 2}}
-    )  # fmt: skip
+        {
+            "paper": "csrukf",
+            "preset": "stress",
+            "title": "T",
+            "filters": ["csrukf"],
+            "runs": 7,
+            "seed": 3,
+            "block": 2,
+            "every": 5,
+            "settle_s": 10,
+            "limits": {"position": 2},
+        }
+    )
     assert (found.title, found.filters, found.runs, found.seed, found.block, found.every) == (
         "T",
         ("csrukf",),
@@ -112,13 +123,34 @@ def test_everything_else_can_be_chosen():
     ("table", "message"),
     [
         ({}, r"paper: expected one of csrukf, .*, got none"),
-        ({"paper": "csrukf", "config": {"camera_deg": [0.1, 0.2]}}, r".*camera_deg \(deg\): has no effect where"),
-        ({"paper": "csrukf", "config": {"measured": "angles", "sigma_km": 1.0}}, r".*sigma_km \(km\): has no effect"),
-        ({"paper": "aukf", "preset": "quiet", "config": {"burst_sigma": 9.0}}, r".*burst_sigma: has no effect without"),
-        ({"paper": "csrukf", "config": {"semi_major_axis_km": 7136635.0}}, r".*axis_km \(km\): expected a number below 1e\+06"),
-        ({"paper": "csrukf", "config": {"semi_major_axis_km": 100.0}}, r".*orbit above the Earth, from 6384"),
-        ({"paper": "csrukf", "config": {"inclination_deg": 400.0}}, r".*inclination_deg \(deg\): expected a number of at least"),
-        ({"paper": "csrukf", "config": {"step_s": 0.0}}, r"config.step_s \(s\): expected a positive number, got 0.0"),
+        (
+            {"paper": "csrukf", "config": {"camera_deg": [0.1, 0.2]}},
+            r".*camera_deg \(deg\): has no effect where",
+        ),
+        (
+            {"paper": "csrukf", "config": {"measured": "angles", "sigma_km": 1.0}},
+            r".*sigma_km \(km\): has no effect",
+        ),
+        (
+            {"paper": "aukf", "preset": "quiet", "config": {"burst_sigma": 9.0}},
+            r".*burst_sigma: has no effect without",
+        ),
+        (
+            {"paper": "csrukf", "config": {"semi_major_axis_km": 7136635.0}},
+            r".*axis_km \(km\): expected a number below 1e\+06",
+        ),
+        (
+            {"paper": "csrukf", "config": {"semi_major_axis_km": 100.0}},
+            r".*orbit above the Earth, from 6384",
+        ),
+        (
+            {"paper": "csrukf", "config": {"inclination_deg": 400.0}},
+            r".*inclination_deg \(deg\): expected a number of at least",
+        ),
+        (
+            {"paper": "csrukf", "config": {"step_s": 0.0}},
+            r"config.step_s \(s\): expected a positive number, got 0.0",
+        ),
         ({"paper": "csrkf"}, r"paper: unknown paper 'csrkf'.*did you mean csrukf\?"),
         ({"paper": 3}, r"paper: expected a word, got 3"),
         ({"paper": "csrukf", "filter": []}, r"filter: unknown key; did you mean filters\?"),
@@ -126,28 +158,74 @@ def test_everything_else_can_be_chosen():
         ({"paper": "csrukf", "preset": "Q"}, r"preset: expected one of P, D, .*, got 'Q'"),
         ({"paper": "csrukf", "filters": "srukf"}, r"filters: expected a list, got 'srukf'"),
         ({"paper": "csrukf", "filters": []}, r"filters: expected some of srukf, .*, got none"),
-        ({"paper": "csrukf", "settle_s": float("nan")}, r"settle_s \(s\): expected a number, got nan"),
-        ({"paper": "csrukf", "settle_s": -5.0}, r"settle_s \(s\): expected a number that is not negative, got -5.0"),
-        ({"paper": "csrukf", "limits": {"position": float("nan")}}, r"limits.position: expected a number, got nan"),
-        ({"paper": "csrukf", "runs": 10**12}, r"runs: expected at most 1000000 blocks of runs in all, got 10000000000"),
-        ({"paper": "csrukf", "settle_s": 601.0}, r"settle_s \(s\): expected at most 600, when the flight ends, got 601"),
+        (
+            {"paper": "csrukf", "settle_s": float("nan")},
+            r"settle_s \(s\): expected a number, got nan",
+        ),
+        (
+            {"paper": "csrukf", "settle_s": -5.0},
+            r"settle_s \(s\): expected a number that is not negative, got -5.0",
+        ),
+        (
+            {"paper": "csrukf", "limits": {"position": float("nan")}},
+            r"limits.position: expected a number, got nan",
+        ),
+        (
+            {"paper": "csrukf", "runs": 10**12},
+            r"runs: expected at most 1000000 blocks of runs in all, got 10000000000",
+        ),
+        (
+            {"paper": "csrukf", "settle_s": 601.0},
+            r"settle_s \(s\): expected at most 600, when the flight ends, got 601",
+        ),
         (
             {"paper": "csrukf", "settle_s": 60.0, "config": {"steps": [100, 50]}},
             r"settle_s \(s\): expected at most 50, when the flight ends where steps = 50, got 60",
         ),
-        ({"paper": "aukf", "config": {"duration_s": 1e9}}, r"config.duration_s \(s\): .* 1 to 10000000 steps, got 1e\+10"),
-        ({"paper": "aukf", "config": {"window": 10**9}}, r"config.window: expected an integer from 1 to 100000, got 1000000000"),
-        ({"paper": "tstdkf", "config": {"pulsars": []}}, r"config.pulsars: expected 3 names, got none"),
-        ({"paper": "aukf", "config": {"duration_s": 0.01}}, r"config.duration_s \(s\): expected a run of 1 to .*, got 0.1"),
-        ({"paper": "ssukf", "config": {"duration_s": 1e9}}, r"config.duration_s \(s\): .* 1 to 10000000 steps, got 4000000000"),
-        ({"paper": "ssukf", "config": {"gyro_hz": 4e9}}, r"config.duration_s \(s\): .* 1 to 10000000 steps, got 2.4e"),
-        ({"paper": "tstdkf", "config": {"days": 1e9}}, r"config.days: .* 1 to 10000000 steps, got 2.88e\+11"),
-        ({"paper": "tstdkf", "config": {"days": 1e-5}}, r"config.days: .* 1 to 10000000 steps, got 0.00288"),
-        ({"paper": "aasghqf", "config": {"steps": 10**9}}, r"config.steps: .* 1 to 10000000, got 1000000000"),
-        ({"paper": "csrukf", "config": {"steps": 10**9}}, r"config.steps: .* 1 to 10000000, got 1000000000"),
+        (
+            {"paper": "aukf", "config": {"duration_s": 1e9}},
+            r"config.duration_s \(s\): .* 1 to 10000000 steps, got 1e\+10",
+        ),
+        (
+            {"paper": "aukf", "config": {"window": 10**9}},
+            r"config.window: expected an integer from 1 to 100000, got 1000000000",
+        ),
+        (
+            {"paper": "tstdkf", "config": {"pulsars": []}},
+            r"config.pulsars: expected 3 names, got none",
+        ),
+        (
+            {"paper": "aukf", "config": {"duration_s": 0.01}},
+            r"config.duration_s \(s\): expected a run of 1 to .*, got 0.1",
+        ),
+        (
+            {"paper": "ssukf", "config": {"duration_s": 1e9}},
+            r"config.duration_s \(s\): .* 1 to 10000000 steps, got 4000000000",
+        ),
+        (
+            {"paper": "ssukf", "config": {"gyro_hz": 4e9}},
+            r"config.duration_s \(s\): .* 1 to 10000000 steps, got 2.4e",
+        ),
+        (
+            {"paper": "tstdkf", "config": {"days": 1e9}},
+            r"config.days: .* 1 to 10000000 steps, got 2.88e\+11",
+        ),
+        (
+            {"paper": "tstdkf", "config": {"days": 1e-5}},
+            r"config.days: .* 1 to 10000000 steps, got 0.00288",
+        ),
+        (
+            {"paper": "aasghqf", "config": {"steps": 10**9}},
+            r"config.steps: .* 1 to 10000000, got 1000000000",
+        ),
+        (
+            {"paper": "csrukf", "config": {"steps": 10**9}},
+            r"config.steps: .* 1 to 10000000, got 1000000000",
+        ),
         (
             {"paper": "csrukf", "config": {"steps": [5, 10**7]}, "runs": 40},
-            r"block: expected at most 200000000 steps at once, got 40 runs of 10000000 steps where steps = 10000000; a",
+            r"block: expected at most 200000000 steps at once, got 40 runs of 10000000 steps where "
+            r"steps = 10000000; a",
         ),
         (
             {"paper": "ssukf", "config": {"inertia": [[1, 0, 0], [0, 1, 0], [0, 0, 10]]}},
@@ -163,47 +241,124 @@ def test_everything_else_can_be_chosen():
             r"config.first_noise: expected one of R, stationary, zero, got 'white'",
         ),
         (
-            {"paper": "csrukf", "config": {"first_noise": "stationary", "noise_level": "increments", "phi": 1.0}},
+            {
+                "paper": "csrukf",
+                "config": {"first_noise": "stationary", "noise_level": "increments", "phi": 1.0},
+            },
             r"config.first_noise: expected R or zero where phi is 1",
         ),
-        ({"paper": "csrukf", "config": {"eccentricity": 1.5}}, r"config.eccentricity: expected a number of at least 0 and below 1"),
-        ({"paper": "csrukf", "config": {"sigma_km": 1e200}}, r"config: expected numbers that can be computed with"),
-        ({"paper": "tstdkf", "config": {"setting": {"F": 2.0}}}, r"config: F: expected a diagonal matrix .*\], \[0"),
+        (
+            {"paper": "csrukf", "config": {"eccentricity": 1.5}},
+            r"config.eccentricity: expected a number of at least 0 and below 1",
+        ),
+        (
+            {"paper": "csrukf", "config": {"sigma_km": 1e200}},
+            r"config: expected numbers that can be computed with",
+        ),
+        (
+            {"paper": "tstdkf", "config": {"setting": {"F": 2.0}}},
+            r"config: F: expected a diagonal matrix .*\], \[0",
+        ),
         ({"paper": "csrukf", "filters": ["srukf", "srukf"]}, r"filters: expected different names"),
-        ({"paper": "csrukf", "filters": ["sruk"]}, r"filters: expected some of srukf, .*, got 'sruk'; did you mean srukf\?"),
+        (
+            {"paper": "csrukf", "filters": ["sruk"]},
+            r"filters: expected some of srukf, .*, got 'sruk'; did you mean srukf\?",
+        ),
         ({"paper": "csrukf", "runs": 0}, r"runs: expected a whole number of at least 1, got 0"),
         ({"paper": "csrukf", "runs": 1.5}, r"runs: expected a whole number, got 1.5"),
         ({"paper": "csrukf", "runs": True}, r"runs: expected a whole number, got True"),
         ({"paper": "csrukf", "runs": float("inf")}, r"runs: expected a whole number, got inf"),
         ({"paper": "csrukf", "runs": 10**400}, r"runs: expected a whole number, got 1000"),
-        ({"paper": "csrukf", "config": {"sigma_km": 10**400}}, r"config.sigma_km \(km\): expected a number, got 1000"),
+        (
+            {"paper": "csrukf", "config": {"sigma_km": 10**400}},
+            r"config.sigma_km \(km\): expected a number, got 1000",
+        ),
         ({"paper": "csrukf", "seed": -1}, r"seed: expected a whole number of at least 0, got -1"),
         ({"paper": "csrukf", "settle_s": "x"}, r"settle_s \(s\): expected a number, got 'x'"),
-        ({"paper": "csrukf", "limits": {"position": 0}}, r"limits.position: expected a positive number, got 0.0"),
-        ({"paper": "csrukf", "limits": {"positon": 1}}, r"limits.positon: unknown key; did you mean limits.position\?"),
+        (
+            {"paper": "csrukf", "limits": {"position": 0}},
+            r"limits.position: expected a positive number, got 0.0",
+        ),
+        (
+            {"paper": "csrukf", "limits": {"positon": 1}},
+            r"limits.positon: unknown key; did you mean limits.position\?",
+        ),
         ({"paper": "csrukf", "limits": 3}, r"limits: expected a table, got 3"),
         ({"paper": "csrukf", "config": 3}, r"config: expected a table, got 3"),
-        ({"paper": "csrukf", "config": {"runs": 3}}, r"config.runs: expected runs at the top of the file"),
-        ({"paper": "csrukf", "config": {"sigma": 1}}, r"config.sigma: unknown key; did you mean config.sigma_km\?"),
-        ({"paper": "csrukf", "config": {"sigma_km": "x"}}, r"config.sigma_km \(km\): expected a number, got 'x'"),
-        ({"paper": "csrukf", "config": {"sigma_km": -1}}, r"config.sigma_km \(km\): expected a positive number, got -1.0"),
-        ({"paper": "csrukf", "config": {"sigma_km": []}}, r"config.sigma_km: expected at least one value, got an empty list"),
-        ({"paper": "csrukf", "config": {"sigma_km": [1, 1.0]}}, r"config.sigma_km: expected different values"),
-        ({"paper": "csrukf", "config": {"sigma_km": [[1]]}}, r"config.sigma_km \(km\): expected a number, got \[1\]"),
-        ({"paper": "csrukf", "config": {"sigma_km": float("nan")}}, r"config.sigma_km \(km\): expected a number, got nan"),
-        ({"paper": "csrukf", "config": {"sigma_km": [1, -1], "phi": 0.5}}, r"config.sigma_km \(km\): expected a positive"),
-        ({"paper": "csrukf", "config": {"sigma_km": [1, 2], "phi": [0.5, 2]}}, r"config.phi: .* 2.0 \(where sigma_km = 1.0\)"),
-        ({"paper": "csrukf", "config": {"measured": "radar"}}, r"config.measured: expected one of positions, angles, got 'radar'"),
-        ({"paper": "ssukf", "config": {"prior_deg": [1, 2]}}, r"config.prior_deg \(deg\): expected 3 values, got 2"),
-        ({"paper": "ssukf", "config": {"prior_deg": 1}}, r"config.prior_deg \(deg\): expected a list, got 1"),
-        ({"paper": "ssukf", "config": {"preintegrated": 1}}, r"config.preintegrated: expected true or false, got 1"),
-        ({"paper": "ssukf", "config": {"tau_s": True}}, r"config.tau_s \(s\): expected a number, got True"),
+        (
+            {"paper": "csrukf", "config": {"runs": 3}},
+            r"config.runs: expected runs at the top of the file",
+        ),
+        (
+            {"paper": "csrukf", "config": {"sigma": 1}},
+            r"config.sigma: unknown key; did you mean config.sigma_km\?",
+        ),
+        (
+            {"paper": "csrukf", "config": {"sigma_km": "x"}},
+            r"config.sigma_km \(km\): expected a number, got 'x'",
+        ),
+        (
+            {"paper": "csrukf", "config": {"sigma_km": -1}},
+            r"config.sigma_km \(km\): expected a positive number, got -1.0",
+        ),
+        (
+            {"paper": "csrukf", "config": {"sigma_km": []}},
+            r"config.sigma_km: expected at least one value, got an empty list",
+        ),
+        (
+            {"paper": "csrukf", "config": {"sigma_km": [1, 1.0]}},
+            r"config.sigma_km: expected different values",
+        ),
+        (
+            {"paper": "csrukf", "config": {"sigma_km": [[1]]}},
+            r"config.sigma_km \(km\): expected a number, got \[1\]",
+        ),
+        (
+            {"paper": "csrukf", "config": {"sigma_km": float("nan")}},
+            r"config.sigma_km \(km\): expected a number, got nan",
+        ),
+        (
+            {"paper": "csrukf", "config": {"sigma_km": [1, -1], "phi": 0.5}},
+            r"config.sigma_km \(km\): expected a positive",
+        ),
+        (
+            {"paper": "csrukf", "config": {"sigma_km": [1, 2], "phi": [0.5, 2]}},
+            r"config.phi: .* 2.0 \(where sigma_km = 1.0\)",
+        ),
+        (
+            {"paper": "csrukf", "config": {"measured": "radar"}},
+            r"config.measured: expected one of positions, angles, got 'radar'",
+        ),
+        (
+            {"paper": "ssukf", "config": {"prior_deg": [1, 2]}},
+            r"config.prior_deg \(deg\): expected 3 values, got 2",
+        ),
+        (
+            {"paper": "ssukf", "config": {"prior_deg": 1}},
+            r"config.prior_deg \(deg\): expected a list, got 1",
+        ),
+        (
+            {"paper": "ssukf", "config": {"preintegrated": 1}},
+            r"config.preintegrated: expected true or false, got 1",
+        ),
+        (
+            {"paper": "ssukf", "config": {"tau_s": True}},
+            r"config.tau_s \(s\): expected a number, got True",
+        ),
         ({"paper": "tstdkf", "config": {"setting": 1}}, r"config.setting: expected a table, got 1"),
-        ({"paper": "tstdkf", "config": {"setting": {"G": 1}}}, r"config.setting.G: unknown key; expected one of F, L, kappa"),
-        ({"paper": "csrukf", "config": {"phi": [i * 1e-4 for i in range(400)], "sigma_km": list(range(1, 300))}},
-         r"config: expected at most 100000 configurations, got 119600"),
+        (
+            {"paper": "tstdkf", "config": {"setting": {"G": 1}}},
+            r"config.setting.G: unknown key; expected one of F, L, kappa",
+        ),
+        (
+            {
+                "paper": "csrukf",
+                "config": {"phi": [i * 1e-4 for i in range(400)], "sigma_km": list(range(1, 300))},
+            },
+            r"config: expected at most 100000 configurations, got 119600",
+        ),
     ],
-)  # fmt: skip
+)
 def test_what_cannot_be_is_refused_by_key_and_unit(table, message):
     with pytest.raises(ValueError, match=f"^{message}"):
         study(table)
@@ -246,11 +401,22 @@ def test_the_effort_scales_the_runs(tmp_path):
 
 def test_units_are_read_from_the_names():
     names = {
-        "sigma_km": "km", "speed_m_per_s": "m/s", "drift_deg_per_h": "deg/h", "acceleration_m_per_s2": "m/s^2", "gyro_hz": "Hz",
-        "angle_walk_deg_per_sqrt_h": "deg/sqrt(h)", "velocity_walk_ug_per_sqrt_hz": "ug/sqrt(Hz)", "tau_s": "s",
-        "acceleration_noise_m2_per_s3": "m^2/s^3", "steps": "", "phi": "", "runs": "", "alpha": "", "acceleration_g": "g",
+        "sigma_km": "km",
+        "speed_m_per_s": "m/s",
+        "drift_deg_per_h": "deg/h",
+        "acceleration_m_per_s2": "m/s^2",
+        "gyro_hz": "Hz",
+        "angle_walk_deg_per_sqrt_h": "deg/sqrt(h)",
+        "velocity_walk_ug_per_sqrt_hz": "ug/sqrt(Hz)",
+        "tau_s": "s",
+        "acceleration_noise_m2_per_s3": "m^2/s^3",
+        "steps": "",
+        "phi": "",
+        "runs": "",
+        "alpha": "",
+        "acceleration_g": "g",
         "orbit_rate_rad_per_s": "rad/s",
-    }  # fmt: skip
+    }
     assert {name: unit_of(name) for name in names} == names
 
 
@@ -263,8 +429,18 @@ def test_what_a_study_says_of_itself_differs_where_the_study_does():
 
     base = said()
     assert base == said()
-    for more in ({"runs": 5}, {"seed": 1}, {"block": 3}, {"every": 2}, {"settle_s": 1.0}, {"limits": {"position": 1.0}},
-                 {"filters": ["srukf"]}, {"preset": "D"}, {"config": {"phi": [0.0, 0.6]}}, {"config": {"steps": 6}}):  # fmt: skip
+    for more in (
+        {"runs": 5},
+        {"seed": 1},
+        {"block": 3},
+        {"every": 2},
+        {"settle_s": 1.0},
+        {"limits": {"position": 1.0}},
+        {"filters": ["srukf"]},
+        {"preset": "D"},
+        {"config": {"phi": [0.0, 0.6]}},
+        {"config": {"steps": 6}},
+    ):
         assert said(**more) != base
 
 
@@ -281,7 +457,9 @@ def test_a_parameter_that_works_somewhere_may_be_swept():
 
 @pytest.mark.parametrize("measured", ["positions", "angles"])
 def test_the_color_of_the_noise_does_not_change_how_large_it_is(measured):
-    """Of a mission; where its file speaks of increments, they are what it says they are, and the noise grows with the color."""
+    """Of a mission; where its file speaks of increments, they are what it says they are, and the
+    noise grows with the color.
+    """
     key, value = {"positions": ("sigma_km", 0.1), "angles": ("camera_deg", 0.01)}[measured]
     config = {"phi": [0.0, 0.8, 0.95], key: value, "measured": measured, "steps": 400}
     rngs = [np.random.default_rng(i) for i in range(50)]
@@ -300,7 +478,9 @@ def test_the_color_of_the_noise_does_not_change_how_large_it_is(measured):
 
 @pytest.mark.parametrize("measured", ["positions", "angles"])
 def test_filters_are_told_how_large_the_noise_is(measured):
-    """The exact filter is consistent, and one that takes the noise for white takes it for as large as it is."""
+    """The exact filter is consistent, and one that takes the noise for white takes it for as large
+    as it is.
+    """
     trials = {}
     for phi in (0.0, 0.9):
         config = {

@@ -254,7 +254,9 @@ def test_another_study_is_refused_with_the_difference(made, change, difference):
     ],
 )
 def test_a_finished_campaign_grows_and_flies_only_what_is_new(made, tmp_path, change, flown):
-    """More runs, one more value, or several of what had one: the table is that of the whole flown at once."""
+    """More runs, one more value, or several of what had one: the table is that of the whole flown
+    at once.
+    """
     folder, _ = made
     seen = []
     found = table(

@@ -31,7 +31,9 @@ def unit():
 
 @pytest.fixture
 def broken(monkeypatch):
-    """Let the paper's trial, or one of its filters, raise in some runs: those whose first true position is in a set."""
+    """Let the paper's trial, or one of its filters, raise in some runs: those whose first true
+    position is in a set.
+    """
 
     def use(where, runs):
         original = csrukf.trial
@@ -77,10 +79,17 @@ def test_the_key_is_that_of_what_determines_the_result(unit):
     others = [
         replace(unit, **change)
         for change in (
-            {"paper": "ssukf"}, {"filters": ("srukf",)}, {"seed": 1}, {"first": 1}, {"last": 5}, {"every": 2}, {"settle_s": 1.0},
-            {"limits": (("position", 1.0),)}, {"config": replace(unit.config, phi=0.81)},
+            {"paper": "ssukf"},
+            {"filters": ("srukf",)},
+            {"seed": 1},
+            {"first": 1},
+            {"last": 5},
+            {"every": 2},
+            {"settle_s": 1.0},
+            {"limits": (("position", 1.0),)},
+            {"config": replace(unit.config, phi=0.81)},
         )
-    ]  # fmt: skip
+    ]
     assert len({unit.key, *(u.key for u in others)}) == 10
 
 

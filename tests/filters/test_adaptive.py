@@ -1,4 +1,6 @@
-"""Gates reject what they should and count it, the window follows its formula, considered states stay uncertain."""
+"""Gates reject what they should and count it, the window follows its formula, considered states
+stay uncertain.
+"""
 
 import numpy as np
 import pytest
@@ -111,7 +113,9 @@ def test_gate_leaves_out_components(form, rule):
 
 
 def test_gate_rejects_as_often_as_it_should():
-    """Of good data, one component alone, the share that lies beyond 1.5 standard deviations of a Gaussian."""
+    """Of good data, one component alone, the share that lies beyond 1.5 standard deviations of a
+    Gaussian.
+    """
     gamma, runs = 1.5, 4000
     z = simulate(np.random.default_rng(2), 1, runs)[0]
     _, info = seen(make([gate(gamma)]), prior(runs), z)
@@ -180,7 +184,9 @@ def test_gates_do_not_mind_how_the_noise_comes_in(hook, form):
 
 
 def test_chi_square_gate_counts_what_was_measured():
-    """Three standard deviations of one component are too much for it alone (0.99: 2.6), not among three (3.4)."""
+    """Three standard deviations of one component are too much for it alone (0.99: 2.6), not among
+    three (3.4).
+    """
     S = H @ P0 @ H.T + R
     alone = np.array([np.nan, np.nan, 3.0 * np.sqrt(S[2, 2])])
     among = 3.0 * np.linalg.cholesky(S)[:, 0]
@@ -206,7 +212,9 @@ def test_a_window_never_filled_changes_no_bit(form, rule):
 @RULES
 @pytest.mark.parametrize("gaps", ["restart", "skip"])
 def test_window_follows_its_formula(form, rule, gaps):
-    """``A = max(1, (C - S0) / R)`` by congruence, per component, with full R; gaps restart or are skipped."""
+    """``A = max(1, (C - S0) / R)`` by congruence, per component, with full R; gaps restart or are
+    skipped.
+    """
     M, z = 4, simulate(np.random.default_rng(5), 40)
     z[15:25] *= 6.0
     z[18, 1] = np.nan
@@ -238,7 +246,9 @@ def test_window_follows_its_formula(form, rule, gaps):
     [(innovation_window(3),), (innovation_window(3, "skip"),), (gate(2.0), innovation_window(2))],
 )
 def test_runs_do_not_know_each_other(hooks):
-    """A run in a batch adapts as it would alone, also where the whole block or only this run has no measurement."""
+    """A run in a batch adapts as it would alone, also where the whole block or only this run has no
+    measurement.
+    """
     z = simulate(np.random.default_rng(6), 30, 3)
     z[10:20, 1] *= 8.0
     z[12, 1] = np.nan  # alone, this epoch is skipped altogether; in the batch the hook sees nan
@@ -290,8 +300,9 @@ def test_adaptation_helps_in_a_burst():
 @FORMS
 @pytest.mark.parametrize("share", [0.0, 0.6, 0.75])
 def test_underweighting_follows_its_formula(form, rule, share):
-    """``K = P H' ((1 + beta) H P H' + R)^-1`` where the prior has the larger share, with Joseph's covariance of that gain and all
-    of the underweighting as noise; components and runs that miss are left out."""
+    """``K = P H' ((1 + beta) H P H' + R)^-1`` where the prior has the larger share, with Joseph's
+    covariance of that gain and all of the underweighting as noise; components and runs that miss
+    are left out."""
     beta, poor = 0.3, []
     z = simulate(np.random.default_rng(11), 20, 2)
     z[3, 0, 1] = z[4, 1] = np.nan
@@ -329,7 +340,9 @@ def ranges(x, _epoch=None):
 
 
 def test_underweighting_leaves_room_for_curvature():
-    """Precise ranges and a poor prior: an extended filter claims a hundred times too little; underweighted, about what it errs."""
+    """Precise ranges and a poor prior: an extended filter claims a hundred times too little;
+    underweighted, about what it errs.
+    """
     rng, runs = np.random.default_rng(12), 2000
     center = np.array([3.0, 0.0])
     truth = center + rng.normal(size=(runs, 2))
@@ -365,7 +378,9 @@ def test_a_lost_run_is_not_underweighted_for_its_neighbors():
 @FORMS
 @pytest.mark.parametrize("missing", [False, True])
 def test_consider_is_schmidt_kalman(form, rule, missing):
-    """The Schmidt-Kalman equations in blocks: states x with P_x, considered p with P_p, and their cross-covariance C."""
+    """The Schmidt-Kalman equations in blocks: states x with P_x, considered p with P_p, and their
+    cross-covariance C.
+    """
     rng = np.random.default_rng(9)
     F, Hp = 0.8, np.array([[0.3], [-0.5], [0.2]])
     B = np.array([[0.4], [-0.2]])
@@ -453,7 +468,9 @@ def test_bad_input_is_refused_by_name(bad, name):
 @pytest.mark.parametrize("how", ["in place", "anew"])
 @pytest.mark.parametrize("h", [np.eye(1, 2), lambda x, e: x[..., :1]], ids=["matrix", "function"])
 def test_a_hook_may_write_into_the_joint(how, h):
-    """Inflating the prior, rows of the state included: the same in both forms, and the record of the innovation stays."""
+    """Inflating the prior, rows of the state included: the same in both forms, and the record of
+    the innovation stays.
+    """
 
     def inflate(memory, joint, epoch):
         if how == "in place":

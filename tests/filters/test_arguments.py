@@ -44,7 +44,8 @@ def updated(z, prior=PRIOR, filter=FILTER):
     [
         (
             celnav.Taylor,
-            "rule: expected a rule, such as celnav.unscented(n) or celnav.unscented, got class Taylor",
+            "rule: expected a rule, such as celnav.unscented(n) or celnav.unscented, got class "
+            "Taylor",
         ),
         (6, "rule: expected a rule, such as celnav.unscented(n) or celnav.unscented, got int"),
         (
@@ -73,74 +74,221 @@ def test_a_rule_that_is_none(given, told):
 @pytest.mark.parametrize(
     ("make", "told"),
     [
-        (lambda: celnav.Motion([EYE[0]], EYE), "f: expected a function (points, epoch) or a matrix (..., n, n), got shape (1, 2)"),
-        (lambda: celnav.Sensor([1.0, 0.0], EYE), "h: expected a function (points, epoch) or a matrix (..., m, n), got shape (2,)"),
-        (lambda: celnav.Motion(EYE, EYE, space=angles()), "f: expected a function where states are no vectors, got a matrix"),
-        (lambda: celnav.Motion(f, EYE, space=[0]), "space: expected a Space, such as celnav.angles([0]), got list"),
+        (
+            lambda: celnav.Motion([EYE[0]], EYE),
+            "f: expected a function (points, epoch) or a matrix (..., n, n), got shape (1, 2)",
+        ),
+        (
+            lambda: celnav.Sensor([1.0, 0.0], EYE),
+            "h: expected a function (points, epoch) or a matrix (..., m, n), got shape (2,)",
+        ),
+        (
+            lambda: celnav.Motion(EYE, EYE, space=angles()),
+            "f: expected a function where states are no vectors, got a matrix",
+        ),
+        (
+            lambda: celnav.Motion(f, EYE, space=[0]),
+            "space: expected a Space, such as celnav.angles([0]), got list",
+        ),
         (lambda: celnav.Sensor(f, [[1.0]], space=celnav.angles), "space: expected a Space"),
-        (lambda: celnav.Motion(f, EYE, jacobian=EYE), "jacobian: expected a function (mean, epoch), got ndarray; a linear f is"),
-        (lambda: celnav.Motion(f, EYE, jacobian=(EYE,)), "jacobian: expected a function (mean, epoch), got tuple; a linear f is"),
-        (lambda: celnav.Sensor(f, EYE, jacobian=3), "jacobian: expected a function (mean, epoch), got int; a linear h is"),
+        (
+            lambda: celnav.Motion(f, EYE, jacobian=EYE),
+            "jacobian: expected a function (mean, epoch), got ndarray; a linear f is",
+        ),
+        (
+            lambda: celnav.Motion(f, EYE, jacobian=(EYE,)),
+            "jacobian: expected a function (mean, epoch), got tuple; a linear f is",
+        ),
+        (
+            lambda: celnav.Sensor(f, EYE, jacobian=3),
+            "jacobian: expected a function (mean, epoch), got int; a linear h is",
+        ),
         (lambda: celnav.Motion(f, EYE, sqrt_Q=EYE), "Q: expected one of Q and sqrt_Q, got both"),
-        (lambda: celnav.Sensor(f), "R: expected the noise's covariance, R or sqrt_R; without noise it is np.zeros((k, k))"),
-        (lambda: celnav.Motion(f), "Q: expected the noise's covariance, Q or sqrt_Q; without noise it is np.zeros((k, k))"),
-        (lambda: celnav.Sensor(EYE, [0.1, 0.2]), "got shape (2,); variances alone are np.diag(...)"),
+        (
+            lambda: celnav.Sensor(f),
+            "R: expected the noise's covariance, R or sqrt_R; without noise it is np.zeros((k, k))",
+        ),
+        (
+            lambda: celnav.Motion(f),
+            "Q: expected the noise's covariance, Q or sqrt_Q; without noise it is np.zeros((k, k))",
+        ),
+        (
+            lambda: celnav.Sensor(EYE, [0.1, 0.2]),
+            "got shape (2,); variances alone are np.diag(...)",
+        ),
         (lambda: celnav.ukf(MOTION, SENSOR, hooks=gate(4.0)), "hooks: expected a list of hooks"),
-        (lambda: celnav.ukf(MOTION, SENSOR, hooks=[gate]), "expected functions (memory, joint, epoch), got function gate"),
-        (lambda: celnav.ukf(MOTION, SENSOR, hooks=[[gate(4.0)]] * 2), "hooks: expected hooks, or 1 lists of them, one for each"),
-        (lambda: celnav.ukf(MOTION, SENSOR, form="root"), "form: expected one of square root, covariance, got 'root'"),
-        (lambda: celnav.ukf(MOTION, SENSOR, SENSOR, gain=EYE), "gain: expected one sensor with it, got 2"),
-        (lambda: celnav.ekf(MOTION, SENSOR, iterations=0), "iterations: expected an integer from 1 to 10000, got 0"),
+        (
+            lambda: celnav.ukf(MOTION, SENSOR, hooks=[gate]),
+            "expected functions (memory, joint, epoch), got function gate",
+        ),
+        (
+            lambda: celnav.ukf(MOTION, SENSOR, hooks=[[gate(4.0)]] * 2),
+            "hooks: expected hooks, or 1 lists of them, one for each",
+        ),
+        (
+            lambda: celnav.ukf(MOTION, SENSOR, form="root"),
+            "form: expected one of square root, covariance, got 'root'",
+        ),
+        (
+            lambda: celnav.ukf(MOTION, SENSOR, SENSOR, gain=EYE),
+            "gain: expected one sensor with it, got 2",
+        ),
+        (
+            lambda: celnav.ekf(MOTION, SENSOR, iterations=0),
+            "iterations: expected an integer from 1 to 10000, got 0",
+        ),
         (lambda: celnav.ukf(SENSOR, MOTION), "motion: expected celnav.Motion(f, Q), got Sensor"),
-        (lambda: celnav.ukf(FILTER, SENSOR), "motion: expected celnav.Motion(f, Q), got Sequential"),
+        (
+            lambda: celnav.ukf(FILTER, SENSOR),
+            "motion: expected celnav.Motion(f, Q), got Sequential",
+        ),
         (lambda: celnav.ukf(MOTION, MOTION), "sensors: expected celnav.Sensor(h, R), got Motion"),
         (lambda: celnav.ukf(MOTION, [SENSOR]), "sensors: expected celnav.Sensor(h, R), got list"),
-        (lambda: celnav.decorrelated(MOTION, celnav.Sensor(f, EYE), 0.5 * EYE), "sensor: expected a measurement matrix (m, n)"),
-        (lambda: celnav.augmented(MOTION, celnav.Sensor(EYE, f), 0.5), "R: expected a constant covariance (m, m) of the noise"),
-        (lambda: celnav.run(FILTER, PRIOR, np.zeros((3, 2))), "times: expected shape (T,) with T > 0, got (3, 2)"),
-        (lambda: list(celnav.steps(FILTER, PRIOR, np.zeros(3))), "epochs: expected celnav.epochs(times, z), or records like"),
-        (lambda: celnav.run(FILTER, PRIOR, celnav.epochs([0.0]), [[0.0, 0.0]]), "z: expected none beside epochs, which have"),
-        (lambda: celnav.run(FILTER, PRIOR, [celnav.Epoch(k, float(k)) for k in (0, 1)]), "dt: expected the interval since t = 0"),
-        (lambda: celnav.run(PRIOR, FILTER, [0.0]), "filter: expected a filter, such as celnav.ukf(motion, sensor), got Gaussian"),
-        (lambda: celnav.run(FILTER, np.zeros(2), [0.0]), "prior: expected a Gaussian, such as celnav.Gaussian(mean, cov), got"),
-        (lambda: FILTER.step(PRIOR, celnav.Epoch()), "state: expected what the filter's start(prior) or last step gave"),
-        (lambda: celnav.epochs([0.0] * 3, DATES[:, None]), "z: expected numbers, got dates or durations; seconds are"),
-        (lambda: celnav.run(FILTER, PRIOR, [0.0], engine=""), "engine: expected one of numpy, compiled, cuda, auto, got ''"),
-        (lambda: celnav.run(FILTER, PRIOR, [0.0], engine={}), "engine: expected one of numpy, compiled, cuda, auto, got {}"),
-        (lambda: celnav.iterated_smoother(FILTER, PRIOR, [0.0], engine=""), "engine: expected one of numpy, compiled"),
-        (lambda: celnav.epochs([0.0, 1.0], [[1.0, 2.0], [3.0]]), "z: expected numbers, got [[1.0, 2.0], [3.0]]"),
-        (lambda: celnav.epochs([0.0, 1.0], [[1.0, 2.0], None]), "got [[1.0, 2.0], None]; use nan for what is missing"),
+        (
+            lambda: celnav.decorrelated(MOTION, celnav.Sensor(f, EYE), 0.5 * EYE),
+            "sensor: expected a measurement matrix (m, n)",
+        ),
+        (
+            lambda: celnav.augmented(MOTION, celnav.Sensor(EYE, f), 0.5),
+            "R: expected a constant covariance (m, m) of the noise",
+        ),
+        (
+            lambda: celnav.run(FILTER, PRIOR, np.zeros((3, 2))),
+            "times: expected shape (T,) with T > 0, got (3, 2)",
+        ),
+        (
+            lambda: list(celnav.steps(FILTER, PRIOR, np.zeros(3))),
+            "epochs: expected celnav.epochs(times, z), or records like",
+        ),
+        (
+            lambda: celnav.run(FILTER, PRIOR, celnav.epochs([0.0]), [[0.0, 0.0]]),
+            "z: expected none beside epochs, which have",
+        ),
+        (
+            lambda: celnav.run(FILTER, PRIOR, [celnav.Epoch(k, float(k)) for k in (0, 1)]),
+            "dt: expected the interval since t = 0",
+        ),
+        (
+            lambda: celnav.run(PRIOR, FILTER, [0.0]),
+            "filter: expected a filter, such as celnav.ukf(motion, sensor), got Gaussian",
+        ),
+        (
+            lambda: celnav.run(FILTER, np.zeros(2), [0.0]),
+            "prior: expected a Gaussian, such as celnav.Gaussian(mean, cov), got",
+        ),
+        (
+            lambda: FILTER.step(PRIOR, celnav.Epoch()),
+            "state: expected what the filter's start(prior) or last step gave",
+        ),
+        (
+            lambda: celnav.epochs([0.0] * 3, DATES[:, None]),
+            "z: expected numbers, got dates or durations; seconds are",
+        ),
+        (
+            lambda: celnav.run(FILTER, PRIOR, [0.0], engine=""),
+            "engine: expected one of numpy, compiled, cuda, auto, got ''",
+        ),
+        (
+            lambda: celnav.run(FILTER, PRIOR, [0.0], engine={}),
+            "engine: expected one of numpy, compiled, cuda, auto, got {}",
+        ),
+        (
+            lambda: celnav.iterated_smoother(FILTER, PRIOR, [0.0], engine=""),
+            "engine: expected one of numpy, compiled",
+        ),
+        (
+            lambda: celnav.epochs([0.0, 1.0], [[1.0, 2.0], [3.0]]),
+            "z: expected numbers, got [[1.0, 2.0], [3.0]]",
+        ),
+        (
+            lambda: celnav.epochs([0.0, 1.0], [[1.0, 2.0], None]),
+            "got [[1.0, 2.0], None]; use nan for what is missing",
+        ),
         (lambda: celnav.epochs([0.0, 1.0], [1.0, 2.0]), "got (2,); one component is z[:, None]"),
-        (lambda: celnav.Gaussian(np.ma.masked_values([1.0, -9.0], -9.0), EYE), "mean: expected finite numbers, got 1 that"),
-        (lambda: celnav.Gaussian([0.0, 0.0], [[1.0, 2.0], [3.0]]), "cov: expected numbers, got [[1.0, 2.0], [3.0]]"),
-        (lambda: predicted(MOTION, QUATERNION), "space: expected one for states of 4 components with 3 deviations, got vectors"),
-        (lambda: updated([0.0, 0.0], QUATERNION), "space: expected one for states of 4 components with 3 deviations, got vectors"),
+        (
+            lambda: celnav.Gaussian(np.ma.masked_values([1.0, -9.0], -9.0), EYE),
+            "mean: expected finite numbers, got 1 that",
+        ),
+        (
+            lambda: celnav.Gaussian([0.0, 0.0], [[1.0, 2.0], [3.0]]),
+            "cov: expected numbers, got [[1.0, 2.0], [3.0]]",
+        ),
+        (
+            lambda: predicted(MOTION, QUATERNION),
+            "space: expected one for states of 4 components with 3 deviations, got vectors",
+        ),
+        (
+            lambda: updated([0.0, 0.0], QUATERNION),
+            "space: expected one for states of 4 components with 3 deviations, got vectors",
+        ),
         (lambda: predicted(TRANSPOSED), "jacobian: expected shape (..., 2,"),
         (lambda: predicted(celnav.Motion(np.eye(3), np.eye(3))), "f: expected a matrix"),
-        (lambda: updated([0.0, 0.0], filter=celnav.ukf(MOTION, SENSOR, gain=np.eye(3))), "gain: expected shape (..., 2, 2)"),
+        (
+            lambda: updated([0.0, 0.0], filter=celnav.ukf(MOTION, SENSOR, gain=np.eye(3))),
+            "gain: expected shape (..., 2, 2)",
+        ),
         (lambda: updated([1j, 0.0]), "z: expected numbers, got"),
-        (lambda: updated(3.0), "z: expected shape (..., m), got the number 3.0; one component is [z]"),
+        (
+            lambda: updated(3.0),
+            "z: expected shape (..., m), got the number 3.0; one component is [z]",
+        ),
         (lambda: updated((np.zeros(2), np.zeros(2))), "z: expected 1 measurements, got 2"),
         (lambda: updated([1.0]), "z: expected 2 components"),
         (lambda: updated(np.zeros((2, 1))), "z: expected 2 components"),
-        (lambda: TwoStage.of(FILTER, EYE, PRIOR), "first: expected a first stage, such as celnav.filters.two_stage.Plain"),
-        (lambda: TwoStage.of(Plain(FILTER), np.eye(3), PRIOR), "Gamma: expected shape (..., m, 2) to go with the bias, got (3, 3)"),
-        (lambda: celnav.two_stage(MOTION, SENSOR, EYE, EYE), "bias: expected celnav.Gaussian(mean, cov), got"),
-        (lambda: celnav.two_stage(MOTION, SENSOR, EYE, PRIOR, Qb=np.eye(3)), "Qb: expected symmetric positive semidefinite (2, 2)"),
-        (lambda: SingleDraw.of(FILTER), "filter: expected one sensor, and process noise through the points only"),
-        (lambda: Fallback(FILTER, MOTION), "second: expected celnav.ukf(motion, sensor), got Motion"),
-        (lambda: celnav.export_c(FILTER, "filter.c", None), "prior: expected a Gaussian, such as celnav.Gaussian(mean, cov)"),
-        (lambda: celnav.export_c(FILTER, "filter.c", EYE), "prior: expected a Gaussian, such as celnav.Gaussian(mean, cov)"),
-        (lambda: celnav.ukf(MOTION, SENSOR, alpha=1e-7), "alpha, kappa, wm: expected weights that leave three digits of a mean"),
+        (
+            lambda: TwoStage.of(FILTER, EYE, PRIOR),
+            "first: expected a first stage, such as celnav.filters.two_stage.Plain",
+        ),
+        (
+            lambda: TwoStage.of(Plain(FILTER), np.eye(3), PRIOR),
+            "Gamma: expected shape (..., m, 2) to go with the bias, got (3, 3)",
+        ),
+        (
+            lambda: celnav.two_stage(MOTION, SENSOR, EYE, EYE),
+            "bias: expected celnav.Gaussian(mean, cov), got",
+        ),
+        (
+            lambda: celnav.two_stage(MOTION, SENSOR, EYE, PRIOR, Qb=np.eye(3)),
+            "Qb: expected symmetric positive semidefinite (2, 2)",
+        ),
+        (
+            lambda: SingleDraw.of(FILTER),
+            "filter: expected one sensor, and process noise through the points only",
+        ),
+        (
+            lambda: Fallback(FILTER, MOTION),
+            "second: expected celnav.ukf(motion, sensor), got Motion",
+        ),
+        (
+            lambda: celnav.export_c(FILTER, "filter.c", None),
+            "prior: expected a Gaussian, such as celnav.Gaussian(mean, cov)",
+        ),
+        (
+            lambda: celnav.export_c(FILTER, "filter.c", EYE),
+            "prior: expected a Gaussian, such as celnav.Gaussian(mean, cov)",
+        ),
+        (
+            lambda: celnav.ukf(MOTION, SENSOR, alpha=1e-7),
+            "alpha, kappa, wm: expected weights that leave three digits of a mean",
+        ),
         (lambda: celnav.smooth(None), "track: expected what celnav.run gave, got NoneType"),
         (lambda: celnav.from_filterpy(3), "points: expected a filterpy sigma-point object"),
         (lambda: celnav.angles(3), "components: expected a sequence, such as [0], got 3"),
         (lambda: celnav.angles([0.5]), "components: expected integers of at least 0, got [0.5]"),
-        (lambda: celnav.angles([5]).minus(np.zeros(2), np.zeros(2)), "angles: expected components below 2"),
-        (lambda: product(angles(), EUCLIDEAN), "factors: expected triples (space, length of its points, length of its tangents)"),
-        (lambda: product((EUCLIDEAN, 2, 2)).plus(np.zeros(3), np.zeros(3)), "point: expected 2 components of a product of spaces"),
+        (
+            lambda: celnav.angles([5]).minus(np.zeros(2), np.zeros(2)),
+            "angles: expected components below 2",
+        ),
+        (
+            lambda: product(angles(), EUCLIDEAN),
+            "factors: expected triples (space, length of its points, length of its tangents)",
+        ),
+        (
+            lambda: product((EUCLIDEAN, 2, 2)).plus(np.zeros(3), np.zeros(3)),
+            "point: expected 2 components of a product of spaces",
+        ),
     ],
-)  # fmt: skip
+)
 def test_other_arguments(make, told):
     with pytest.raises(ValueError, match=re.escape(told)):
         make()

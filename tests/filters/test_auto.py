@@ -1,4 +1,6 @@
-"""Which engine flies where nobody says: machine code where it repays itself, or is there already, and numpy otherwise."""
+"""Which engine flies where nobody says: machine code where it repays itself, or is there already,
+and numpy otherwise.
+"""
 
 from __future__ import annotations
 
@@ -271,7 +273,9 @@ def test_a_plan_of_steps_is_made_once(monkeypatch):
 
 @pytest.mark.parametrize("runs", [(), (5,)], ids=["one", "runs"])
 def test_the_noise_that_hooks_leave_is_kept_by_machine_code_too(runs):
-    """``track.extra["R"]``, also at epochs without a measurement, and of a second sensor without hooks."""
+    """``track.extra["R"]``, also at epochs without a measurement, and of a second sensor without
+    hooks.
+    """
     motion = celnav.Motion(swing, 0.02)
     gps = celnav.Sensor([[1.0, 0.0]], 0.5)
     filter = celnav.ukf(motion, RADAR, gps, hooks=[[innovation_window(3)], []])

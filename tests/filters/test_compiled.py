@@ -33,7 +33,7 @@ SCALE_M, AWAY_M, GRAVITY, DRAG = 7200.0, 100e3, 9.81, 0.5 * 1.225 / 500.0
 RUNS = 3
 
 
-# -- a falling body, seen by a radar -----------------------------------------------------------------------------------------
+# -- a falling body, seen by a radar ---------------------------------------------------------------
 def fall(x, epoch):
     h, v, b = x[..., 0], x[..., 1], x[..., 2]
     return np.stack(
@@ -91,15 +91,26 @@ RATES[np.arange(len(TIMES)) % 3 > 0] = np.nan
 OWN = 1.0 + np.arange(RUNS)[:, None, None]
 BIAS = celnav.Gaussian([0.0], [[50.0**2]])
 HOOKS = {
-    "gate": gate(1.0), "chi-square": chi_square_gate(0.5), "window": innovation_window(5),
-    "window skip": innovation_window(5, "skip"), "Huber": huber(), "Student": student_t(), "Sage-Husa": sage_husa(),
-    "correntropy": correntropy(), "variational": variational_bayes(), "underweighted": underweighting(0.3, 0.2),
-}  # fmt: skip
+    "gate": gate(1.0),
+    "chi-square": chi_square_gate(0.5),
+    "window": innovation_window(5),
+    "window skip": innovation_window(5, "skip"),
+    "Huber": huber(),
+    "Student": student_t(),
+    "Sage-Husa": sage_husa(),
+    "correntropy": correntropy(),
+    "variational": variational_bayes(),
+    "underweighted": underweighting(0.3, 0.2),
+}
 RULES = {
-    "unscented": celnav.unscented, "unscented alpha": lambda n: celnav.unscented(n, 0.5, 2.0), "simplex": celnav.simplex,
-    "cubature": celnav.cubature, "cubature 5": lambda n: celnav.cubature(n, degree=5), "Gauss-Hermite": celnav.gauss_hermite,
+    "unscented": celnav.unscented,
+    "unscented alpha": lambda n: celnav.unscented(n, 0.5, 2.0),
+    "simplex": celnav.simplex,
+    "cubature": celnav.cubature,
+    "cubature 5": lambda n: celnav.cubature(n, degree=5),
+    "Gauss-Hermite": celnav.gauss_hermite,
     "sparse grid": lambda n: celnav.smolyak(n, 3),
-}  # fmt: skip
+}
 
 
 def noisy_fall(x, epoch, *noise):
@@ -153,18 +164,31 @@ FALLS |= {
     "two stages, drifting": (celnav.two_stage(MOTION, RADAR, [[1.0]], BIAS, Qb=[[1.0]]), Z),
     "noise through the points": (celnav.ukf(NOISY, NOISY_RADAR), GAPS),
     "single draw": (SingleDraw.of(celnav.ukf(NOISY, NOISY_RADAR)), GAPS),
-    "fallback": (Fallback(celnav.sigma_point(MOTION, RADAR, rule=RULES["sparse grid"]), celnav.ckf(MOTION, RADAR)), GAPS),
+    "fallback": (
+        Fallback(
+            celnav.sigma_point(MOTION, RADAR, rule=RULES["sparse grid"]), celnav.ckf(MOTION, RADAR)
+        ),
+        GAPS,
+    ),
     "two sensors": (celnav.ukf(MOTION, RADAR, BOTH), (GAPS, GAPS2)),
     "two rates": (celnav.ukf(MOTION, RADAR, BOTH), (Z, RATES)),
     "one of two": (celnav.ukf(MOTION, RADAR, BOTH), (np.full_like(Z, np.nan), GAPS2)),
     "no measurement": (celnav.ukf(MOTION, RADAR), None),
     "no sensor": (celnav.ukf(MOTION), None),
-    "noises that are functions": (celnav.ukf(celnav.Motion(fall, drag_noise), celnav.Sensor(both_seen, both_noise)), GAPS2),
-    "noises of runs": (celnav.ukf(celnav.Motion(fall, 1e-2 * OWN * np.eye(3)), celnav.Sensor(distance, 25.0 * OWN)), GAPS),
+    "noises that are functions": (
+        celnav.ukf(celnav.Motion(fall, drag_noise), celnav.Sensor(both_seen, both_noise)),
+        GAPS2,
+    ),
+    "noises of runs": (
+        celnav.ukf(
+            celnav.Motion(fall, 1e-2 * OWN * np.eye(3)), celnav.Sensor(distance, 25.0 * OWN)
+        ),
+        GAPS,
+    ),
     "consider": (celnav.ukf(MOTION, RADAR, gain=consider(2, 1)), GAPS),
     "a fixed gain": (celnav.ukf(MOTION, RADAR, gain=np.array([[0.1], [0.01], [0.0]])), GAPS),
     "gains of runs": (celnav.ukf(MOTION, RADAR, gain=OWN * np.array([[0.1], [0.01], [0.0]])), GAPS),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", FALLS)
@@ -196,7 +220,7 @@ def test_jacobians_of_colored_noise_and_of_two_stages():
         assert_same(*twice(make(MOTION, RADAR), MANY, TIMES, Z, of=make(*EXACT)))
 
 
-# -- a target in polar coordinates ---------------------------------------------------------------------------------------------
+# -- a target in polar coordinates -----------------------------------------------------------------
 def polar(x, _epoch):
     return np.stack([np.hypot(x[..., 0], x[..., 1]), np.arctan2(x[..., 1], x[..., 0])], -1)
 
@@ -232,7 +256,7 @@ def test_angles_of_the_state():
     assert_same(*twice(celnav.ukf(motion, sensor), prior, times, z, u, keep="cov"))
 
 
-# -- an attitude and a gyro's drift ----------------------------------------------------------------------------------------------
+# -- an attitude and a gyro's drift ----------------------------------------------------------------
 GYRO = Gyro(sigma_v=1e-5, sigma_u=1e-6)
 SECONDS, TURNS = np.arange(11.0), np.tile([0.0, 1e-3, 0.0], (10, 1))
 UPRIGHT = celnav.Gaussian(

@@ -29,8 +29,16 @@ NOT_COMPILED = {
     "channel_parity",
 }
 """Their models look at what they are given."""
-DATA = {("epoch", "k"), ("epoch", "t"), ("epoch", "dt"), ("epoch", "u"), ("epoch", "z"), ("epochs", "u"), ("run", "u"),
-        ("Taylor", "about")}  # fmt: skip
+DATA = {
+    ("epoch", "k"),
+    ("epoch", "t"),
+    ("epoch", "dt"),
+    ("epoch", "u"),
+    ("epoch", "z"),
+    ("epochs", "u"),
+    ("run", "u"),
+    ("Taylor", "about"),
+}
 """What need not be numbers for numpy, which never looks at it, or not at that of all epochs."""
 
 

@@ -1,4 +1,6 @@
-"""Models that a recording could take for something else: each flies as under numpy, or is refused every time."""
+"""Models that a recording could take for something else: each flies as under numpy, or is refused
+every time.
+"""
 
 from __future__ import annotations
 
@@ -162,7 +164,7 @@ def test_a_combination_known_exactly_stays_known(r, monkeypatch):
     np.testing.assert_allclose(found.std, known.std, atol=1e-6)
 
 
-# -- what the first epochs do not show ---------------------------------------------------------------------------------
+# -- what the first epochs do not show -------------------------------------------------------------
 LATER = np.arange(60.0)
 MANY = RNG.standard_normal((60, 4, 2))
 BURNS, TABLE = {50: 1.0}, np.arange(60.0)
@@ -182,7 +184,9 @@ NUMPYS = {
     "fmod": lambda x, e: x + np.fmod(e.t, 0.7),
     "every seventh": lambda x, e: x + np.where(e.k % 7 == 0, 1.0, 0.0),
     "rounded": lambda x, e: x + round(0.5 * e.t) + math.floor(e.t / 3.0),
-    "logarithms": lambda x, e: x + np.floor(np.log2(e.k + 1.0)) + np.floor(np.log10(10.0 * e.k + 10.0)),
+    "logarithms": lambda x, e: (
+        x + np.floor(np.log2(e.k + 1.0)) + np.floor(np.log10(10.0 * e.k + 10.0))
+    ),
     "powers": lambda x, e: x + 2.0**e.k % 3.0,
     "lengths": lambda x, e: x + np.floor(np.hypot(3.0 * e.k, 4.0 * e.k)),
     "short lengths": lambda x, e: x + 1e200 * np.hypot(1e-200 * (e.t + 1.0), 0.0),
@@ -197,9 +201,11 @@ NUMPYS = {
     "the sign of zero": lambda x, e: x + np.arctan2(-0.0 * e.t + 0.0, -1.0),
     "counts of truth": lambda x, _e: x * ((x > 0.0) * 1.0 + (x > 0.5) * 1.0),
     "running counts": lambda x, _e: x + np.cumsum(x > 0.0, -1),
-    "a system": lambda x, e: x + np.linalg.solve(np.eye(2)[::-1] * (1.0 + e.t), np.array([1.0, 2.0])),
+    "a system": lambda x, e: (
+        x + np.linalg.solve(np.eye(2)[::-1] * (1.0 + e.t), np.array([1.0, 2.0]))
+    ),
     "the middle": lambda x, _e: x + np.median(x, -1, keepdims=True) + np.sort(x, -1),
-}  # fmt: skip
+}
 LOOKED_UP = (
     "is looked up in a dict, a set or a cache; put the table into u, or choose by numpy.where"
 )

@@ -1,4 +1,6 @@
-"""Runs of compiled filters: gaps anywhere, lost runs, shapes, what is kept, bytes, and what cannot be compiled."""
+"""Runs of compiled filters: gaps anywhere, lost runs, shapes, what is kept, bytes, and what cannot
+be compiled.
+"""
 
 from __future__ import annotations
 
@@ -53,7 +55,7 @@ MOTION, SENSOR, OTHER = (
 FILTER = celnav.ukf(MOTION, SENSOR)
 
 
-# -- gaps --------------------------------------------------------------------------------------------------------------------
+# -- gaps ------------------------------------------------------------------------------------------
 GAPPED = {
     "plain": FILTER,
     "covariance": celnav.ukf(MOTION, SENSOR, form="covariance"),
@@ -86,9 +88,10 @@ def test_any_components_may_be_missing(name, missing, silent):
 
 @settings(max_examples=12, deadline=None, derandomize=True)
 @given(
-    missing=arrays(bool, (6, 4, 2), elements=st.booleans()), other=arrays(bool, (6, 4, 1), elements=st.booleans()),
+    missing=arrays(bool, (6, 4, 2), elements=st.booleans()),
+    other=arrays(bool, (6, 4, 1), elements=st.booleans()),
     none=arrays(bool, (6, 2), elements=st.booleans()),
-)  # fmt: skip
+)
 def test_any_sensor_may_be_missing(missing, other, none):
     parts = np.where(missing, np.nan, Z), np.where(other, np.nan, np.abs(Z[..., :1]) + 1.0)
     there = [
@@ -98,7 +101,7 @@ def test_any_sensor_may_be_missing(missing, other, none):
     assert_same(*twice(celnav.ukf(MOTION, SENSOR, OTHER), PRIOR, epochs))
 
 
-# -- shapes ------------------------------------------------------------------------------------------------------------------
+# -- shapes ----------------------------------------------------------------------------------------
 def many(*batch):
     return celnav.Gaussian(
         np.linspace(-1.0, 1.0, 2 * math.prod(batch)).reshape(*batch, 2), 0.3 * EYE
@@ -212,7 +215,7 @@ def test_what_is_compiled_runs_again_with_other_data():
             )
 
 
-# -- bytes ---------------------------------------------------------------------------------------------------------------------
+# -- bytes -----------------------------------------------------------------------------------------
 @pytest.mark.parametrize("gaps", [False, True])
 def test_the_bytes_do_not_depend_on_threads_or_company(gaps):
     z, prior = RNG.standard_normal((6, 37, 2)), many(37)
@@ -255,7 +258,7 @@ def content(track, runs=slice(None)):
     return found
 
 
-# -- lost runs -----------------------------------------------------------------------------------------------------------------
+# -- lost runs -------------------------------------------------------------------------------------
 def explode(x, _epoch):
     return np.where(x[..., :1] > 2.5, np.nan, 1.3) * x
 
@@ -344,7 +347,7 @@ def test_negative_weights_that_lose_runs(form):
     assert_same(known, found)
 
 
-# -- matrices of each run, hooks together, what is singular ---------------------------------------------------
+# -- matrices of each run, hooks together, what is singular ----------------------------------------
 OWN = np.linspace(0.5, 0.9, 4)[:, None, None] * EYE
 HOLED = np.where(RNG.random(Z.shape) < 0.3, np.nan, Z)
 ODD = {
@@ -425,7 +428,7 @@ def test_matrices_that_are_functions_of_the_epoch():
         )
 
 
-# -- what cannot be compiled -----------------------------------------------------------------------------------------------------
+# -- what cannot be compiled -----------------------------------------------------------------------
 def branch(x, epoch):
     return 0.5 * x if (x < 9.0).any() else x  # here
 
@@ -545,7 +548,9 @@ def test_without_llvmlite_numpy_flies(monkeypatch):
 
 
 def test_a_measurement_noise_of_each_run_that_nobody_has_looked_at():
-    """Compiled before numpy has flown it: whether R is singular is known before the step is recorded."""
+    """Compiled before numpy has flown it: whether R is singular is known before the step is
+    recorded.
+    """
     R = np.array([0.5, 1.0, 2.0])[:, None, None]
     z = np.random.default_rng(4).standard_normal((6, 3, 1))
     motion, prior = (
@@ -580,7 +585,9 @@ def test_a_run_that_keeps_nothing_needs_no_room_for_its_rows():
 
 
 def not_lower(form):
-    """A filter whose matrix machine code does not keep whole: a root that is not lower, or a covariance that is not symmetric."""
+    """A filter whose matrix machine code does not keep whole: a root that is not lower, or a
+    covariance that is not symmetric.
+    """
     F, turn = np.array([[1.0, 0.1], [0.0, 1.0]]), np.array([[0.8, 0.6], [-0.6, 0.8]])
 
     def start(prior):

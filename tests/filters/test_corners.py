@@ -226,7 +226,9 @@ def test_a_search_stays_within_its_range():
 
 
 def test_h_is_not_blamed_for_the_points_of_a_prediction_that_failed():
-    """Of x^2 at 0 a weight of -19 in the center makes a negative variance, before anything is measured."""
+    """Of x^2 at 0 a weight of -19 in the center makes a negative variance, before anything is
+    measured.
+    """
     filter = celnav.ukf(
         Motion(lambda x, e: np.stack([x[..., 0] ** 2, x[..., 1]], -1), 0.01 * EYE),
         Sensor(lambda x, e: np.hypot(x[..., :1], 100.0), [[1.0]]),

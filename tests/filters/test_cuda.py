@@ -1,4 +1,6 @@
-"""Filters on a device: their PTX as it is written, and their flights by a driver that is the host's."""
+"""Filters on a device: their PTX as it is written, and their flights by a driver that is the
+host's.
+"""
 
 from __future__ import annotations
 
@@ -50,7 +52,9 @@ def flown(*arguments, **options):
 
 
 def sound(text, tmp_path):
-    """PTX has its entry, of eleven parameters, no calls, and is rounded as IEEE has it; ``ptxas`` takes it, where there is one."""
+    """PTX has its entry, of eleven parameters, no calls, and is rounded as IEEE has it; ``ptxas``
+    takes it, where there is one.
+    """
     assert len(re.findall(r"^\.visible \.entry entry\(", text, re.M)) == 1
     assert len(re.findall(r"^\s+\.param \.u64 .*entry_param_\d+", text, re.M)) == 11
     assert ".extern" not in text
@@ -70,13 +74,34 @@ def sound(text, tmp_path):
         assert done.returncode == 0, done.stderr
 
 
-# -- every kind of filter ------------------------------------------------------------------------------------------------------
+# -- every kind of filter --------------------------------------------------------------------------
 FALLS = (
-    "unscented", "unscented, cov", "simplex", "sparse grid", "chi-square hook", "window hook", "window skip hook, cov",
-    "Huber hook", "Sage-Husa hook, cov", "colored, gaps", "colored, cov", "colored of runs", "decorrelated, gaps",
-    "augmented", "two stages", "single draw", "noise through the points", "two sensors", "two rates", "one of two",
-    "no measurement", "no sensor", "noises that are functions", "noises of runs", "gains of runs",
-)  # fmt: skip
+    "unscented",
+    "unscented, cov",
+    "simplex",
+    "sparse grid",
+    "chi-square hook",
+    "window hook",
+    "window skip hook, cov",
+    "Huber hook",
+    "Sage-Husa hook, cov",
+    "colored, gaps",
+    "colored, cov",
+    "colored of runs",
+    "decorrelated, gaps",
+    "augmented",
+    "two stages",
+    "single draw",
+    "noise through the points",
+    "two sensors",
+    "two rates",
+    "one of two",
+    "no measurement",
+    "no sensor",
+    "noises that are functions",
+    "noises of runs",
+    "gains of runs",
+)
 
 
 FEW = [0, 1, 2, 3, 9, 10]  # whole, in part and not at all measured; the reader takes its time
@@ -191,7 +216,7 @@ def test_functions_of_the_c_library_are_arithmetic(name, driver, tmp_path):
     assert (units <= allowed).all(), units.max()
 
 
-# -- runs ------------------------------------------------------------------------------------------------------------------------
+# -- runs ------------------------------------------------------------------------------------------
 KEPT = [("cov", 2), ("mean", 100), ("nothing", 1)]
 SOME = ("one run", "runs of both", "two axes", "no measurement")
 
@@ -321,7 +346,7 @@ def test_a_study_takes_the_engine_that_is_set(driver):
     assert driver.calls["cuLaunchKernel"] > 0
 
 
-# -- faults ----------------------------------------------------------------------------------------------------------------------
+# -- faults ----------------------------------------------------------------------------------------
 def fly(engine="cuda", **options):
     return celnav.run(runs.FILTER, runs.PRIOR, runs.TIMES, runs.Z, engine=engine, **options)
 
@@ -358,7 +383,8 @@ FAULTS = {
     ),
     "compiler": (
         {"failing": {"cuModuleLoadDataEx": (218, 1)}, "log": b"ptxas fatal : bad line 7"},
-        r"cuModuleLoadDataEx: CUDA_ERROR_INVALID_PTX \(a PTX JIT compilation failed\): ptxas fatal : bad line 7",
+        r"cuModuleLoadDataEx: CUDA_ERROR_INVALID_PTX \(a PTX JIT compilation failed\): ptxas fatal "
+        r": bad line 7",
     ),
     "no room for a run": (
         {"free": 200},

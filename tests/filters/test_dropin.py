@@ -186,8 +186,15 @@ def test_celnav_rules_and_vectorized_models(cls):
         return np.stack([x[:, 0] + dt * x[:, 1], x[:, 1], x[:, 2] + dt * x[:, 3], x[:, 3]], -1)
 
     one = tracker(cls, celnav.cubature(4))
-    every = cls(4, 2, 0.1, lambda x: np.stack([np.hypot(x[:, 0], x[:, 2]), np.arctan2(x[:, 2], x[:, 0])], -1), all_points,
-                celnav.cubature(4), vectorized=True)  # fmt: skip
+    every = cls(
+        4,
+        2,
+        0.1,
+        lambda x: np.stack([np.hypot(x[:, 0], x[:, 2]), np.arctan2(x[:, 2], x[:, 0])], -1),
+        all_points,
+        celnav.cubature(4),
+        vectorized=True,
+    )
     every.x, every.P, every.Q, every.R = one.x, one.P, one.Q, one.R
     for z in measurements(5):
         for kf in (one, every):
@@ -313,7 +320,9 @@ def test_the_root_is_kept_and_is_the_covariances():
 
 
 def test_a_sum_of_states_is_none_of_measurements():
-    """``state_add`` is for states of n components; a measurement with a residual of its own never meets it."""
+    """``state_add`` is for states of n components; a measurement with a residual of its own never
+    meets it.
+    """
 
     def add(x, y):
         assert len(x) == len(y) == 2
@@ -350,7 +359,9 @@ def attributes(kf):
 
 
 def alike(ours, peer):
-    """All of them, one by one; only the function that inverts is another, which singular matrices do not stop."""
+    """All of them, one by one; only the function that inverts is another, which singular matrices
+    do not stop.
+    """
     for name in attributes(peer):
         own, theirs = getattr(ours, name), getattr(peer, name)
         if name == "inv":
@@ -384,7 +395,9 @@ def test_every_attribute_is_filterpys_at_every_moment(cls):
 @pytest.mark.parametrize("cls", OURS)
 @pytest.mark.parametrize(("n", "m"), [(2, 1), (6, 3), (9, 4)])
 def test_a_step_takes_no_more_than_half_again_of_filterpys_calls(cls, n, m):
-    """Calls of functions, Python's and C's, which do not depend on the machine; and each model once for each point."""
+    """Calls of functions, Python's and C's, which do not depend on the machine; and each model once
+    for each point.
+    """
     counts = []
     for kind in (UnscentedKalmanFilter, cls):
         seen, count = [], 0
@@ -450,7 +463,9 @@ def test_a_filter_can_be_pickled_and_saved(cls):
 
 @pytest.mark.parametrize("cls", OURS)
 def test_the_smoother_is_celnavs(cls):
-    """That of `celnav.smooth`, an interval and a noise of each epoch's own, and where the predicted covariance is singular."""
+    """That of `celnav.smooth`, an interval and a noise of each epoch's own, and where the predicted
+    covariance is singular.
+    """
     rng = np.random.default_rng(5)
     times = np.cumsum([0.0, 1.0, 0.5, 2.0, 1.0, 0.3])
     Qs = [

@@ -1,4 +1,6 @@
-"""Where parts meet at their edges: no noise, missing parts, runs on one side only, angles at the seam, intervals that are none."""
+"""Where parts meet at their edges: no noise, missing parts, runs on one side only, angles at the
+seam, intervals that are none.
+"""
 
 import numpy as np
 import pytest
@@ -69,7 +71,9 @@ def test_noise_through_the_points_needs_a_function():
 
 @FORMS
 def test_a_prescribed_gain_has_no_part_in_what_is_missing(form):
-    """Covariance of a filter with the gain K on the measured row alone: (I - K H) P (I - K H)' + K R K', in any unit of z."""
+    """Covariance of a filter with the gain K on the measured row alone: (I - K H) P (I - K H)' + K
+    R K', in any unit of z.
+    """
     K, P, R = np.array([[0.4, 10.0], [0.1, 5.0]]), 0.01 * EYE, 1e-4 * EYE
     for h in (EYE, lambda x, e: x):
         filter = celnav.ukf(MOTION, celnav.Sensor(h, R), gain=K, form=form)
@@ -82,7 +86,9 @@ def test_a_prescribed_gain_has_no_part_in_what_is_missing(form):
 
 @FORMS
 def test_a_silent_sensor_leaves_a_blank_of_its_own(form):
-    """The record of two sensors: what one of them measured is there when the other has nothing, or nothing yet."""
+    """The record of two sensors: what one of them measured is there when the other has nothing, or
+    nothing yet.
+    """
     filter = celnav.ukf(MOTION, celnav.Sensor([[1.0, 0.0]], [[1.0]]), SENSOR, form=form)
     z = [(None, np.ones(2)), (np.ones(1), None), None, (np.ones(1), np.ones(2))]
     when = [celnav.Epoch(k, float(k), float(k > 0), z=value) for k, value in enumerate(z)]
@@ -107,7 +113,8 @@ def test_a_measurement_without_noise_of_what_is_known_is_told(form, h):
     assert np.isnan(again.belief.mean).all()
     why = explain(filter, known, again, epoch)
     assert why.startswith(
-        "the innovation covariance is not positive definite; a measurement without noise must say what"
+        "the innovation covariance is not positive definite; a measurement without noise must say "
+        "what"
     )
     assert why.endswith("leave out all but one (z is nan) or give them a small R")
     with pytest.raises(celnav.FilterError, match="innovation covariance is not positive definite"):
@@ -116,7 +123,9 @@ def test_a_measurement_without_noise_of_what_is_known_is_told(form, h):
 
 @FORMS
 def test_redundant_perfect_sensors_are_told_with_what_to_do(form):
-    """Two of the same; one that is left out costs nothing. Where there is noise the message does not speak of its absence."""
+    """Two of the same; one that is left out costs nothing. Where there is noise the message does
+    not speak of its absence.
+    """
     twice = exact(lambda x, e: x[..., [0, 0]], form, {"R": np.zeros((2, 2))})
     with pytest.raises(
         celnav.FilterError, match=r"leave out all but one \(z is nan\) or give them a small R \("
@@ -165,7 +174,9 @@ def test_a_variance_that_was_zero_has_a_deviation():
 
 @FORMS
 def test_an_exact_measurement_is_taken_where_it_says_something(form):
-    """Large numbers known well, components that are missing or gated, noise of some components only, a gain of one's own."""
+    """Large numbers known well, components that are missing or gated, noise of some components
+    only, a gain of one's own.
+    """
     far, h, none = np.array([7e6, 7e6]), lambda x, e: x.copy(), {"sqrt_R": np.zeros((2, 0))}
     for std in (1.0, 1e-3):
         one, two = (
@@ -197,7 +208,9 @@ def test_an_exact_measurement_is_taken_where_it_says_something(form):
 @pytest.mark.parametrize("make", [celnav.ekf, celnav.ukf])
 @pytest.mark.parametrize("r", [1e-2, 1e-5, 1e-8])
 def test_a_combination_known_exactly_stays_known_however_precise_the_sensor(r, make, form):
-    """Prior of rank one: a single unknown number, whose variance falls by r in a step, and by 1 / k from then on."""
+    """Prior of rank one: a single unknown number, whose variance falls by r in a step, and by 1 / k
+    from then on.
+    """
     a, h = np.array([1.0, 3.0]), np.array([[1.0, 0.5]])
     z = 0.7 + np.sqrt(r) * np.random.default_rng(0).normal(size=(200, 4, 1))
     filter = make(celnav.Motion(np.eye(2), np.zeros((2, 2))), celnav.Sensor(h, [[r]]), form=form)
@@ -358,7 +371,9 @@ def test_a_function_of_colored_noise_may_begin_with_nothing():
 
 
 def test_decorrelation_takes_gates_and_refuses_what_changes_noise():
-    """An outlier of 100: a hook that inflates would not keep it out of the prediction; a gate does, as in `colored`."""
+    """An outlier of 100: a hook that inflates would not keep it out of the prediction; a gate does,
+    as in `colored`.
+    """
     z = np.zeros((6, 2))
     z[3] = 100.0
     for hook in (huber(), student_t(), innovation_window(1)):
@@ -392,7 +407,9 @@ HOOKS = {
 @pytest.mark.parametrize("f", [still, EYE], ids=["function", "matrix"])
 @pytest.mark.parametrize("hook", HOOKS)
 def test_one_belief_serves_all_measurements(hook, f, form):
-    """A prior of one run with measurements of many is the prior of each, and so is a covariance that all runs share."""
+    """A prior of one run with measurements of many is the prior of each, and so is a covariance
+    that all runs share.
+    """
     z = np.random.default_rng(0).normal(size=(4, 3, 6))
     z[2, 1, 0] = 30.0
     z[1, 0, 2] = np.nan

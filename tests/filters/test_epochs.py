@@ -1,4 +1,6 @@
-"""Epochs made of arrays: their intervals, whatever part of them is taken, and what they hold in memory."""
+"""Epochs made of arrays: their intervals, whatever part of them is taken, and what they hold in
+memory.
+"""
 
 import tracemalloc
 from datetime import UTC, datetime, timedelta
@@ -198,7 +200,9 @@ def test_what_are_no_times_is_said_of_the_times(times, message):
 
 @pytest.mark.parametrize("engine", ["numpy", "compiled"])
 def test_tables_count_by_their_rows(engine):
-    """Not by their labels: a part of a table keeps those of the whole, and 0 may be the name of a column."""
+    """Not by their labels: a part of a table keeps those of the whole, and 0 may be the name of a
+    column.
+    """
     push, z = np.arange(7.0), np.linspace(0.0, 1.0, 8)
     expected = celnav.run(LINE, START, TIMES, z[:, None], push[:, None], engine=engine)
     for column in ("rate", 0):
@@ -256,7 +260,8 @@ def test_a_sensor_that_uses_the_input_has_none_at_the_first_epoch(place, engine)
     filter, u = celnav.ukf(motion, PLACES[place]), np.array(TURN)
     u = u[:, None] if place == "h of components" else u
     message = (
-        r"^u: expected models that need no input at t = 0.0: no interval leads up to the first epoch. "
+        r"^u: expected models that need no input at t = 0.0: no interval leads up to the first "
+        r"epoch. "
         r"Make that measurement nan, or let the model use a value of its own where epoch.u is None"
     )
     with pytest.raises(ValueError, match=message) as error:

@@ -22,7 +22,9 @@ def steep(x, epoch):
 
 
 def pair(motion, sensor, form="square root"):
-    """A filter of negative weights, one without, and the two of them with the second to fall back on."""
+    """A filter of negative weights, one without, and the two of them with the second to fall back
+    on.
+    """
     first, second = (sigma_point(motion, sensor, rule=rule, form=form) for rule in (FIFTH, THIRD))
     return first, second, Fallback(first, second)
 
@@ -37,7 +39,9 @@ def steeply_measured(form="square root"):
 
 @FORMS
 def test_fallback_of_an_update(form):
-    """Negative weights lose the middle run's innovation covariance; a positive rule does it again, neighbors bit for bit."""
+    """Negative weights lose the middle run's innovation covariance; a positive rule does it again,
+    neighbors bit for bit.
+    """
     first, second, both = steeply_measured(form)
     epoch = Epoch(z=np.ones((3, 6)))
     (alone, (lone_info,)), (again, (other,)) = (
@@ -85,7 +89,9 @@ def test_fallback_of_a_prediction_is_counted(form):
 @FORMS
 @pytest.mark.parametrize("seeing", [True, False], ids=["measured", "open loop"])
 def test_redone_in_both_parts_of_a_step(form, seeing):
-    """A run redone in the prediction and another one in the update: both are counted; the first epoch does not predict."""
+    """A run redone in the prediction and another one in the update: both are counted; the first
+    epoch does not predict.
+    """
     prior = Gaussian(np.zeros((3, N)), np.array([3.0, 3.0, 0.2])[:, None, None] ** 2 * np.eye(N))
     moved, measured = np.array([[True], [False], [False]]), np.array([[False], [True], [False]])
 
@@ -110,7 +116,9 @@ def test_redone_in_both_parts_of_a_step(form, seeing):
 
 
 def test_fallback_gives_up_where_both_fail():
-    """A run that both lose stays lost and says why; one that was lost before is not redone; nothing lost costs nothing."""
+    """A run that both lose stays lost and says why; one that was lost before is not redone; nothing
+    lost costs nothing.
+    """
     first, _, both = steeply_measured()
     epoch = Epoch(z=np.ones((3, 6)))
     twice = Fallback(first, first)

@@ -1,4 +1,6 @@
-"""Samples that come late end where they would have ended on time; what is kept smooths as a whole track cut there does."""
+"""Samples that come late end where they would have ended on time; what is kept smooths as a whole
+track cut there does.
+"""
 
 from __future__ import annotations
 
@@ -49,7 +51,9 @@ EVERY = pytest.mark.parametrize("name", FILTERS)
 
 
 def arriving(filter, prior, z, delay, lag=LAG, times=TIMES):
-    """State of a filter whose samples ``z (T, ..., m)`` come ``delay (T, ...)`` epochs late, one after the other."""
+    """State of a filter whose samples ``z (T, ..., m)`` come ``delay (T, ...)`` epochs late, one
+    after the other.
+    """
     fixed = FixedLag(filter, lag)
     k = np.arange(len(times)).reshape(-1, *(1,) * (delay.ndim - 1))
     on_time = np.where((delay == 0)[..., None], z, np.nan)
@@ -75,7 +79,9 @@ def delays(*shape):
 
 @EVERY
 def test_late_is_as_on_time(name):
-    """Each run has delays of its own; mean, covariance and what the last update did are those of the filter in order."""
+    """Each run has delays of its own; mean, covariance and what the last update did are those of
+    the filter in order.
+    """
     filter = FILTERS[name]
     state, infos = arriving(filter, PRIOR, Z, delays(RUNS))
     *_, (_, expected, told) = celnav.steps(filter, PRIOR, celnav.epochs(TIMES, Z))
@@ -108,7 +114,9 @@ def test_a_run_is_late_by_itself(name):
 
 
 def test_sensors_that_are_late_by_themselves():
-    """One is on time, the other always five epochs late, and it has no part in the epochs until then."""
+    """One is on time, the other always five epochs late, and it has no part in the epochs until
+    then.
+    """
     filter = celnav.ukf(MOTION, RADAR, GPS)
     fixed = FixedLag(filter, 5)
     state = fixed.start(PRIOR)
@@ -171,7 +179,7 @@ def test_what_never_comes_late_changes_no_bit():
     np.testing.assert_array_equal(found.log_likelihood, known.log_likelihood)
 
 
-# -- machine code ------------------------------------------------------------------------------------------------------------
+# -- machine code ----------------------------------------------------------------------------------
 @pytest.mark.parametrize(
     "name", [name for name in FILTERS if name != "ekf, iterated"]
 )  # whose derivatives are differences
@@ -287,7 +295,7 @@ def test_steps_that_cannot_be_compiled():
         fixed.step(fixed.start(PRIOR), celnav.Epoch(0, 0.0, 0.0, None, Z[0]))
 
 
-# -- memory ------------------------------------------------------------------------------------------------------------------
+# -- memory ----------------------------------------------------------------------------------------
 
 
 def test_a_measurement_may_be_a_buffer():
@@ -315,7 +323,9 @@ def test_a_lost_run_is_lost_alone():
 
 @pytest.mark.parametrize("form", ["square root", "covariance"])
 def test_fixed_lag_is_the_smoother_of_the_track_cut(form):
-    """At every epoch, late samples included: means and covariances of the last epochs as `smooth` has them."""
+    """At every epoch, late samples included: means and covariances of the last epochs as `smooth`
+    has them.
+    """
     filter = celnav.ukf(MOTION, RADAR, form=form)
     fixed, z = FixedLag(filter, LAG), Z.copy()
     z[10] = np.nan
@@ -336,7 +346,9 @@ def test_fixed_lag_is_the_smoother_of_the_track_cut(form):
 
 
 def test_the_past_is_known_better_and_honestly():
-    """Over 400 runs the fixed-lag estimate errs less than the filter at the same epoch, by what it claims."""
+    """Over 400 runs the fixed-lag estimate errs less than the filter at the same epoch, by what it
+    claims.
+    """
     runs = 400
     prior = celnav.Gaussian(np.array([0.0, 0.6]), np.diag([0.3, 0.05]))
     motion, sensor = MATRICES, celnav.Sensor(np.eye(2), np.eye(2))

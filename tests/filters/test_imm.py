@@ -1,4 +1,6 @@
-"""Interacting multiple models against the textbook's loops, against one model, and against simulated switches."""
+"""Interacting multiple models against the textbook's loops, against one model, and against
+simulated switches.
+"""
 
 from __future__ import annotations
 
@@ -160,10 +162,11 @@ def test_where_nothing_is_measured_probabilities_are_predicted():
 
 
 def test_is_consistent_where_models_switch():
-    """And each model alone is not. The probabilities are those of the models, and the NIS is of the mixture's moments.
+    """And each model alone is not. The probabilities are those of the models, and the NIS is of the
+    mixture's moments.
 
-    The posterior is no Gaussian: its NEES scatters by 3.5 to 4, not by 2. Merging of histories makes the filter conservative by a
-    twentieth; the band of a hundred runs does not see that.
+    The posterior is no Gaussian: its NEES scatters by 3.5 to 4, not by 2. Merging of histories
+    makes the filter conservative by a twentieth; the band of a hundred runs does not see that.
     """
     low, high = chi_square_band(2, 100)
     truth, modes, z = simulated(np.random.default_rng(6), 1000)
@@ -184,9 +187,18 @@ def test_is_consistent_where_models_switch():
 
 
 def test_probabilities_do_not_underflow():
-    """A model that has been out of the question for long comes back, although the chain does not lead to it."""
-    static = celnav.imm([celnav.ukf(celnav.Motion(np.eye(1), 0.0 * np.eye(1)), celnav.Sensor(np.eye(1), r * np.eye(1)))
-                         for r in (1e-2, 1e2)], np.eye(2))  # fmt: skip
+    """A model that has been out of the question for long comes back, although the chain does not
+    lead to it.
+    """
+    static = celnav.imm(
+        [
+            celnav.ukf(
+                celnav.Motion(np.eye(1), 0.0 * np.eye(1)), celnav.Sensor(np.eye(1), r * np.eye(1))
+            )
+            for r in (1e-2, 1e2)
+        ],
+        np.eye(2),
+    )
     z = np.r_[np.tile([30.0, -30.0], 40), np.zeros(120)][:, None]
     prior = celnav.Gaussian(np.zeros(1), 1e-6 * np.eye(1))
     track = celnav.run(
@@ -240,8 +252,16 @@ def test_lost_runs_are_nan_and_their_neighbors_go_on(form):
 
 
 def test_an_interval_of_no_length_switches_nothing():
-    moving = [celnav.ukf(celnav.Motion(lambda x, e: x + 0.0 * e.dt, lambda mean, e, q=q: q * np.multiply.outer(e.dt, np.eye(2))),
-                         celnav.Sensor(H, R)) for q in (0.1, 1.0)]  # fmt: skip
+    moving = [
+        celnav.ukf(
+            celnav.Motion(
+                lambda x, e: x + 0.0 * e.dt,
+                lambda mean, e, q=q: q * np.multiply.outer(e.dt, np.eye(2)),
+            ),
+            celnav.Sensor(H, R),
+        )
+        for q in (0.1, 1.0)
+    ]
     filter, prior = celnav.imm(moving, PI), celnav.Gaussian(np.zeros((2, 2)), P0)
     z = np.random.default_rng(0).standard_normal((3, 2, 2))
 
@@ -312,7 +332,9 @@ def test_mixtures_on_angles_and_attitudes():
 @FORMS
 @pytest.mark.parametrize("transported", [False, True])
 def test_attitudes_that_are_turned_by_one_of_two_motions(form, transported):
-    """Quaternions of either sign, of which some are not measured: a batch is its runs, and who turns is found out."""
+    """Quaternions of either sign, of which some are not measured: a batch is its runs, and who
+    turns is found out.
+    """
     still, turn = np.array([0.0, 0.0, 0.0]), np.array([0.02, 0.0, 0.05])
     space = celnav.attitude(transported=transported)
     motions = [
@@ -409,13 +431,22 @@ def test_smoothing_is_refused():
         (lambda: celnav.imm([FromFunctions(None, None)] * 2, PI), "filters: expected filters"),
         (lambda: celnav.imm(models(), PI.T), "transition: expected probabilities that sum to 1"),
         (lambda: celnav.imm(models(), np.eye(3)), r"transition: expected shape \(2, 2\)"),
-        (lambda: celnav.imm(models(), [[1.5, -0.5], [0.0, 1.0]]), "transition: expected probabilities"),
+        (
+            lambda: celnav.imm(models(), [[1.5, -0.5], [0.0, 1.0]]),
+            "transition: expected probabilities",
+        ),
         (lambda: celnav.imm(models(), PI, initial=[0.5, 0.6]), "initial: expected probabilities"),
         (lambda: celnav.imm(models(), PI, initial=[1.0]), r"initial: expected shape \(2,\)"),
-        (lambda: bank().start([PRIOR]), "prior: expected one Gaussian, or one for each of 2 models, got 1"),
-        (lambda: celnav.imm([models()[0], models("covariance")[1]], PI).start(PRIOR), "filters: expected models of the same state"),
+        (
+            lambda: bank().start([PRIOR]),
+            "prior: expected one Gaussian, or one for each of 2 models, got 1",
+        ),
+        (
+            lambda: celnav.imm([models()[0], models("covariance")[1]], PI).start(PRIOR),
+            "filters: expected models of the same state",
+        ),
     ],
-)  # fmt: skip
+)
 def test_what_cannot_be_meant(make, told):
     with pytest.raises(ValueError, match=told):
         make()

@@ -1,4 +1,6 @@
-"""The iterated smoother: against Gauss and Newton on the whole trajectory, and against regressions over the smoothed beliefs."""
+"""The iterated smoother: against Gauss and Newton on the whole trajectory, and against regressions
+over the smoothed beliefs.
+"""
 
 from __future__ import annotations
 
@@ -155,7 +157,9 @@ def test_linear_models_need_one_iteration(form):
 
 
 def test_of_attitudes_is_consistent_and_converges():
-    """Angular deviations of half a radian, two directions measured: the second flights agree, and claim what they err."""
+    """Angular deviations of half a radian, two directions measured: the second flights agree, and
+    claim what they err.
+    """
     space = celnav.attitude()
 
     def turned(q, epoch):
@@ -203,7 +207,7 @@ def test_a_lost_run_leaves_its_neighbors():
     assert np.isnan(track.mean[5:, 1]).all()
 
 
-# -- machine code ------------------------------------------------------------------------------------------------------------
+# -- machine code ----------------------------------------------------------------------------------
 def driven(x, epoch):
     turned = (
         0.0 if epoch.u is None else epoch.dt * (epoch.u[0] + epoch.u[1]) * np.array([0.0, 0.0, 1.0])
@@ -307,7 +311,9 @@ def test_either_engine_takes_derivatives(form):
 
 
 def test_later_flights_are_compiled_once(monkeypatch):
-    """However many there are: steps for the first epoch, all others and the way back, of the filter and of the relinearized one."""
+    """However many there are: steps for the first epoch, all others and the way back, of the filter
+    and of the relinearized one.
+    """
     pytest.importorskip("llvmlite")
     counts, record = [], Engine.record
     monkeypatch.setattr(Engine, "record", lambda *arguments: counts.append(1) or record(*arguments))

@@ -1,4 +1,6 @@
-"""What looks odd and is meant is accepted, with right numbers: those of the Kalman filter of the textbooks, one run at a time."""
+"""What looks odd and is meant is accepted, with right numbers: those of the Kalman filter of the
+textbooks, one run at a time.
+"""
 
 from dataclasses import dataclass
 from functools import partial
@@ -97,7 +99,9 @@ def test_perfect_measurements(form, rule):
 @FORMS
 @pytest.mark.parametrize("rule", RULES)
 def test_singular_covariances(form, rule):
-    """A process noise of one direction, a state that is known in part or altogether, no process noise."""
+    """A process noise of one direction, a state that is known in part or altogether, no process
+    noise.
+    """
     drive = np.array([[0.5], [1.0]])
     known, nothing = np.diag([0.0, 1.0]), np.zeros((2, 2))
     compare(
@@ -406,7 +410,9 @@ def test_runs_that_only_the_coefficients_of_colored_noise_have(form):
 @pytest.mark.parametrize("engine", ["numpy", "compiled"])
 @FORMS
 def test_colored_noise_of_a_function_goes_with_a_noise_of_the_interval(form, engine):
-    """A motion of the package; that the measurement is linear nobody says: the filter with the noise as states is exact."""
+    """A motion of the package; that the measurement is linear nobody says: the filter with the
+    noise as states is exact.
+    """
     motion = celnav.models.motion.constant_velocity(1, q=0.3)
     sensor, times = celnav.Sensor(lambda x, epoch: x @ H.T, R), np.cumsum(DT)
     prior = celnav.Gaussian(X0, P0)

@@ -161,7 +161,9 @@ class Drag:
 
 
 def _all_together(x, epoch):
-    """Steps chosen for all points and runs at once: what a run gets depends on the others, below the solver's tolerance."""
+    """Steps chosen for all points and runs at once: what a run gets depends on the others, below
+    the solver's tolerance.
+    """
     flow = solve_ivp(lambda t, v: -v + np.sin(v), (0.0, 1.0), x.ravel(), rtol=1e-4, atol=1e-6)
     return flow.y[:, -1].reshape(x.shape)
 
@@ -187,8 +189,10 @@ APART = {
 
 def _flow(x, epoch):
     """The same to ten digits, each point by itself."""
-    flows = [solve_ivp(lambda t, v: -v + np.sin(v), (0.0, 1.0), p, rtol=1e-10, atol=1e-12).y[:, -1]
-             for p in x.reshape(-1, 2)]  # fmt: skip
+    flows = [
+        solve_ivp(lambda t, v: -v + np.sin(v), (0.0, 1.0), p, rtol=1e-10, atol=1e-12).y[:, -1]
+        for p in x.reshape(-1, 2)
+    ]
     return np.reshape(flows, x.shape)
 
 

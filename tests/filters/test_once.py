@@ -1,4 +1,6 @@
-"""What all runs have in common is computed once an epoch by machine code, and numpy's numbers come out."""
+"""What all runs have in common is computed once an epoch by machine code, and numpy's numbers come
+out.
+"""
 
 from __future__ import annotations
 

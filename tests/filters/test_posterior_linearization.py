@@ -1,4 +1,6 @@
-"""Iterated filters by points: statistical linear regression about the posterior, against the same written out."""
+"""Iterated filters by points: statistical linear regression about the posterior, against the same
+written out.
+"""
 
 from __future__ import annotations
 
@@ -58,8 +60,16 @@ def posterior_linearization(rule, z, iterations):
 
 @FORMS
 @pytest.mark.parametrize("iterations", [1, 2, 5])
-@pytest.mark.parametrize("rule", [partial(unscented, kappa=1.0), unscented, partial(unscented, alpha=0.5, beta=2.0),
-                                  partial(celnav.gauss_hermite, order=5), partial(celnav.smolyak, level=3)])  # fmt: skip
+@pytest.mark.parametrize(
+    "rule",
+    [
+        partial(unscented, kappa=1.0),
+        unscented,
+        partial(unscented, alpha=0.5, beta=2.0),
+        partial(celnav.gauss_hermite, order=5),
+        partial(celnav.smolyak, level=3),
+    ],
+)
 def test_is_regression_about_the_posterior(form, rule, iterations):
     """Of positive weights and of negative ones."""
     belief, _ = given(celnav.sigma_point(STILL, SEEN, rule=rule, form=form, iterations=iterations))
@@ -109,7 +119,9 @@ def test_by_taylors_rule_it_is_the_iterated_extended_filter():
 
 
 def test_is_consistent_where_the_unscented_filter_is_overconfident():
-    """A fix by range and bearing, both precise, of a position that is known within a third of its distance."""
+    """A fix by range and bearing, both precise, of a position that is known within a third of its
+    distance.
+    """
     rng, runs, noise = np.random.default_rng(1), 1000, np.diag([0.1, 0.01])
     sensor, prior = (
         celnav.Sensor(h, noise**2, space=celnav.angles([1])),
@@ -148,15 +160,22 @@ def test_runs_of_a_batch_are_those_alone_whatever_is_missing(form):
 
 @FORMS
 def test_a_component_that_is_known(form):
-    """Where the covariance is singular, regression is by the pseudo-inverse, as if the component were a parameter."""
+    """Where the covariance is singular, regression is by the pseudo-inverse, as if the component
+    were a parameter.
+    """
     known = given(celnav.ukf(STILL, SEEN, form=form, iterations=5), cov=np.diag([1.0, 0.0]))[0]
     line = celnav.Sensor(
         lambda x, epoch: h(np.stack([x[..., 0], np.full(x.shape[:-1], MEAN[1])], -1)),
         R,
         space=celnav.angles([1]),
     )
-    alone = celnav.sigma_point(celnav.Motion(np.eye(1), np.zeros((1, 1))), line, iterations=5, form=form,
-                               rule=lambda n: unscented(1, kappa=1.0))  # fmt: skip
+    alone = celnav.sigma_point(
+        celnav.Motion(np.eye(1), np.zeros((1, 1))),
+        line,
+        iterations=5,
+        form=form,
+        rule=lambda n: unscented(1, kappa=1.0),
+    )
     belief = given(alone, mean=MEAN[:1], cov=np.eye(1))[0]
     np.testing.assert_allclose(known.mean, [belief.mean[0], MEAN[1]], atol=1e-9)
     np.testing.assert_allclose(known.cov, np.diag([belief.cov[0, 0], 0.0]), atol=1e-9)

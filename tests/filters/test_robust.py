@@ -1,4 +1,6 @@
-"""Robust and parity hooks follow their formulas in every rule and form, run by run, with what is missing left out."""
+"""Robust and parity hooks follow their formulas in every rule and form, run by run, with what is
+missing left out.
+"""
 
 from __future__ import annotations
 
@@ -34,9 +36,14 @@ RULES = {
 EVERY_RULE = pytest.mark.parametrize("rule", RULES)
 GROUPS = (range(3), range(3, 6))
 HOOKS = {
-    "huber": huber(), "student": student_t(4.0), "sage-husa": sage_husa(0.9), "group": group_parity(GROUPS, 1, deviations=1.0),
-    "channel": channel_parity(4), "correntropy": correntropy(2.0), "variational": variational_bayes(0.9),
-}  # fmt: skip
+    "huber": huber(),
+    "student": student_t(4.0),
+    "sage-husa": sage_husa(0.9),
+    "group": group_parity(GROUPS, 1, deviations=1.0),
+    "channel": channel_parity(4),
+    "correntropy": correntropy(2.0),
+    "variational": variational_bayes(0.9),
+}
 ALL = pytest.mark.parametrize("name", HOOKS)
 
 
@@ -71,7 +78,9 @@ def measured(*batch, seed=1):
 
 
 def kalman(z, inflate):
-    """The textbook filter of one run; ``inflate(k, e, P, used) -> factors (m,)`` of the noise's variances."""
+    """The textbook filter of one run; ``inflate(k, e, P, used) -> factors (m,)`` of the noise's
+    variances.
+    """
     x, P, means = np.zeros(2), P0, []
     for k, row in enumerate(z):
         if k:
@@ -175,10 +184,14 @@ class Channels:
 
 
 PLAIN = {
-    "huber": lambda: reweighted(lambda u: np.minimum(1.0, 1.345 / u)), "student": lambda: reweighted(lambda u: 5.0 / (4.0 + u * u)),
-    "sage-husa": Husa, "variational": Variational,
-    "correntropy": lambda: reweighted(lambda u: np.exp(-u * u / 8.0)), "group": lambda: grouped, "channel": Channels,
-}  # fmt: skip
+    "huber": lambda: reweighted(lambda u: np.minimum(1.0, 1.345 / u)),
+    "student": lambda: reweighted(lambda u: 5.0 / (4.0 + u * u)),
+    "sage-husa": Husa,
+    "variational": Variational,
+    "correntropy": lambda: reweighted(lambda u: np.exp(-u * u / 8.0)),
+    "group": lambda: grouped,
+    "channel": Channels,
+}
 
 
 @ALL
@@ -209,7 +222,9 @@ def test_runs_do_not_know_each_other(name):
     "hook", [group_parity(GROUPS, 1), channel_parity(2)], ids=["group", "channel"]
 )
 def test_parity_does_not_see_what_a_state_explains(hook):
-    """A jump of the state, a thousand deviations large, changes no weight: the same gain, so the estimates differ by its image."""
+    """A jump of the state, a thousand deviations large, changes no weight: the same gain, so the
+    estimates differ by its image.
+    """
     z, jump = measured(), np.array([300.0, -200.0])
     jumped = z.copy()
     jumped[10:] += H @ jump
@@ -225,7 +240,9 @@ def test_parity_does_not_see_what_a_state_explains(hook):
     "hook", [group_parity(GROUPS, 1), channel_parity(2)], ids=["group", "channel"]
 )
 def test_parity_does_not_see_what_the_process_noise_explains(hook, sign):
-    """Of a state that was known exactly before; in a colored filter its columns stand beside those of the state."""
+    """Of a state that was known exactly before; in a colored filter its columns stand beside those
+    of the state.
+    """
     z, jump = measured(), np.array([300.0, -200.0])
     jumped = z.copy()
     jumped[1:] += H @ jump
@@ -282,15 +299,23 @@ def test_hooks_help_in_a_burst(name):
 @pytest.mark.parametrize(
     ("make", "name"),
     [
-        (lambda: huber(0.0), "threshold"), (lambda: huber(1.0, 0), "rounds"), (lambda: student_t(np.nan), "dof"),
-        (lambda: sage_husa(1.0), "forgetting"), (lambda: sage_husa(0.9, 0.0), "least"), (lambda: group_parity((), 4), "groups"),
-        (lambda: correntropy(0.0), "bandwidth"), (lambda: variational_bayes(0.0), "forgetting"),
-        (lambda: variational_bayes(1.1), "forgetting"), (lambda: variational_bayes(0.9, 0.0), "samples"),
+        (lambda: huber(0.0), "threshold"),
+        (lambda: huber(1.0, 0), "rounds"),
+        (lambda: student_t(np.nan), "dof"),
+        (lambda: sage_husa(1.0), "forgetting"),
+        (lambda: sage_husa(0.9, 0.0), "least"),
+        (lambda: group_parity((), 4), "groups"),
+        (lambda: correntropy(0.0), "bandwidth"),
+        (lambda: variational_bayes(0.0), "forgetting"),
+        (lambda: variational_bayes(1.1), "forgetting"),
+        (lambda: variational_bayes(0.9, 0.0), "samples"),
         (lambda: variational_bayes(0.9, rounds=0), "rounds"),
-        (lambda: group_parity(([0, 1], [1, 2]), 4), "groups"), (lambda: group_parity(([0, 1],), 0), "unknowns"),
-        (lambda: group_parity(([0, 1],), 1, deviations=-1.0), "deviations"), (lambda: channel_parity(0), "M"),
+        (lambda: group_parity(([0, 1], [1, 2]), 4), "groups"),
+        (lambda: group_parity(([0, 1],), 0), "unknowns"),
+        (lambda: group_parity(([0, 1],), 1, deviations=-1.0), "deviations"),
+        (lambda: channel_parity(0), "M"),
     ],
-)  # fmt: skip
+)
 def test_bad_input_is_refused_by_name(make, name):
     with pytest.raises(ValueError, match=f"^{name}: expected"):
         make()
@@ -302,7 +327,9 @@ def test_groups_beyond_the_measurement_are_refused():
 
 
 def test_correntropy_ends_at_a_stationary_point():
-    """Of ``(x - x0)' P0^-1 (x - x0) / 2 - b^2 sum exp(-u^2 / (2 b^2))``, with outliers: no gradient is left."""
+    """Of ``(x - x0)' P0^-1 (x - x0) / 2 - b^2 sum exp(-u^2 / (2 b^2))``, with outliers: no gradient
+    is left.
+    """
     z, b = 3.0 * measured(50, seed=3)[0], 1.5
     z[:, 2] += 20.0
     z[7, 4] = np.nan
@@ -328,7 +355,9 @@ def bent(x, _epoch=None):
 
 
 def noises(hook, z, h=H):
-    """Variances in nominal ones that a hook gives, ``(T, runs, m)``, by a hook that looks on after it."""
+    """Variances in nominal ones that a hook gives, ``(T, runs, m)``, by a hook that looks on after
+    it.
+    """
     seen = []
 
     def look(memory, joint, _epoch):
@@ -353,7 +382,8 @@ def drawn(scale, runs=100, h=lambda x: x @ H.T):
 
 @pytest.mark.parametrize("true", [0.5, 1.0, 6.0])
 def test_the_noise_is_found_and_followed(true):
-    """Nominal noise, then ``true`` times its variance: seven time constants later the mean over runs is within a tenth.
+    """Nominal noise, then ``true`` times its variance: seven time constants later the mean over
+    runs is within a tenth.
 
     That is five standard deviations of a mean over 100 runs.
     """

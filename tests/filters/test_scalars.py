@@ -1,4 +1,6 @@
-"""A number where a matrix is meant is that multiple of the identity, for every filter and both engines."""
+"""A number where a matrix is meant is that multiple of the identity, for every filter and both
+engines.
+"""
 
 from __future__ import annotations
 

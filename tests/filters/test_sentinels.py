@@ -1,4 +1,6 @@
-"""Machine code is compared with numpy at epochs spread over each run; a model with memory is not compiled."""
+"""Machine code is compared with numpy at epochs spread over each run; a model with memory is not
+compiled.
+"""
 
 from __future__ import annotations
 

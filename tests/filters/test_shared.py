@@ -1,4 +1,6 @@
-"""One covariance of all runs: what linear filters carry on, against an exact Kalman filter of each run by itself."""
+"""One covariance of all runs: what linear filters carry on, against an exact Kalman filter of each
+run by itself.
+"""
 
 from __future__ import annotations
 
@@ -62,7 +64,9 @@ SHARED = Gaussian(X0, P0)
 
 
 def kalman(z, F=F, H=H, Q=Q, P=P0, pad=0):
-    """Means ``(T, runs, n)`` and covariances by the textbook, run by run; the first epoch is an update."""
+    """Means ``(T, runs, n)`` and covariances by the textbook, run by run; the first epoch is an
+    update.
+    """
     means, covs = (np.empty((T, RUNS, N + pad, *more)) for more in ((), (N + pad,)))
     for i in range(RUNS):
         x, C = np.concatenate([X0[i], np.zeros(pad)]), P
@@ -185,7 +189,7 @@ def test_a_measurement_without_noise_of_what_is_known_is_told(form):
     assert np.isnan(state.belief.mean).all()
 
 
-# -- strong tracking and differencing --------------------------------------------------------------------------------------
+# -- strong tracking and differencing --------------------------------------------------------------
 FACTORS = 1.0 + np.random.default_rng(2).random((2, RUNS, B))
 
 

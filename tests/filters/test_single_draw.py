@@ -1,4 +1,6 @@
-"""One set of points for prediction and update: exact in the linear case, also where the two noises are correlated."""
+"""One set of points for prediction and update: exact in the linear case, also where the two noises
+are correlated.
+"""
 
 from __future__ import annotations
 
@@ -63,7 +65,9 @@ def stepped(filter, known, z):
 @pytest.mark.parametrize("make", MAKE)
 @pytest.mark.parametrize("whose", ["joint", "motion"])
 def test_is_the_kalman_filter_with_correlated_noise(form, make, whose):
-    """The noise of both functions is given as such, or it is that of the motion, which reaches the measurement, too."""
+    """The noise of both functions is given as such, or it is that of the motion, which reaches the
+    measurement, too.
+    """
     filter = correlated(MAKE[make], form=form)
     if whose == "motion":
         filter = SingleDraw.of(MAKE[make](Motion(f, augment=(ROOT,)), Sensor(h, NONE), form=form))

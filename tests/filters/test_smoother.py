@@ -1,4 +1,6 @@
-"""The smoother gives the marginals of the joint Gaussian of all states, and what filterpy's smoother gives."""
+"""The smoother gives the marginals of the joint Gaussian of all states, and what filterpy's
+smoother gives.
+"""
 
 import copy
 import pickle
@@ -81,7 +83,9 @@ def measurements(rng, *batch):
 
 
 def joint(z, prior_cov, transitions, noises, H=H_, R=R):
-    """Mean and covariance of all states given all that was measured, from their joint Gaussian; written out."""
+    """Mean and covariance of all states given all that was measured, from their joint Gaussian;
+    written out.
+    """
     n, steps = len(prior_cov), len(z)
     sources = [np.linalg.cholesky(prior_cov + 0.0), *noises]
     rows = []
@@ -111,7 +115,9 @@ def joint(z, prior_cov, transitions, noises, H=H_, R=R):
 @pytest.mark.parametrize("name", RULES)
 @FORMS
 def test_equals_the_joint_gaussian(name, form):
-    """With a linear model every rule is exact; the process noise has rank 2, so the joint of two states is singular."""
+    """With a linear model every rule is exact; the process noise has rank 2, so the joint of two
+    states is singular.
+    """
     motion, rule = RULES[name]
     z = measurements(np.random.default_rng(1))
     track = filtered(motion, SEEN, PRIOR, epochs(np.arange(T), z), rule, form)
@@ -132,7 +138,9 @@ def test_equals_the_joint_gaussian(name, form):
 
 @FORMS
 def test_irregular_times_inputs_and_noise_functions(form):
-    """Intervals, inputs and noise belong to the epoch that ends them; an interval of 0 shares its state."""
+    """Intervals, inputs and noise belong to the epoch that ends them; an interval of 0 shares its
+    state.
+    """
     rng = np.random.default_rng(2)
     times = np.array([0.0, 1.0, 1.5, 1.5, 4.0, 4.25])
     z, u = rng.normal(size=(6, 2)), rng.normal(size=(5, 3))
@@ -176,7 +184,9 @@ def sine(x, epoch):
 )
 @FORMS
 def test_equals_filterpy(points, form):
-    """filterpy smooths with the interval and the noise at the earlier index; our epochs end intervals."""
+    """filterpy smooths with the interval and the noise at the earlier index; our epochs end
+    intervals.
+    """
     rng = np.random.default_rng(3)
     times = np.array([0.0, 0.3, 0.5, 1.1, 1.3, 2.0, 2.2, 2.9])
     z = np.sin(0.6 + times)[:, None] + 0.1 * rng.normal(size=(len(times), 1))
@@ -189,7 +199,7 @@ def test_equals_filterpy(points, form):
 
     ukf = UnscentedKalmanFilter(
         2, 1, 0.1, hx=lambda x: np.sin(x[:1]), fx=lambda x, dt: pendulum(x, At(dt)), points=theirs
-    )  # fmt: skip
+    )
     ukf.x, ukf.P, ukf.Q, ukf.R = mean.copy(), cov.copy(), Q, np.array([[0.01]])
     means, covs = [], []
     for dt, measured in zip(np.diff(times), z[1:], strict=True):
@@ -274,7 +284,9 @@ def test_batch_is_singles(rule, form):
     ids=["unscented", "cubature 5", "Taylor"],
 )
 def test_noise_through_the_points(rule):
-    """Noise that goes through the points is noise all the same: with an additive model, exactly, also by negative weights."""
+    """Noise that goes through the points is noise all the same: with an additive model, exactly,
+    also by negative weights.
+    """
     z = measurements(np.random.default_rng(6))
 
     def f(x, epoch, w):
@@ -289,7 +301,9 @@ def test_noise_through_the_points(rule):
 
 
 def test_a_turn_more_changes_nothing():
-    """A heading on the circle: start it half a turn away so that it wraps, and the smoother does not notice."""
+    """A heading on the circle: start it half a turn away so that it wraps, and the smoother does
+    not notice.
+    """
     rng = np.random.default_rng(7)
     times, turn = np.arange(15.0), 0.3
     space = angles([0])
@@ -323,7 +337,9 @@ def test_a_turn_more_changes_nothing():
 
 @FORMS
 def test_deviations_are_carried_to_where_they_belong(form):
-    """A position with deviations in body axes: a moving frame of a flat space must give what the fixed one gives."""
+    """A position with deviations in body axes: a moving frame of a flat space must give what the
+    fixed one gives.
+    """
 
     def turned(heading, vector):
         c, s = np.cos(heading), np.sin(heading)
@@ -369,7 +385,9 @@ def test_deviations_are_carried_to_where_they_belong(form):
 
 
 def test_colored_noise():
-    """The augmented filter's track smooths states and colored noise together, as the joint Gaussian of both has it."""
+    """The augmented filter's track smooths states and colored noise together, as the joint Gaussian
+    of both has it.
+    """
     Phi, increments, first = np.diag([0.9, 0.6]), np.diag([0.02, 0.05]), np.diag([0.3, 0.2])
     Q = SQRT_Q @ SQRT_Q.T + 0.01 * np.eye(3)
     z = np.random.default_rng(9).normal(size=(T, 2))
@@ -452,7 +470,9 @@ def test_what_cannot_be_smoothed_says_why_and_what_can(name):
 
 @FORMS
 def test_known_directions(form):
-    """A known constant, and a known combination of two states: as if they were not part of the state."""
+    """A known constant, and a known combination of two states: as if they were not part of the
+    state.
+    """
     z = measurements(np.random.default_rng(10))
     when = epochs(np.arange(T), z)
     turn = np.linalg.qr(np.random.default_rng(11).normal(size=(5, 5)))[0]
@@ -497,7 +517,9 @@ BROKEN = Motion(breaks, sqrt_Q=SQRT_Q)
 @FORMS
 @pytest.mark.parametrize("kappa", [-1.0, -1.9])
 def test_a_state_that_the_next_one_tells_exactly(form, kappa):
-    """A constant beside one that walks: nothing is left of its columns but round-off, and with negative weights of that too."""
+    """A constant beside one that walks: nothing is left of its columns but round-off, and with
+    negative weights of that too.
+    """
     F, seen = np.array([[1.0, 1.0], [0.0, 1.0]]), Sensor(np.eye(1, 2), R=[[1.0]])
     motion, prior = Motion(F, Q=np.diag([0.01, 0.0])), Gaussian(np.zeros(2), np.diag([1.0, 1e-4]))
     times = np.arange(100.0)
@@ -574,7 +596,8 @@ TWO, THREE = np.eye(2), 0.01 * np.eye(3)
         ),
         (
             lambda: smooth(track_of(colored(Motion(linear, THREE), SEEN, 0.5 * TWO))),
-            r"^filter: expected one that predicts, .*, got Colored, whose differences of measurements "
+            r"^filter: expected one that predicts, .*, got Colored, whose differences of "
+            r"measurements "
             r"share their noise with the motion; smooth a track of celnav.augmented\(motion",
         ),
         (
@@ -596,7 +619,9 @@ def test_bad_input_is_refused_by_name(call, message):
 
 
 def test_one_epoch_a_stream_of_epochs_a_pickle_and_a_fallback():
-    """With one epoch there is nothing to do; epochs may come from a generator; a track that was pickled is told its filter."""
+    """With one epoch there is nothing to do; epochs may come from a generator; a track that was
+    pickled is told its filter.
+    """
     z = measurements(np.random.default_rng(15))
     one = run(PLAIN, PRIOR, epochs([0.0], z[:1]), keep="cov")
     np.testing.assert_array_equal(smooth(one).mean, one.mean)

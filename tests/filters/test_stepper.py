@@ -1,4 +1,6 @@
-"""Single steps by machine code are numpy's: of every kind of filter, epoch and batch, in threads, and after a change."""
+"""Single steps by machine code are numpy's: of every kind of filter, epoch and batch, in threads,
+and after a change.
+"""
 
 from __future__ import annotations
 
@@ -131,7 +133,9 @@ def test_several_runs_of_a_filter_with_a_memory_are_refused():
 
 
 def test_states_stay_as_they_were():
-    """A step changes no state that was given, and none that it gave before; what is written into one counts."""
+    """A step changes no state that was given, and none that it gave before; what is written into
+    one counts.
+    """
     fast, epochs = celnav.compiled(FILTERS["ukf"]), celnav.epochs(TIMES, Z)
     found = stepped(fast, PRIOR, epochs)
     copies = [(state.belief.mean.copy(), state.belief.cov.copy()) for state, _ in found]
@@ -212,7 +216,9 @@ def test_a_model_that_counts_its_calls_is_refused():
 
 
 def test_what_changes_within_an_object_is_seen_where_numpy_takes_a_step():
-    """That is the 1st, the 5th and the 21st step of a kind; by then a new record has taken its place."""
+    """That is the 1st, the 5th and the 21st step of a kind; by then a new record has taken its
+    place.
+    """
     settings = SimpleNamespace(rate=1.0)
 
     def drifting(x, epoch):

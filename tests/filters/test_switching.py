@@ -37,9 +37,12 @@ def test_each_run_is_that_of_its_filter_bit_for_bit(form):
     own = filters(form)
     known = [run(filter, PRIOR, TIMES, Z) for filter in own]
     both = run(
-        Switching(own.__getitem__, lambda belief, epoch, chosen: np.array([2, 0, 1])), PRIOR, TIMES, Z,
+        Switching(own.__getitem__, lambda belief, epoch, chosen: np.array([2, 0, 1])),
+        PRIOR,
+        TIMES,
+        Z,
         also=lambda epoch, state, infos: {"chosen": state.chosen},
-    )  # fmt: skip
+    )
     for i, number in enumerate((2, 0, 1)):
         for name in ("mean", "std", "innovation", "whitened", "used"):
             np.testing.assert_array_equal(

@@ -54,7 +54,9 @@ def test_a_measurement_may_have_more_components_at_some_epochs(form):
 
 @FORMS
 def test_none_is_missing_as_nan_is(form):
-    """Two sensors, runs; what has no measurement counts by the components that its sensor has otherwise."""
+    """Two sensors, runs; what has no measurement counts by the components that its sensor has
+    otherwise.
+    """
     filter = celnav.ukf(
         MOTION, celnav.Sensor([[1.0, 0.0]], [[1.0]]), celnav.Sensor(EYE, EYE), form=form
     )
@@ -126,7 +128,9 @@ def test_no_components_and_no_runs(form, linear):
     "keep", [("mean",), ("std", "mean"), ["innovation", "std"], ("cov",), {"innovation"}, ()]
 )
 def test_only_rows_that_are_asked_for_are_kept(engine, keep):
-    """They are those of a track that keeps all. Covariances need their means, and have their deviations."""
+    """They are those of a track that keeps all. Covariances need their means, and have their
+    deviations.
+    """
     times, z = np.arange(12.0), np.random.default_rng(0).standard_normal((12, 5, 2))
     z[3, 2], z[5] = np.nan, np.nan
     filter = celnav.ukf(MOTION, celnav.Sensor(EYE, EYE))

@@ -1,4 +1,6 @@
-"""Wrong arguments at the doors of the filters: each is refused by its name, or does what it says. No raw error comes through."""
+"""Wrong arguments at the doors of the filters: each is refused by its name, or does what it says.
+No raw error comes through.
+"""
 
 import re
 from dataclasses import replace
@@ -109,46 +111,102 @@ DOORS = {
     ),
     "run": (
         lambda **a: celnav.run(**a),
-        {"filter": FILTER, "prior": PRIOR, "times": TIMES, "z": np.ones((3, 2)), "u": [1.0, 2.0], "every": 1, "keep": "std",
-         "also": lambda *a: {}, "reduce": lambda *a: 0, "on_failure": "raise"},
+        {
+            "filter": FILTER,
+            "prior": PRIOR,
+            "times": TIMES,
+            "z": np.ones((3, 2)),
+            "u": [1.0, 2.0],
+            "every": 1,
+            "keep": "std",
+            "also": lambda *a: {},
+            "reduce": lambda *a: 0,
+            "on_failure": "raise",
+        },
     ),
-    "steps": (lambda **a: list(celnav.steps(**a)), {"filter": FILTER, "prior": PRIOR, "epochs": WHEN}),
+    "steps": (
+        lambda **a: list(celnav.steps(**a)),
+        {"filter": FILTER, "prior": PRIOR, "epochs": WHEN},
+    ),
     "step": (lambda **a: FILTER.step(**a), {"state": FILTER.start(PRIOR), "epoch": WHEN[1]}),
-    "epoch": (lambda **a: flown(FILTER, epochs=[celnav.Epoch(**a)]), {"k": 0, "t": 0.0, "dt": 1.0, "u": 0.0, "z": np.ones(2)}),
-    "Gaussian": (lambda **a: flown(FILTER, celnav.Gaussian(**a)), {"mean": np.zeros(2), "cov": EYE}),
-    "Gaussian sqrt": (lambda **a: flown(FILTER, celnav.Gaussian(np.zeros(2), **a)), {"sqrt_cov": EYE}),
-    "Motion": (of(celnav.Motion), {"f": f, "Q": EYE, "space": EUCLIDEAN, "jacobian": lambda mean, epoch: EYE, "augment": ()}),
+    "epoch": (
+        lambda **a: flown(FILTER, epochs=[celnav.Epoch(**a)]),
+        {"k": 0, "t": 0.0, "dt": 1.0, "u": 0.0, "z": np.ones(2)},
+    ),
+    "Gaussian": (
+        lambda **a: flown(FILTER, celnav.Gaussian(**a)),
+        {"mean": np.zeros(2), "cov": EYE},
+    ),
+    "Gaussian sqrt": (
+        lambda **a: flown(FILTER, celnav.Gaussian(np.zeros(2), **a)),
+        {"sqrt_cov": EYE},
+    ),
+    "Motion": (
+        of(celnav.Motion),
+        {"f": f, "Q": EYE, "space": EUCLIDEAN, "jacobian": lambda mean, epoch: EYE, "augment": ()},
+    ),
     "Motion sqrt": (of(celnav.Motion, f), {"sqrt_Q": EYE}),
-    "Sensor": (of(celnav.Sensor), {"h": f, "R": EYE, "space": EUCLIDEAN, "jacobian": lambda mean, epoch: EYE, "augment": ()}),
+    "Sensor": (
+        of(celnav.Sensor),
+        {"h": f, "R": EYE, "space": EUCLIDEAN, "jacobian": lambda mean, epoch: EYE, "augment": ()},
+    ),
     "Sensor sqrt": (of(celnav.Sensor, EYE), {"sqrt_R": EYE}),
-    "augment": (lambda **a: flown(celnav.ukf(celnav.Motion(noisy, **a), celnav.Sensor(noisy, **a))), {"augment": (EYE,)}),
+    "augment": (
+        lambda **a: flown(celnav.ukf(celnav.Motion(noisy, **a), celnav.Sensor(noisy, **a))),
+        {"augment": (EYE,)},
+    ),
     "Linear": (linear, {"matrix": lambda epoch: EYE}),
-    "Taylor": (lambda **a: flown(celnav.sigma_point(MOTION, SENSOR, rule=celnav.Taylor(**a))), {"step": 1e-3, "about": np.ones(2)}),
+    "Taylor": (
+        lambda **a: flown(celnav.sigma_point(MOTION, SENSOR, rule=celnav.Taylor(**a))),
+        {"step": 1e-3, "about": np.ones(2)},
+    ),
     "sigma_point": (made(celnav.sigma_point), PARTS | OPTIONS | {"rule": celnav.unscented}),
     "sigma_point rule": (made(celnav.sigma_point), {"rule": celnav.unscented(2)}),
     "ukf": (made(celnav.ukf), PARTS | OPTIONS | {"alpha": 1.0, "beta": 0.0, "kappa": 0.5}),
     "ckf": (made(celnav.ckf), PARTS | OPTIONS | {"degree": 3}),
     "ghkf": (made(celnav.ghkf), PARTS | OPTIONS | {"order": 3}),
-    "sparse_grid_filter": (made(celnav.sparse_grid_filter), PARTS | OPTIONS | {"level": 3, "weights": [1, 2]}),
+    "sparse_grid_filter": (
+        made(celnav.sparse_grid_filter),
+        PARTS | OPTIONS | {"level": 3, "weights": [1, 2]},
+    ),
     "ekf": (made(celnav.ekf), PARTS | OPTIONS),
-    "ekf matrix": (lambda **a: flown(celnav.ekf(celnav.Motion(EYE, EYE), MATRIX, **a)), {"gain": lambda A, sign, m: 0.5 * EYE}),
+    "ekf matrix": (
+        lambda **a: flown(celnav.ekf(celnav.Motion(EYE, EYE), MATRIX, **a)),
+        {"gain": lambda A, sign, m: 0.5 * EYE},
+    ),
     "Iterated": (
         lambda **a: flown(Iterated(MOTION, (SENSOR,), rule=celnav.Taylor(), form=Covariance, **a)),
         {"iterations": 2, "first": lambda belief, z, epoch: belief.mean},
     ),
     "Iterated points": (
-        lambda **a: flown(Iterated(MOTION, (SENSOR,), rule=celnav.unscented(2), form=Covariance, **a)),
+        lambda **a: flown(
+            Iterated(MOTION, (SENSOR,), rule=celnav.unscented(2), form=Covariance, **a)
+        ),
         {"iterations": 2, "first": lambda belief, z, epoch: belief.mean},
     ),
     "imm": (
         lambda prior=PRIOR, **a: flown(celnav.imm(**a), prior),
-        {"filters": [FILTER, OTHER], "transition": 0.5 * np.ones((2, 2)), "initial": [0.5, 0.5], "prior": PRIOR},
+        {
+            "filters": [FILTER, OTHER],
+            "transition": 0.5 * np.ones((2, 2)),
+            "initial": [0.5, 0.5],
+            "prior": PRIOR,
+        },
     ),
     "hook": (lambda **a: seen([a["hook"]]), {"hook": lambda memory, joint, epoch: (memory, joint)}),
-    "smooth": (lambda **a: celnav.smooth(**a), {"track": TRACK, "filter": FILTER, "gains": False, "on_failure": "raise"}),
-    "colored": (made(celnav.colored), COLORED | {"sensor": SENSOR, "first": True, "form": "covariance", "hooks": [gate(3.0)]}),
+    "smooth": (
+        lambda **a: celnav.smooth(**a),
+        {"track": TRACK, "filter": FILTER, "gains": False, "on_failure": "raise"},
+    ),
+    "colored": (
+        made(celnav.colored),
+        COLORED | {"sensor": SENSOR, "first": True, "form": "covariance", "hooks": [gate(3.0)]},
+    ),
     "colored matrix": (made(celnav.colored), COLORED | {"sensor": MATRIX, "first": False}),
-    "decorrelated": (made(celnav.decorrelated), COLORED | {"sensor": MATRIX, "first": True, "hooks": [gate(3.0)]}),
+    "decorrelated": (
+        made(celnav.decorrelated),
+        COLORED | {"sensor": MATRIX, "first": True, "hooks": [gate(3.0)]},
+    ),
     "decorrelated hook": (
         lambda hook: flown(celnav.decorrelated(MOTION, MATRIX, 0.5 * EYE, hooks=[hook])),
         {"hook": lambda memory, joint, epoch: (memory, joint)},
@@ -156,9 +214,14 @@ DOORS = {
     "augmented": (made(celnav.augmented), COLORED | {"sensor": SENSOR}),
     "two_stage": (
         made(celnav.two_stage),
-        PARTS | OPTIONS | {"Gamma": EYE, "bias": BIAS, "Qb": EYE, "boost": strong_tracking([1.0, 1.0], 5.0)},
+        PARTS
+        | OPTIONS
+        | {"Gamma": EYE, "bias": BIAS, "Qb": EYE, "boost": strong_tracking([1.0, 1.0], 5.0)},
     ),
-    "TwoStage.of": (lambda **a: flown(TwoStage.of(**a)), {"first": Plain(FILTER), "Gamma": one, "bias": BIAS, "Qb": 0.0 * EYE}),
+    "TwoStage.of": (
+        lambda **a: flown(TwoStage.of(**a)),
+        {"first": Plain(FILTER), "Gamma": one, "bias": BIAS, "Qb": 0.0 * EYE},
+    ),
     "Plain": (lambda **a: flown(TwoStage.of(Plain(**a), EYE, BIAS)), {"filter": FILTER}),
     "strong_tracking": (
         lambda **a: flown(celnav.two_stage(MOTION, SENSOR, EYE, BIAS, boost=strong_tracking(**a))),
@@ -166,33 +229,66 @@ DOORS = {
     ),
     "ar1_noise": (lambda **a: ar1_noise(**a), AR1),
     "Differenced": (
-        lambda prior=PRIOR, **a: flown(TwoStage.of(Differenced(**a), EYE, BIAS), prior, [celnav.Epoch(0, 1.0, 1.0, z=np.ones(2))]),
+        lambda prior=PRIOR, **a: flown(
+            TwoStage.of(Differenced(**a), EYE, BIAS),
+            prior,
+            [celnav.Epoch(0, 1.0, 1.0, z=np.ones(2))],
+        ),
         {"move": moved, "h": f, "slope": one, "noise": ar1_noise(**AR1), "prior": PRIOR},
     ),
-    "least_squares": (lambda prior=PRIOR, **a: flown(least_squares(**a), prior), {
-        "sensor": celnav.Sensor(f, EYE, jacobian=one), "rounds": 3, "prior": PRIOR}),
-    "least_squares of": (lambda **a: flown(least_squares(celnav.Sensor(**a))), {"h": f, "R": EYE, "jacobian": one}),
-    "Fallback": (lambda prior=PRIOR, **a: flown(Fallback(**a), prior), {"first": FILTER, "second": OTHER, "prior": PRIOR}),
+    "least_squares": (
+        lambda prior=PRIOR, **a: flown(least_squares(**a), prior),
+        {"sensor": celnav.Sensor(f, EYE, jacobian=one), "rounds": 3, "prior": PRIOR},
+    ),
+    "least_squares of": (
+        lambda **a: flown(least_squares(celnav.Sensor(**a))),
+        {"h": f, "R": EYE, "jacobian": one},
+    ),
+    "Fallback": (
+        lambda prior=PRIOR, **a: flown(Fallback(**a), prior),
+        {"first": FILTER, "second": OTHER, "prior": PRIOR},
+    ),
     "FixedLag": (lambda **a: flown(FixedLag(**a)), {"filter": FILTER, "lag": 2}),
-    "FixedLag.step": (lambda **a: FixedLag(FILTER, 2).step(**a), {"state": FixedLag(FILTER, 2).start(PRIOR), "epoch": WHEN[0]}),
-    "FixedLag.late": (lambda **a: FixedLag(FILTER, 2).late(**a), {"state": AGO, "k": 0, "z": np.ones(2)}),
+    "FixedLag.step": (
+        lambda **a: FixedLag(FILTER, 2).step(**a),
+        {"state": FixedLag(FILTER, 2).start(PRIOR), "epoch": WHEN[0]},
+    ),
+    "FixedLag.late": (
+        lambda **a: FixedLag(FILTER, 2).late(**a),
+        {"state": AGO, "k": 0, "z": np.ones(2)},
+    ),
     "FixedLag.track": (lambda **a: celnav.smooth(FixedLag(FILTER, 2).track(**a)), {"state": AGO}),
     "SingleDraw": (lambda **a: flown(SingleDraw.of(**a)), {"filter": celnav.ukf(NOISY, SENSOR)}),
     "SingleDraw noise": (
-        lambda **a: flown(replace(SingleDraw.of(celnav.ukf(NOISY, SENSOR)), **a)), {"joint_noise": (EYE,)}),
+        lambda **a: flown(replace(SingleDraw.of(celnav.ukf(NOISY, SENSOR)), **a)),
+        {"joint_noise": (EYE,)},
+    ),
     "simulate": (
         lambda **a: celnav.simulate(**a),
-        {"motion": MOTION, "sensor": SENSOR, "prior": PRIOR, "times": TIMES, "runs": 2, "seed": 1, "u": [1.0, 2.0],
-         "Phi": 0.5 * EYE},
+        {
+            "motion": MOTION,
+            "sensor": SENSOR,
+            "prior": PRIOR,
+            "times": TIMES,
+            "runs": 2,
+            "seed": 1,
+            "u": [1.0, 2.0],
+            "Phi": 0.5 * EYE,
+        },
     ),
-    "simulate sensors": (lambda **a: celnav.simulate(MOTION, prior=PRIOR, times=TIMES, runs=2, **a), {"sensor": [SENSOR, MATRIX]}),
+    "simulate sensors": (
+        lambda **a: celnav.simulate(MOTION, prior=PRIOR, times=TIMES, runs=2, **a),
+        {"sensor": [SENSOR, MATRIX]},
+    ),
     "simulate models": (
-        lambda f, h, Q, R: celnav.simulate(celnav.Motion(f, Q), celnav.Sensor(h, R), PRIOR, TIMES, runs=2),
+        lambda f, h, Q, R: celnav.simulate(
+            celnav.Motion(f, Q), celnav.Sensor(h, R), PRIOR, TIMES, runs=2
+        ),
         {"f": f, "h": f, "Q": EYE, "R": EYE},
     ),
     "to_dataframe": (lambda **a: TRACK.to_dataframe(**a), {"names": ["a", "b"]}),
     "to_csv": (lambda **a: TRACK.to_csv(CSV, **a), {"names": ["a", "b"]}),
-}  # fmt: skip
+}
 HOOKS = {
     gate: {"gamma": 3.0},
     chi_square_gate: {"probability": 0.9},
@@ -243,8 +339,14 @@ WRONG = {
     "generator": 7,
 }
 NAMES = {name for _, good in DOORS.values() for name in good} | {
-    "Gaussian", "consider", "deviations", "innovation_window", "name", "names", "sensors",
-}  # fmt: skip
+    "Gaussian",
+    "consider",
+    "deviations",
+    "innovation_window",
+    "name",
+    "names",
+    "sensors",
+}
 
 
 def named(error):
@@ -266,7 +368,9 @@ def test_right_arguments_are_accepted(door):
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 @pytest.mark.parametrize("door", DOORS)
 def test_wrong_arguments_are_told_by_name(door):
-    """What is accepted does what it says; whatever is not is told by its name, before anything takes long or much memory."""
+    """What is accepted does what it says; whatever is not is told by its name, before anything
+    takes long or much memory.
+    """
     call, good = DOORS[door]
     for argument, (what, wrong) in product(good, WRONG.items()):
         value = (i for i in range(3)) if what == "generator" else wrong

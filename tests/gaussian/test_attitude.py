@@ -1,4 +1,6 @@
-"""Quaternions and Rodrigues parameters against scipy's rotations, closed forms and numerical derivatives."""
+"""Quaternions and Rodrigues parameters against scipy's rotations, closed forms and numerical
+derivatives.
+"""
 
 from __future__ import annotations
 

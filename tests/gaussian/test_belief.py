@@ -1,4 +1,6 @@
-"""Beliefs in both forms: their parts against the covariance algebra written out, and what a Gaussian refuses."""
+"""Beliefs in both forms: their parts against the covariance algebra written out, and what a
+Gaussian refuses.
+"""
 
 from dataclasses import replace
 

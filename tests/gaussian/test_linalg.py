@@ -1,4 +1,6 @@
-"""The kernels against numpy's plain ones, in every batch shape; a matrix without a root spoils itself only."""
+"""The kernels against numpy's plain ones, in every batch shape; a matrix without a root spoils
+itself only.
+"""
 
 import numpy as np
 import pytest
@@ -52,7 +54,8 @@ def test_tria_is_a_lower_root_with_non_negative_diagonal(shape):
 def test_tria_of_a_batch_is_tria_of_each(shape):
     A = columns(shape)
     each = np.array([tria(a) for a in A.reshape(-1, *A.shape[-2:])]).reshape(tria(A).shape)
-    # Of fewer columns than rows the last diagonal elements are round-off, and so is what they divide.
+    # Of fewer columns than rows the last diagonal elements are round-off, and so is what they
+    # divide.
     np.testing.assert_allclose(
         tria(A) @ tria(A).mT,
         each @ each.mT,
@@ -183,7 +186,9 @@ def test_downdate_fails_exactly_where_the_difference_is_indefinite():
 
 @pytest.mark.parametrize(("noise_first", "rtol"), [(False, 1e-12), (True, 1e-6)])
 def test_an_update_keeps_what_a_downdate_loses(noise_first, rtol):
-    """A variance of 1, measured with a deviation of 1e-9: what is left of it is below the rounding of 1."""
+    """A variance of 1, measured with a deviation of 1e-9: what is left of it is below the rounding
+    of 1.
+    """
     noise = 1e-9
     exact, parts = (
         noise / np.hypot(1.0, noise),

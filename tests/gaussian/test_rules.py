@@ -1,4 +1,6 @@
-"""Rules: exact to their degree, equal to filterpy's, usable inside filterpy, and right as transforms of any function."""
+"""Rules: exact to their degree, equal to filterpy's, usable inside filterpy, and right as
+transforms of any function.
+"""
 
 from itertools import product as cartesian
 
@@ -400,7 +402,8 @@ def test_rules_cannot_be_changed():
         ),
         (
             lambda: from_filterpy(MerweScaledSigmaPoints(2, 1e-8, 2.0, 0.0)),
-            "^alpha, kappa, wm: expected weights that leave three digits of a mean, got 9.01e.15 times",
+            "^alpha, kappa, wm: expected weights that leave three digits of a mean, got 9.01e.15 "
+            "times",
         ),
         (lambda: unscented(2, 1.0, float("inf")), "beta"),
         (lambda: unscented(2, 1.0, 0.0, -2.0), "kappa: expected a number above -2, got -2"),

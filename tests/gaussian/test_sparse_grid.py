@@ -1,4 +1,6 @@
-"""Sparse grids against the textbook combination technique, exact moments, published counts and filterpy."""
+"""Sparse grids against the textbook combination technique, exact moments, published counts and
+filterpy.
+"""
 
 from collections import defaultdict
 from itertools import pairwise, product
@@ -28,9 +30,11 @@ def indices(n, budget, g):
 
 
 def combination(n, level, g, orders=ORDERS):
-    """The combination technique as in the textbook: tensor rules with signed coefficients, merged by the ids of their nodes.
+    """The combination technique as in the textbook: tensor rules with signed coefficients, merged
+    by the ids of their nodes.
 
-    Returns ``{ids: (point, weight, sum of absolute terms)}``; an id is (0, 0) for the node 0, else (order, index).
+    Returns ``{ids: (point, weight, sum of absolute terms)}``; an id is (0, 0) for the node 0, else
+    (order, index).
     """
     budget = (level - 1) * min(g)
     inside = set(indices(n, budget, g))
@@ -245,7 +249,9 @@ def test_inside_filterpy():
 
 @pytest.mark.parametrize("form", ["square root", "covariance"])
 def test_in_the_filter_for_colored_noise(form):
-    """Linear model: any exact rule gives the same estimates; negative weights are taken away by a downdate."""
+    """Linear model: any exact rule gives the same estimates; negative weights are taken away by a
+    downdate.
+    """
     F, Phi = (
         np.array([[1.0, 0.1, 0.0], [0.0, 1.0, 0.1], [0.0, -0.1, 1.0]]),
         np.array([[0.7, 0.2], [-0.1, 0.9]]),
@@ -327,7 +333,9 @@ def test_large_weights_do_no_harm():
     ("level", "weights"), [(3, (2, 1)), (4, (1, 1, 2)), (4, (2, 3)), (2, (5, 1))]
 )
 def test_the_index_set_has_the_coefficients_of_the_combination_technique(level, weights):
-    """Those within the budget, each with the signed number of its upper neighbors that are in the set too."""
+    """Those within the budget, each with the signed number of its upper neighbors that are in the
+    set too.
+    """
     budget = (level - 1) * min(weights)
     every = {
         index

@@ -1,4 +1,6 @@
-"""Ephemerides: DE421 against facts, files that are not what they should be, and the older ephemerides of the data."""
+"""Ephemerides: DE421 against facts, files that are not what they should be, and the older
+ephemerides of the data.
+"""
 
 from __future__ import annotations
 
@@ -84,7 +86,7 @@ def test_a_missing_file_is_an_error_of_the_system(tmp_path):
         Kernel(tmp_path / "none.bsp")
 
 
-# -- the older ephemerides, arrays of Chebyshev coefficients, from which the data was made ---------------------------------
+# -- the older ephemerides, arrays of Chebyshev coefficients, from which the data was made ---------
 @pytest.fixture
 def older(tmp_path):
     """A small ephemeris of polynomials, 4 sets of 8 days, and positions by it."""

@@ -11,9 +11,14 @@ from celnav.models import earth
 from celnav.models.earth import turning_flight
 
 FLIGHT = {
-    "longitude": np.radians(110.0), "latitude": np.radians(40.0), "height_m": 20000.0, "speed": 200.0,
-    "heading": np.radians(65.0), "acceleration": 0.5, "turn_rate": np.radians(0.1),
-}  # fmt: skip
+    "longitude": np.radians(110.0),
+    "latitude": np.radians(40.0),
+    "height_m": 20000.0,
+    "speed": 200.0,
+    "heading": np.radians(65.0),
+    "acceleration": 0.5,
+    "turn_rate": np.radians(0.1),
+}
 
 
 def test_normal_gravity_at_known_places():

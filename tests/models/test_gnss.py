@@ -21,14 +21,29 @@ def broadcast(**changes):
     S = 3
     values = {f.name: np.zeros(S) for f in fields(Broadcast)}
     values |= {
-        "number": np.array([21.0, 38.0, 3.0]), "toe": np.full(S, TOE), "toc": np.full(S, TOE),
-        "sqrt_a": np.sqrt([27906100.0, 42164000.0, 42164000.0]), "e": np.array([5e-4, 2e-3, 3e-4]),
-        "i0": np.radians([55.0, 55.0, 6.3]), "Omega0": np.array([0.5, 1.5, 2.5]), "omega": np.array([0.7, 3.3, 0.5]),
-        "M0": np.array([0.3, 1.2, 2.1]), "delta_n": np.full(S, 4e-9), "Omega_dot": np.full(S, -7e-9), "i_dot": np.full(S, 3e-10),
-        "cuc": np.full(S, 5e-6), "cus": np.full(S, 8e-6), "crc": np.full(S, 200.0), "crs": np.full(S, -90.0),
-        "cic": np.full(S, 7e-8), "cis": np.full(S, -4e-8), "a0": np.array([1e-4, -2e-4, 3e-4]),
-        "a1": np.array([1e-11, 2e-11, -3e-11]), "a2": np.full(S, 1e-18), "tgd": np.array([1e-8, 5e-9, 1.4e-8]),
-    }  # fmt: skip
+        "number": np.array([21.0, 38.0, 3.0]),
+        "toe": np.full(S, TOE),
+        "toc": np.full(S, TOE),
+        "sqrt_a": np.sqrt([27906100.0, 42164000.0, 42164000.0]),
+        "e": np.array([5e-4, 2e-3, 3e-4]),
+        "i0": np.radians([55.0, 55.0, 6.3]),
+        "Omega0": np.array([0.5, 1.5, 2.5]),
+        "omega": np.array([0.7, 3.3, 0.5]),
+        "M0": np.array([0.3, 1.2, 2.1]),
+        "delta_n": np.full(S, 4e-9),
+        "Omega_dot": np.full(S, -7e-9),
+        "i_dot": np.full(S, 3e-10),
+        "cuc": np.full(S, 5e-6),
+        "cus": np.full(S, 8e-6),
+        "crc": np.full(S, 200.0),
+        "crs": np.full(S, -90.0),
+        "cic": np.full(S, 7e-8),
+        "cis": np.full(S, -4e-8),
+        "a0": np.array([1e-4, -2e-4, 3e-4]),
+        "a1": np.array([1e-11, 2e-11, -3e-11]),
+        "a2": np.full(S, 1e-18),
+        "tgd": np.array([1e-8, 5e-9, 1.4e-8]),
+    }
     return Broadcast(**(values | changes))
 
 
@@ -80,7 +95,9 @@ def textbook(b, s, t):
 
 
 def of_gps(b, s, t):
-    """A satellite of GPS [IS-GPS-200, Table 20-IV] by rotations of its radius, t and toe in seconds of GPS's week."""
+    """A satellite of GPS [IS-GPS-200, Table 20-IV] by rotations of its radius, t and toe in seconds
+    of GPS's week.
+    """
     mu, earth = 3.986005e14, 7.2921151467e-5
     toe, A = (b.toe[s] + 14.0) % 604800.0, b.sqrt_a[s] ** 2
     tk = (t - toe + 302400.0) % 604800.0 - 302400.0
@@ -91,10 +108,11 @@ def of_gps(b, s, t):
     u, r, i = (
         base + cosine * wave.real + sine * wave.imag
         for base, cosine, sine in (
-            (anomaly + b.omega[s], b.cuc[s], b.cus[s]), (A * (1.0 - b.e[s] * np.cos(E)), b.crc[s], b.crs[s]),
+            (anomaly + b.omega[s], b.cuc[s], b.cus[s]),
+            (A * (1.0 - b.e[s] * np.cos(E)), b.crc[s], b.crs[s]),
             (b.i0[s] + b.i_dot[s] * tk, b.cic[s], b.cis[s]),
         )
-    )  # fmt: skip
+    )
     node = b.Omega0[s] + b.Omega_dot[s] * tk - earth * (tk + toe)
     clock = (
         b.a0[s]
@@ -204,9 +222,14 @@ def test_geostationary_satellites_stand_over_their_longitudes():
 
 
 @pytest.mark.parametrize(
-    ("changes", "name"), [({"e": np.array([0.0, 1.0, 0.0])}, "e"), ({"sqrt_a": np.zeros(3)}, "sqrt_a"), ({"M0": np.zeros(2)}, "M0"),
-                          ({"crs": np.array([0.0, np.nan, 0.0])}, "crs")]
-)  # fmt: skip
+    ("changes", "name"),
+    [
+        ({"e": np.array([0.0, 1.0, 0.0])}, "e"),
+        ({"sqrt_a": np.zeros(3)}, "sqrt_a"),
+        ({"M0": np.zeros(2)}, "M0"),
+        ({"crs": np.array([0.0, np.nan, 0.0])}, "crs"),
+    ],
+)
 def test_elements_that_cannot_be_are_refused_by_name(changes, name):
     with pytest.raises(ValueError, match=f"^{name}"):
         broadcast(**changes)

@@ -1,4 +1,6 @@
-"""Spherical harmonics of gravity: against closed forms, sums by Legendre functions, Laplace's equation, and other files."""
+"""Spherical harmonics of gravity: against closed forms, sums by Legendre functions, Laplace's
+equation, and other files.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +38,9 @@ def places(*shape):
 
 
 def summed(field, r):
-    """The potential at a place, term by term, by scipy's Legendre functions (which have the phase of Condon and Shortley)."""
+    """The potential at a place, term by term, by scipy's Legendre functions (which have the phase
+    of Condon and Shortley).
+    """
     size = np.linalg.norm(r)
     sine, longitude, total = r[2] / size, np.arctan2(r[1], r[0]), 0.0
     for n in range(field.degree + 1):
@@ -138,7 +142,9 @@ def test_a_filter_of_it_is_compiled(degree):
 
 
 def test_an_orbit_on_turning_axes_is_the_one_in_space():
-    """Forces of rotating axes against ERFA's rotation from the celestial ones, over ten minutes: nothing else turns the Earth."""
+    """Forces of rotating axes against ERFA's rotation from the celestial ones, over ten minutes:
+    nothing else turns the Earth.
+    """
     field = random(4)
     h, steps, pole = 10.0, 60, (1e-6, 2e-6)
 

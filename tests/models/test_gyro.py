@@ -323,7 +323,9 @@ def test_gates_and_windows_work_on_attitudes(form, rule):
 
 
 def test_numbers_of_a_data_sheet_by_hand():
-    """0.3 deg/h^(1/2) is 0.005 deg/s^(1/2); 3 deg/h^(3/2) is 3 / 3600 / 60 deg/s^(3/2); 5 deg/h is 2.424e-5 rad/s."""
+    """0.3 deg/h^(1/2) is 0.005 deg/s^(1/2); 3 deg/h^(3/2) is 3 / 3600 / 60 deg/s^(3/2); 5 deg/h is
+    2.424e-5 rad/s.
+    """
     walk = Gyro.datasheet(0.3, rate_random_walk=3.0)
     assert walk.sigma_v == pytest.approx(np.radians(0.005))
     assert walk.sigma_u == pytest.approx(np.radians(3.0 / 216000.0))

@@ -1,4 +1,6 @@
-"""The inertial error model against its equations written with matrices, and against a whole navigation system."""
+"""The inertial error model against its equations written with matrices, and against a whole
+navigation system.
+"""
 
 from __future__ import annotations
 
@@ -14,9 +16,14 @@ from celnav.models.inertial import Navigation, mechanize
 
 RNG = np.random.default_rng(0)
 FLIGHT = {
-    "longitude": np.radians(110.0), "latitude": np.radians(40.0), "height_m": 20000.0, "speed": 200.0,
-    "heading": np.radians(65.0), "acceleration": 0.5, "turn_rate": np.radians(0.1),
-}  # fmt: skip
+    "longitude": np.radians(110.0),
+    "latitude": np.radians(40.0),
+    "height_m": 20000.0,
+    "speed": 200.0,
+    "heading": np.radians(65.0),
+    "acceleration": 0.5,
+    "turn_rate": np.radians(0.1),
+}
 STARS = np.sqrt(0.5) * np.array([[0.0, 1.0, 1.0], [0.0, -1.0, 1.0]])
 ANGLES = st.tuples(st.floats(-1.5, 1.5), st.floats(-3.1, 3.1), st.floats(-3.1, 3.1))
 

@@ -1,4 +1,6 @@
-"""Long steps of an orbit, their derivatives, and third bodies: against integration to round-off and plain forms."""
+"""Long steps of an orbit, their derivatives, and third bodies: against integration to round-off and
+plain forms.
+"""
 
 from __future__ import annotations
 

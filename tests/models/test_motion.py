@@ -1,4 +1,6 @@
-"""Kinematic motions against the matrix exponential, over intervals of any length; flown by both engines."""
+"""Kinematic motions against the matrix exponential, over intervals of any length; flown by both
+engines.
+"""
 
 from __future__ import annotations
 

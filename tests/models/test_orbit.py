@@ -41,7 +41,8 @@ def test_acceleration_is_the_gradient_of_the_potential():
     for direction in rng.normal(size=(20, 3)):
         r = direction / np.linalg.norm(direction) * rng.uniform(6500.0, 42000.0)
         h = 1.0
-        # fourth-order differences: steps of 1 km leave a relative error of 1e-13 or so, rounding 1e-11
+        # fourth-order differences: steps of 1 km leave a relative error of 1e-13 or so, rounding
+        # 1e-11
         gradient = [
             (
                 8.0 * (potential(r + h * e) - potential(r - h * e))

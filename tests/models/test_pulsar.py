@@ -36,7 +36,9 @@ def test_accuracy_grows_with_time_and_area():
 
 
 def test_the_delay_is_the_difference_of_distances():
-    """Roemer and parallax terms against exact geometry, with a pulsar as near as the second order needs."""
+    """Roemer and parallax terms against exact geometry, with a pulsar as near as the second order
+    needs.
+    """
     (crab,) = pulsars(NAMES[:1])
     near = replace(crab, distance_kpc=1e4 * AU / KPC_KM)
     timing = Timing([near])
@@ -94,9 +96,12 @@ def test_pulses_that_nobody_counted_are_folded_into_half_a_period():
 def test_bad_pulsars_are_refused_by_name():
     crab = known()["B0531+21"]
     for change, name in (
-        ({"distance_kpc": 0.0}, "distance_kpc"), ({"flux": -1.0}, "flux"), ({"pulsed_fraction": 1.5}, "pulsed_fraction"),
-        ({"declination_deg": 91.0}, "declination_deg"), ({"period_s": np.nan}, "period_s"),
-    ):  # fmt: skip
+        ({"distance_kpc": 0.0}, "distance_kpc"),
+        ({"flux": -1.0}, "flux"),
+        ({"pulsed_fraction": 1.5}, "pulsed_fraction"),
+        ({"declination_deg": 91.0}, "declination_deg"),
+        ({"period_s": np.nan}, "period_s"),
+    ):
         with pytest.raises(ValueError, match=f"^{name}: expected .* B0531"):
             replace(crab, **change)
     with pytest.raises(

@@ -1,4 +1,6 @@
-"""Sightings: angles and back, the Jacobian against differences, what the Earth hides, what angles cannot tell."""
+"""Sightings: angles and back, the Jacobian against differences, what the Earth hides, what angles
+cannot tell.
+"""
 
 import numpy as np
 import pytest
@@ -36,7 +38,8 @@ def test_angles_and_back(radius, latitude, longitude, separation, side):
     ]
     r = radius * np.array(u)
     back = position(angles(r, star_directions(separation)), separation, side)
-    # arccos near 0 or pi, and the root near the plane of the stars, cost digits: stay where they do not
+    # arccos near 0 or pi, and the root near the plane of the stars, cost digits: stay where they do
+    # not
     assume(np.abs(u[0]) < 0.99)
     assert np.abs(back - r).max() < 1e-8 * radius / 7000.0
 
@@ -118,7 +121,9 @@ def test_pseudo_position_covariance_is_that_of_samples():
 
 
 def test_pseudo_position_covariance_of_the_specified_sensor():
-    """0.005 deg on all angles: 0.155, 0.49, 1.08 km along the principal axes at the start of the reference orbit."""
+    """0.005 deg on all angles: 0.155, 0.49, 1.08 km along the principal axes at the start of the
+    reference orbit.
+    """
     camera = np.deg2rad(0.005)
     star = np.hypot(camera, np.deg2rad(3.0 / 3600.0))
     P = pseudo_position_covariance(R0, SEPARATION, [star, star, camera])

@@ -29,7 +29,8 @@ def test_tdb_swings_about_tt_once_a_year():
     days = np.arange(0.0, 365.25, 1.0)
     apart = from_tt(2457023.5, days).since(Tdb(2457023.5, days))
     assert np.abs(apart).max() == pytest.approx(1.67e-3, abs=5e-5)
-    # At perihelion (about January 3) and aphelion the mean anomaly, and with it the difference, is zero.
+    # At perihelion (about January 3) and aphelion the mean anomaly, and with it the difference, is
+    # zero.
     assert abs(apart[3]) < 1e-4
     assert apart[93] > 1.6e-3
 

@@ -1,4 +1,6 @@
-"""The study of aasghqf: contract, exactness, independence of the number of runs, and what the ledger says."""
+"""The study of aasghqf: contract, exactness, independence of the number of runs, and what the
+ledger says.
+"""
 
 from __future__ import annotations
 
@@ -74,7 +76,7 @@ def tracks(short, *names):
     return [run(known[name], sim.prior, sim.epochs()) for name in names]
 
 
-# -- the ledger ----------------------------------------------------------------------------------------------------------
+# -- the ledger ------------------------------------------------------------------------------------
 def test_the_ledger_has_every_statement_and_at_most_so_much_else():
     count = Counter(row.kind for row in aasghqf.STUDY.rows)
     assert [row.id for row in aasghqf.STUDY.rows if row.kind == "statement"] == STATEMENTS.split()
@@ -96,10 +98,21 @@ def test_printed_numbers_are_verbatim():
 def test_what_needs_no_runs_comes_out_as_expected(results):
     claims = {claim.id: claim for claim in results.claims()}
     dumps(claims.values())
-    exact = ["table-1-counts", "points-for-two-states", "degrees-of-observability", "threshold-weights", "higher-order-is-why",
-             "table-4-points", "saving-grows", "points-grow", "one-millisecond-more", "cheaper-than-sghqf",
-             "erratum-9-units", "first-fix",
-                 *(row.id for row in study.ROWS if row.kind == "erratum")]  # fmt: skip
+    exact = [
+        "table-1-counts",
+        "points-for-two-states",
+        "degrees-of-observability",
+        "threshold-weights",
+        "higher-order-is-why",
+        "table-4-points",
+        "saving-grows",
+        "points-grow",
+        "one-millisecond-more",
+        "cheaper-than-sghqf",
+        "erratum-9-units",
+        "first-fix",
+        *(row.id for row in study.ROWS if row.kind == "erratum"),
+    ]
     assert {id: claims[id].verdict for id in exact} == {id: claims[id].expected for id in exact}
     for claim in claims.values():
         known = claim.verdict == claim.expected and claim.numbers and claim.row.found
@@ -130,7 +143,7 @@ def test_averages_are_those_of_their_definition(results):
     assert number.ci[0] < number.value < number.ci[1]
 
 
-# -- what is shown -------------------------------------------------------------------------------------------------------
+# -- what is shown ---------------------------------------------------------------------------------
 def test_every_figure_draws(results):
     assert [f"figure_{i:02d}" for i in range(1, 9)] == list(show.FIGURES)
     drawn = {stem: draw(results) for stem, (_, draw) in show.FIGURES.items()}
@@ -167,7 +180,7 @@ def test_a_recording_holds_the_first_run(results, tmp_path):
     )
 
 
-# -- grids and observability ---------------------------------------------------------------------------------------------
+# -- grids and observability -----------------------------------------------------------------------
 @pytest.mark.parametrize(
     ("level", "weights"), [(3, (1, 1)), (3, (2, 1)), (3, (2, 2, 1, 1)), (4, (1, 2, 3)), (3, (2, 2))]
 )
@@ -255,7 +268,9 @@ def test_level_flight_does_not_tell_the_vertical_bias_and_a_roll_tells_it_by_its
 
 
 def test_pieces_without_transitions_are_those_with_them():
-    """The null space of each is in that of its rates, so that the stacks of both kinds have the same one."""
+    """The null space of each is in that of its rates, so that the stacks of both kinds have the
+    same one.
+    """
     x, known = (
         np.zeros(13),
         [at_rest(A), at_rest(replace(A, heading_deg=110.0, speed_m_per_s=300.0))],
@@ -296,7 +311,9 @@ def test_counts_of_points_and_what_they_save():
 
 @pytest.mark.parametrize("n", [2, 5, 13, 20, 40])
 def test_sparse_grids_have_as_many_points_as_their_polynomials(n):
-    """Isotropic, of 1, 3, 7 and 15 points, which share the middle only: closed forms of degree level - 1, beside m^n."""
+    """Isotropic, of 1, 3, 7 and 15 points, which share the middle only: closed forms of degree
+    level - 1, beside m^n.
+    """
     assert point_count(n, 3) == 1 + 6 * n + 2 * n * n
     pairs, triples = n * (n - 1) // 2, n * (n - 1) * (n - 2) // 6
     assert (
@@ -305,7 +322,7 @@ def test_sparse_grids_have_as_many_points_as_their_polynomials(n):
     assert gauss_hermite(2, 7).num_sigmas() == 7**2
 
 
-# -- the filters ---------------------------------------------------------------------------------------------------------
+# -- the filters -----------------------------------------------------------------------------------
 def test_57_points_are_the_filter_of_417(short):
     fine, coarse = tracks(short, "sghqf", "nonlinear")
     assert np.abs((fine.mean - coarse.mean) / fine.std).max() < 1e-5
@@ -339,7 +356,9 @@ def test_small_misalignment_is_the_kalman_filter():
 
 
 def test_an_anisotropic_rule_needs_the_nonlinear_states_first_and_a_lower_root():
-    """Errors of the mean star residuals over random correlated covariances: a permuted root costs 57 points their accuracy."""
+    """Errors of the mean star residuals over random correlated covariances: a permuted root costs
+    57 points their accuracy.
+    """
     epoch = next(aasghqf.simulate(replace(A, steps=1), study.UNDISTURBED).epochs())
     rng, scale = np.random.default_rng(0), np.repeat([10.0 * DEGREE, 1.0], [3, 10])
     errors = {"lower": [], "upper": []}
@@ -426,9 +445,11 @@ def test_a_rule_that_loses_definiteness_is_redone_and_counted():
 def test_weights_by_nonlinearity_on_line_are_those_of_57_points_then_of_27(short):
     sim, _ = short
     track = run(
-        scenario.adaptive(scenario.by_nonlinearity(), sim.config), sim.prior, sim.epochs(),
+        scenario.adaptive(scenario.by_nonlinearity(), sim.config),
+        sim.prior,
+        sim.epochs(),
         also=lambda epoch, state, infos: {"chosen": state.chosen},
-    )  # fmt: skip
+    )
     assert [
         scenario.weighted(number).num_sigmas()
         for number in track.extra["chosen"][[0, -1], 0].tolist()
@@ -438,7 +459,9 @@ def test_weights_by_nonlinearity_on_line_are_those_of_57_points_then_of_27(short
 
 
 def test_mounting_errors_that_are_known_change_nothing():
-    """Reading K: a filter that turns what it expects as the sensors turn what they see, isotropic noise and all."""
+    """Reading K: a filter that turns what it expects as the sensors turn what they see, isotropic
+    noise and all.
+    """
     config = replace(A, steps=10)
     sim, rng = (
         aasghqf.simulate(config, [generator(0, 0, r) for r in range(2)]),
@@ -457,7 +480,9 @@ def test_mounting_errors_that_are_known_change_nothing():
 
 
 def test_mounting_errors_turn_the_attitude_by_the_closed_form():
-    """Reading U, one fix without noise: the bias is the least-squares solution, of a common error that error itself."""
+    """Reading U, one fix without noise: the bias is the least-squares solution, of a common error
+    that error itself.
+    """
     config, mu = (
         replace(A, steps=1),
         1e-4 * np.array([[[0.3, -0.8, 0.5], [1.1, 0.4, -0.2]], [[0.3, -0.8, 0.5]] * 2]),
@@ -511,9 +536,11 @@ def test_a_point_beyond_the_chart_loses_its_run_only():
     assert np.argwhere(lost).tolist() == [[2, 1]]
 
 
-# -- the first star fix, linearized again --------------------------------------------------------------------------------
+# -- the first star fix, linearized again ----------------------------------------------------------
 def regression(rule, m, C, epoch):
-    """``A, b, Omega`` of the measurement of one run over ``N(m, C)``, by sums over points [Garcia2015]."""
+    """``A, b, Omega`` of the measurement of one run over ``N(m, C)``, by sums over points
+    [Garcia2015].
+    """
     x = m + rule.nodes @ np.linalg.cholesky(C).T
     y = measurement(x[:, None], epoch)[:, 0]
     mean = rule.wm @ y
@@ -543,7 +570,9 @@ def test_iterations_are_the_posterior_linearization_filter_written_out(form, nam
 
 
 def test_the_unscented_filter_sees_the_bend_of_the_stars_in_two_of_six_directions():
-    """Its points move one angle at a time: where two bend a star together it takes the star for straight, and for that precise."""
+    """Its points move one angle at a time: where two bend a star together it takes the star for
+    straight, and for that precise.
+    """
     sim = aasghqf.simulate(A, study.UNDISTURBED)
     epoch, fine = next(sim.epochs()), tensor_product(gauss_hermite(3, 20), simplex(10))
     noise = epoch.u.sqrt_R.diagonal()[:6]
@@ -557,7 +586,9 @@ def test_the_unscented_filter_sees_the_bend_of_the_stars_in_two_of_six_direction
 
 
 def test_three_linearizations_of_the_first_fix_leave_no_filter_overconfident():
-    """One about an error of e rad leaves out e^2 / 2: 10 deg leave 1 deg, this 30 arcsec, these nothing beside the noise."""
+    """One about an error of e rad leaves out e^2 / 2: 10 deg leave 1 deg, this 30 arcsec, these
+    nothing beside the noise.
+    """
     config = replace(PRESETS["A-slow"], steps=10)
     sim = aasghqf.simulate(config, [generator(12, 0, r) for r in range(200)])
     epochs, (low, high) = list(sim.epochs()), chi_square_band(13, 200)
@@ -600,9 +631,11 @@ def test_of_a_prior_of_45_degrees_iterations_may_end_in_other_angles_but_of_the_
     assert np.abs(C - D).max() < 6.0 * np.radians(sim.config.star_arcsec / 3600.0)
 
 
-# -- six states ----------------------------------------------------------------------------------------------------------
+# -- six states ------------------------------------------------------------------------------------
 def test_six_states_are_those_of_the_error_model_without_the_others():
-    """The filter of six states does what that of 13 states does where the other seven have no error and do not move."""
+    """The filter of six states does what that of 13 states does where the other seven have no error
+    and do not move.
+    """
     config = replace(study.SIX, steps=8)
     sim, known, prior = scenario.six_states(config, [generator(7, 0, r) for r in range(3)])
     six = list(scenario.SIX)
@@ -634,7 +667,9 @@ def test_times_to_a_tenth_and_what_three_conditions_make(results):
     row = next(row for row in study.ROWS if row.id.startswith("sghqf-beats"))
 
     def verdict(ekf, ukf, ghqf, operations=1.0):
-        """RMSE of the filters in that of SGHQF, constant over time; half of them at once below a tenth of the initial error."""
+        """RMSE of the filters in that of SGHQF, constant over time; half of them at once below a
+        tenth of the initial error.
+        """
         noise = np.random.default_rng(0).uniform(0.9, 1.1, (3, 40, 3))
         sizes = {"sghqf": 1.0, "ekf": ekf, "ukf": ukf, "ghqf": ghqf}
         shared = {f"{name}/error": size * noise for name, size in sizes.items()}
@@ -668,7 +703,7 @@ def test_one_filter_that_is_better_everywhere_is_better_in_part(results):
     ]
 
 
-# -- bad input -----------------------------------------------------------------------------------------------------------
+# -- bad input -------------------------------------------------------------------------------------
 @pytest.mark.parametrize(
     ("change", "name"),
     [

@@ -111,10 +111,12 @@ def test_in_a_burst_adaptation_helps(errors):
 
 
 def test_models_that_take_turns_tell_a_maneuver_from_noise():
-    """As in the notebook on methods, shorter: a turn from 4 to 8 s, and a burst from 11 to 13 s in straight flight.
+    """As in the notebook on methods, shorter: a turn from 4 to 8 s, and a burst from 11 to 13 s in
+    straight flight.
 
-    The window takes the turn for noise where the process noise has none, and pays in straight flight where it has. Two process
-    noises that take turns do neither, but have no model of the burst; with a second noise of the ranges they do.
+    The window takes the turn for noise where the process noise has none, and pays in straight
+    flight where it has. Two process noises that take turns do neither, but have no model of the
+    burst; with a second noise of the ranges they do.
     """
     turning = replace(PRESETS["burst"], turn_s=(4.0, 8.0), burst_s=(11.0, 13.0), duration_s=13.0)
     straight, sim = (
@@ -127,8 +129,14 @@ def test_models_that_take_turns_tell_a_maneuver_from_noise():
         for sigma in (3.0, 50.0)
     )
     turns = np.array([[0.99, 0.01], [0.01, 0.99]])
-    known = {"straight": calm[0], "turn": calm[1], "imm": imm(calm, turns), "both": imm([*calm, *loud], np.kron(turns, turns)),
-             "straight, window": adapted(straight, S, rule, window), "turn, window": adapted(turning, S, rule, window)}  # fmt: skip
+    known = {
+        "straight": calm[0],
+        "turn": calm[1],
+        "imm": imm(calm, turns),
+        "both": imm([*calm, *loud], np.kron(turns, turns)),
+        "straight, window": adapted(straight, S, rule, window),
+        "turn, window": adapted(turning, S, rule, window),
+    }
     also = {
         name: lambda _epoch, state, _infos: {"p": state.probabilities} for name in ("imm", "both")
     }
@@ -176,7 +184,9 @@ def test_batches_are_singles(errors):
 
 
 def test_every_rule_moves_a_linear_model_alike():
-    """The prediction is a matrix: the unscented filter drawn through it is that which is moved by its Jacobian."""
+    """The prediction is a matrix: the unscented filter drawn through it is that which is moved by
+    its Jacobian.
+    """
     sim, S = simulate(SHORT, runs(2)), len(visible(SHORT).names)
     rule = unscented(8, 1.0, 2.0, 0.0)
     plain = adapted(SHORT, S, rule)
@@ -187,16 +197,29 @@ def test_every_rule_moves_a_linear_model_alike():
 
 @pytest.mark.parametrize(
     ("change", "name"),
-    [({"interval_s": 0.0}, "interval_s"), ({"burst": "some"}, "burst"), ({"window": 0}, "window"), ({"runs": 1.5}, "runs"),
-     ({"sigma_range_m": np.nan}, "sigma_range_m"), ({"alpha": None}, "alpha"), ({"deviation": (1.0, 1.0, 1.0, 0.0)}, "deviation"),
-     ({"clock_walk_m2_per_s3": -1.0}, "clock_walk_m2_per_s3"), ({"burst_s": (70.0, 60.0)}, "burst_s"),
-     ({"turn_s": (40.0, 40.0)}, "turn_s"), ({"turn_s": (0.0, np.inf)}, "turn_s"), ({"turn_s": 20.0}, "turn_s"),
-     ({"mask_deg": 90.0}, "mask_deg"),
-     ({"latitude_deg": 100.0}, "latitude_deg"), ({"burst_satellite": -1}, "burst_satellite"),
-     ({"burst_satellite": 2.5}, "burst_satellite"),
-     ({"acceleration_noise_m2_per_s3": -1.0}, "acceleration_noise_m2_per_s3"), ({"assumed_m": 0.0}, "assumed_m"),
-     ({"motion": "straight"}, "motion"), ({"burst_count": 0}, "burst_count")],
-)  # fmt: skip
+    [
+        ({"interval_s": 0.0}, "interval_s"),
+        ({"burst": "some"}, "burst"),
+        ({"window": 0}, "window"),
+        ({"runs": 1.5}, "runs"),
+        ({"sigma_range_m": np.nan}, "sigma_range_m"),
+        ({"alpha": None}, "alpha"),
+        ({"deviation": (1.0, 1.0, 1.0, 0.0)}, "deviation"),
+        ({"clock_walk_m2_per_s3": -1.0}, "clock_walk_m2_per_s3"),
+        ({"burst_s": (70.0, 60.0)}, "burst_s"),
+        ({"turn_s": (40.0, 40.0)}, "turn_s"),
+        ({"turn_s": (0.0, np.inf)}, "turn_s"),
+        ({"turn_s": 20.0}, "turn_s"),
+        ({"mask_deg": 90.0}, "mask_deg"),
+        ({"latitude_deg": 100.0}, "latitude_deg"),
+        ({"burst_satellite": -1}, "burst_satellite"),
+        ({"burst_satellite": 2.5}, "burst_satellite"),
+        ({"acceleration_noise_m2_per_s3": -1.0}, "acceleration_noise_m2_per_s3"),
+        ({"assumed_m": 0.0}, "assumed_m"),
+        ({"motion": "straight"}, "motion"),
+        ({"burst_count": 0}, "burst_count"),
+    ],
+)
 def test_a_configuration_that_cannot_be_is_refused_by_name(change, name):
     with pytest.raises(ValueError, match=f"^{name}"):
         replace(PRESETS["burst"], **change)
@@ -385,12 +408,19 @@ def test_factors_of_the_noise_are_told_by_what_is_struck():
     A = noise_factors(track, SHORT, S)
     np.testing.assert_allclose(A, [[1.0, 9.0, 1.0, 1.0, 4.0, 1.0]])
     found = study.of_factors(A, np.array([[False, True, False]]))
-    expected = {"ranges": 11 / 3, "ranges above 1": 1 / 3, "rates": 2.0, "rates above 1": 1 / 3,
-                "bad": 9.0, "good": 1.0, "good above 2": 0.0}  # fmt: skip
+    expected = {
+        "ranges": 11 / 3,
+        "ranges above 1": 1 / 3,
+        "rates": 2.0,
+        "rates above 1": 1 / 3,
+        "bad": 9.0,
+        "good": 1.0,
+        "good above 2": 0.0,
+    }
     assert {name: value.item() for name, value in found.items()} == pytest.approx(expected)
 
 
-# -- the state as an error -----------------------------------------------------------------------------------------------------
+# -- the state as an error -------------------------------------------------------------------------
 def of_errors(filter, form):
     """The same filter of the errors of a nominal state, which is the last input of an epoch."""
 
@@ -472,9 +502,11 @@ def test_what_is_linearized_once_for_all_is_off_by_the_curvature_of_the_range():
     assert np.abs(apart(sim, "ekf", "slopes")[0][..., :3]).max() < 0.05 * np.abs(off[..., :3]).max()
 
 
-# -- the window ----------------------------------------------------------------------------------------------------------------
+# -- the window ------------------------------------------------------------------------------------
 def walk(hook, z, R=4.0, Q=1.0, apply=True):
-    """Factors of a hook in a scalar Kalman filter of a random walk, which heeds them or not; its gains and innovation variances."""
+    """Factors of a hook in a scalar Kalman filter of a random walk, which heeds them or not; its
+    gains and innovation variances.
+    """
 
     def seen(memory, joint, epoch):
         own, after = hook(None if memory is None else memory[0], joint, epoch)
@@ -484,8 +516,13 @@ def walk(hook, z, R=4.0, Q=1.0, apply=True):
     filter = sigma_point(
         Motion(np.eye(1), Q * np.eye(1)), Sensor(np.eye(1), R * np.eye(1)), rule=rule, hooks=[seen]
     )
-    return run(filter, prior, np.arange(len(z)), z,
-               also=lambda _e, s, i: {"A": s.memory[0][0][1], "S": i[0].sqrt_S ** 2, "K": i[0].gain()}).extra  # fmt: skip
+    return run(
+        filter,
+        prior,
+        np.arange(len(z)),
+        z,
+        also=lambda _e, s, i: {"A": s.memory[0][0][1], "S": i[0].sqrt_S ** 2, "K": i[0].gain()},
+    ).extra
 
 
 @pytest.mark.parametrize(
@@ -521,7 +558,7 @@ def test_a_large_first_innovation_is_taken_for_noise():
         assert pytest.approx(10.0 / (10.0 + max(4.0, e**2 - 10.0)), rel=1e-9) == K
 
 
-# -- several bad channels ------------------------------------------------------------------------------------------------------
+# -- several bad channels --------------------------------------------------------------------------
 def test_channels_that_share_no_state_do_not_touch_each_other():
     rng, eye = np.random.default_rng(5), np.eye(8)
     z, bad = rng.standard_normal((30, 20, 8)), [1, 4, 6]
@@ -558,7 +595,8 @@ def test_all_ranges_too_long_are_a_step_of_the_clock():
     np.testing.assert_allclose(
         steps["ls"][25][:, [0, 1, 2, 6]], [[0.0, 0.0, 0.0, 50.0]] * 3, rtol=0, atol=1e-5
     )
-    # A filter that knows its clock takes a part of it for position; what no state explains is blind to it.
+    # A filter that knows its clock takes a part of it for position; what no state explains is blind
+    # to it.
     assert np.linalg.norm(steps["ukf"][29, :, :3], axis=-1).min() > 5.0
 
     def blind(memory, joint, epoch):
@@ -621,7 +659,7 @@ def test_counts_and_times_of_findings():
     assert study.later("", "p", "", 3.0, fake).value == (1 - 4) * 0.5
 
 
-# -- what needs no filters -----------------------------------------------------------------------------------------------------
+# -- what needs no filters -------------------------------------------------------------------------
 def test_the_node_of_a_flat_orbit_is_lost_and_its_place_is_not():
     found = study.nodes(SHORT, [generator(0, 50, 0)])
     formula = np.degrees(study.NORMAL_ERROR / np.sin(np.radians(study.TILTS_DEG)))
@@ -663,9 +701,11 @@ def test_the_rate_is_that_of_the_range():
 
 
 def test_operations_of_a_step_grow_by_what_the_measurement_does_at_each_point():
-    """A magnitude more for each measured value: at the 17 points of the UKF, once in the EKF, whatever the engine.
+    """A magnitude more for each measured value: at the 17 points of the UKF, once in the EKF,
+    whatever the engine.
 
-    Two points move the drift of the clock alone: their ranges are the center's, and are not computed again.
+    Two points move the drift of the clock alone: their ranges are the center's, and are not
+    computed again.
     """
     config = replace(SHORT, duration_s=0.1, burst="none", mask_deg=50.0)
     sim = simulate(config, runs(1))
@@ -700,7 +740,9 @@ def test_a_gap_is_compared_with_that_of_the_right_noise():
 
 
 def test_which_half_of_a_statement_holds():
-    """In part: an error that is larger, by any factor, and slow starts; sooner after the burst, though later from afar."""
+    """In part: an error that is larger, by any factor, and slow starts; sooner after the burst,
+    though later from afar.
+    """
     rows = {row.id: row for row in aukf.STUDY.rows}
     times = np.arange(0.0, 90.05, 0.1)
     burst = (times >= 60.0)[:, None, None]
@@ -740,7 +782,7 @@ def test_which_half_of_a_statement_holds():
     assert judged("faster-convergence", settles(6.0, 1.0, 5.0)) == "not reproduced"
 
 
-# -- the study -----------------------------------------------------------------------------------------------------------------
+# -- the study -------------------------------------------------------------------------------------
 @pytest.fixture(scope="module")
 def results():
     return once(aukf.STUDY)

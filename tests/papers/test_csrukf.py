@@ -136,7 +136,9 @@ def test_linear_theory_has_the_values_of_an_independent_prototype():
 
 @pytest.mark.parametrize(("preset", "averaged"), [("P", False), ("B", True)])
 def test_tables_1_and_2_come_out_together(preset, averaged):
-    """R.m.s. factor over eight lengths, position and velocity of two filters, by linear theory: what P and B were fitted to."""
+    """R.m.s. factor over eight lengths, position and velocity of two filters, by linear theory:
+    what P and B were fitted to.
+    """
     expected, logs = study.expected(csrukf.PRESETS[preset], (0.0, 1.0)), []
     for i, table in enumerate((study.TABLE_1, study.TABLE_2)):
         for filter, printed in table.items():
@@ -221,13 +223,20 @@ def test_the_whitened_system_is_exact_once_corrected():
 @pytest.mark.parametrize(
     ("change", "name"),
     [
-        ({"phi": 1.1}, "phi"), ({"sigma_km": 0.0}, "sigma_km"), ({"alpha": 0.0}, "alpha"), ({"kappa": -6.0}, "kappa"),
-        ({"steps": 0}, "steps"), ({"runs": 0}, "runs"), ({"noise_position_km": -1.0}, "noise_position_km"),
-        ({"first_noise": "none"}, "first_noise"), ({"phi": 1.0, "first_noise": "stationary"}, "first_noise"),
-        ({"eccentricity": float("nan")}, "eccentricity"), ({"eccentricity": 1.0}, "eccentricity"),
+        ({"phi": 1.1}, "phi"),
+        ({"sigma_km": 0.0}, "sigma_km"),
+        ({"alpha": 0.0}, "alpha"),
+        ({"kappa": -6.0}, "kappa"),
+        ({"steps": 0}, "steps"),
+        ({"runs": 0}, "runs"),
+        ({"noise_position_km": -1.0}, "noise_position_km"),
+        ({"first_noise": "none"}, "first_noise"),
+        ({"phi": 1.0, "first_noise": "stationary"}, "first_noise"),
+        ({"eccentricity": float("nan")}, "eccentricity"),
+        ({"eccentricity": 1.0}, "eccentricity"),
         ({"semi_major_axis_km": -7000.0}, "semi_major_axis_km"),
     ],
-)  # fmt: skip
+)
 def test_a_configuration_that_cannot_be_is_refused_by_name(change, name):
     with pytest.raises(ValueError, match=f"^{name}"):
         replace(csrukf.PRESETS["P"], **change)

@@ -1,4 +1,6 @@
-"""The covariance of csrukf in five forms: where each loses digits; and closed forms of what a larger Phi costs."""
+"""The covariance of csrukf in five forms: where each loses digits; and closed forms of what a
+larger Phi costs.
+"""
 
 from __future__ import annotations
 
@@ -135,7 +137,9 @@ def test_every_form_is_the_library_s_filter(changes, name, form):
 
 @pytest.mark.parametrize("phi", [0.0, 0.5, 0.9])
 def test_what_color_costs_the_mean_of_samples(phi):
-    """A constant in stationary noise: the best estimate, and the mean of the samples, which is that of a filter for white noise."""
+    """A constant in stationary noise: the best estimate, and the mean of the samples, which is that
+    of a filter for white noise.
+    """
     N, one, R, far = 40, np.ones((1, 1)), 0.04, 1e8 * np.ones((1, 1))
     first = R / (1.0 - phi**2)
     best = colored_bound(
@@ -152,7 +156,9 @@ def test_what_color_costs_the_mean_of_samples(phi):
 
 @pytest.mark.parametrize("N", [2, 30])
 def test_larger_phi_worse_is_no_theorem(N):
-    """The slope of a line, nothing known of its start: of two samples a random walk tells more than white noise, of many less."""
+    """The slope of a line, nothing known of its start: of two samples a random walk tells more than
+    white noise, of many less.
+    """
     F, H, R = np.tile([[1.0, 1.0], [0.0, 1.0]], (N - 1, 1, 1)), np.eye(1, 2), 0.04 * np.ones((1, 1))
     white, walk = (
         colored_bound(F, H, phi * np.ones((1, 1)), np.zeros((2, 2)), R, 1e6 * np.eye(2), first)[

@@ -63,7 +63,9 @@ STUDIES = {name: partial(load, name) for name in PAPERS} | {
 
 @pytest.mark.parametrize("name", STUDIES)
 def test_each_sentence_of_an_answer_rests_on_rows_that_are_expected_to_bear_it(name):
-    """A verdict that is expected to turn takes the sentence with it, and so does a number that it is made of."""
+    """A verdict that is expected to turn takes the sentence with it, and so does a number that it
+    is made of.
+    """
     study = STUDIES[name]().STUDY
     expected = {row.id: row.expected or WORDS[row.kind][0] for row in study.rows}
     assert study.found

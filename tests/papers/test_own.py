@@ -1,4 +1,6 @@
-"""A study of one's own: the one that `celnav new` writes runs, and what is wrong with a file is told before anything runs."""
+"""A study of one's own: the one that `celnav new` writes runs, and what is wrong with a file is
+told before anything runs.
+"""
 
 from __future__ import annotations
 
@@ -46,9 +48,20 @@ def test_the_template_runs_as_it_is(folder, capsys):
     out = folder / "out" / "study"
     (claim,) = json.loads((out / "claims.json").read_text())
     assert claim["ci"][0] < claim["value"] < claim["ci"][1]
-    assert {p.name for p in out.rglob("*") if p.is_file() and p.name[0] != "." and p.parent.name != "units"} == {
-        "claims.json", "checks.json", "timings.json", "result.npz", "study.json", "figure_01.png", "figure_01.svg", "manifest.json",
-    }  # fmt: skip
+    assert {
+        p.name
+        for p in out.rglob("*")
+        if p.is_file() and p.name[0] != "." and p.parent.name != "units"
+    } == {
+        "claims.json",
+        "checks.json",
+        "timings.json",
+        "result.npz",
+        "study.json",
+        "figure_01.png",
+        "figure_01.svg",
+        "manifest.json",
+    }
     page = (folder / "out/index.html").read_text()
     for text in (
         "A vehicle by range and bearing",
@@ -178,10 +191,19 @@ def test_all_that_is_missing_is_told_at_once(folder, capsys):
         == "celnav: study.py: 12 things are missing or not as expected (celnav new FILE.py writes a study that has all):"
     )
     assert [line.split(": expected ")[0].strip() for line in lines] == [
-        "TITLE", "PRESETS", "FIGURES", "record", "STUDY.groups", "STUDY.parts 'inner'", "STUDY.parts 'short'", "STUDY.figure",
+        "TITLE",
+        "PRESETS",
+        "FIGURES",
+        "record",
+        "STUDY.groups",
+        "STUDY.parts 'inner'",
+        "STUDY.parts 'short'",
+        "STUDY.figure",
         "STUDY.rows",
-        "STUDY.rows 'one'", "STUDY.rows 'one'", "STUDY.rows 'one'",
-    ]  # fmt: skip
+        "STUDY.rows 'one'",
+        "STUDY.rows 'one'",
+        "STUDY.rows 'one'",
+    ]
     assert all(", got " in line for line in lines)
     assert not (folder / "out").exists()
     with pytest.raises(
@@ -205,14 +227,50 @@ def test_an_empty_file_misses_what_is_always_needed(folder):
     ("old", "new", "status", "line", "said"),
     [
         ("import numpy as np\n", "import numpy as\n", 2, "import numpy as", "SyntaxError: "),
-        ("TITLE = ", "TITLE = 1 / 0\n_ = ", 2, "TITLE = 1 / 0", "ZeroDivisionError: division by zero"),
-        ("import numpy as np\n", "import numpie as np\n", 2, "import numpie as np", "ModuleNotFoundError: No module named"),
-        ("lambda effort: PARTS", "lambda effort: PORTS", 2, "PORTS", "NameError: name 'PORTS' is not defined"),
-        ("    motion, radar, _ = believed(c)", "    motion, radar = believed(c)", 1, "motion, radar = believed(c)", "ValueError: "),
-        ("return panels(", "return panelz(", 1, "return panelz(", "NameError: name 'panelz' is not defined"),
-        ("FIGURES = ", 'TABLES = {"rmse": ("", lambda r: 0 + [])}\nFIGURES = ', 1, "0 + []", "TypeError: unsupported operand"),
+        (
+            "TITLE = ",
+            "TITLE = 1 / 0\n_ = ",
+            2,
+            "TITLE = 1 / 0",
+            "ZeroDivisionError: division by zero",
+        ),
+        (
+            "import numpy as np\n",
+            "import numpie as np\n",
+            2,
+            "import numpie as np",
+            "ModuleNotFoundError: No module named",
+        ),
+        (
+            "lambda effort: PARTS",
+            "lambda effort: PORTS",
+            2,
+            "PORTS",
+            "NameError: name 'PORTS' is not defined",
+        ),
+        (
+            "    motion, radar, _ = believed(c)",
+            "    motion, radar = believed(c)",
+            1,
+            "motion, radar = believed(c)",
+            "ValueError: ",
+        ),
+        (
+            "return panels(",
+            "return panelz(",
+            1,
+            "return panelz(",
+            "NameError: name 'panelz' is not defined",
+        ),
+        (
+            "FIGURES = ",
+            'TABLES = {"rmse": ("", lambda r: 0 + [])}\nFIGURES = ',
+            1,
+            "0 + []",
+            "TypeError: unsupported operand",
+        ),
     ],
-)  # fmt: skip
+)
 def test_errors_in_the_file_are_told_with_their_line(folder, capsys, old, new, status, line, said):
     assert old in TEMPLATE
     (folder / "study.py").write_text(TEMPLATE.replace(old, new))
@@ -231,7 +289,8 @@ def test_errors_in_the_file_are_told_with_their_line(folder, capsys, old, new, s
     [
         (
             ["new", "study.py"],
-            "study.py: is there already, and nothing is overwritten; choose another name, or move it away",
+            "study.py: is there already, and nothing is overwritten; choose another name, or move "
+            "it away",
         ),
         (["new", "study"], "study: expected the name of a file that ends in .py, such as study.py"),
         (["new", "csrukf.py"], "csrukf.py: expected another name than csrukf, which celnav has"),

@@ -1,4 +1,6 @@
-"""The attitude paper: its filters are one filter, settle where theory says, and differ where a single vector is measured."""
+"""The attitude paper: its filters are one filter, settle where theory says, and differ where a
+single vector is measured.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +42,7 @@ from celnav.papers.ssukf.scenario import (
     spread,
     star,
     state_space,
-)  # fmt: skip
+)
 from celnav.show.claims import dumps
 from celnav.study.ledger import KINDS
 from celnav.study.montecarlo import generator, normals
@@ -77,7 +79,8 @@ def test_the_filters_are_one_filter(sim):
 def test_at_equal_spread_switching_is_full_augmentation(sim, c):
     known = filters(sim.config, c=c)
     a = run(known["aukf"], sim.prior, sim.epochs())
-    # In parameters the angle of a star's noise is 4 tan(angle / 4), and Q is a series in the interval.
+    # In parameters the angle of a star's noise is 4 tan(angle / 4), and Q is a series in the
+    # interval.
     for name, most, rtol in (("ssukf", 1e-7, 1e-9), ("pa", 1e-7, 1e-8), ("ma", 1e-4, 1e-5)):
         b = run(known[name], sim.prior, sim.epochs())
         assert apart(a, b) < most, name
@@ -152,17 +155,25 @@ def test_a_configuration_that_cannot_be_is_refused_by_name(change, name):
         replace(PRESETS["standard"], **change)
 
 
-# -- the study ---------------------------------------------------------------------------------------------------------------
+# -- the study -------------------------------------------------------------------------------------
 PRINTED = {
-    "third-less-time": "1/3", "small-errors-fast": [1, 2], "large-error-faster": 10,
+    "third-less-time": "1/3",
+    "small-errors-fast": [1, 2],
+    "large-error-faster": 10,
     "numbers-of-points": "4n + 2m + 1, 4n + 1, 2n + 2m + 1",
-}  # fmt: skip
+}
 SAYS = {
-    "equal-accuracy": "reproduced", "third-less-time": "in part", "small-errors-fast": "reproduced",
-    "large-error-faster": "not reproduced", "numbers-of-points": "reproduced", "measurement-noise-idle": "reproduced",
-    "augmentation-more-accurate": "in part", "component-mean-fails": "reproduced", "mrp-switch-cures": "in part",
+    "equal-accuracy": "reproduced",
+    "third-less-time": "in part",
+    "small-errors-fast": "reproduced",
+    "large-error-faster": "not reproduced",
+    "numbers-of-points": "reproduced",
+    "measurement-noise-idle": "reproduced",
+    "augmentation-more-accurate": "in part",
+    "component-mean-fails": "reproduced",
+    "mrp-switch-cures": "in part",
     "quaternions-cheaper-to-propagate": "in part",
-}  # fmt: skip
+}
 
 
 @pytest.fixture(scope="module")
@@ -349,13 +360,15 @@ def test_filters_are_the_linear_kalman_filter_where_all_is_small():
         assert drifts.max() < 2e-4, name
 
 
-# -- one side augmented, operations, heads, means: closed forms and counts made otherwise ------------------------------------
+# -- one side augmented, operations, heads, means: closed forms and counts made otherwise ----------
 SQUARE = {"rule": lambda n: unscented(n, kappa=3.0 - n), "form": "covariance"}
 
 
 @pytest.mark.parametrize("through", ["process", "measurement"])
 def test_the_side_that_is_augmented_knows_the_square_of_its_noise(through):
-    """Scalar ``x + w^2`` has mean ``x + q`` and variance ``P + 2 q^2``; linearized about ``w = 0`` the noise is not there."""
+    """Scalar ``x + w^2`` has mean ``x + q`` and variance ``P + 2 q^2``; linearized about ``w = 0``
+    the noise is not there.
+    """
     prior, q = Gaussian(np.array([2.0]), np.array([[0.5]])), 0.3
 
     def model(x, _epoch, *noise):
@@ -380,7 +393,9 @@ def test_the_side_that_is_augmented_knows_the_square_of_its_noise(through):
 
 
 def test_noise_of_a_turning_gyros_scales_tells_no_side_from_another():
-    """The rate is ``1 + s`` times what is measured less drift and noise, ``s`` of 0.01 anew in each sample."""
+    """The rate is ``1 + s`` times what is measured less drift and noise, ``s`` of 0.01 anew in each
+    sample.
+    """
     config, runs = replace(study.COARSE, duration_s=20.0), [generator(0, 31, r) for r in range(50)]
     sim, gyro, dt = simulate(config, runs), config.gyro, config.step_s
     turns = (
@@ -471,7 +486,9 @@ def plain_python(noise, dense, per, monkeypatch):
 
 
 def test_operations_are_those_that_plain_python_does(result, monkeypatch):
-    """Written otherwise, point by point on floats, it takes other numbers of operations, but saves the same part of them."""
+    """Written otherwise, point by point on floats, it takes other numbers of operations, but saves
+    the same part of them.
+    """
     each = {}
     for roots in study.ROOTS:
         for per in (1, 25):
@@ -553,7 +570,9 @@ def test_means_of_quaternions_have_their_closed_forms(result):
 
 @pytest.mark.parametrize("ratio", [5.0, 8.0, 16.0])
 def test_heads_at_right_angles_have_no_weak_axis(ratio, monkeypatch):
-    """What both measure together, in closed form, and what settles with it, whatever the chosen noise about the line of sight."""
+    """What both measure together, in closed form, and what settles with it, whatever the chosen
+    noise about the line of sight.
+    """
     monkeypatch.setattr(study, "ABOUT", ratio)
     settled = {}
     for degrees, count in ((0.0, 1), (30.0, 2), (60.0, 2), (90.0, 2)):
@@ -598,8 +617,12 @@ def test_two_heads_one_after_the_other_are_one_with_their_noise_together(sim):
             [replace(sensor, sqrt_R=root) for root in roots],
             [replace(sensor, sqrt_R=None, R=together)],
         ):
-            epochs = [e._replace(z=(tuple(z[k] for z in seen) if len(sensors) == 2 else fused[k]) if k else None)
-                      for k, e in enumerate(sim.epochs())]  # fmt: skip
+            epochs = [
+                e._replace(
+                    z=(tuple(z[k] for z in seen) if len(sensors) == 2 else fused[k]) if k else None
+                )
+                for k, e in enumerate(sim.epochs())
+            ]
             tracks.append(
                 run(
                     sigma_point(one.motion, *sensors, rule=one.rule, form="covariance"),
@@ -612,9 +635,11 @@ def test_two_heads_one_after_the_other_are_one_with_their_noise_together(sim):
         np.testing.assert_allclose(track.std[-1], tracks[0].std[-1], rtol=1e-4)
 
 
-# -- against forms written down anew ------------------------------------------------------------------------------------------
+# -- against forms written down anew ---------------------------------------------------------------
 def textbook_usque(sim, run_index, steps):
-    """USQUE for one run, in plain loops over points, with its own quaternion algebra [Crassidis & Markley 2003, Table 1]."""
+    """USQUE for one run, in plain loops over points, with its own quaternion algebra [Crassidis &
+    Markley 2003, Table 1].
+    """
     c, gyro, T = sim.config, sim.config.gyro, 1.0 / sim.config.star_hz
 
     def product(q, p):
@@ -684,7 +709,9 @@ def test_usque_is_that_of_the_textbook(sim):
 
 
 def careless_mekf(sim, *, gibbs):
-    """A multiplicative extended filter, 4 Hz; ``gibbs``: whether residual and update speak the same language."""
+    """A multiplicative extended filter, 4 Hz; ``gibbs``: whether residual and update speak the same
+    language.
+    """
     c, gyro, T = sim.config, sim.config.gyro, 1.0 / sim.config.star_hz
     runs = len(sim.prior.mean)
     q, b, P = sim.prior.mean[:, :4].copy(), sim.prior.mean[:, 4:].copy(), np.array(sim.prior.cov)
@@ -822,7 +849,8 @@ def test_the_total_form_switches_its_parameters_with_the_covariance():
     )
     points = total.plus(q, deviations)
     moved = attitude.positive(attitude.multiply(step, points))
-    # The center has switched: its parameters are those of -179 deg. Differences are taken on its side.
+    # The center has switched: its parameters are those of -179 deg. Differences are taken on its
+    # side.
     assert moved[0] @ attitude.multiply(step, points)[0] < 0.0
     differences = total.minus(moved, moved[0])
     assert np.abs(differences).max() < 2e-5

@@ -1,4 +1,6 @@
-"""The pulsar paper: its ephemerides, its noises, filters that are the same where they must be, and the ledger."""
+"""The pulsar paper: its ephemerides, its noises, filters that are the same where they must be, and
+the ledger.
+"""
 
 from __future__ import annotations
 
@@ -64,16 +66,22 @@ STATEMENTS = [
     "measurement-color-matters-more",
     "setting-5-alike",
 ]
-PRINTED = {"earth-km-gives-km": "1", "ephemeris-error-slow": "300",
-           "rho-trades-speed-for-noise": "[0, 50]", "tkf-approaches-then-lost": "30",
-           "best-in-all-settings": "5", "setting-1-position": "[56.49, 35.18]", "setting-1-velocity": "[27.66, 17.07]"}  # fmt: skip
+PRINTED = {
+    "earth-km-gives-km": "1",
+    "ephemeris-error-slow": "300",
+    "rho-trades-speed-for-noise": "[0, 50]",
+    "tkf-approaches-then-lost": "30",
+    "best-in-all-settings": "5",
+    "setting-1-position": "[56.49, 35.18]",
+    "setting-1-velocity": "[27.66, 17.07]",
+}
 
 
 def runs(count, study=0):
     return [generator(0, study, r) for r in range(count)]
 
 
-# -- ephemerides -------------------------------------------------------------------------------------------------------------
+# -- ephemerides -----------------------------------------------------------------------------------
 @pytest.mark.parametrize("name", ["ephemeris_2015.npz", "planets_2015.npz"])
 def test_the_table_is_the_one_that_the_readme_names(name):
     digest = hashlib.sha256(data(name).read_bytes()).hexdigest()
@@ -170,7 +178,7 @@ def test_timings_are_as_good_as_published():
     )  # pulsars are far from the axes
 
 
-# -- what the dynamics leave out ---------------------------------------------------------------------------------------------
+# -- what the dynamics leave out -------------------------------------------------------------------
 def test_figures_7_and_8():
     found = study.accelerations(TABLE_5)
     total = np.sum(list(found.values()), 0)
@@ -178,8 +186,18 @@ def test_figures_7_and_8():
         np.sqrt(np.square(total).mean(0)), [6.92e-10, 6.82e-10, 4.20e-10], rtol=0.01
     )
     np.testing.assert_allclose(np.abs(total).max(0), [19.5e-10, 15.4e-10, 9.2e-10], rtol=0.01)
-    largest = {"moon": 1.55e-9, "sun": 5.69e-10, "venus": 4.7e-15, "jupiter": 2.6e-15, "saturn": 1.3e-16, "mercury": 8.8e-17,
-               "mars": 1.7e-17, "uranus": 3.6e-18, "neptune": 1.1e-18, "pluto": 1.1e-22}  # fmt: skip
+    largest = {
+        "moon": 1.55e-9,
+        "sun": 5.69e-10,
+        "venus": 4.7e-15,
+        "jupiter": 2.6e-15,
+        "saturn": 1.3e-16,
+        "mercury": 8.8e-17,
+        "mars": 1.7e-17,
+        "uranus": 3.6e-18,
+        "neptune": 1.1e-18,
+        "pluto": 1.1e-22,
+    }
     assert set(found) == set(largest)
     for body, value in largest.items():
         assert np.linalg.norm(found[body], axis=1).max() == pytest.approx(value, rel=0.04), body
@@ -271,7 +289,7 @@ def test_a_satellite_of_mars():
         np.testing.assert_allclose(one, two, atol=0.03)
 
 
-# -- the scenario ------------------------------------------------------------------------------------------------------------
+# -- the scenario ----------------------------------------------------------------------------------
 BOTH = [replace(SHORT, setting=SETTINGS[i]) for i in (1, 5)]
 
 
@@ -346,7 +364,8 @@ def test_where_all_noise_is_white_the_filters_are_one():
 
 def test_the_exact_filter_is_the_two_stages_where_the_bias_is_constant():
     e = follow(replace(WHITE, walk_km=0.0), 4, ("tkf", "aug"))
-    # Each is linearized about its own estimate, the first stage's and the corrected one: a kilometer apart at the start.
+    # Each is linearized about its own estimate, the first stage's and the corrected one: a
+    # kilometer apart at the start.
     np.testing.assert_allclose(e["aug"][..., :3], e["tkf"][..., :3], rtol=0, atol=2e-3)
 
 
@@ -379,7 +398,9 @@ def test_nine_states_are_the_two_stages_where_the_bias_is_constant_or_walks():
 
 
 def test_a_constant_bias_is_followed_by_a_gain_that_falls():
-    """A scalar bias that is constant: the gain after k timings is 1 / k, so that the lag behind a ramp grows as k / 2."""
+    """A scalar bias that is constant: the gain after k timings is 1 / k, so that the lag behind a
+    ramp grows as k / 2.
+    """
     R, prior, times = 1.0, Gaussian(np.zeros(1), 1e6 * np.eye(1)), np.arange(401.0)
     track = run(
         ekf(Motion(np.eye(1), np.zeros((1, 1))), Sensor(np.eye(1), R * np.eye(1))),
@@ -473,11 +494,16 @@ def test_a_known_bias_leaves_the_ekf():
 @pytest.mark.parametrize(
     ("change", "name"),
     [
-        ({"step_s": 0.0}, "step_s"), ({"runs": 2.5}, "runs"), ({"trend": "linear"}, "trend"), ({"factor": "A"}, "factor"),
-        ({"walk_km": -1.0}, "walk_km"), ({"error_km": (0.0, 1.0, 1.0)}, "error_km"), ({"elements": (1.0, 2.0)}, "elements"),
+        ({"step_s": 0.0}, "step_s"),
+        ({"runs": 2.5}, "runs"),
+        ({"trend": "linear"}, "trend"),
+        ({"factor": "A"}, "factor"),
+        ({"walk_km": -1.0}, "walk_km"),
+        ({"error_km": (0.0, 1.0, 1.0)}, "error_km"),
+        ({"elements": (1.0, 2.0)}, "elements"),
         ({"amplitude_km": (1.0, np.nan, 0.0)}, "amplitude_km"),
     ],
-)  # fmt: skip
+)
 def test_a_configuration_that_cannot_be_is_refused_by_name(change, name):
     with pytest.raises(ValueError, match=f"^{name}"):
         replace(PRESETS["table5"], **change)
@@ -513,7 +539,7 @@ def test_there_is_a_bound_where_the_truth_is_what_the_exact_filter_believes():
     assert trial(SHORT, runs(1)).reference == ""
 
 
-# -- the linear driver ---------------------------------------------------------------------------------------------------------
+# -- the linear driver -----------------------------------------------------------------------------
 def test_the_linear_driver_is_the_nonlinear_one():
     config = replace(YEAR, days=0.5)
     linear = study.linear(study.TRENDS, 1, ("tkf", "tdkf", "aug"), config, runs(2))
@@ -565,7 +591,8 @@ def test_the_bound_is_the_exact_filters_covariance():
     sim = simulate(config, runs(1))
     std = run(filters(config)["aug"], sim.prior, sim.epochs()).std[:, 0]
     bounds = np.sqrt(study.nominal_covariances([config], "aug")[:, 0].diagonal(0, 1, 2))
-    # The filter begins 1.7 km off the nominal orbit, where gravity's gradient is another by 3 * 1.7 / 7136.
+    # The filter begins 1.7 km off the nominal orbit, where gravity's gradient is another by 3 * 1.7
+    # / 7136.
     for a, b in ((slice(3), slice(3)), (slice(15, 18), slice(6, 9))):
         np.testing.assert_allclose(
             np.linalg.norm(std[:, a], axis=1), np.linalg.norm(bounds[:, b], axis=1), rtol=5e-3
@@ -590,7 +617,9 @@ def test_color_of_the_process_noise_alone_is_nearly_exact():
 
 
 def test_what_pulls_in_the_truth_is_what_the_filter_may_model():
-    """A filter that models Sun and Moon sees the same residuals as one without them of a truth without them."""
+    """A filter that models Sun and Moon sees the same residuals as one without them of a truth
+    without them.
+    """
     config = replace(WHITE, days=0.25)
     with_them, without = (
         simulate(replace(config, pulled=pulled), runs(2)) for pulled in (True, False)
@@ -606,7 +635,7 @@ def test_what_pulls_in_the_truth_is_what_the_filter_may_model():
     np.testing.assert_allclose(one[..., :3], two[..., :3], atol=1e-5)
 
 
-# -- the study -----------------------------------------------------------------------------------------------------------------
+# -- the study -------------------------------------------------------------------------------------
 @pytest.fixture(scope="module")
 def results():
     return once(STUDY)

@@ -1,4 +1,6 @@
-"""The differenced stage: the cases in which it is exact, its own algebra in joint form, the bias's way through it; its boosts."""
+"""The differenced stage: the cases in which it is exact, its own algebra in joint form, the bias's
+way through it; its boosts.
+"""
 
 from __future__ import annotations
 
@@ -98,7 +100,9 @@ def test_white_noise_that_is_correlated_is_exact(coupling):
     ("F", "L", "coupling"), [(0.5, 0.5, 1.0), (0.8, 0.0, 0.5), (0.0, 0.9, 0.0), (0.5, 0.5, 0.0)]
 )
 def test_its_covariances_are_those_of_a_consider_filter(F, L, coupling):
-    """Joint covariance of (x, V, Q), with a gain that leaves V and Q alone: the same numbers without any of the algebra."""
+    """Joint covariance of (x, V, Q), with a gain that leaves V and Q alone: the same numbers
+    without any of the algebra.
+    """
     noise, first = stage(F, L, coupling)
     n, m, q = N, M, N
     joint = np.zeros((n + m + q, n + m + q))
@@ -111,10 +115,16 @@ def test_its_covariances_are_those_of_a_consider_filter(F, L, coupling):
         Omega, K = seen.Omega, seen.gain[0]
         D = np.eye(n) - Omega @ H
         sensor = noise.V if k == 0 else noise.Xi
-        # (x, V, Q)' = A (x, V, Q) + noise (xi, e); V' and Q' as the model has them. Omega takes all of J V' out of x' where the
+        # (x, V, Q)' = A (x, V, Q) + noise (xi, e); V' and Q' as the model has them. Omega takes all
+        # of J V' out of x' where the
         # measurement is not differenced (k = 0), else J xi.
-        A = np.block([[D @ PHI, D @ G @ JF * (k > 0), D @ G @ noise.L], [np.zeros((m, n)), noise.F, np.zeros((m, q))],
-                      [np.zeros((q, n + m)), noise.L]])  # fmt: skip
+        A = np.block(
+            [
+                [D @ PHI, D @ G @ JF * (k > 0), D @ G @ noise.L],
+                [np.zeros((m, n)), noise.F, np.zeros((m, q))],
+                [np.zeros((q, n + m)), noise.L],
+            ]
+        )
         W = np.block(
             [
                 [np.zeros((n, m)), D @ G],
@@ -145,7 +155,9 @@ def test_its_covariances_are_those_of_a_consider_filter(F, L, coupling):
     ("F", "L", "coupling"), [(0.5, 0.5, 1.0), (0.8, 0.3, 0.5), (0.0, 0.9, 2.0)]
 )
 def test_conditioning_is_the_filter_that_is_written_out(F, L, coupling):
-    """Gain and all, without a joint belief: correlations of the estimate with Q and V by their own recursions."""
+    """Gain and all, without a joint belief: correlations of the estimate with Q and V by their own
+    recursions.
+    """
     noise, first = stage(F, L, coupling)
     z, mean, P, DQ, DV = measured(runs=1)[:, 0], np.zeros(N), P0, np.zeros((N, N)), np.zeros((N, M))
     found, last = alone(first, z[:, None]), np.zeros(M)
@@ -184,7 +196,8 @@ def test_the_first_measurement_is_exact(F, L):
     np.testing.assert_allclose(
         state.cross[0], np.hstack([(W @ left)[:, N + M :], (W @ left)[:, N : N + M]]), atol=1e-12
     )
-    # The density of the innovation is that of z, which it is a linear function of: D z, D = I - H Omega.
+    # The density of the innovation is that of z, which it is a linear function of: D z, D = I - H
+    # Omega.
     D = np.eye(M) - H @ stage_.Omega
     np.testing.assert_allclose(info.innovation, z[0] @ D.T, atol=1e-12)
     np.testing.assert_allclose(
@@ -313,7 +326,9 @@ def test_factors_compare_a_window_of_residuals_with_their_variances():
 
 
 def test_of_consistent_white_residuals_form_c_tends_to_one_and_form_b_to_rho():
-    """And a step of their variance is followed as 1 - (1 - 1 / tau)^j, the first tau of them by their plain mean."""
+    """And a step of their variance is followed as 1 - (1 - 1 / tau)^j, the first tau of them by
+    their plain mean.
+    """
     residuals, made = np.random.default_rng(4).standard_normal((4000, 2)), {}
     for form in (False, True):
         boost, memory = strong_tracking([8.0, 0.5], 4000.0, proportional=form), None

@@ -1,4 +1,6 @@
-"""A sensor in a hand: made trials in the fields of BROAD's files, damaged ones, and real ones beside the checkout."""
+"""A sensor in a hand: made trials in the fields of BROAD's files, damaged ones, and real ones
+beside the checkout.
+"""
 
 from __future__ import annotations
 
@@ -45,8 +47,10 @@ def made():
         "imu_gyr": rate + np.array([0.004, -0.003, 0.006]) + 2e-3 * rng.standard_normal((S, 3)),
         "imu_acc": back.apply(UP + shake) + 0.05 * rng.standard_normal((S, 3)),
         "imu_mag": late.apply(FIELD) + 0.7 * rng.standard_normal((S, 3)),
-        "opt_quat": truth, "movement": (t[:, None] > 6.0).astype(np.uint8), "sampling_rate": [[HZ]],
-    }  # fmt: skip
+        "opt_quat": truth,
+        "movement": (t[:, None] > 6.0).astype(np.uint8),
+        "sampling_rate": [[HZ]],
+    }
 
 
 @pytest.fixture
@@ -109,7 +113,8 @@ def test_deviations_turn_vectors_along():
     x[:, :4] /= np.linalg.norm(x[:, :4], axis=-1, keepdims=True)
     y = space.plus(x, d)
     np.testing.assert_allclose(space.minus(y, x), d, atol=1e-12)
-    # What a sensor sees of a vector is that of the vector's own deviation; with the other space the attitude's enters.
+    # What a sensor sees of a vector is that of the vector's own deviation; with the other space the
+    # attitude's enters.
     for part in handheld.VECTORS:
         deviation = d[:, part.start - 1 : part.stop - 1]
         expected = attitude.rotate(x[:, :4], x[:, part] + deviation)
@@ -226,7 +231,7 @@ def test_published_errors_are_read_from_their_files(tmp_path):
             broad.published(handheld.Flight(tmp_path), [])
 
 
-# -- on the real files -------------------------------------------------------------------------------------------------------
+# -- on the real files -----------------------------------------------------------------------------
 def madgwick(gyr, acc, mag, hz, beta):
     """Madgwick's gradient filter as it is published; its code takes half of the reference field."""
     acc, mag = (v / np.linalg.norm(v, axis=-1, keepdims=True) for v in (acc, mag))
@@ -265,11 +270,24 @@ def madgwick(gyr, acc, mag, hz, beta):
         f6 = n * (a * c + b * d) + v * (0.5 - b * b - c * c) - mz
         s = (
             -2.0 * c * f1 + 2.0 * b * f2 - v * c * f4 + (v * b - n * d) * f5 + n * c * f6,
-            2.0 * d * f1 + 2.0 * a * f2 - 4.0 * b * f3 + v * d * f4 + (n * c + v * a) * f5 + (n * d - 2.0 * v * b) * f6,
-            -2.0 * a * f1 + 2.0 * d * f2 - 4.0 * c * f3
-            - (2.0 * n * c + v * a) * f4 + (n * b + v * d) * f5 + (n * a - 2.0 * v * c) * f6,
-            2.0 * b * f1 + 2.0 * c * f2 + (v * b - 2.0 * n * d) * f4 + (v * c - n * a) * f5 + n * b * f6,
-        )  # fmt: skip
+            2.0 * d * f1
+            + 2.0 * a * f2
+            - 4.0 * b * f3
+            + v * d * f4
+            + (n * c + v * a) * f5
+            + (n * d - 2.0 * v * b) * f6,
+            -2.0 * a * f1
+            + 2.0 * d * f2
+            - 4.0 * c * f3
+            - (2.0 * n * c + v * a) * f4
+            + (n * b + v * d) * f5
+            + (n * a - 2.0 * v * c) * f6,
+            2.0 * b * f1
+            + 2.0 * c * f2
+            + (v * b - 2.0 * n * d) * f4
+            + (v * c - n * a) * f5
+            + n * b * f6,
+        )
         by = beta / sum(e * e for e in s) ** 0.5
         rates = (
             -b * x - c * y - d * z,

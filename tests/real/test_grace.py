@@ -1,4 +1,6 @@
-"""GRACE-A: made files of the same formats, files that are none, parts of filters against independent forms, real files."""
+"""GRACE-A: made files of the same formats, files that are none, parts of filters against
+independent forms, real files.
+"""
 
 from __future__ import annotations
 
@@ -42,7 +44,9 @@ def field_text():
 
 
 def orbit(field, count):
-    """States at every 10 s on Earth-fixed axes, integrated in space by a method of high order: not as filters do it."""
+    """States at every 10 s on Earth-fixed axes, integrated in space by a method of high order: not
+    as filters do it.
+    """
     bodies, center = (
         [],
         ephemeris.de421().state(
@@ -94,7 +98,9 @@ def written(path, times, xyz, pack=True):
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """Three days of 320 fixes with errors of 4 m that are correlated by 0.98, a gap, an outlier; and where the satellite was."""
+    """Three days of 320 fixes with errors of 4 m that are correlated by 0.98, a gap, an outlier;
+    and where the satellite was.
+    """
     where = tmp_path_factory.mktemp("grace")
     (where / "made.gfc").write_text(field_text())
     truth = orbit(gravity.read(where / "made.gfc"), COUNT)[:, :3]
@@ -148,18 +154,35 @@ def lines(count):
     [
         ("", "expected at least 100 positions, got 0"),
         ("".join(lines(99)), "expected at least 100 positions, got 99"),
-        ("".join([*lines(5), "garbage\n"]), "line 6: expected five numbers, seconds x y z quality, got 'garbage'"),
+        (
+            "".join([*lines(5), "garbage\n"]),
+            "line 6: expected five numbers, seconds x y z quality, got 'garbage'",
+        ),
         ("".join([*lines(5), " 270820850.0 1 2 3\n"]), "line 6: expected five numbers"),
         ("".join([*lines(5), " 270820850.0 1 2 3 4 5\n"]), "line 6: expected five numbers"),
         ("".join([*lines(5), " 270820850.0 nan 2 3 4\n"]), "line 6: expected five numbers"),
         ("".join([*lines(5), "\n"]), "line 6: expected five numbers"),
-        ("".join([*lines(5), lines(5)[4]]), "line 6: expected increasing seconds at steps of 10, got 270820840"),
-        ("".join([*lines(5), LINE.replace("00.000", "53.000")]), "line 6: expected increasing seconds at steps of 10"),
-        ("".join([*lines(5), LINE.replace("270820800", "970820800")]), "line 6: expected increasing seconds"),
-        ("".join(lines(120)).replace("686124.068", "686.124").replace("-6771707.196", "-6771.7").replace("734394.068", "734.4"),
-         "expected positions in m from the Earth's center, got a distance of 6845.88"),
+        (
+            "".join([*lines(5), lines(5)[4]]),
+            "line 6: expected increasing seconds at steps of 10, got 270820840",
+        ),
+        (
+            "".join([*lines(5), LINE.replace("00.000", "53.000")]),
+            "line 6: expected increasing seconds at steps of 10",
+        ),
+        (
+            "".join([*lines(5), LINE.replace("270820800", "970820800")]),
+            "line 6: expected increasing seconds",
+        ),
+        (
+            "".join(lines(120))
+            .replace("686124.068", "686.124")
+            .replace("-6771707.196", "-6771.7")
+            .replace("734394.068", "734.4"),
+            "expected positions in m from the Earth's center, got a distance of 6845.88",
+        ),
     ],
-)  # fmt: skip
+)
 @pytest.mark.parametrize("pack", [False, True], ids=["plain", "gzipped"])
 def test_what_is_no_such_file_is_refused_by_file_and_line(tmp_path, text, message, pack):
     path = tmp_path / "log"
@@ -329,7 +352,9 @@ def test_the_linear_motion_of_a_search_is_the_motion(folder, data):
 
 
 def test_the_density_of_an_innovation_is_that_of_students_t(folder, data):
-    """Of the last one, by scipy, before the weights; and of normal ones where the degrees of freedom are many."""
+    """Of the last one, by scipy, before the weights; and of normal ones where the degrees of
+    freedom are many.
+    """
     field = gravity.read(folder / "made.gfc", 2)
     M, S, Phi = settings.linear(settings.believed(field, settings.SETTINGS["robust"]))
     start = Gaussian(data.prior.mean[0], data.prior.cov)
@@ -352,8 +377,8 @@ def test_the_density_of_an_innovation_is_that_of_students_t(folder, data):
 
 
 def students_scale(far):
-    """The most probable scale s of Student's t for normal samples of deviation 1, of which a part is
-    far away, by ``E psi(u) = 0``; and the relative deviation of its estimate from one sample,
+    """The most probable scale s of Student's t for normal samples of deviation 1, of which a part
+    is far away, by ``E psi(u) = 0``; and the relative deviation of its estimate from one sample,
     ``sqrt(E psi^2) / E s dpsi/ds``."""
     nu = settings.DOF
 

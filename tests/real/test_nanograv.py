@@ -1,4 +1,6 @@
-"""Arrival times of pulsars: timing models, fixes and filters, on made arrivals of which all is known, and on the real ones."""
+"""Arrival times of pulsars: timing models, fixes and filters, on made arrivals of which all is
+known, and on the real ones.
+"""
 
 from __future__ import annotations
 
@@ -28,8 +30,8 @@ def directions(count, rng):
 def made(
     folder, count=12, noise_km=0.3, seed=0, every=9.0, end=nanograv.END, moved=None, model_km=5.0
 ):
-    """Arrivals of some pulsars from 2011 on, half of them solitary, each with a timing model off by some km, white noise, and
-    an Earth that is ``moved(day)`` km."""
+    """Arrivals of some pulsars from 2011 on, half of them solitary, each with a timing model off by
+    some km, white noise, and an Earth that is ``moved(day)`` km."""
     rng = np.random.default_rng(seed)
     rows = []
     for i, n in enumerate(directions(count, rng)):
@@ -43,8 +45,19 @@ def made(
         ) + noise_km * rng.standard_normal(len(day))
         late -= 0.0 if moved is None else moved(day) @ n
         sigma = np.full_like(day, noise_km)
-        rows.append(np.column_stack([day, np.full_like(day, i), late / LIGHT_KM_S, sigma / LIGHT_KM_S, np.tile(n, (len(day), 1)),
-                                     earth * arrivals.AU_S, np.full_like(day, 30.0)]))  # fmt: skip
+        rows.append(
+            np.column_stack(
+                [
+                    day,
+                    np.full_like(day, i),
+                    late / LIGHT_KM_S,
+                    sigma / LIGHT_KM_S,
+                    np.tile(n, (len(day), 1)),
+                    earth * arrivals.AU_S,
+                    np.full_like(day, 30.0),
+                ]
+            )
+        )
     folder.mkdir(exist_ok=True)
     np.savez(
         folder / "daily_averages.npz",
@@ -59,10 +72,10 @@ def folder(tmp_path_factory):
     return made(tmp_path_factory.mktemp("arrivals") / "made")
 
 
-# -- timing models -------------------------------------------------------------------------------------------------------------
+# -- timing models ---------------------------------------------------------------------------------
 def test_a_timing_model_is_what_a_pulsar_elsewhere_shows(folder):
-    """The columns of position and parallax are derivatives of the delay of a pulsar at a finite distance; proper motion is theirs
-    times the years."""
+    """The columns of position and parallax are derivatives of the delay of a pulsar at a finite
+    distance; proper motion is theirs times the years."""
     a = arrivals.read(folder)[3]
     M, earth, far = arrivals.model(a), a.earth, 3e4
 
@@ -90,7 +103,9 @@ def test_a_spin_that_walks_has_the_covariance_of_one_that_was_walked(folder):
 
 
 def test_predictions_are_those_of_the_joint_law_of_past_future_and_parameters(folder):
-    """An independent form: a prior of the parameters, so wide that it does not count, and one conditioning of all arrivals."""
+    """An independent form: a prior of the parameters, so wide that it does not count, and one
+    conditioning of all arrivals.
+    """
     c = arrivals.clocks(folder, 57023.0, 57754.0)[2]
     a, (white, red) = c.arrivals, c.noise
     M = arrivals.model(a)
@@ -128,7 +143,7 @@ def test_noise_is_found_as_large_as_it_was_made(folder):
     assert walked == pytest.approx(2.0, abs=4.0 * scatter[1] + 0.02 * 2.0)
 
 
-# -- fixes ---------------------------------------------------------------------------------------------------------------------
+# -- fixes -----------------------------------------------------------------------------------------
 def test_fixes_of_made_arrivals_err_by_what_they_claim(folder):
     """Within four deviations, by the joint law of all weeks, which share the timing models."""
     out = nanograv.fixes(folder, [])
@@ -179,7 +194,9 @@ def test_a_fix_is_weighted_least_squares(folder):
 
 
 def test_what_every_timing_model_has_is_hidden_and_the_rest_is_seen(folder):
-    """Constant, growing and yearly errors of the Earth leave nothing: they are columns of every model. A fast swing stays."""
+    """Constant, growing and yearly errors of the Earth leave nothing: they are columns of every
+    model. A fast swing stays.
+    """
     heard = arrivals.clocks(folder, nanograv.FLOWN, nanograv.END)
 
     def left(moved):
@@ -198,7 +215,7 @@ def test_what_every_timing_model_has_is_hidden_and_the_rest_is_seen(folder):
     assert left(lambda a: np.outer(np.sin(a.day / 5.0), still)) > 50.0
 
 
-# -- ephemerides and flights ---------------------------------------------------------------------------------------------------
+# -- ephemerides and flights -----------------------------------------------------------------------
 def test_the_table_of_ephemerides_is_that_of_the_longer_one_where_both_are():
     """DE405 less DE421 in 2015 and 2016, made apart, every five hours."""
     other = read_npz(data("ephemeris_2015.npz"))
@@ -236,7 +253,9 @@ def test_errors_of_the_orbit_grow_as_those_of_the_orbit_itself():
 
 
 def test_arrivals_that_remember_are_all_arrivals_at_once(folder):
-    """The filter of clocks, after all weeks, is one weighted least-squares fit of every arrival with its whole covariance."""
+    """The filter of clocks, after all weeks, is one weighted least-squares fit of every arrival
+    with its whole covariance.
+    """
     flight = nanograv.trial(nanograv.Flight(folder, "de405"), [])
     whole = nanograv.fly_all(nanograv.Flight(folder, "de405"), [None])
     heard = arrivals.clocks(folder, nanograv.FLOWN, nanograv.END)
@@ -261,7 +280,8 @@ def test_arrivals_that_remember_are_all_arrivals_at_once(folder):
         first = (k < len(w.day)) & (k == 0)
         A = np.array([c.arrivals.n @ (moves[i][:3] + moves[i][6:9]) for i in k[use]])
         z = (c.early + error(c.arrivals.day[c.after] + 0.5) @ c.arrivals.n)[use]
-        # of the first week's arrivals what is not noise is unknown to the filter: they are conditioned on, with their place unknown
+        # of the first week's arrivals what is not noise is unknown to the filter: they are
+        # conditioned on, with their place unknown
         if first.any():
             F = np.array([c.arrivals.n @ (moves[0][:3] + moves[0][6:9])] * int(first.sum()))
             z0 = (c.early + error(c.arrivals.day[c.after] + 0.5) @ c.arrivals.n)[first]
@@ -308,7 +328,7 @@ def test_the_whole_study_on_made_arrivals(folder, tmp_path):
     assert nanograv.parts() == {}
 
 
-# -- damaged files -------------------------------------------------------------------------------------------------------------
+# -- damaged files ---------------------------------------------------------------------------------
 @pytest.mark.parametrize(
     ("row", "column", "value", "message"),
     [
@@ -358,7 +378,7 @@ def test_too_few_pulsars_or_weeks_are_said(tmp_path):
         nanograv.fixes(made(tmp_path / "short", count=4, every=200.0), [])
 
 
-# -- the real ones ---------------------------------------------------------------------------------------------------------------
+# -- the real ones ---------------------------------------------------------------------------------
 @pytest.mark.skipif(not REAL.is_dir(), reason="no real files beside the checkout")
 def test_the_earth_by_real_pulsars():
     out = nanograv.fixes(REAL, [])

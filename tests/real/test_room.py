@@ -1,4 +1,6 @@
-"""Studies on real data beside the papers: done where their data are given, and otherwise only offered."""
+"""Studies on real data beside the papers: done where their data are given, and otherwise only
+offered.
+"""
 
 from __future__ import annotations
 
@@ -42,9 +44,15 @@ def measured():
     )
     plain = tiny()
     return SimpleNamespace(
-        TITLE="A real <clock>", CITATION="@misc{clock, author = {Harrison, John}, year = {1761}}", RECORDINGS=[], STUDY=study,
-        INPUTS=("clocks",), FIGURES={"figure_01": ("A drift.", plain.FIGURES["figure_01"][1])}, TABLES={}, record=lambda r, o: [],
-    )  # fmt: skip
+        TITLE="A real <clock>",
+        CITATION="@misc{clock, author = {Harrison, John}, year = {1761}}",
+        RECORDINGS=[],
+        STUDY=study,
+        INPUTS=("clocks",),
+        FIGURES={"figure_01": ("A drift.", plain.FIGURES["figure_01"][1])},
+        TABLES={},
+        record=lambda r, o: [],
+    )
 
 
 @pytest.fixture
@@ -136,7 +144,8 @@ def test_one_study_alone(both, folder, tmp_path):
         (["reproduce", "--clocks", "nowhere"], "nowhere: expected a folder with a file *.txt"),
         (
             ["reproduce", "clock"],
-            "unknown paper 'clock': expected one of tiny, clocks, a file FILE.py; did you mean clocks?",
+            "unknown paper 'clock': expected one of tiny, clocks, a file FILE.py; did you mean "
+            "clocks?",
         ),
         (["view", "clocks"], "clocks: has no recordings\n"),
     ],

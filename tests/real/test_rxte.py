@@ -1,4 +1,6 @@
-"""Photons of a pulsar: files, folding and places, on made photons of which everything is known, and on the real ones."""
+"""Photons of a pulsar: files, folding and places, on made photons of which everything is known, and
+on the real ones.
+"""
 
 from __future__ import annotations
 
@@ -71,7 +73,7 @@ def folder(tmp_path_factory):
     return made(tmp_path_factory.mktemp("photons") / "made")
 
 
-# -- times -----------------------------------------------------------------------------------------------------------------------
+# -- times -----------------------------------------------------------------------------------------
 def test_a_time_at_the_barycenter_is_that_of_the_printed_formula(folder):
     """Einstein by ERFA, Roemer and Shapiro by hand, of one photon."""
     p = photons.read(folder)
@@ -110,7 +112,7 @@ def test_a_place_between_rows_is_that_of_the_orbit(folder):
         np.testing.assert_allclose(p.place[k], step(y, t % 60.0)[:3], atol=0.02)
 
 
-# -- folding -------------------------------------------------------------------------------------------------------------------
+# -- folding ---------------------------------------------------------------------------------------
 def test_the_h_test_is_that_of_its_definition():
     rng = np.random.default_rng(1)
     phase = rng.random(500)
@@ -144,7 +146,9 @@ def test_a_light_curve_has_the_information_of_its_formula():
 
 
 def test_shifts_are_found_and_err_by_what_they_claim():
-    """Of four sizes, each in a quarter of the flights; errors would show by themselves where one is wrapped."""
+    """Of four sizes, each in a quarter of the flights; errors would show by themselves where one is
+    wrapped.
+    """
     rng, light = np.random.default_rng(3), rxte.Light(np.array([0.3, 0.1j, 0.05]), 1.0)
     errors, inside, count, often = [], [], 600, 400
     for k in range(often):
@@ -162,7 +166,7 @@ def test_shifts_are_found_and_err_by_what_they_claim():
     assert np.mean(inside) == pytest.approx(0.95, abs=4.0 * np.sqrt(0.95 * 0.05 / often))
 
 
-# -- the study -------------------------------------------------------------------------------------------------------------------
+# -- the study -------------------------------------------------------------------------------------
 def test_places_of_made_photons_err_by_what_they_claim(tmp_path):
     errors = []
     for seed in range(3):
@@ -184,7 +188,7 @@ def test_the_whole_study_on_made_photons(folder):
     assert rxte.parts() == {}
 
 
-# -- damaged files ---------------------------------------------------------------------------------------------------------------
+# -- damaged files ---------------------------------------------------------------------------------
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
@@ -273,7 +277,7 @@ def test_what_is_missing_is_said_with_a_command(folder, monkeypatch):
         photons.table(folder / "events.fits", "XTE_SE", ("TIME",))
 
 
-# -- the real ones ---------------------------------------------------------------------------------------------------------------
+# -- the real ones ---------------------------------------------------------------------------------
 @pytest.mark.skipif(not REAL.is_dir(), reason="no real files beside the checkout")
 def test_the_satellite_by_real_photons():
     photons.read.cache_clear()

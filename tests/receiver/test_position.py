@@ -1,4 +1,6 @@
-"""A receiver is positioned from its files: clocks, atmosphere, gaps, jumps; what cannot be is told in one line."""
+"""A receiver is positioned from its files: clocks, atmosphere, gaps, jumps; what cannot be is told
+in one line.
+"""
 
 from __future__ import annotations
 
@@ -78,7 +80,8 @@ def test_clocks_that_are_set_by_milliseconds_leave_no_trace(pair, log):
     jumps = 1e-3 * LIGHT * np.repeat([0.0, 1.0, -1.0], 4)
     found = positioning.prepare(observed(nav.sets, LONG, DRIFTING + jumps), nav)
     np.testing.assert_allclose(found.fixes, log.fixes, atol=2e-4)
-    # The receiver samples a millisecond earlier or later: ranges change by less than a meter, not by 300 km.
+    # The receiver samples a millisecond earlier or later: ranges change by less than a meter, not
+    # by 300 km.
     np.testing.assert_allclose(found.z[:, :32][found.used], log.z[:, :32][log.used], atol=1.0)
 
 

@@ -195,9 +195,15 @@ def test_a_log_of_beidou_alone_is_in_its_own_time(tmp_path):
 
 
 NAVIGATION = {
-    "a set that is cut off": (lambda t: "\n".join(t.splitlines()[:-3]) + "\n", "expected 8 lines of a broadcast set from line"),
-    "a garbled number": (lambda t: t[: t.index("C01") + 30] + "x" + t[t.index("C01") + 31 :], "expected a number, got"),
-}  # fmt: skip
+    "a set that is cut off": (
+        lambda t: "\n".join(t.splitlines()[:-3]) + "\n",
+        "expected 8 lines of a broadcast set from line",
+    ),
+    "a garbled number": (
+        lambda t: t[: t.index("C01") + 30] + "x" + t[t.index("C01") + 31 :],
+        "expected a number, got",
+    ),
+}
 
 
 @pytest.mark.parametrize("name", NAVIGATION)

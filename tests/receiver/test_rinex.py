@@ -1,4 +1,6 @@
-"""Receiver logs are read as they were written; what is damaged or something else is refused with file and line."""
+"""Receiver logs are read as they were written; what is damaged or something else is refused with
+file and line.
+"""
 
 from __future__ import annotations
 
@@ -127,13 +129,22 @@ def test_what_is_damaged_is_refused_with_file_and_line(texts, tmp_path, kind, da
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda t: t[: 9 * len(t) // 10].rsplit("\n", 1)[0], r"line \d+: expected \d+ more after line \d+, .* cut off"),
-        (lambda t: t.split("END OF HEADER")[0] + "END OF HEADER\n", r"line 8: expected observations after the header, got none"),
-        (lambda t: t.replace("C2I", "C7I").replace("C1C", "C2W"),
-         r"expected BeiDou's B1I code \(C2I or C2X\) or GPS's C1C among the observations, got C: C7I L2I D2I, G: C2W D1C"),
+        (
+            lambda t: t[: 9 * len(t) // 10].rsplit("\n", 1)[0],
+            r"line \d+: expected \d+ more after line \d+, .* cut off",
+        ),
+        (
+            lambda t: t.split("END OF HEADER")[0] + "END OF HEADER\n",
+            r"line 8: expected observations after the header, got none",
+        ),
+        (
+            lambda t: t.replace("C2I", "C7I").replace("C1C", "C2W"),
+            r"expected BeiDou's B1I code \(C2I or C2X\) or GPS's C1C among the observations, got "
+            r"C: C7I L2I D2I, G: C2W D1C",
+        ),
         (lambda t: t.replace(" GPS ", " GLO ", 1), r"expected times in GPS, GAL or BDT, got 'GLO'"),
     ],
-)  # fmt: skip
+)
 def test_observations_that_are_not_whole_are_refused(texts, tmp_path, change, message):
     with pytest.raises(ValueError, match=message):
         read_observations(written(tmp_path, change(texts[2])), strict=True)
@@ -355,8 +366,10 @@ def test_what_cannot_be_is_told_by_its_line(texts, tmp_path, old, new, words):
 
 
 def test_a_set_of_no_satellite_or_date_is_told_by_its_line(texts, tmp_path):
-    for old, new, words in (("\nC21", "\nCxx", r"line \d+: expected a satellite \(C01\), got 'Cxx'"),
-                            ("C21 2020", "C21 20x0", r"line \d+: expected a date")):  # fmt: skip
+    for old, new, words in (
+        ("\nC21", "\nCxx", r"line \d+: expected a satellite \(C01\), got 'Cxx'"),
+        ("C21 2020", "C21 20x0", r"line \d+: expected a date"),
+    ):
         text = re.sub(r"C21 \d{4}", "C21 2020", texts[1])
         with pytest.raises(ValueError, match=words):
             read_navigation(written(tmp_path, text.replace(old, new, 1)), strict=True)

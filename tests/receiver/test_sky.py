@@ -1,4 +1,6 @@
-"""Geometry of the sky; delays of the atmosphere: published sizes, limits, the interface document's steps."""
+"""Geometry of the sky; delays of the atmosphere: published sizes, limits, the interface document's
+steps.
+"""
 
 from __future__ import annotations
 
@@ -68,7 +70,7 @@ def test_the_troposphere_is_as_long_as_is_known():
         (lambda: klobuchar(ALPHA[:3], BETA, 0.0, 0.0, 0.0, np.ones(1), np.ones(1)), "alpha"),
         (lambda: klobuchar(ALPHA, (np.nan,) * 4, 0.0, 0.0, 0.0, np.ones(1), np.ones(1)), "beta"),
     ],
-)  # fmt: skip
+)
 def test_bad_input_is_refused_by_name(call, name):
     with pytest.raises(ValueError, match=f"^{name}"):
         call()

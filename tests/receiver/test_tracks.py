@@ -1,4 +1,6 @@
-"""Tracks in the formats of others: read back by plain readers, they say where the receiver was, and when."""
+"""Tracks in the formats of others: read back by plain readers, they say where the receiver was, and
+when.
+"""
 
 from __future__ import annotations
 
@@ -54,9 +56,21 @@ def test_a_solution_of_rtklib_has_its_columns_and_its_time(found):
         r"% obs start : \d{4}/\d\d/\d\d 00:30:14\.0 GPST \(week2111 347414\.0s\)", "\n".join(header)
     )
     assert names.split()[1:] == [
-        "GPST", "latitude(deg)", "longitude(deg)", "height(m)", "Q", "ns", "sdn(m)", "sde(m)", "sdu(m)", "sdne(m)", "sdeu(m)",
-        "sdun(m)", "age(s)", "ratio",
-    ]  # fmt: skip
+        "GPST",
+        "latitude(deg)",
+        "longitude(deg)",
+        "height(m)",
+        "Q",
+        "ns",
+        "sdn(m)",
+        "sde(m)",
+        "sdu(m)",
+        "sdne(m)",
+        "sdeu(m)",
+        "sdun(m)",
+        "age(s)",
+        "ratio",
+    ]
     assert len(rows) == 6
     for k, row in enumerate(rows):
         assert len(row) == len(names)
@@ -299,7 +313,8 @@ def test_systems_and_the_ionosphere_are_given_by_options(files, tmp_path, capsys
         (["--ion", "none.rnx"], "none.rnx"),
         (
             ["--out", "track.kml"],
-            "--out: expected a folder, or a file with one of .csv, .pos, .geojson, .nmea, got 'track.kml'",
+            "--out: expected a folder, or a file with one of .csv, .pos, .geojson, .nmea, got "
+            "'track.kml'",
         ),
     ],
 )

@@ -1,4 +1,6 @@
-"""GPS beside BeiDou: one offset between their clocks, wherever one is missing, and what nothing tests."""
+"""GPS beside BeiDou: one offset between their clocks, wherever one is missing, and what nothing
+tests.
+"""
 
 from __future__ import annotations
 
@@ -288,7 +290,9 @@ STATIONS = [("rinex", ["*_MN.rnx.gz"]), ("nya1", ["*_CN.rnx.gz", "*_GN.rnx.gz"])
 @pytest.mark.skipif(not (REAL / "nya1").is_dir(), reason="no real files beside the checkout")
 @pytest.mark.parametrize(("folder", "names"), STATIONS)
 def test_real_receivers_stand_where_their_headers_say(folder, names):
-    """Two hours, where the geometry is one (PDOP below 10); both systems together are nearer than the worse of them."""
+    """Two hours, where the geometry is one (PDOP below 10); both systems together are nearer than
+    the worse of them.
+    """
     obs = read_observations(next((REAL / folder).glob("*_MO.crx.gz")))
     obs, nav = (
         obs.part(slice(0, 240)),

@@ -333,7 +333,8 @@ def python(code):
 
 def test_celnav_alone_pulls_in_neither_rerun_nor_matplotlib():
     done = python(
-        "import celnav, sys; print([m for m in ('rerun', 'matplotlib', 'pyarrow') if m in sys.modules])"
+        "import celnav, sys; print([m for m in ('rerun', 'matplotlib', 'pyarrow') if m in "
+        "sys.modules])"
     )
     assert (done.stdout.strip(), done.returncode) == ("[]", 0), done.stderr
 
@@ -341,7 +342,8 @@ def test_celnav_alone_pulls_in_neither_rerun_nor_matplotlib():
 def test_filters_and_models_work_without_rerun():
     modules = "celnav.filters.run, celnav.filters.colored, celnav.models.orbit, celnav.models.sightings, celnav.papers.csrukf"
     done = python(
-        f"import sys; sys.modules['rerun'] = None; import {modules}, celnav.papers.csrukf.show, celnav.show.scenes; print('ok')"
+        f"import sys; sys.modules['rerun'] = None; import {modules}, celnav.papers.csrukf.show, "
+        "celnav.show.scenes; print('ok')"
     )
     assert (done.stdout.strip(), done.returncode) == ("ok", 0), done.stderr
     done = python("import sys; sys.modules['rerun'] = None; import celnav.show.recording")

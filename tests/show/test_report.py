@@ -1,4 +1,6 @@
-"""A track against the truth: numbers by direct formulas, bands that hold consistent filters, gaps, sensors, attitudes, engines."""
+"""A track against the truth: numbers by direct formulas, bands that hold consistent filters, gaps,
+sensors, attitudes, engines.
+"""
 
 from __future__ import annotations
 
@@ -123,7 +125,9 @@ def test_an_overconfident_filter_is_called_so():
 
 
 def test_nis_below_its_band_with_nees_above_it_is_called_correlated_noise():
-    """An AR(1) taken for white is followed, so that innovations are small; a small R makes both large."""
+    """An AR(1) taken for white is followed, so that innovations are small; a small R makes both
+    large.
+    """
     said = "NIS 0    below its band while NEES is above it: the noise of the measurements is correlated"
     walk = motion.constant_velocity(2, 1e-4)
     gps = celnav.Sensor(np.eye(2, 4), R=19.0 * np.eye(2))
@@ -383,10 +387,19 @@ def test_a_track_without_deviations_is_refused():
 # -- texts -----------------------------------------------------------------------------------------
 def by_hand(sigma, runs, spoiled=False, **options):
     """The report of fixes and speeds at six epochs, with errors that are written here."""
-    error = 0.5 * np.array(
-        [[1, -1, 2, -2, 0], [0, 1, -1, 0, 1], [-1, 2, 0, 1, 1], [2, 0, -2, -1, 0],
-         [1, 1, -1, 9, 0], [0, -2, 1, 1, -1]]
-    )[:, :runs, None]  # fmt: skip
+    error = (
+        0.5
+        * np.array(
+            [
+                [1, -1, 2, -2, 0],
+                [0, 1, -1, 0, 1],
+                [-1, 2, 0, 1, 1],
+                [2, 0, -2, -1, 0],
+                [1, 1, -1, 9, 0],
+                [0, -2, 1, 1, -1],
+            ]
+        )[:, :runs, None]
+    )
     start = np.array([0.0, 0.0, 0.0, 0.0, 50.0])[:runs]
     times = 0.5 * np.arange(6.0)
     truth = np.stack(np.broadcast_arrays(start + times[:, None], 1.0), -1)

@@ -56,13 +56,33 @@ def showcase(steps=60, seed=0):
         )
 
     return Showcase(
-        "test: Φ = I", "**synthetic**", np.arange(n, dtype=float), found,
-        (Group("position", "km", slice(0, 3)), Group("velocity", "m/s", slice(3, 6), 1e3)), truth, np.eye(3, 6), "km", measured, 3,
-        {"position": np.full(n, 0.1)}, scene, [scenes.beside("world", "scene", truth[0], EARTH.radius_km, ["world/own/trail"])],
-        {"colored noise": {"x": Plot("V", {"truth": Curve(noise[:, 0], colors.TRUTH, "V", np.ones(n), noise[:, 0])})}},
-        bars={"some bars": np.ones(3)}, events=[(2.0, "it begins")], legend={colors.STAR: "stars"}, parameters={"steps": steps},
-        facts={"seed": seed}, counter="step",
-    )  # fmt: skip
+        "test: Φ = I",
+        "**synthetic**",
+        np.arange(n, dtype=float),
+        found,
+        (Group("position", "km", slice(0, 3)), Group("velocity", "m/s", slice(3, 6), 1e3)),
+        truth,
+        np.eye(3, 6),
+        "km",
+        measured,
+        3,
+        {"position": np.full(n, 0.1)},
+        scene,
+        [scenes.beside("world", "scene", truth[0], EARTH.radius_km, ["world/own/trail"])],
+        {
+            "colored noise": {
+                "x": Plot(
+                    "V", {"truth": Curve(noise[:, 0], colors.TRUTH, "V", np.ones(n), noise[:, 0])}
+                )
+            }
+        },
+        bars={"some bars": np.ones(3)},
+        events=[(2.0, "it begins")],
+        legend={colors.STAR: "stars"},
+        parameters={"steps": steps},
+        facts={"seed": seed},
+        counter="step",
+    )
 
 
 def changed(case, key, **changes):

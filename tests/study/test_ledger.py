@@ -57,8 +57,12 @@ def test_all_numbers_have_to_hold_and_one_that_does_not_decides():
 
 
 TIERS = [
-    (0.5, "reproduced"), (0.95, "undecided"), (1.5, "in part"), (2.95, "undecided"), (4.0, "not reproduced")
-]  # fmt: skip
+    (0.5, "reproduced"),
+    (0.95, "undecided"),
+    (1.5, "in part"),
+    (2.95, "undecided"),
+    (4.0, "not reproduced"),
+]
 
 
 @pytest.mark.parametrize(("value", "verdict"), TIERS)
@@ -157,8 +161,11 @@ def test_the_number_that_decides_is_the_one_that_keeps_the_best_tier_from_holdin
     told = written(found)
     assert (told["printed_value"], told["surprise"]) == (0.9, False)
     assert [(n["tier"], n["holds"]) for n in told["numbers"]] == [
-        ("reproduced", True), ("reproduced", False), ("in part", True), ("in part", True)
-    ]  # fmt: skip
+        ("reproduced", True),
+        ("reproduced", False),
+        ("in part", True),
+        ("in part", True),
+    ]
     page = table([told])
     failed = "for reproduced, b: 0.5 [0.4, 0.6] (0 … 1; printed 0.9, agrees within [0.4, 0.6])"
     assert f"{failed}: not met" in page

@@ -1,4 +1,6 @@
-"""Problems of one's own, and every composition on them: exact where it can be, consistent where it should be."""
+"""Problems of one's own, and every composition on them: exact where it can be, consistent where it
+should be.
+"""
 
 from __future__ import annotations
 
@@ -50,7 +52,9 @@ HOOKS = {
 
 
 def composed(rule, form="square root", color="", hook=""):
-    """A name, and what makes the filter of a problem: none for colored noise on a curved space, and none of 729 points."""
+    """A name, and what makes the filter of a problem: none for colored noise on a curved space, and
+    none of 729 points.
+    """
 
     def make(problem):
         if color and problem.motion.space != EUCLIDEAN:

@@ -1,4 +1,6 @@
-"""Drawn runs: moments against exact covariances, and the filter of the same records is consistent on them."""
+"""Drawn runs: moments against exact covariances, and the filter of the same records is consistent
+on them.
+"""
 
 from __future__ import annotations
 
@@ -42,7 +44,9 @@ def prior_of(runs=RUNS, prior=PRIOR):
 
 
 def matches(samples, cov, other=None):
-    """Whether the second moments ``(..., a, b)`` of samples ``(..., runs, a)`` of mean 0 are within 4.5 of their deviations."""
+    """Whether the second moments ``(..., a, b)`` of samples ``(..., runs, a)`` of mean 0 are within
+    4.5 of their deviations.
+    """
     other = samples if other is None else other
     products = samples[..., :, None] * other[..., None, :]
     error = products.mean(-3) - cov
@@ -52,7 +56,9 @@ def matches(samples, cov, other=None):
 
 
 def centered(samples, mean):
-    """Deviations of samples ``(runs, a)`` from the mean that they should have, which is within 4.5 of its deviations."""
+    """Deviations of samples ``(runs, a)`` from the mean that they should have, which is within 4.5
+    of its deviations.
+    """
     left = samples - mean
     assert (np.abs(left.mean(-2)) <= 4.5 * left.std(-2) / np.sqrt(left.shape[-2]) + 1e-12).all(), (
         left.mean(-2)
@@ -67,7 +73,9 @@ def consistent(values, dof, level=1e-5):
 
 
 def test_moments_are_those_of_the_model():
-    """Mean and covariance of the state at every epoch, of the measurement, and of the state with itself an interval ago."""
+    """Mean and covariance of the state at every epoch, of the measurement, and of the state with
+    itself an interval ago.
+    """
     truth, z = draw()
     assert truth.shape == z.shape == (12, RUNS, 2)
     mean, P = MEAN, P0
@@ -91,7 +99,9 @@ def test_moments_are_those_of_the_model():
 
 @pytest.mark.parametrize("form", ["square root", "covariance"])
 def test_the_filter_of_the_same_records_is_consistent(form):
-    """NEES at each epoch, NIS of all of them; each is off for a filter that believes of twice the noise."""
+    """NEES at each epoch, NIS of all of them; each is off for a filter that believes of twice the
+    noise.
+    """
     truth, z = draw()
     track = run(ukf(MOTION, SENSOR, form=form), prior_of(), TIMES, z, keep="cov")
     for k in range(12):
@@ -104,7 +114,9 @@ def test_the_filter_of_the_same_records_is_consistent(form):
 
 
 def test_several_sensors_have_noises_of_their_own():
-    """Each is drawn by its own records; the filter of both is consistent, and takes what was drawn as it is."""
+    """Each is drawn by its own records; the filter of both is consistent, and takes what was drawn
+    as it is.
+    """
     other = Sensor(lambda x, _epoch: x[..., :1] ** 2, np.array([[0.09]]))
     truth, z = draw(sensor=[SENSOR, other])
     assert isinstance(z, tuple)
@@ -130,7 +142,9 @@ PHI = np.array([[0.9, 0.1], [0.0, 0.6]])
 
 @pytest.mark.parametrize("Phi", [PHI, lambda epoch: PHI], ids=["constant", "function"])
 def test_colored_noise_is_stationary(Phi):
-    """Covariance R at every epoch, ``Phi R`` an epoch apart and ``Phi^2 R`` two: a full Phi, not only a number."""
+    """Covariance R at every epoch, ``Phi R`` an epoch apart and ``Phi^2 R`` two: a full Phi, not
+    only a number.
+    """
     truth, z = draw(Phi=Phi)
     V = z - truth @ H.T
     for k in range(12):
@@ -210,7 +224,9 @@ def test_noise_through_the_points_and_beside_them():
 
 
 def test_noise_may_depend_on_the_state_and_the_epoch():
-    """Intervals and inputs are those of the epoch that ends them; a noise that is a function is that of each run."""
+    """Intervals and inputs are those of the epoch that ends them; a noise that is a function is
+    that of each run.
+    """
     times = np.array([0.0, 0.5, 0.5, 3.0])
     motion = Motion(
         Linear(lambda epoch: np.eye(1) * (1.0 + epoch.dt)), lambda mean, epoch: epoch.dt * np.eye(1)
@@ -237,7 +253,9 @@ def test_without_noise_nothing_is_drawn_but_the_start():
 
 
 def test_angles_wrap_and_are_drawn_about_the_seam():
-    """A heading that turns past half a turn, seen as an angle: states and measurements wrap, what is between them does not."""
+    """A heading that turns past half a turn, seen as an angle: states and measurements wrap, what
+    is between them does not.
+    """
     wrapped, seen = angles([0]), angles()
     motion = Motion(
         lambda x, epoch: x @ np.array([[1.0, epoch.dt], [0.0, 1.0]]).T,
@@ -265,7 +283,9 @@ def test_angles_wrap_and_are_drawn_about_the_seam():
 
 
 def test_attitudes_are_drawn_by_their_deviations():
-    """A quaternion and a drift, ``N = 7`` of ``n = 6``: the start and the noise are rotations of the covariance that was said."""
+    """A quaternion and a drift, ``N = 7`` of ``n = 6``: the start and the noise are rotations of
+    the covariance that was said.
+    """
     space = product((attitude(), 4, 3), (EUCLIDEAN, 3, 3))
     mean = np.array([0.6, 0.0, 0.0, 0.8, 1.0, 2.0, 3.0])
     cov, noise = (

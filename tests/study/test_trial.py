@@ -125,8 +125,12 @@ def broken(lose_at, back_at=99):
         return belief.mean - truth, belief.sqrt_cov
 
     return Trial(
-        (Group("x", "m", slice(0, 2)),), {"f": filter}, prior, lambda name: epochs(np.arange(6.0), truth=truth), compare
-    )  # fmt: skip
+        (Group("x", "m", slice(0, 2)),),
+        {"f": filter},
+        prior,
+        lambda name: epochs(np.arange(6.0), truth=truth),
+        compare,
+    )
 
 
 def test_a_run_without_estimate_at_the_end_is_lost_and_one_that_comes_back_is_not():

@@ -14,7 +14,9 @@ NICE = np.array([0.0, 1.0, -1.0, 2.0, -3.0, 0.5, -2.5, 3.5, 7.0, 49.0, 0.1, 0.3,
 ODD = np.concatenate([NICE, [1e200, -1e-200, np.inf, np.nan]])
 T = np.array([-1.0, 0.0, 0.5, 2.0])
 UNLIKE = ("empty_like", "full_like", "result_type", "min_scalar_type")
-"""The first has no values, the second looks for a type in a list, the others tell that numbers are objects."""
+"""The first has no values, the second looks for a type in a list, the others tell that numbers are
+objects.
+"""
 FUNCTIONS = {
     f"{space.__name__}.{name}": function
     for space in (np, np.linalg, np.fft)

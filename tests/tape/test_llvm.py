@@ -1,4 +1,6 @@
-"""Every operation as machine code, against numpy: any number of lanes, with and without fused products."""
+"""Every operation as machine code, against numpy: any number of lanes, with and without fused
+products.
+"""
 
 from __future__ import annotations
 
@@ -51,7 +53,9 @@ def addressed(kernel, lanes, fused):
 
 
 def flown(addresses, kinds, at, state, shared, own, kept, lanes):
-    """Rows ``(stored, kept, runs)`` of a flight, and the state ``(S, runs)`` it ends in; runs are padded to whole vectors."""
+    """Rows ``(stored, kept, runs)`` of a flight, and the state ``(S, runs)`` it ends in; runs are
+    padded to whole vectors.
+    """
     runs = own.shape[-1]
     width = -(-runs // lanes) * lanes
     own = np.ascontiguousarray(np.pad(own, ((0, 0), (0, 0), (0, width - runs)), "edge"))
@@ -282,7 +286,7 @@ def test_fused_products_keep_the_signs_of_zeros():
         exactly(computed(tape, [y], given, 4, True)[0], form(*given))
 
 
-# -- whole tapes ---------------------------------------------------------------------------------------------
+# -- whole tapes -----------------------------------------------------------------------------------
 def tangled(steps, seed):
     """A tape of many operations on each other's results."""
     rng, tape = np.random.default_rng(seed), Tape()
@@ -361,10 +365,12 @@ def test_a_long_tape_is_cut_into_blocks():
     np.testing.assert_allclose(found, [1.0 + 0.5 * harmonic, 2.0 - harmonic], rtol=1e-12)
 
 
-# -- flights -------------------------------------------------------------------------------------------------
+# -- flights ---------------------------------------------------------------------------------------
 @pytest.mark.parametrize("lanes", LANES)
 def test_states_are_carried_and_rows_are_stored(lanes):
-    """Two kernels in turn: x grows by what all share, or by what each run has; every second is kept."""
+    """Two kernels in turn: x grows by what all share, or by what each run has; every second is
+    kept.
+    """
     kernels = []
     for place in ("shared", "own"):
         tape = Tape()

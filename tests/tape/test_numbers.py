@@ -115,7 +115,9 @@ WHOLE = {
 
 @pytest.mark.parametrize("name", WHOLE)
 def test_what_may_become_another_whole_number_is_that_of_numpy(name):
-    """To the last bit, with the sign of zero: the multiples of a period, their neighbors, and what is odd."""
+    """To the last bit, with the sign of zero: the multiples of a period, their neighbors, and what
+    is odd.
+    """
     period = np.repeat([49.0, 0.1, 0.7, -0.3, 7.0], 100)
     multiples = period * np.tile(np.arange(100.0), 5)
     x = np.concatenate([multiples, *(np.nextafter(multiples, s) for s in (-INF, INF)), -multiples])
@@ -342,7 +344,7 @@ def test_one_number_by_itself(name):
         assert_alike(lambda a: SINGLE[name](a[0]), np.array([x]))
 
 
-# -- what a tape does without being asked ------------------------------------------------------------------------------------------
+# -- what a tape does without being asked ----------------------------------------------------------
 def place(x):
     """Of a number on its tape."""
     return np.asarray(x)[()].i

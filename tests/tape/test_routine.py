@@ -53,7 +53,9 @@ def flown(tape, y, given, lanes=8, fused=True):
 
 
 def model(x, w, scale):
-    """Of rows ``(p, 3)`` and ``(p, 1)``: sines, a length, a choice, a constant, and something that all rows share."""
+    """Of rows ``(p, 3)`` and ``(p, 1)``: sines, a length, a choice, a constant, and something that
+    all rows share.
+    """
     length = np.sqrt(np.sum(np.square(x), -1, keepdims=True) + np.square(w))
     chosen = np.where(x[..., :1] > 0.0, scale * np.sin(x[..., 1:2]), np.exp(-np.abs(x[..., 2:])))
     shared = np.broadcast_to(scale, (*x.shape[:-1], 1)) if np.ndim(scale) == 0 else scale
