@@ -6,8 +6,10 @@ did not make, or which was changed since, is refused instead of replaced.
 
 from __future__ import annotations
 
+import difflib
 import errno
 import hashlib
+import io
 import json
 import os
 import secrets
@@ -25,9 +27,21 @@ from numpy.typing import NDArray
 from celnav.lazy import needed_by
 
 __all__ = [
-    "MOST_UNPACKED", "ForeignFileError", "InputError", "Outputs", "data", "locked", "read_json", "read_npz", "remove_leftovers",
-    "replacing", "write_bytes", "write_text",
-]  # fmt: skip
+    "MOST_UNPACKED",
+    "ForeignFileError",
+    "InputError",
+    "Outputs",
+    "data",
+    "did_you_mean",
+    "locked",
+    "npz",
+    "read_json",
+    "read_npz",
+    "remove_leftovers",
+    "replacing",
+    "write_bytes",
+    "write_text",
+]
 
 MANIFEST = ".celnav.json"
 LOCK = ".celnav.lock"
@@ -40,8 +54,22 @@ CURES = {
     "another file system",
 }
 """Of errors of writing."""
+DAMAGE = (
+    OSError,
+    ValueError,
+    EOFError,
+    zipfile.BadZipFile,
+    KeyError,
+    AttributeError,
+    RuntimeError,
+)
+"""What damaged archives raise; of OSError a seek to nowhere."""
 MOST_UNPACKED = 100
 """Times the size of a file: no honest archive of numbers unpacks to more."""
+
+
+Contents = Mapping[str, str] | Mapping[str, bytes]
+"""Of files by name, that were made before they are written."""
 
 
 class ForeignFileError(OSError):
@@ -50,6 +78,12 @@ class ForeignFileError(OSError):
 
 class InputError(ValueError):
     """A file that was given cannot be used; the message names it, and the line where there is one."""
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """The end of an error about an unknown word: the known one that is nearest, if one is near."""
+    near = difflib.get_close_matches(word, list(known), 1)
+    return f"; did you mean {near[0]}?" if near else ""
 
 
 @contextmanager
@@ -108,14 +142,7 @@ def read_npz(path: str | Path) -> dict[str, NDArray[Any]]:
             raise ValueError(f"unpacks to {size} bytes, more than {MOST_UNPACKED} times its size")
         with np.load(path, allow_pickle=False) as stored:
             return {name: stored[name] for name in stored.files}
-    except (
-        ValueError,
-        EOFError,
-        zipfile.BadZipFile,
-        KeyError,
-        AttributeError,
-        RuntimeError,
-    ) as error:
+    except DAMAGE as error:
         raise ValueError(f"{path}: expected an npz file of plain arrays ({error})") from None
 
 
@@ -251,10 +278,18 @@ class Outputs:
         """Write a UTF-8 file."""
         self.bytes(name, text.encode("utf-8"))
 
-    def npz(self, name: str, arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Write arrays."""
-        with self.path_for(name) as path:
-            np.savez(path, allow_pickle=False, **dict(arrays))
+    def publish(self, *contents: Contents) -> None:
+        """Write files that were made before; where one of their names is refused, none is written. See `check`."""
+        self.check(name for some in contents for name in some)
+        for name, content in (file for some in contents for file in some.items()):
+            self.bytes(name, content.encode("utf-8") if isinstance(content, str) else content)
+
+
+def npz(arrays: Mapping[str, NDArray[Any]]) -> bytes:
+    """Arrays as an npz file."""
+    buffer = io.BytesIO()
+    np.savez(buffer, allow_pickle=False, **dict(arrays))
+    return buffer.getvalue()
 
 
 def _sha256(path: Path) -> str:

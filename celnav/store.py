@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import cache
 from importlib import metadata
 from pathlib import Path
@@ -74,14 +74,13 @@ class Store:
         with replacing(self.path(unit)) as path:
             np.savez(path, allow_pickle=False, **arrays, checksum=np.array(_checksum(unit, arrays)))
 
-    def has(self, unit: Keyed) -> bool:
-        """Whether a unit is finished and whole.
-
-        Raises
-        ------
-        ValueError: see `read`.
-        """
-        return self.path(unit).exists() and bool(self.read(unit))
+    def has(self, unit: Keyed, say: Callable[[str], Any] = print) -> bool:
+        """Whether a unit is finished and whole; ``say`` takes a line about one that is damaged."""
+        try:
+            return self.path(unit).exists() and bool(self.read(unit))
+        except ValueError as error:
+            say(f"{error}; it is computed again")
+            return False
 
     def forget_all_but(self, units: Iterable[Keyed]) -> None:
         """Remove the results of others."""

@@ -9,18 +9,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from celnav.campaign.engine import UnfinishedError, compute
 from celnav.campaign.executors import Workers, dask, given, processes, serial
 from celnav.campaign.missions import Configuration, Study
 from celnav.campaign.store import StoreError, open_store
-from celnav.campaign.table import Merged, Row, merged, rows_of
-from celnav.campaign.units import Result, Unit, VersionError, WorkError, units_of, unpack
+from celnav.campaign.table import Row, rows_of
+from celnav.campaign.units import Scored, VersionError, WorkError, units_of
 from celnav.files import locked
 from celnav.gaussian.linalg import Array
 from celnav.lazy import modules
-from celnav.store import Store
+from celnav.study.study import Unit
 
 __getattr__, __dir__ = modules(__name__)
 
@@ -59,7 +59,7 @@ class Outcome(NamedTuple):
 
     study: Study
     rows: list[Row]
-    first: list[tuple[Configuration, Merged]]
+    first: list[tuple[Configuration, Scored]]
     trace: str
 
 
@@ -90,22 +90,10 @@ def campaign(
     Path(folder).mkdir(parents=True, exist_ok=True)
     with locked(folder):
         store = open_store(folder, study)
-        plan = units_of(study)
-        todo = [unit for units in plan for unit in units if not _kept(store, unit, say)]
-        total = sum(unit.runs for units in plan for unit in units)
-        done = total - sum(unit.runs for unit in todo)
-        if not todo:
-            progress(done, total)
-
-        def keep(unit: Unit, result: dict[str, Array]) -> None:
-            nonlocal done
-            store.write(unit, result)
-            done += unit.runs
-            progress(done, total)
-
-        compute(todo, workers or serial(), keep, lambda: progress(done, total))
         try:
-            return _outcome(study, lambda unit: unpack(store.read(unit), unit.filters))
+            return _done(
+                study, workers, progress, store.write, store.read, lambda unit: store.has(unit, say)
+            )
         except (ValueError, IndexError) as error:
             raise StoreError(
                 f"{folder}: its units do not go together ({error}); remove the folder"
@@ -114,39 +102,39 @@ def campaign(
 
 def fly(study: Study, workers: Workers | None = None, *, progress: Progress = _silent) -> Outcome:
     """Do a study in memory, without a store. Raises UnfinishedError if units failed."""
-    plan = units_of(study)
-    total, found = sum(unit.runs for units in plan for unit in units), {}
-    done = 0
+    found: dict[Unit, dict[str, Array]] = {}
+    return _done(study, workers, progress, found.__setitem__, found.__getitem__, found.__contains__)
 
-    def keep(unit: Unit, result: dict[str, Array]) -> None:
-        nonlocal done
-        found[unit] = result
-        done += unit.runs
+
+def _done(
+    study: Study,
+    workers: Workers | None,
+    progress: Progress,
+    write: Callable[[Unit, dict[str, Array]], None],
+    read: Callable[[Unit], dict[str, Array]],
+    has: Callable[[Unit], bool],
+) -> Outcome:
+    """Do the units that nobody has, and read what all of them come to, configuration by configuration."""
+    plan = units_of(study)
+    todo = [unit for units in plan for unit in units if not has(unit)]
+    total = study.runs * len(plan)
+    done = total - sum(len(unit.runs) for unit in todo)
+    if not todo:
         progress(done, total)
 
-    compute(
-        [unit for units in plan for unit in units],
-        workers or serial(),
-        keep,
-        lambda: progress(0, total),
-    )
-    return _outcome(study, lambda unit: unpack(found[unit], unit.filters))
+    def keep(unit: Unit, arrays: dict[str, Array]) -> None:
+        nonlocal done
+        write(unit, arrays)
+        done += len(unit.runs)
+        progress(done, total)
 
-
-def _kept(store: Store, unit: Unit, say: Say) -> bool:
-    try:
-        return store.has(unit)
-    except ValueError as error:
-        say(f"{error}; it is computed again")
-        return False
-
-
-def _outcome(study: Study, result: Callable[[Unit], Result]) -> Outcome:
+    compute(todo, workers or serial(), keep, lambda: progress(done, total))
     rows: list[Row] = []
-    first: list[tuple[Configuration, Merged]] = []
+    first: list[tuple[Configuration, Scored]] = []
     trace = ""
-    for units, point in zip(units_of(study), study.configurations, strict=True):
-        found = merged(study, (result(unit) for unit in units))
+    for units, point in zip(plan, study.configurations, strict=True):
+        work: Any = units[0].work.work
+        found = work.read(map(read, units))
         rows += rows_of(study, point, found)
         trace = trace or found.trace
         if found.groups and len(first) < FOLLOWED:

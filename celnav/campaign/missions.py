@@ -27,10 +27,11 @@ from types import ModuleType
 from typing import Any
 
 from celnav.campaign.typed import depth, named, type_depth, typed
-from celnav.files import InputError
+from celnav.files import InputError, did_you_mean
 from celnav.filters.run import ENGINES
 from celnav.gaussian.checks import choice
-from celnav.papers import PAPERS, load, own
+from celnav.papers import PAPERS, is_file, load
+from celnav.papers.own import identity
 from celnav.study.montecarlo import run_count
 
 __all__ = ["Configuration", "MissionError", "Study", "flat", "read", "study"]
@@ -110,7 +111,7 @@ class Study:
             for f in fields(self)
             if f.name not in ("title", "swept", "configurations")
         }
-        about["paper"] = own.identity(self.paper)
+        about["paper"] = identity(self.paper)
         return {
             **flat(about),
             **{f"config.{k}": v for k, v in first.items()},
@@ -147,7 +148,7 @@ def read(path: str | Path, effort: float = 1.0) -> Study:
         raise MissionError(f"{source}: {_DEEP}") from None
     except (ValueError, UnicodeDecodeError) as error:
         raise MissionError(f"{source}: not a TOML file ({error})") from None
-    if isinstance(paper := table.get("paper"), str) and own.is_own(paper):
+    if isinstance(paper := table.get("paper"), str) and is_file(paper):
         table["paper"] = str((source.parent / paper).resolve())
     try:
         whole = study(table)
@@ -175,7 +176,9 @@ def study(table: Mapping[str, Any]) -> Study:
         )
     paper = typed("paper", table["paper"], str)
     module = (
-        own.load(paper, mission=True) if own.is_own(paper) else _part("paper", lambda: load(paper))
+        load(paper, mission=True)
+        if is_file(paper)
+        else _part("paper", lambda: load(paper, mission=True))
     )
     start = _preset(module, table)
     for key in (set(table) - set(KEYS)) & {f.name for f in fields(start)}:
@@ -306,9 +309,9 @@ def _filters(
             name in (known if i == 0 else module.filters(point.config))
             for i, point in enumerate(points)
         ):
-            close = difflib.get_close_matches(name, known, 1)
-            hint = f"; did you mean {close[0]}?" if close else ""
-            raise ValueError(f"filters: expected some of {', '.join(known)}, got {name!r}{hint}")
+            raise ValueError(
+                f"filters: expected some of {', '.join(known)}, got {name!r}{did_you_mean(name, known)}"
+            )
     return tuple(names)
 
 

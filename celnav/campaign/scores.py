@@ -140,20 +140,21 @@ def _beyond(values: Array, dof: Array) -> Array:
     )
 
 
-def check_scores(scores: Scores, groups: int) -> None:
-    """Raise ValueError unless these are numbers of the names and shapes that `score` makes for so many groups."""
+def check_scores(scores: Scores, groups: int, bound: Array | None) -> None:
+    """Raise ValueError unless these are numbers of the names and shapes that `score` makes for so many groups, with their bound."""
     K, G = scores.get("times", np.empty(0)).shape[:1], (groups,)
-    shapes = {
-        "times": K, "settled": K, "count": K, "known": K, "nis": K, "dof": K, "square": K + G, "variance": K + G, "own": (2, *G),
-        "own_nees": (2,), "nees_beyond": (2,), "nis_beyond": (2,), "dimension": (), "runs": (), "judged": (),
-    }  # fmt: skip
+    shapes: dict[str, tuple[int, ...]] = dict.fromkeys(("dimension", "runs", "judged"), ())
+    shapes |= dict.fromkeys(("times", "settled", "count", "known", "nis", "dof"), K)
+    shapes |= dict.fromkeys(("own_nees", "nees_beyond", "nis_beyond"), (2,))
+    shapes |= {"square": K + G, "variance": K + G, "own": (2, *G)}
     if set(scores) != set(shapes):
         raise ValueError(f"expected scores {', '.join(shapes)}, got {', '.join(scores)}")
     for name, shape in shapes.items():
         if scores[name].shape != shape or scores[name].dtype != np.float64:
-            raise ValueError(
-                f"{name}: expected numbers of shape {shape}, got {scores[name].dtype} of {scores[name].shape}"
-            )
+            got = f"{scores[name].dtype} of {scores[name].shape}"
+            raise ValueError(f"{name}: expected numbers of shape {shape}, got {got}")
+    if bound is not None and bound.shape != K + G:
+        raise ValueError(f"bound: expected shape {K + G}, got {bound.shape}")
 
 
 def merge(parts: Iterable[Scores]) -> Scores:

@@ -10,8 +10,9 @@ from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING
 
-from celnav import papers, real
-from celnav.papers import own
+from celnav import papers
+from celnav.papers import is_file
+from celnav.papers.own import name_of
 from celnav.study.montecarlo import effort
 
 if TYPE_CHECKING:
@@ -20,12 +21,14 @@ if TYPE_CHECKING:
 
 __all__ = [
     "UsageError",
+    "check_name",
     "cores",
     "done",
     "folder_of",
     "fraction",
-    "module",
+    "load",
     "number",
+    "warn",
     "whole",
     "workers",
 ]
@@ -38,16 +41,20 @@ class UsageError(Exception):
     """The command was given something it cannot use: one line, exit 2."""
 
 
-def module(paper: str) -> ModuleType:
-    """The module of a paper, of a study on real data or of one's own, FILE.py, or UsageError."""
-    if own.is_own(paper) and (name := own.name_of(paper)) in (*papers.PAPERS, *real.STUDIES):
+def check_name(study: str) -> None:
+    """UsageError for a file that is called as a study of celnav."""
+    name = name_of(study)
+    if is_file(study) and name in (*papers.PAPERS, *papers.REAL):
         raise UsageError(
-            f"{paper}: expected another name than {name}, which celnav has; rename the file"
+            f"{study}: expected another name than {name}, which celnav has; rename the file"
         )
+
+
+def load(study: str) -> ModuleType:
+    """`celnav.papers.load`, or UsageError."""
+    check_name(study)
     try:
-        return (
-            real.load(paper) if paper in real.STUDIES else papers.load(paper, others=real.STUDIES)
-        )
+        return papers.load(study)
     except ValueError as error:
         raise UsageError(error) from None
 
@@ -70,8 +77,10 @@ def workers(jobs: str | None, units: int | None = None) -> Workers:
     count = cores() if jobs is None else whole("jobs", jobs, 1)
     most = MOST_PER_CORE * cores()
     if count > most:
-        line = f"--jobs: {count} processes on {cores()} cores would only be in each other's way; {most} are started"
-        print(f"celnav: {line}", file=sys.stderr)
+        warn(
+            f"--jobs: {count} processes on {cores()} cores would only be in each other's way; "
+            f"{most} are started"
+        )
     count = min(count, most, units or most)
     return processes(count) if count > 1 else serial()
 
@@ -97,11 +106,16 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+def warn(line: str) -> None:
+    """A line for who uses the command, beside what it prints."""
+    print(f"celnav: {line}", file=sys.stderr)
+
+
 def done(rows: Sequence[Row]) -> int:
     """Exit status of runs: 1, with a line that says so, where all of them failed."""
     if any(row.summary is not None for row in rows):
         return 0
-    print("celnav: every run of every filter failed", file=sys.stderr)
+    warn("every run of every filter failed")
     return 1
 
 

@@ -15,10 +15,11 @@ from celnav.commands.arguments import UsageError, number, whole
 from celnav.files import InputError, Outputs
 from celnav.gaussian.linalg import Array
 from celnav.lazy import require
+from celnav.show.draw import picture_names, pictures
 
 __all__ = ["read", "run"]
 
-FILES = ("diagnosis.txt", "diagnosis.json", "diagnosis.png", "diagnosis.svg")
+FILES = ("diagnosis.txt", "diagnosis.json", *picture_names(["diagnosis"]))
 TIMES = ("t", "time", "times", "seconds", "epoch")
 CLAIMS = ("std_", "sigma_")
 EMPTY = ("", "nan", "null", "none", "na", "-")
@@ -59,16 +60,10 @@ def run(options: argparse.Namespace) -> int:
     print(words)
     if outputs is not None:
         from celnav.show.diagnosis import figure
-        from celnav.show.drawing import render
 
-        drawing = figure(found)
-        drawn = {f"diagnosis.{kind}": render(drawing, kind) for kind in ("png", "svg")}
-        texts = {
-            "diagnosis.txt": words + "\n",
-            "diagnosis.json": json.dumps(_plain(found), indent=1) + "\n",
-        }
-        for name in FILES:
-            outputs.bytes(name, drawn[name] if name in drawn else texts[name].encode("utf-8"))
+        drawn = pictures([("diagnosis", figure(found))])
+        listed = json.dumps(_plain(found), indent=1) + "\n"
+        outputs.publish({"diagnosis.txt": words + "\n", "diagnosis.json": listed}, drawn)
         print(f"wrote {outputs.directory}")
     return 0
 

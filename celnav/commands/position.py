@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from celnav.commands.arguments import UsageError, number
+from celnav.commands.arguments import UsageError, number, warn
 from celnav.files import InputError, Outputs
 from celnav.lazy import require
 
@@ -102,7 +101,7 @@ def run(options: argparse.Namespace) -> int:
         with outputs.path_for(positioning_report.RECORDING) as path:
             positioning_report.record_positioned(found, path)
     except (ImportError, OSError, RuntimeError, ValueError) as error:  # of one epoch there is none
-        print(f"celnav: no recording ({error}); everything else is written", file=sys.stderr)
+        warn(f"no recording ({error}); everything else is written")
     print(f"wrote {outputs.directory}")
     return status
 

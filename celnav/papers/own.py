@@ -25,29 +25,25 @@ from typing import Any
 
 from celnav.files import InputError
 from celnav.gaussian.checks import kind, takes
+from celnav.papers import is_file
 from celnav.study.ledger import Row
 from celnav.study.parameters import Timed
 from celnav.study.study import Part, Study
 from celnav.study.trial import Group
 
-__all__ = ["identity", "is_own", "load", "name_of", "place", "told"]
+__all__ = ["identity", "load", "name_of", "place", "told"]
 
 __path__: list[str] = []  # a package, whose modules `_Finder` finds
 
 
-def is_own(paper: str) -> bool:
-    """Whether this is a file, not an identifier."""
-    return Path(paper).suffix == ".py"
-
-
 def name_of(paper: str) -> str:
     """What folders and pages call it: the file's name without its end."""
-    return re.sub(r"[^\w.-]+", "-", Path(paper).stem) if is_own(paper) else paper
+    return re.sub(r"[^\w.-]+", "-", Path(paper).stem) if is_file(paper) else paper
 
 
 def identity(paper: str) -> str:
     """What determines its results: of a file its contents, not its place."""
-    return f"{Path(paper).name}, {source(Path(paper))}" if is_own(paper) else paper
+    return f"{Path(paper).name}, {source(Path(paper))}" if is_file(paper) else paper
 
 
 def load(paper: str | Path, *, mission: bool = False) -> ModuleType:

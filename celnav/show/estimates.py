@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from celnav.gaussian.linalg import Array
-from celnav.show.figures import Line
+from celnav.show.draw import Line
 from celnav.study.study import Results
 
 __all__ = ["Estimate", "Group", "again"]

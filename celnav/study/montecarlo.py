@@ -26,7 +26,9 @@ __all__ = [
     "generator",
     "generators",
     "normals",
+    "renewed",
     "run_count",
+    "run_of",
     "steps",
 ]
 
@@ -44,6 +46,18 @@ def generator(seed: int, study: int, run: int) -> np.random.Generator:
     """The generator of one run of one study, which are not negative."""
     key = (integer("study", study, 0), integer("run", run, 0))
     return np.random.default_rng(np.random.SeedSequence(integer("seed", seed, 0), spawn_key=key))
+
+
+def renewed(rng: np.random.Generator) -> np.random.Generator:
+    """Such a generator as it was at first."""
+    seeds: Any = rng.bit_generator.seed_seq
+    return np.random.default_rng(seeds)
+
+
+def run_of(rng: np.random.Generator) -> int:
+    """The run that a `generator` is of."""
+    seeds: Any = rng.bit_generator.seed_seq
+    return int(seeds.spawn_key[-1])
 
 
 class _Seeds(ISeedSequence):

@@ -34,6 +34,15 @@ When = int | slice | str
 """An epoch, those that are averaged over, or the name of a window, see `Study`."""
 
 
+def concatenated(blocks: Iterable[dict[str, Array]]) -> dict[str, Array]:
+    """Arrays of blocks along their runs; they are taken out of the blocks, so that none is there twice for long."""
+    first, *others = blocks
+    for name in list(first) if others else ():
+        arrays = [first[name], *(block.pop(name) for block in others)]
+        first[name] = np.concatenate(arrays, 1) if arrays[0].ndim > 1 else arrays[0]
+    return first
+
+
 class Part(NamedTuple):
     """Runs of one configuration, or anything else that is computed: the piece that `Results` knows by a name.
 
@@ -43,6 +52,8 @@ class Part(NamedTuple):
         over blocks; the others have to be the same in all of them.
     config: first argument of ``work``. number: of its random numbers. runs: at full effort.
     block: runs computed together at most; it changes nothing beyond round-off. cost: CPU seconds of them all, roughly.
+    join: ``(arrays of blocks) ->`` arrays of all runs, where they are not joined as above, such as a
+        sum; ValueError if they are not of such work.
     """
 
     work: Callable[[Any, Rngs], dict[str, Array]]
@@ -51,6 +62,7 @@ class Part(NamedTuple):
     runs: int = 1
     block: int = 100
     cost: float = 1.0
+    join: Callable[[Iterable[dict[str, Array]]], dict[str, Array]] = concatenated
 
 
 def fly(
@@ -144,35 +156,32 @@ class Study:
             )
 
     def units(
-        self, *, effort: float = 1.0, seed: int = 0, only: Sequence[str] = (), **inputs: Any
+        self,
+        *,
+        effort: float = 1.0,
+        seed: int = 0,
+        only: Sequence[str] = (),
+        engine: str = "",
+        **inputs: Any,
     ) -> list[Unit]:
-        """The work to be done; ``only``: names of the parts wanted, all if empty; ``inputs``: what else `parts` takes."""
+        """The work to be done; ``only``: names of the parts wanted, all if empty; ``inputs``: what else `parts` takes.
+
+        engine: that of `celnav.run`; empty: the one that is set.
+        """
         parts = self.parts(effort, **inputs)
         for name in only:
             choice("only", name, parts)
-        engine = ENGINE.get()
+        engine = engine or ENGINE.get()
         about = f"effort {effort!r}, {sorted((key, str(value)) for key, value in inputs.items())}"
         about += "" if engine == "auto" else f", engine {engine}"
         about += f", source {self.source}" if self.source else ""
         units = []
-        for name, part in parts.items():
-            if not only or name in only:
-                count = part.runs if part.runs == 1 else run_count(part.runs, None, effort)
-                each = blocks(count, part.block)
-                for runs in each:
-                    units.append(
-                        Unit(
-                            self.name,
-                            name,
-                            part,
-                            seed,
-                            runs,
-                            about,
-                            part.cost * len(runs) / part.runs,
-                            engine,
-                            len(each),
-                        )
-                    )
+        for name in only or parts:
+            part = parts[name]
+            count = part.runs if part.runs == 1 else run_count(part.runs, None, effort)
+            each = blocks(count, part.block)
+            unit = Unit(self.name, name, part, seed, each[0], about, engine, len(each))
+            units += [unit._replace(runs=runs) for runs in each]
         return units
 
     def results(
@@ -180,10 +189,9 @@ class Study:
     ) -> Results:
         """What units gave, in their order, joined over runs. One part is joined before the next is asked for: they are large."""
         parts = groupby(zip(units, found, strict=True), lambda pair: pair[0].part)
-        joined = {name: _joined([arrays for _, arrays in pairs]) for name, pairs in parts}
-        return Results(
-            self, units[0].seed, effort, {unit.part: unit.work for unit in units}, joined
-        )
+        works = {unit.part: unit.work for unit in units}
+        joined = {name: works[name].join(arrays for _, arrays in pairs) for name, pairs in parts}
+        return Results(self, units[0].seed, effort, works, joined)
 
     def reproduce(
         self, *, effort: float = 1.0, out: str | Path | None = None, **options: Any
@@ -214,7 +222,7 @@ class Study:
 class Unit(NamedTuple):
     """Some runs of a part: what a process does at a time.
 
-    about: what else it depends on. cost: CPU seconds, roughly. units: of the part.
+    about: what else it depends on. units: of the part.
     """
 
     study: str
@@ -223,9 +231,13 @@ class Unit(NamedTuple):
     seed: int
     runs: range
     about: str
-    cost: float
     engine: str = "auto"
     units: int = 1
+
+    @property
+    def cost(self) -> float:
+        """CPU seconds, roughly."""
+        return self.work.cost * len(self.runs) / self.work.runs
 
     @property
     def title(self) -> str:
@@ -238,9 +250,10 @@ class Unit(NamedTuple):
         return sha256(f"{self.title}, seed {self.seed}, {self.about}".encode()).hexdigest()[:24]
 
     def check(self, arrays: dict[str, Array]) -> None:
-        """Raise ValueError unless there are any."""
+        """Raise ValueError unless they are of such a part."""
         if not arrays:
             raise ValueError(f"{self.title}: expected arrays, got none")
+        self.work.join([arrays])
 
     def do(self) -> dict[str, Array]:
         """The arrays of the part, and ``cpu_s (1, 1)``; warnings of its models and filters are errors."""
@@ -253,14 +266,6 @@ class Unit(NamedTuple):
         finally:
             ENGINE.reset(token)
         return arrays | {"cpu_s": np.array([[process_time() - start]])}
-
-
-def _joined(found: Sequence[dict[str, Array]]) -> dict[str, Array]:
-    """Arrays of the blocks of a part, along their runs; they are taken out of ``found``, so that none is there twice for long."""
-    if len(found) == 1:
-        return found[0]
-    parts = ((name, [arrays.pop(name) for arrays in found]) for name in list(found[0]))
-    return {name: np.concatenate(part, 1) if part[0].ndim > 1 else part[0] for name, part in parts}
 
 
 @dataclass(frozen=True, eq=False)

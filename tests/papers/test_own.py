@@ -122,7 +122,6 @@ def test_processes_give_the_same_and_refuse_a_file_that_has_changed(folder):
 def test_papers_and_own_studies_go_together(folder, monkeypatch, capsys):
     module = tiny()
     monkeypatch.setattr(papers, "PAPERS", {"tiny": "tiny"})
-    monkeypatch.setattr("celnav.commands.index.PAPERS", {"tiny": "tiny"})
     monkeypatch.setattr(
         "celnav.papers.import_module", lambda name: own if name == "celnav.papers.own" else module
     )
