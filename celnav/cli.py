@@ -1,4 +1,6 @@
-"""The command line: ``celnav new | list | reproduce | verdicts | view | run | campaign | position | diagnose``."""
+"""The command line: ``celnav new | list | reproduce | verdicts | view | run | campaign | position |
+diagnose``.
+"""
 
 from __future__ import annotations
 
@@ -23,9 +25,10 @@ from celnav.papers import REAL
 from celnav.papers.own import told
 from celnav.tape.cuda import CudaError
 
-__all__ = ["NEEDS", "main"]
-
-EXIT = "Exit status: 0, done; 1, it could not be done; 2, what was given cannot be used; 130, interrupted."
+EXIT = (
+    "Exit status: 0, done; 1, it could not be done; "
+    "2, what was given cannot be used; 130, interrupted."
+)
 BAD_INPUT = (
     InputError,
     ForeignFileError,
@@ -46,7 +49,9 @@ NEEDS = {
     "view": ("record", "rerun", "PIL"),
     "position": ("rinex", "pymap3d", "erfa"),
 }
-"""Commands that need more than numpy and scipy: the extra that brings it, and packages without which they would end."""
+"""Commands that need more than numpy and scipy: the extra that brings it, and packages without
+which they would end.
+"""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -118,7 +123,8 @@ def _options(words: Sequence[str]) -> argparse.Namespace:
     name = words[0]
     if not name.startswith("-") and name not in commands:
         raise UsageError(
-            f"unknown command {name!r}: expected one of {', '.join(commands)}{did_you_mean(name, commands)}"
+            f"unknown command {name!r}: expected one of "
+            f"{', '.join(commands)}{did_you_mean(name, commands)}"
         )
     command = commands.get(name, parser)
     flags = [flag for flag in command._option_string_actions if flag.startswith("--")]

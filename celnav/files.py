@@ -1,7 +1,8 @@
 """Files: written whole or not at all, and never over somebody else's.
 
-`Outputs` is a folder of celnav's own files. A small manifest remembers the contents that celnav wrote, so that a file which it
-did not make, or which was changed since, is refused instead of replaced.
+`Outputs` is a folder of celnav's own files. A small manifest remembers the contents that celnav
+wrote, so that a file which it did not make, or which was changed since, is refused instead of
+replaced.
 """
 
 from __future__ import annotations
@@ -25,23 +26,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from celnav.lazy import needed_by
-
-__all__ = [
-    "MOST_UNPACKED",
-    "ForeignFileError",
-    "InputError",
-    "Outputs",
-    "data",
-    "did_you_mean",
-    "locked",
-    "npz",
-    "read_json",
-    "read_npz",
-    "remove_leftovers",
-    "replacing",
-    "write_bytes",
-    "write_text",
-]
 
 MANIFEST = ".celnav.json"
 LOCK = ".celnav.lock"
@@ -77,7 +61,7 @@ class ForeignFileError(OSError):
 
 
 class InputError(ValueError):
-    """A file that was given cannot be used; the message names it, and the line where there is one."""
+    """A file that was given cannot be used; the message names it, and the line if there is one."""
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
@@ -88,7 +72,8 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
 
 @contextmanager
 def replacing(path: str | Path) -> Iterator[Path]:
-    """A path of the same name in a temporary folder beside ``path``; it takes the place of ``path`` at the end, or is removed.
+    """A path of the same name in a temporary folder beside ``path``; it takes the place of ``path``
+    at the end, or is removed.
 
     A device or a pipe, such as /dev/null, stays and is written to. OSError names ``path``, and the
     cure where the disk is full.
@@ -148,7 +133,8 @@ def read_npz(path: str | Path) -> dict[str, NDArray[Any]]:
 
 @contextmanager
 def locked(folder: str | Path) -> Iterator[None]:
-    """Keep other processes that ask for the same out of an existing folder; the lock ends with this process, however it ends.
+    """Keep other processes that ask for the same out of an existing folder; the lock ends with this
+    process, however it ends.
 
     Raises
     ------
@@ -171,7 +157,8 @@ def locked(folder: str | Path) -> Iterator[None]:
 
 
 def remove_leftovers(*folders: str | Path) -> None:
-    """Remove what processes left that were killed while they wrote into folders. Only for who has them `locked`.
+    """Remove what processes left that were killed while they wrote into folders. Only for who has
+    them `locked`.
 
     What celnav did not make stays, whatever its name begins with.
     """
@@ -183,7 +170,9 @@ def remove_leftovers(*folders: str | Path) -> None:
 
 
 def _temporary_name(token: str) -> str:
-    """How the name of a temporary folder begins: with a check of its random part, which nobody else writes there by chance."""
+    """How the name of a temporary folder begins: with a check of its random part, which nobody else
+    writes there by chance.
+    """
     return f"{TEMPORARY}{token}-{hashlib.sha256(f'celnav {token}'.encode()).hexdigest()[:16]}-"
 
 
@@ -192,7 +181,8 @@ def read_json(path: str | Path) -> Any:
 
     Raises
     ------
-    InputError: naming the file, if it is not JSON, or lists lie within one another too deeply. OSError: if it cannot be read.
+    InputError: naming the file, if it is not JSON, or lists lie within one another too deeply.
+        OSError: if it cannot be read.
     """
     try:
         return json.loads(Path(path).read_text(encoding="utf-8"))
@@ -244,7 +234,8 @@ class Outputs:
         for above in list(Path(name).parents)[:-1]:
             if (self.directory / above).is_symlink():
                 raise ForeignFileError(
-                    f"{self.directory / above}: expected a folder of its own, got a link; remove it first"
+                    f"{self.directory / above}: expected a folder of its own, got a link; remove "
+                    "it first"
                 )
             if (self.directory / above).exists() and not (self.directory / above).is_dir():
                 raise NotADirectoryError(f"{self.directory / above}: expected a folder to write to")
@@ -252,7 +243,8 @@ class Outputs:
             path.exists() and _sha256(path) not in self._manifest().get(name, [])
         ):
             raise ForeignFileError(
-                f"{path}: exists and was not made, or was changed since, by celnav; move it away first"
+                f"{path}: exists and was not made, or was changed since, by celnav; move it away "
+                "first"
             )
         return path
 
@@ -262,7 +254,8 @@ class Outputs:
         path = self._owned(name)
         with replacing(path) as temporary:
             yield temporary
-            # Both contents are owned before the old one is replaced: a crash in between leaves no foreign file.
+            # Both contents are owned before the old one is replaced: a crash in between leaves no
+            # foreign file.
             manifest = self._manifest()
             manifest[name] = [*manifest.get(name, [])[-1:], _sha256(temporary)]
             write_text(
@@ -279,7 +272,9 @@ class Outputs:
         self.bytes(name, text.encode("utf-8"))
 
     def publish(self, *contents: Contents) -> None:
-        """Write files that were made before; where one of their names is refused, none is written. See `check`."""
+        """Write files that were made before; where one of their names is refused, none is written.
+        See `check`.
+        """
         self.check(name for some in contents for name in some)
         for name, content in (file for some in contents for file in some.items()):
             self.bytes(name, content.encode("utf-8") if isinstance(content, str) else content)
@@ -298,7 +293,8 @@ def _sha256(path: Path) -> str:
 
 
 def data(name: str) -> Path:
-    """A file of the package's data: ``data/`` of the repository, or its copy inside an installed package.
+    """A file of the package's data: ``data/`` of the repository, or its copy inside an installed
+    package.
 
     Raises
     ------

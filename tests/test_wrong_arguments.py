@@ -51,7 +51,7 @@ linalg: block cholesky downdate fan matvec outer semidefinite_root side_by_side 
     Covariance.factor
 recorded: cholesky semidefinite_root solve_lower tria
 belief: any_lost nees settled
-trial: check_groups squares Noiseless.standard_normal
+trial: check_groups scales squares Noiseless.standard_normal
 """
 """What a filter calls at every step takes arrays as they are: a look at each would cost more than the product it makes."""
 INSIDE = """

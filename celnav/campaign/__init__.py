@@ -1,8 +1,9 @@
-"""Campaigns: sweeps of thousands of configurations and runs, on one machine or on a cluster, resumable and bit for bit the same.
+"""Campaigns: sweeps of thousands of configurations and runs, on one machine or on a cluster,
+resumable and bit for bit the same.
 
-`campaign` does a study and keeps it in a folder, `fly` does a mission in memory. `units` says what a piece of work is, `engine`
-hands the pieces out to one of `executors`, `store` keeps them, `table` says what they come to, `figures` and `page` show it, and
-`showcase` follows a mission's first run.
+`campaign` does a study and keeps it in a folder, `fly` does a mission in memory. `units` says what
+a piece of work is, `engine` hands the pieces out to one of `executors`, `store` keeps them, `table`
+says what they come to, `figures` and `page` show it, and `showcase` follows a mission's first run.
 """
 
 from __future__ import annotations
@@ -54,8 +55,8 @@ FOLLOWED = 6
 
 
 class Outcome(NamedTuple):
-    """What a study comes to: one row for each configuration and filter, the first configurations that could be simulated in full,
-    and where the first exception came from, if there was one."""
+    """What a study comes to: one row for each configuration and filter, the first configurations
+    that could be simulated in full, and where the first exception came from, if there was one."""
 
     study: Study
     rows: list[Row]
@@ -73,8 +74,9 @@ def campaign(
 ) -> Outcome:
     """Do what is missing of a study whose store is ``folder``, and merge it.
 
-    Where the folder has the same study with fewer runs, or fewer values of what is swept, only the others are flown; a last block
-    that was not whole is flown anew. The table is that of the whole study flown at once, byte for byte.
+    Where the folder has the same study with fewer runs, or fewer values of what is swept, only the
+    others are flown; a last block that was not whole is flown anew. The table is that of the whole
+    study flown at once, byte for byte.
 
     Parameters
     ----------
@@ -83,8 +85,9 @@ def campaign(
 
     Raises
     ------
-    StoreError: if the folder belongs to another study, or was begun with another celnav. BlockingIOError: if another process is at
-    work there. OSError: if it cannot be written, or the executor is lost. UnfinishedError: if units failed; the others are kept.
+    StoreError: if the folder belongs to another study, or was begun with another celnav.
+    BlockingIOError: if another process is at work there. OSError: if it cannot be written, or the
+        executor is lost. UnfinishedError: if units failed; the others are kept.
     VersionError: if workers have another celnav.
     """
     Path(folder).mkdir(parents=True, exist_ok=True)
@@ -102,8 +105,10 @@ def campaign(
 
 def fly(study: Study, workers: Workers | None = None, *, progress: Progress = _silent) -> Outcome:
     """Do a study in memory, without a store. Raises UnfinishedError if units failed."""
-    found: dict[Unit, dict[str, Array]] = {}
-    return _done(study, workers, progress, found.__setitem__, found.__getitem__, found.__contains__)
+    results: dict[Unit, dict[str, Array]] = {}
+    return _done(
+        study, workers, progress, results.__setitem__, results.__getitem__, results.__contains__
+    )
 
 
 def _done(
@@ -114,7 +119,9 @@ def _done(
     read: Callable[[Unit], dict[str, Array]],
     has: Callable[[Unit], bool],
 ) -> Outcome:
-    """Do the units that nobody has, and read what all of them come to, configuration by configuration."""
+    """Do the units that nobody has, and read what all of them come to, configuration by
+    configuration.
+    """
     plan = units_of(study)
     todo = [unit for units in plan for unit in units if not has(unit)]
     total = study.runs * len(plan)
@@ -134,9 +141,9 @@ def _done(
     trace = ""
     for units, point in zip(plan, study.configurations, strict=True):
         work: Any = units[0].work.work
-        found = work.read(map(read, units))
-        rows += rows_of(study, point, found)
-        trace = trace or found.trace
-        if found.groups and len(first) < FOLLOWED:
-            first.append((point, found))
+        scored = work.read(map(read, units))
+        rows += rows_of(study, point, scored)
+        trace = trace or scored.trace
+        if scored.groups and len(first) < FOLLOWED:
+            first.append((point, scored))
     return Outcome(study, rows, first, trace)

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["PALETTE", "figures", "stems"]
-
 MOST_PANELS = 12
 PALETTE = (
     colors.ESTIMATE,
@@ -41,7 +39,9 @@ BOUND: Any = {
     "zorder": 0,
 }
 Drawn = Callable[[list[Row], Array, dict[str, Any], bool], Iterator[Item]]
-"""Items of a filter's rows, which stand at places along the x axis, of its look, and whether it is the first filter."""
+"""Items of a filter's rows, which stand at places along the x axis, of its look, and whether it is
+the first filter.
+"""
 
 
 def stems(study: Study) -> list[str]:
@@ -52,7 +52,9 @@ def stems(study: Study) -> list[str]:
 
 
 def figures(outcome: Outcome) -> dict[str, Figure]:
-    """Drawings by file stem: the accuracy of each group, the consistency, failures if there are any, and errors over time."""
+    """Drawings by file stem: the accuracy of each group, the consistency, failures if there are
+    any, and errors over time.
+    """
     groups = next((row.groups for row in outcome.rows if row.groups), ())
     out = {f"accuracy_{name}": _accuracy(outcome, name, unit) for name, unit in groups}
     if groups:
@@ -77,7 +79,9 @@ def _look(study: Study, filter: str) -> dict[str, Any]:
 
 
 def _axis(study: Study) -> tuple[str, Sequence[Any], bool]:
-    """The key along the x axis, which has the most values (numbers before words), its values, and whether they are numbers."""
+    """The key along the x axis, which has the most values (numbers before words), its values, and
+    whether they are numbers.
+    """
     if not study.swept:
         return "", ("",), False
 
@@ -89,7 +93,9 @@ def _axis(study: Study) -> tuple[str, Sequence[Any], bool]:
 
 
 def _over_keys(outcome: Outcome, label: str, title: str, draw: Drawn) -> Figure:
-    """A panel for each combination of the other keys, and in it a curve for each filter over the first."""
+    """A panel for each combination of the other keys, and in it a curve for each filter over the
+    first.
+    """
     study = outcome.study
     key, values, numeric = _axis(study)
     others = [{k: v for k, v in point.values.items() if k != key} for point in study.configurations]
@@ -137,7 +143,8 @@ def _ticks(values: Sequence[Any], numeric: bool) -> Item:
 def _figure(
     drawn: list[Panel], total: int, title: str, what: str, size: tuple[int, float, float, float]
 ) -> Figure:
-    """Panels, of ``total`` that there are, on a common y axis, which is logarithmic where values are far apart.
+    """Panels, of ``total`` that there are, on a common y axis, which is logarithmic where values
+    are far apart.
 
     size: most columns, inches of each, least inches of all, inches of a row.
     """
@@ -165,9 +172,11 @@ def _accuracy(outcome: Outcome, group: str, unit: str) -> Figure:
     study = outcome.study
 
     def draw(rows: list[Row], at: Array, look: dict[str, Any], first: bool) -> Iterator[Item]:
-        found = [row.accuracy(group) for row in rows]
+        accuracies = [row.accuracy(group) for row in rows]
         stats = ("rms", "low", "high", "bound")
-        columns = [[np.nan if a is None else getattr(a, stat) for a in found] for stat in stats]
+        columns = [
+            [np.nan if a is None else getattr(a, stat) for a in accuracies] for stat in stats
+        ]
         *values, bound = np.array(columns)
         yield _interval(at, np.array(values), look)
         if first and np.isfinite(bound).any():
@@ -182,10 +191,10 @@ def _accuracy(outcome: Outcome, group: str, unit: str) -> Figure:
 
 def _anees(rows: list[Row], at: Array, look: dict[str, Any], first: bool) -> Iterator[Item]:
     """NEES over its dimension, and the band of a consistent filter."""
-    found = [row.summary for row in rows]
-    values = [(np.nan,) * 3 if s is None else (s.anees, s.low, s.high) for s in found]
+    summaries = [row.summary for row in rows]
+    values = [(np.nan,) * 3 if s is None else (s.anees, s.low, s.high) for s in summaries]
     yield _interval(at, np.array(values).T, look)
-    band = next((s.band for s in found if s is not None), None)
+    band = next((s.band for s in summaries if s is not None), None)
     if first and band is not None:
         shade: Any = {"color": colors.SIGMA, "alpha": 0.25, "linewidth": 0.0}
         yield lambda ax: ax.axhspan(*band, label="consistent (95 %, one epoch)", **shade)
@@ -202,22 +211,26 @@ def _failures(outcome: Outcome) -> Figure:
 
 
 def _over_time(outcome: Outcome, group: int) -> Figure:
-    """Root mean square errors at each epoch of the first configurations, what filters take them for, and the bound."""
+    """Root mean square errors at each epoch of the first configurations, what filters take them
+    for, and the bound.
+    """
     study = outcome.study
     name, unit = outcome.first[0][1].groups[group]
     drawn = [
-        Panel(_named(point.values), _curves(study, found, group), "time (s)", f"rms error ({unit})")
-        for point, found in outcome.first
+        Panel(
+            _named(point.values), _curves(study, scored, group), "time (s)", f"rms error ({unit})"
+        )
+        for point, scored in outcome.first
     ]
     title = f"{name} over time; dotted: what the filter takes it for"
     total = len(study.configurations)
     return _figure(drawn, total, title, "configurations", (3, 4.0, 5.0, 2.8))
 
 
-def _curves(study: Study, found: Scored, group: int) -> Iterator[Item]:
+def _curves(study: Study, scored: Scored, group: int) -> Iterator[Item]:
     times: Array | None = None
     yield lambda ax: ax.set_yscale("log")
-    for name, scores in found.scores.items():
+    for name, scores in scored.scores.items():
         times, look = scores["times"], _look(study, name) | {"marker": ""}
         with np.errstate(invalid="ignore", divide="ignore"):
             rms, sigma = (
@@ -226,5 +239,5 @@ def _curves(study: Study, found: Scored, group: int) -> Iterator[Item]:
             )
         yield curve(times, rms, **look)
         yield curve(times, sigma, color=look["color"], linestyle=":", linewidth=0.8)
-    if found.bound is not None and times is not None:
-        yield curve(times, np.sqrt(found.bound[:, group]), **BOUND)
+    if scored.bound is not None and times is not None:
+        yield curve(times, np.sqrt(scored.bound[:, group]), **BOUND)

@@ -18,8 +18,6 @@ from celnav.store import code
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["names", "write"]
-
 TABLES = ("table.csv", "table.parquet", "times.csv")
 PAGE = "index.html"
 MOST_ROWS = 2000
@@ -37,7 +35,8 @@ def write(
 
     Raises
     ------
-    ForeignFileError: before anything is written, if a file is in the way. OSError: naming a file that cannot be written.
+    ForeignFileError: before anything is written, if a file is in the way. OSError: naming a file
+        that cannot be written.
     """
     cells, times = columns(outcome.rows), costs(outcome.rows)
     drawn = pictures((f"figures/{stem}", drawing) for stem, drawing in drawings.items())

@@ -30,13 +30,13 @@ if TYPE_CHECKING:
 
     from celnav.show.recording import Recorder
 
-__all__ = ["errors", "first_run", "record"]
-
 BOUNDS = Line("±3σ, the largest of them", colors.SIGMA, width=0.8)
 
 
 def first_run(study: Study) -> Showcase | None:
-    """The first run of a mission with the filters that can; None if it cannot be simulated, or no filter can."""
+    """The first run of a mission with the filters that can; None if it cannot be simulated, or no
+    filter can.
+    """
     filters: dict[str, Followed] = {}
     with contextlib.suppress(Exception):  # what went wrong is among the reasons in the table
         config = study.configurations[0].config
@@ -135,7 +135,7 @@ def record(shown: Showcase, outcome: Outcome, path: str | PathLike[str]) -> None
 
 def _rms(shown: Showcase, outcome: Outcome) -> dict[str, Plot]:
     """Errors of all runs, at the epochs that were scored, by group."""
-    study, found, plots = outcome.study, outcome.first[0][1], {}
+    study, scored, plots = outcome.study, outcome.first[0][1], {}
 
     def spread(values: Array) -> Array:
         """Values of scored epochs, at the recording's epochs; nan between."""
@@ -145,12 +145,12 @@ def _rms(shown: Showcase, outcome: Outcome) -> dict[str, Plot]:
 
     for i, group in enumerate(shown.groups):
         curves = {}
-        for name, scores in found.scores.items():
+        for name, scores in scored.scores.items():
             with np.errstate(invalid="ignore", divide="ignore"):
                 rms = np.sqrt(scores["square"][:, i] / scores["count"])
             curves[name] = Curve(spread(rms), _shades(study)[name], name)
-        if found.bound is not None:
-            bound = spread(np.sqrt(found.bound[:, i]))
+        if scored.bound is not None:
+            bound = spread(np.sqrt(scored.bound[:, i]))
             curves["bound"] = Curve(bound, colors.BOUND, "bound", width=1.0)
         title = f"log10 rms of {study.runs} runs: {group.name}, {group.unit}"
         plots[group.name] = Plot(title, curves, log=True)
@@ -164,9 +164,9 @@ def _notes(outcome: Outcome) -> str:
     lines = [f"# {study.title}", first, ""]
     for row in outcome.rows:
         for name, unit in row.groups:
-            found = row.accuracy(name)
-            if found is not None:
-                errs = f"rms {found.rms:.3g} {unit}, takes itself for {found.sigma:.3g}"
+            accuracy = row.accuracy(name)
+            if accuracy is not None:
+                errs = f"rms {accuracy.rms:.3g} {unit}, takes itself for {accuracy.sigma:.3g}"
                 lines.append(f"- **{row.filter}** {name}: {errs}")
         if row.failed:
             lines.append(f"- **{row.filter}**: {row.failed} runs failed")

@@ -15,17 +15,6 @@ from celnav.campaign.scores import Accuracy, Summary, summarize
 from celnav.campaign.units import Scored
 from celnav.lazy import needed_by
 
-__all__ = [
-    "Row",
-    "columns",
-    "costs",
-    "plain",
-    "rows_of",
-    "summary",
-    "to_csv",
-    "to_parquet",
-]
-
 MOST_LINES = 40
 
 
@@ -34,8 +23,9 @@ class Row(NamedTuple):
 
     Attributes
     ----------
-    values: of the swept keys. groups: name and unit of what was judged. summary: None if no run is left, and then there may be
-        no groups. reasons: why runs failed, and how many of them. us: CPU microseconds per run and step.
+    values: of the swept keys. groups: name and unit of what was judged. summary: None if no run is
+        left, and then there may be no groups. reasons: why runs failed, and how many of them. us:
+        CPU microseconds per run and step.
     """
 
     values: dict[str, Any]
@@ -76,7 +66,8 @@ def plain(value: Any) -> Any:
 
 
 def columns(rows: Sequence[Row]) -> dict[str, list[Any]]:
-    """The table by column: swept keys, filter, runs, failures, accuracies with their units, consistency; None where there is none.
+    """The table by column: swept keys, filter, runs, failures, accuracies with their units,
+    consistency; None where there is none.
 
     No times: the same study gives the same table. They are in `costs`.
     """

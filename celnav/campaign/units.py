@@ -1,4 +1,6 @@
-"""Work units of a campaign: a block of runs of one configuration, all filters on the same noise, scored and forgotten."""
+"""Work units of a campaign: a block of runs of one configuration, all filters on the same noise,
+scored and forgotten.
+"""
 
 from __future__ import annotations
 
@@ -33,21 +35,14 @@ from celnav.tape.cuda import CudaError
 with needed_by("a campaign or a mission", "papers"):
     from threadpoolctl import threadpool_limits
 
-__all__ = [
-    "STUDY",
-    "Scored",
-    "Scoring",
-    "VersionError",
-    "Work",
-    "WorkError",
-    "execute",
-    "units_of",
-]
-
 STUDY = 0
-"""Of `celnav.study.montecarlo.generator`, for all configurations: they share their random numbers, so differences are sharp."""
+"""Of `celnav.study.montecarlo.generator`, for all configurations: they share their random numbers,
+so differences are sharp.
+"""
 EXPECTED = 8
-"""Units with equal filters that a worker is taken to do; not counted, for the engine of a unit must not depend on the others."""
+"""Units with equal filters that a worker is taken to do; not counted, for the engine of a unit must
+not depend on the others.
+"""
 
 
 class WorkError(RuntimeError):
@@ -71,7 +66,8 @@ class Work(Keyed, Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Scored:
-    """What runs of a configuration come to, some or all of them: `+` joins those of other runs, or of another filter.
+    """What runs of a configuration come to, some or all of them: `+` joins those of other runs, or
+    of another filter.
 
     Attributes
     ----------
@@ -127,7 +123,7 @@ def read(arrays: dict[str, Array], filters: Sequence[str]) -> Scored:
             number, slash, stat = key.partition("/")
             if slash:
                 scores.setdefault(filters[int(number)], {})[stat] = value
-        found = Scored(
+        scored = Scored(
             tuple((str(name), str(unit)) for name, unit in groups),
             scores,
             Counter({(name, why): count for name, why, count in reasons}),
@@ -136,18 +132,20 @@ def read(arrays: dict[str, Array], filters: Sequence[str]) -> Scored:
             arrays.get("bound"),
             trace,
         )
-        if not {*found.cpu_s, *found.steps, *(name for name, _ in found.reasons)} <= {*filters}:
+        if not {*scored.cpu_s, *scored.steps, *(name for name, _ in scored.reasons)} <= {*filters}:
             raise ValueError(f"expected the filters {', '.join(filters)}")
         for name in scores:
-            check_scores(scores[name], len(groups), found.bound)
+            check_scores(scores[name], len(groups), scored.bound)
     except (KeyError, TypeError, IndexError, AttributeError, RecursionError) as error:
         raise ValueError(f"expected the arrays of a work unit ({error})") from None
-    return found
+    return scored
 
 
 @dataclass(frozen=True)
 class Scoring:
-    """The work on a block of runs: each filter is run and scored. Exceptions of models and filters are failures of their runs."""
+    """The work on a block of runs: each filter is run and scored. Exceptions of models and filters
+    are failures of their runs.
+    """
 
     paper: str
     filters: tuple[str, ...]
@@ -162,7 +160,9 @@ class Scoring:
             return _Block(self, config).scored(rngs).arrays(self.filters)
 
     def join(self, blocks: Iterable[dict[str, Array]]) -> dict[str, Array]:
-        """The sum of blocks in their order; ValueError if they are not arrays of such work, or do not go together."""
+        """The sum of blocks in their order; ValueError if they are not arrays of such work, or do
+        not go together.
+        """
         return self.read(blocks).arrays(self.filters)
 
     def read(self, blocks: Iterable[dict[str, Array]]) -> Scored:
@@ -182,19 +182,21 @@ class _Block:
 
     def scored(self, rngs: Rngs) -> Scored:
         """All filters, and with the first run the bound."""
-        found, whole = Scored(), None
+        total, whole = Scored(), None
         try:
             whole = self.trial([renewed(rng) for rng in rngs])
         except MemoryError:
             raise
         except Exception:  # then it is tried for fewer runs at once
-            found = Scored(trace=traceback.format_exc())
+            total = Scored(trace=traceback.format_exc())
         for name in self.work.filters:
-            found += self.flown(name, rngs, whole)
-        return found + self.bound() if run_of(rngs[0]) == 0 else found
+            total += self.flown(name, rngs, whole)
+        return total + self.bound() if run_of(rngs[0]) == 0 else total
 
     def flown(self, name: str, rngs: Rngs, trial: Trial | None = None) -> Scored:
-        """A filter on some runs. Where a batch raises it is halved until the runs are found that do."""
+        """A filter on some runs. Where a batch raises it is halved until the runs are found that
+        do.
+        """
         work, groups = self.work, tuple[tuple[str, str], ...]()
         try:
             trial = trial or self.trial([renewed(rng) for rng in rngs])
@@ -257,7 +259,8 @@ def execute(unit: Work, made_by: dict[str, str]) -> dict[str, Array]:
             for c in (code(), made_by)
         )
         raise VersionError(
-            f"the worker on {platform.node()} has {theirs}, this has {ours}; install the same on both"
+            f"the worker on {platform.node()} has {theirs}, this has {ours}; install the same on "
+            "both"
         )
     with threadpool_limits(1):
         try:

@@ -19,20 +19,6 @@ if TYPE_CHECKING:
     from celnav.campaign.executors import Workers
     from celnav.campaign.table import Row
 
-__all__ = [
-    "UsageError",
-    "check_name",
-    "cores",
-    "done",
-    "folder_of",
-    "fraction",
-    "load",
-    "number",
-    "warn",
-    "whole",
-    "workers",
-]
-
 MOST_PER_CORE = 4
 """Processes."""
 
@@ -71,7 +57,9 @@ def whole(name: str, text: str, least: int) -> int:
 
 
 def workers(jobs: str | None, units: int | None = None) -> Workers:
-    """Processes as ``--jobs`` has it (None: one for each core), but at most ``units``, or this one alone, or UsageError."""
+    """Processes as ``--jobs`` has it (None: one for each core), but at most ``units``, or this one
+    alone, or UsageError.
+    """
     from celnav.campaign.executors import processes, serial
 
     count = cores() if jobs is None else whole("jobs", jobs, 1)

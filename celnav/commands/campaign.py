@@ -24,8 +24,6 @@ from celnav.show.progress import Progress
 if TYPE_CHECKING:
     from celnav.campaign.executors import Workers
 
-__all__ = ["run"]
-
 
 def run(options: argparse.Namespace) -> int:
     """Do what is missing of a study and write what it comes to."""

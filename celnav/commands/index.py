@@ -1,4 +1,5 @@
-"""``out/index.html``: a page that opens from disk: what papers say, what we find, every row of their ledgers, every figure.
+"""``out/index.html``: a page that opens from disk: what papers say, what we find, every row of
+their ledgers, every figure.
 
 Users' studies and those on real data follow the papers.
 """
@@ -20,8 +21,6 @@ from celnav.commands.arguments import load
 from celnav.files import InputError, read_json
 from celnav.show.claims import answer, markdown, read_claims, tally
 from celnav.study.ledger import KINDS, VERDICTS, Sentence
-
-__all__ = ["USER", "index", "page_data", "partial", "reproduced", "study_of", "summary", "verdicts"]
 
 Claims = Sequence[Mapping[str, Any]]
 USER = "study.json"
@@ -48,7 +47,9 @@ def index(out: Path) -> str:
 
 
 def reproduced(out: Path) -> dict[str, list[dict[str, Any]]]:
-    """Claims and checks of what lies under ``out``: papers, then users' studies, then those on real data."""
+    """Claims and checks of what lies under ``out``: papers, then users' studies, then those on real
+    data.
+    """
     users = sorted(path.parent.name for path in out.glob(f"*/{USER}"))
     return {
         name: [c for kind in ("claims", "checks") for c in read_claims(out / name / f"{kind}.json")]
@@ -68,7 +69,8 @@ def page_data(study: Any, file: str) -> str:
 
 
 def study_of(out: Path, name: str, word: str = "") -> Any:
-    """The module of a study, or of a user's what `page_data` wrote, with the names that a page shows.
+    """The module of a study, or of a user's what `page_data` wrote, with the names that a page
+    shows.
 
     word: by which it is loaded where nothing was written, its name by default.
     """
@@ -91,7 +93,9 @@ def summary(
     out: Path = Path("out"),
     found: Mapping[str, Claims] = MappingProxyType({}),
 ) -> str:
-    """Paragraphs in Markdown: what studies say and what we find; ``found``: their claims, if at hand."""
+    """Paragraphs in Markdown: what studies say and what we find; ``found``: their claims, if at
+    hand.
+    """
     paragraphs = []
     for name in names:
         module = study_of(out, name)
@@ -206,7 +210,9 @@ def _record(folder: Path) -> tuple[float, str]:
 
 
 def partial(out: Path, names: Iterable[str]) -> list[str]:
-    """A line for each part of the runs, less than all, with which papers or studies were reproduced."""
+    """A line for each part of the runs, less than all, with which papers or studies were
+    reproduced.
+    """
     by_effort = dict[float, list[str]]()
     for name in names:
         by_effort.setdefault(_record(out / name)[0], []).append(name)

@@ -12,8 +12,6 @@ from celnav import papers
 from celnav.commands.arguments import load
 from celnav.papers.own import name_of
 
-__all__ = ["run"]
-
 WIDTH = 132
 """Of lines."""
 UNBROKEN: Any = {
@@ -68,7 +66,8 @@ def _parameters(paper: str) -> None:
     presets = {name: flat(asdict(config)) for name, config in study.PRESETS.items()}
     first, *others = presets.items()
     print(
-        f"{paper}: {study.TITLE}\n\nAt the top of a mission:\n\n{_TOP.format(runs=first[1]['runs'])}"
+        f"{paper}: {study.TITLE}\n\nAt the top of a "
+        f"mission:\n\n{_TOP.format(runs=first[1]['runs'])}"
     )
     for name, unit in study.JUDGED.items():
         print(
@@ -103,7 +102,8 @@ _TOP = """\
   block                            runs of a work unit (100); a campaign grows by whole ones
   every                            judge one epoch in so many, and the last (1)
   settle_s                         where means over time begin; none: in the middle of the run
-  limits                           a table of largest errors at the end; a run beyond one has failed"""
+  limits                           a table of largest errors at the end; a run beyond one has \
+failed"""
 
 
 def _assigned(values: dict[str, Any]) -> str:

@@ -11,8 +11,6 @@ from celnav.commands.arguments import UsageError, done, folder_of, fraction, war
 from celnav.files import InputError, Outputs, locked, read_json
 from celnav.show.progress import Progress
 
-__all__ = ["ORIGIN", "run"]
-
 RECORDING = "mission.rrd"
 ORIGIN = "mission.json"
 """Which file the folder's mission is of."""
@@ -32,7 +30,8 @@ def run(options: argparse.Namespace) -> int:
     if study.swept:
         listed = ", ".join(f"config.{key}" for key in study.swept)
         raise UsageError(
-            f"{options.mission}: {listed}: a list of values is a study; use: celnav campaign {options.mission}"
+            f"{options.mission}: {listed}: a list of values is a study; use: celnav campaign "
+            f"{options.mission}"
         )
     outputs = Outputs(options.out or folder_of("missions", options.mission))
     _check_origin(outputs.directory, options.mission)

@@ -9,8 +9,6 @@ from celnav.commands.arguments import UsageError, check_name
 from celnav.files import data
 from celnav.papers import is_file
 
-__all__ = ["run"]
-
 
 def run(options: argparse.Namespace) -> int:
     """Write the file, which must not be there."""
@@ -26,7 +24,8 @@ def run(options: argparse.Namespace) -> int:
             file.write(template.replace("study.py", path.name))
     except FileExistsError:
         raise UsageError(
-            f"{path}: is there already, and nothing is overwritten; choose another name, or move it away"
+            f"{path}: is there already, and nothing is overwritten; choose another name, or move "
+            "it away"
         ) from None
     print(f"wrote {path}; fly it with: celnav reproduce {path} --effort 0.1")
     return 0

@@ -1,4 +1,6 @@
-"""``celnav reproduce``: do studies of papers, on real data, and users' own; write everything that they show."""
+"""``celnav reproduce``: do studies of papers, on real data, and users' own; write everything that
+they show.
+"""
 
 from __future__ import annotations
 
@@ -34,8 +36,6 @@ from celnav.study.ledger import Claim
 from celnav.study.study import Results, Unit
 from celnav.tape.cuda import device
 
-__all__ = ["run"]
-
 WRITING_S = {"ledger": 1.0, "figures": 5.0, "recordings": 4.0}
 """CPU seconds of what is made of a paper's results, roughly, whatever the effort."""
 FILES = ("claims.json", "checks.json", "timings.json", "result.npz", USER)
@@ -43,7 +43,9 @@ T = TypeVar("T")
 
 
 class Task(NamedTuple):
-    """A study that is to be reproduced: its name, its module, and the file of a user's study or None."""
+    """A study that is to be reproduced: its name, its module, and the file of a user's study or
+    None.
+    """
 
     name: str
     module: ModuleType
@@ -58,7 +60,9 @@ class Task(NamedTuple):
 
 
 def run(options: argparse.Namespace) -> int:
-    """Do the studies side by side where there are several processes, and write each as soon as it is done."""
+    """Do the studies side by side where there are several processes, and write each as soon as it
+    is done.
+    """
     words = list(dict.fromkeys(options.papers))
     if not words:
         real = (name for name in papers.REAL if getattr(options, name) is not None)
@@ -94,15 +98,15 @@ def run(options: argparse.Namespace) -> int:
         top.text("index.html", index(out))
     surprises = sum(claim.surprise for claim in claims)
     undecided = sum(claim.verdict == "undecided" != claim.expected for claim in claims)
-    told = [f"{surprises} not as expected, see above"] if surprises else []
+    notes = [f"{surprises} not as expected, see above"] if surprises else []
     if effort < 1.0 and undecided:
-        told.append(f"{undecided} undecided with {effort:.3g} of the runs")
-    print(f"wrote {out / 'index.html'}: {', '.join(told) or 'all as expected'}")
+        notes.append(f"{undecided} undecided with {effort:.3g} of the runs")
+    print(f"wrote {out / 'index.html'}: {', '.join(notes) or 'all as expected'}")
     return 1 if options.strict and surprises else 0
 
 
 def _check_inputs(modules: Mapping[str, ModuleType], options: argparse.Namespace) -> None:
-    """UsageError where a folder is given that no study takes, or one is missing that a study needs."""
+    """UsageError where no study takes a folder that is given, or one is missing that it needs."""
     takers = {name: f"the study {name}" for name in papers.REAL}
     takers["rinex"] = "a paper that takes a receiver's log (aukf)"
     taken = {name for module in modules.values() for name in getattr(module, "INPUTS", ())}
@@ -156,7 +160,7 @@ def _do(
         for name in [name for name, some in left.items() if not some]:
             write(name)
         todo = [unit for some in left.values() for unit in some]
-        # The longest first: the end is then made of short ones, and all processes are busy until it.
+        # The longest first: the end is made of short ones, and all processes are busy until it.
         todo.sort(key=lambda unit: -unit.cost)
         try:
             compute(todo, pool, keep)
@@ -223,7 +227,9 @@ def _write(task: Task, results: Results, progress: Progress) -> list[Claim]:
 
 
 def _arrays(data: Mapping[str, Mapping[str, Array]]) -> dict[str, Array]:
-    """What is stored: times, and over the runs the root mean squares of errors and the means of NEES and NIS."""
+    """What is stored: times, and over the runs the root mean squares of errors and the means of
+    NEES and NIS.
+    """
     out = {}
     for part, arrays in data.items():
         for name, values in arrays.items():

@@ -1,4 +1,6 @@
-"""``celnav verdicts``: what papers, and users' studies, say and what holds, in Markdown: a table and paragraphs."""
+"""``celnav verdicts``: what papers, and users' studies, say and what holds, in Markdown: a table
+and paragraphs.
+"""
 
 from __future__ import annotations
 
@@ -8,8 +10,6 @@ from pathlib import Path
 from celnav.commands.index import partial, reproduced, summary, verdicts
 from celnav.papers import REAL
 
-__all__ = ["run"]
-
 
 def run(options: argparse.Namespace) -> int:
     """Count the verdicts of the papers that were reproduced."""
@@ -17,7 +17,8 @@ def run(options: argparse.Namespace) -> int:
     found = {name: claims for name, claims in reproduced(out).items() if name not in REAL}
     if not found:
         raise FileNotFoundError(
-            f"{options.out}: no paper was reproduced there; use: celnav reproduce --out {options.out}"
+            f"{options.out}: no paper was reproduced there; use: celnav reproduce --out "
+            f"{options.out}"
         )
     print(*partial(out, found), verdicts(found), summary(list(found), out, found), sep="\n\n")
     return 0

@@ -13,13 +13,11 @@ from celnav.commands.index import study_of
 from celnav.papers import is_file
 from celnav.papers.own import name_of
 
-__all__ = ["run"]
-
 
 def run(options: argparse.Namespace) -> int:
     """Open a paper's recording, or a file."""
-    given = Path(options.paper)
-    path = _recording(options, given) if given.suffix in ("", ".py") else _file(options, given)
+    file = Path(options.paper)
+    path = _recording(options, file) if file.suffix in ("", ".py") else _file(options, file)
     at = None if options.at is None else number("at", options.at)
     if options.picture is not None:
         return _picture(path, Path(options.picture), at)

@@ -1,12 +1,13 @@
-"""The papers: one module each, all with the same names; and the one list of all studies, and how one is loaded.
+"""The papers: one module each, all with the same names; and the one list of all studies, and how
+one is loaded.
 
 ``CITATION``, ``TITLE``, ``Config``, ``PRESETS``, ``simulate``, ``filters``: the scenario.
 ``trial`` and ``JUDGED``, what it judges and in which units: see `celnav.study.trial`. ``STUDY``:
-what is computed and said, see `celnav.study.study`. ``FIGURES``, ``TABLES``: file stem -> caption and
-function of the results; ``RECORDINGS`` and ``record``. ``INPUTS``, if there: names of the folders that
-``STUDY.parts`` takes, which are also options of ``celnav reproduce``. ``MISSION``, if there:
-parameters that a mission has by default, whatever the preset. Studies on real data (`celnav.real`)
-and a user's file (`celnav.papers.own`) have the same shape.
+what is computed and said, see `celnav.study.study`. ``FIGURES``, ``TABLES``: file stem -> caption
+and function of the results; ``RECORDINGS`` and ``record``. ``INPUTS``, if there: names of the
+folders that ``STUDY.parts`` takes, which are also options of ``celnav reproduce``. ``MISSION``, if
+there: parameters that a mission has by default, whatever the preset. Studies on real data
+(`celnav.real`) and a user's file (`celnav.papers.own`) have the same shape.
 """
 
 from __future__ import annotations
@@ -32,7 +33,9 @@ REAL = {
     "rxte": "photons of a pulsar, the satellite's orbit, a timing model (*.fits, FPorbit*, *.par)",
     "broad": "trials of BROAD (MATLAB files)",
 }
-"""Identifier of a study on real data, which is also its module and its input -> what the input's folder holds."""
+"""Identifier of a study on real data, which is also its module and its input -> what the input's
+folder holds.
+"""
 
 
 def is_file(study: str) -> bool:
@@ -41,9 +44,11 @@ def is_file(study: str) -> bool:
 
 
 def load(study: str, *, mission: bool = False) -> ModuleType:
-    """The module of a paper, of a study on real data, or of a user's study, FILE.py (`celnav.papers.own.load`).
+    """The module of a paper, of a study on real data, or of a user's study, FILE.py
+    (`celnav.papers.own.load`).
 
-    ``mission``: whether missions are to be made of it, which need presets: no study on real data has them.
+    ``mission``: whether missions are to be made of it, which need presets: no study on real data
+        has them.
 
     Raises
     ------
@@ -56,13 +61,15 @@ def load(study: str, *, mission: bool = False) -> ModuleType:
     if study not in known:
         names = [*known, "a file FILE.py"]
         raise ValueError(
-            f"unknown paper {study!r}: expected one of {', '.join(names)}{did_you_mean(study, names)}"
+            f"unknown paper {study!r}: expected one of "
+            f"{', '.join(names)}{did_you_mean(study, names)}"
         )
     return import_module(known[study])
 
 
 def citation(key: str) -> str:
-    """The BibTeX entry of a source that docstrings cite, of all that are in ``data/references.bib``.
+    """The BibTeX entry of a source that docstrings cite, of all that are in
+    ``data/references.bib``.
 
     >>> print(celnav.papers.citation("Sun2015"))
 

@@ -1,9 +1,12 @@
-"""Studies on real data: one module each, of the shape of a paper's (see `celnav.papers`); nothing there was stated by anybody.
+"""Studies on real data: one module each, of the shape of a paper's (see `celnav.papers`); nothing
+there was stated by anybody.
 
-``CITATION``: where the data come from. ``TITLE``, ``STUDY``, ``FIGURES``, ``TABLES``, ``RECORDINGS`` and ``record`` are as a
-paper's; ``INPUTS`` is the study's own name: ``STUDY.parts`` takes the folder of its data under it. The ledger has findings, with
-intervals by blocks of time (`celnav.study.ledger.estimate`, ``block=``), and checks; filters run once, and arrays are
-``(T, 1, ...)``. The data are nobody's here: without a folder a study is not done, and its rows are not on the page.
+``CITATION``: where the data come from. ``TITLE``, ``STUDY``, ``FIGURES``, ``TABLES``,
+    ``RECORDINGS`` and ``record`` are as a
+paper's; ``INPUTS`` is the study's own name: ``STUDY.parts`` takes the folder of its data under it.
+The ledger has findings, with intervals by blocks of time (`celnav.study.ledger.estimate`,
+``block=``), and checks; filters run once, and arrays are ``(T, 1, ...)``. The data are nobody's
+here: without a folder a study is not done, and its rows are not on the page.
 """
 
 from __future__ import annotations

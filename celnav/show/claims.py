@@ -1,4 +1,6 @@
-"""The ledger as people read it, and as it lies in files: rows with place, printed number, ours, verdict."""
+"""The ledger as people read it, and as it lies in files: rows with place, printed number, ours,
+verdict.
+"""
 
 from __future__ import annotations
 
@@ -14,36 +16,25 @@ import numpy as np
 from celnav.files import InputError, read_json
 from celnav.study.ledger import BETWEEN, KINDS, OPEN, VERDICTS, WORDS, Claim, Sentence
 
-__all__ = [
-    "TYPES",
-    "Ledger",
-    "answer",
-    "cells",
-    "columns",
-    "counted",
-    "dumps",
-    "markdown",
-    "notes",
-    "numbers",
-    "plain",
-    "read_claims",
-    "style",
-    "tally",
-    "written",
-]
-
 Row = Mapping[str, Any]
 """A claim as `written` has it."""
 COLUMNS = ("place", "what is said", "printed", "ours", "verdict")
 WIDE = 10.0
-"""Ends of an interval that lie so many times apart are said to be those of few runs, or of a heavy tail."""
-FEW = "Only a part of the runs was done: intervals are wide, and what they do not decide is undecided."
+"""Ends of an interval that lie so many times apart are said to be those of few runs, or of a heavy
+tail.
+"""
+FEW = (
+    "Only a part of the runs was done: intervals are wide, "
+    "and what they do not decide is undecided."
+)
 _GOOD = {BETWEEN[0], *(WORDS[kind][0] for kind in ("statement", "finding", "check"))}
 _BAD = {words[1] for words in WORDS.values()}
 
 
 def style(verdict: str) -> str:
-    """How a verdict looks: "good" for what holds, "bad" for what does not, "error" of a paper, "open", or "part"."""
+    """How a verdict looks: "good" for what holds, "bad" for what does not, "error" of a paper,
+    "open", or "part".
+    """
     if verdict in _GOOD:
         return "good"
     if verdict in _BAD:
@@ -54,7 +45,9 @@ def style(verdict: str) -> str:
 
 
 def cells(claim: Row) -> dict[str, str]:
-    """What stands of a claim under each of `COLUMNS`; "printed" is the paper's value of the number under "ours"."""
+    """What stands of a claim under each of `COLUMNS`; "printed" is the paper's value of the number
+    under "ours".
+    """
     printed = claim["printed_value"]
     shown = "" if printed is None else str(printed)
     values = claim["place"], claim["statement"], shown, _ours(claim), claim["verdict"]
@@ -116,7 +109,7 @@ def counted(claims: Iterable[Row]) -> str:
 
 
 def notes(claim: Row) -> list[str]:
-    """What stands below a claim: what we find, what the paper prints besides, and what was revised."""
+    """What stands below a claim: what we find, what the paper prints too, what was revised."""
     printed = _printed(claim["printed"])
     texts = [claim["note"]]
     if printed != cells(claim)["printed"]:
@@ -126,7 +119,9 @@ def notes(claim: Row) -> list[str]:
 
 
 def numbers(claim: Row) -> list[str]:
-    """A line for each number: what is accepted (where there are several verdicts, for which), and whether it is."""
+    """A line for each number: what is accepted (where there are several verdicts, for which), and
+    whether it is.
+    """
     several = len({number["tier"] for number in claim["numbers"]}) > 1
     return [_number(number, several) for number in claim["numbers"]]
 
@@ -144,7 +139,8 @@ def _number(number: Row, several: bool) -> str:
 
 
 class Ledger:
-    """Claims as a table: for a notebook (HTML; a statement's verdict leads to the cell that decides it), Markdown or a terminal.
+    """Claims as a table: for a notebook (HTML; a statement's verdict leads to the cell that decides
+    it), Markdown or a terminal.
 
     found: sentences that answer for all of them, see `answer`.
 
@@ -179,7 +175,9 @@ def markdown(rows: Iterable[Iterable[str]]) -> str:
 
 
 def answer(found: Iterable[Sentence], claims: Iterable[Row]) -> str:
-    """What a study finds: the sentences whose rows have the verdicts that they rest on, and which rows have others."""
+    """What a study finds: the sentences whose rows have the verdicts that they rest on, and which
+    rows have others.
+    """
     by_id = {claim["id"]: claim for claim in claims}
     verdicts = {id: claim["verdict"] for id, claim in by_id.items()}
     numbers = {
@@ -209,9 +207,11 @@ def _filled(text: str, numbers: Mapping[str, Sequence[float]]) -> str:
         return f"(a sentence that cannot be made of its rows: {error!r})"
 
 
-# -- files -------------------------------------------------------------------------------------------------------------------
+# -- files ----------------------------------------------------------------------------------------
 def written(claim: Claim) -> dict[str, Any]:
-    """As it stands in ``claims.json``: ``value`` and the like are the decisive number's; all are in ``numbers``, with outcomes."""
+    """As it stands in ``claims.json``: ``value`` and the like are the decisive number's; all are in
+    ``numbers``, with outcomes.
+    """
     row, first = claim.row, claim.decisive
     numbers = [
         {key: plain(value) for key, value in number._asdict().items()}
@@ -289,7 +289,9 @@ PARTS = {"label", "value", "accept", "ci", "tier", "holds", "printed", "agreemen
 
 
 def read_claims(path: str | Path) -> list[dict[str, Any]]:
-    """Claims of a ``claims.json`` as dictionaries; InputError names the file, and the claim that is not whole."""
+    """Claims of a ``claims.json`` as dictionaries; InputError names the file, and the claim that is
+    not whole.
+    """
     loaded = read_json(path)
     if not isinstance(loaded, list):
         raise InputError(f"{path}: expected a list of claims")
@@ -300,7 +302,8 @@ def read_claims(path: str | Path) -> list[dict[str, Any]]:
             if key not in claim or not _right(key, claim[key]):
                 got = f"got {claim[key]!r:.80}" if key in claim else "got none"
                 raise InputError(
-                    f"{path}: claim {number}: {key}: not what celnav writes, {got}; reproduce the paper again"
+                    f"{path}: claim {number}: {key}: not what celnav writes, {got}; reproduce the "
+                    "paper again"
                 )
     return loaded
 

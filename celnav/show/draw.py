@@ -1,9 +1,11 @@
 """Drawings of any numbers: a figure is panels, a panel is items, and an item draws itself on axes.
 
->>> panels(Panel("Residuals", [curve(times, residuals, label="x")], "time (s)", "residual (m)"), size=(7.0, 3.2))
+>>> panel = Panel("Residuals", [curve(times, residuals, label="x")], "time (s)", "residual (m)")
+>>> panels(panel, size=(7.0, 3.2))
 
-The style is in `drawing`, the colors are in `colors`. matplotlib is imported when something is drawn: processes that only compute
-start in a third of the time. Nothing here knows studies: reports of tracks and logs are drawn by it, too.
+The style is in `drawing`, the colors are in `colors`. matplotlib is imported when something is
+drawn: processes that only compute start in a third of the time. Nothing here knows studies: reports
+of tracks and logs are drawn by it, too.
 """
 
 from __future__ import annotations
@@ -21,24 +23,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = [
-    "Item",
-    "Line",
-    "Panel",
-    "band",
-    "bars",
-    "components",
-    "curve",
-    "figure",
-    "grid",
-    "interval",
-    "level",
-    "panels",
-    "picture_names",
-    "pictures",
-    "quantiles",
-]
-
 KINDS = ("png", "svg")
 """Of each figure that is written."""
 Item = Callable[["Axes"], Any]
@@ -48,7 +32,9 @@ Item = Callable[["Axes"], Any]
 def figure(
     width: float, height: float, rows: int = 1, columns: int = 1, **axes: Any
 ) -> tuple[Figure, Any]:
-    """An empty figure (inches) and its axes in celnav's style, outside pyplot's list of open figures."""
+    """An empty figure (inches) and its axes in celnav's style, outside pyplot's list of open
+    figures.
+    """
     from celnav.show.drawing import Drawing, styled
 
     size = number("width", width, above=0.0), number("height", height, above=0.0)
@@ -63,7 +49,8 @@ class Panel(NamedTuple):
 
     Attributes
     ----------
-    title, x, y: texts. items: drawn one after the other. log: which axes are logarithmic, "x", "y" or "xy". more: of `Axes.set`.
+    title, x, y: texts. items: drawn one after the other. log: which axes are logarithmic, "x", "y"
+        or "xy". more: of `Axes.set`.
     """
 
     title: str
@@ -90,13 +77,14 @@ def panels(
 ) -> Figure:
     """A figure of rows of panels, and below them one legend of all labels.
 
-    ``axes``: as of `figure`; where they share x or y (``sharex="col"``) the outer ones alone are labeled.
+    ``axes``: as of `figure`; where they share x or y (``sharex="col"``) the outer ones alone are
+        labeled.
     """
     from celnav.show.drawing import styled
 
     every = [[row] if isinstance(row, Panel) else list(row) for row in rows]
     fig, drawn = figure(*size, len(every), len(every[0]), squeeze=False, **axes)
-    known: dict[str, Any] = {}
+    handles: dict[str, Any] = {}
     with styled():
         for ax, panel in zip(drawn.flat, (panel for row in every for panel in row), strict=True):
             for item in panel.items:
@@ -109,11 +97,13 @@ def panels(
             scales = {f"{axis}scale": "log" for axis in panel.log}
             ax.set(**inside, **scales, **panel.more)
             for handle, label in zip(*ax.get_legend_handles_labels(), strict=True):
-                known.setdefault(label, handle)
-        if known and legend:
-            each = max(map(len, known)) * 0.05 + 0.45  # inches that a label takes
-            columns = 1 if "right" in str(legend) else max(1, min(len(known), int(size[0] / each)))
-            fig.legend(known.values(), known, loc=legend, ncols=columns)
+                handles.setdefault(label, handle)
+        if handles and legend:
+            each = max(map(len, handles)) * 0.05 + 0.45  # inches that a label takes
+            columns = (
+                1 if "right" in str(legend) else max(1, min(len(handles), int(size[0] / each)))
+            )
+            fig.legend(handles.values(), handles, loc=legend, ncols=columns)
         if title:
             fig.suptitle(title)
     return fig
@@ -125,7 +115,9 @@ def picture_names(stems: Iterable[str]) -> list[str]:
 
 
 def pictures(drawings: Iterable[tuple[str, Figure | None]]) -> dict[str, bytes]:
-    """The contents of the files of figures, which come with their stems; nothing of one that is None."""
+    """The contents of the files of figures, which come with their stems; nothing of one that is
+    None.
+    """
     from celnav.show.drawing import render
 
     return {
@@ -233,7 +225,9 @@ def bars(
     *,
     across: bool = False,
 ) -> Item:
-    """Groups of bars: label -> values, one for each tick, and color; ``across``: from the left, the first at the top."""
+    """Groups of bars: label -> values, one for each tick, and color; ``across``: from the left, the
+    first at the top.
+    """
 
     def item(ax: Axes) -> None:
         place, width = np.arange(len(ticks)), 0.84 / len(heights)

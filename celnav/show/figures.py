@@ -1,6 +1,8 @@
-"""Drawings of a study's results, by part, filter and group, beside those of any numbers in `celnav.show.draw`.
+"""Drawings of a study's results, by part, filter and group, beside those of any numbers in
+`celnav.show.draw`.
 
->>> panels(Panel("Figure 2", [errors(r, "0", "srukf", SRUKF, "position", 0)], "time (s)", "error of x (km)"), size=(7.0, 3.2))
+>>> drawn = errors(results, "0", "srukf", SRUKF, "position", 0)
+>>> panels(Panel("Figure 2", [drawn], "time (s)", "error of x (km)"), size=(7.0, 3.2))
 """
 
 from __future__ import annotations
@@ -67,7 +69,9 @@ def errors(
     spread: bool = False,
     **look: Any,
 ) -> Item:
-    """A component of the error over time, of the first ``runs``; ``spread``: from 5 to 95 % of all of them too, as a band."""
+    """A component of the error over time, of the first ``runs``; ``spread``: from 5 to 95 % of all
+    of them too, as a band.
+    """
 
     def item(ax: Axes) -> None:
         t, error = results.times(part), results.error(part, filter, group)[..., axis]
@@ -118,7 +122,9 @@ def rmse(
     each: bool = False,
     start: int = 0,
 ) -> Item:
-    """RMSE over the runs of the length of a group's error, or with ``each`` of its components, against time."""
+    """RMSE over the runs of the length of a group's error, or with ``each`` of its components,
+    against time.
+    """
     square = np.square(results.error(part, filter, group)[start:])
     values = np.sqrt((square.mean(-1) if each else square.sum(-1)).mean(1))
     return curve(results.times(part)[start:], values, line)
@@ -156,7 +162,9 @@ def rmse_table(
     columns: Sequence[str],
     **first: str,
 ) -> Rows:
-    """Rows of RMSE by component: what is printed for a filter, named in capitals, ours at the end, and averaged over time."""
+    """Rows of RMSE by component: what is printed for a filter, named in capitals, ours at the end,
+    and averaged over time.
+    """
     rows: Rows = []
     moments: dict[str, When] = {"ours, final RMSE": -1, "ours, time-averaged RMSE": slice(1, None)}
     for filter, row in printed.items():

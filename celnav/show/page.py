@@ -1,4 +1,6 @@
-"""Pages that open from disk: templates of ``pages``, with their style inside. jinja2 is imported when a page is made."""
+"""Pages that open from disk: templates of ``pages``, with their style inside. jinja2 is imported
+when a page is made.
+"""
 
 from __future__ import annotations
 
@@ -8,8 +10,6 @@ from typing import Any
 
 from celnav.lazy import needed_by
 from celnav.show import claims
-
-__all__ = ["macro", "render"]
 
 
 @cache

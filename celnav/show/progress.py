@@ -6,15 +6,14 @@ import sys
 from time import monotonic
 from typing import Any
 
-__all__ = ["Progress"]
-
 EVERY_S = 5.0
 """Between plain lines about runs."""
 FORM = "{desc}: {percentage:3.0f}%|{bar}| {elapsed}<{remaining}{postfix}"
 
 
 class Progress:
-    """Of work of known cost in any unit, ``total`` in all, ``done`` of it before: the share, the time left, and what is done.
+    """Of work of known cost in any unit, ``total`` in all, ``done`` of it before: the share, the
+    time left, and what is done.
 
     Of Monte-Carlo runs only a name is needed, see `runs`.
     """

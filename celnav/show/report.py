@@ -1,4 +1,5 @@
-"""How a filter did against the truth: errors and claims of each component, consistency, sensors, events; in words and as a figure.
+"""How a filter did against the truth: errors and claims of each component, consistency, sensors,
+events; in words and as a figure.
 
 >>> print(track.report(truth))
 """
@@ -48,8 +49,9 @@ MOST_PANELS = 12
 class Component(NamedTuple):
     """What is said of one component of the error, in its own unit.
 
-    rmse, interval: over all runs and epochs, and by a bootstrap over runs; nan for fewer than two. claimed: rms of the filter's
-    deviations. mean: of the error. inside: part of the errors that lie within what the filter claims to hold the `Report.level`.
+    rmse, interval: over all runs and epochs, and by a bootstrap over runs; nan for fewer than two.
+    claimed: rms of the filter's deviations. mean: of the error. inside: part of the errors that
+        lie within what the filter claims to hold the `Report.level`.
     """
 
     name: str
@@ -64,12 +66,17 @@ class Report(NamedTuple):
     """How a track did; ``print`` it for a table, `figure` draws it.
 
     times: ``(T,)`` s, those that are judged. runs: how many. level: of all intervals and bands.
-    components: of the error, as the filter's space has it: rotation vectors of attitudes, angles wrapped.
-    nees: NEES over the dimension and its band, None without covariances; ``shared``: epochs that vary as one, since errors do.
-    within: part of the epochs at which the mean NEES of the runs lies in the band of a consistent filter.
-    sensors: NIS over the degrees of freedom, what was not measured left out, with the band of a consistent filter.
+    components: of the error, as the filter's space has it: rotation vectors of attitudes, angles
+        wrapped.
+    nees: NEES over the dimension and its band, None without covariances; ``shared``: epochs that
+        vary as one, since errors do.
+    within: part of the epochs at which the mean NEES of the runs lies in the band of a consistent
+        filter.
+    sensors: NIS over the degrees of freedom, what was not measured left out, with the band of a
+        consistent filter.
     rejected: measured components of each sensor that did not take part.
-    events: of all runs and epochs, see `celnav.filters.track.Track`. lost: ``(run, t)`` of runs without an estimate from there.
+    events: of all runs and epochs, see `celnav.filters.track.Track`. lost: ``(run, t)`` of runs
+        without an estimate from there.
     wraps: angles whose wrap seems forgotten, a sentence for each sensor, and for the motion.
     rms, claims: ``(T, n)``, over the runs.
 
@@ -143,7 +150,9 @@ class Report(NamedTuple):
         return f"{judged.nis:.4g}, {word} ({self._percent} of consistent ones: {band})"
 
     def figure(self) -> Figure:
-        """Errors and claims of each component over time (rms over the runs), NEES and NIS in their bands."""
+        """Errors and claims of each component over time (rms over the runs), NEES and NIS in their
+        bands.
+        """
         said = "RMSE over the runs" if self.runs > 1 else "|error|"
         columns = 3 if len(self.components) > 4 else 2
         errors = Line(said, colors.ESTIMATE, width=0.9)
@@ -244,33 +253,34 @@ def _space_of(filter: Any) -> Space:
     """Of a filter's states, or of those of the filters within it."""
     if isinstance(motion := getattr(filter, "motion", None), Motion):
         return motion.space
-    within = (getattr(filter, name, None) for name in ("first", "filter", "filters"))
-    found = next((one[0] if isinstance(one, tuple) else one for one in within if one), None)
-    return EUCLIDEAN if found is None else _space_of(found)
+    for name in ("first", "filter", "filters"):
+        if within := getattr(filter, name, None):
+            return _space_of(within[0] if isinstance(within, tuple) else within)
+    return EUCLIDEAN
 
 
 def _errors(track: Track, truth: Any, space: Space) -> Array:
     """Errors ``(T, ..., n)`` in a space."""
-    mean, known = track.mean, numbers("truth", truth)
+    mean, true = track.mean, numbers("truth", truth)
     T, N = len(mean), mean.shape[-1]
-    if known.ndim == 2 < mean.ndim:
-        known = known.reshape(len(known), *[1] * (mean.ndim - 2), known.shape[-1])
-    width = known.shape[-1] if known.ndim else 0
-    fewer = space == EUCLIDEAN and known.ndim > 1 and 0 < width <= N
-    runs = zip(known.shape[1:-1], mean.shape[1:-1], strict=False)
+    if true.ndim == 2 < mean.ndim:
+        true = true.reshape(len(true), *[1] * (mean.ndim - 2), true.shape[-1])
+    width = true.shape[-1] if true.ndim else 0
+    fewer = space == EUCLIDEAN and true.ndim > 1 and 0 < width <= N
+    runs = zip(true.shape[1:-1], mean.shape[1:-1], strict=False)
     if (
-        known.ndim != mean.ndim
-        or len(known) != T
+        true.ndim != mean.ndim
+        or len(true) != T
         or not (width == N or fewer)
         or any(count not in (1, every) for count, every in runs)
     ):
         shape = ", ".join(map(str, mean.shape))
-        late = known.ndim and len(known) > T
+        late = true.ndim and len(true) > T
         hint = "; truth[::every] goes with a track of each every-th epoch" if late else ""
         raise ValueError(
             f"truth: expected shape ({shape}), at the track's epochs, got {np.shape(truth)}{hint}"
         )
-    if np.isinf(known).any():
+    if np.isinf(true).any():
         raise ValueError(
             "truth: expected finite numbers, or nan where it is not known, got an infinite one"
         )
@@ -281,18 +291,18 @@ def _errors(track: Track, truth: Any, space: Space) -> Array:
         )
     estimate = mean[..., :width]
     with np.errstate(invalid="ignore"):  # tangents at the mean, as covariances are
-        return np.asarray(-space.minus(np.broadcast_to(known, estimate.shape), estimate))
+        return np.asarray(-space.minus(np.broadcast_to(true, estimate.shape), estimate))
 
 
 def _component(name: str, error: Array, std: Array, level: float) -> Component:
     """Of errors ``(T, runs)`` and claims."""
     squares, counts = np.nansum(error * error, 0), np.isfinite(error).sum(0)
-    known, total = counts > 0, int(counts.sum())
+    seen, total = counts > 0, int(counts.sum())
     if not total:
         return Component(name, np.nan, (np.nan, np.nan), np.nan, np.nan, np.nan)
     interval = np.nan, np.nan
-    if known.sum() > 1:
-        samples = squares[known], counts[known]
+    if seen.sum() > 1:
+        samples = squares[seen], counts[seen]
         interval = bootstrap(_rms, *samples, level=level)
     inside = np.abs(error) <= float(ndtri(0.5 + level / 2)) * std  # nan lies nowhere
     return Component(
@@ -330,7 +340,9 @@ def _consistency(
 
 
 def _shared(every: Array, times: Array) -> float:
-    """How many epochs vary as one: errors of a consistent filter follow each other, those of different runs do not."""
+    """How many epochs vary as one: errors of a consistent filter follow each other, those of
+    different runs do not.
+    """
     seen = np.isfinite(every).any(-1)
     place, _ = grid_index(times[seen])
     if len(place) < 4 or np.nanvar(every) == 0.0 or place[-1] < 2:

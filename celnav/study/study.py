@@ -1,6 +1,8 @@
-"""A study: parts that are drawn and flown, one labelled store of what they gave, and a ledger that is judged from it.
+"""A study: parts that are drawn and flown, one labelled store of what they gave, and a ledger that
+is judged from it.
 
-A paper is data over this: configurations, filters by name, parts, rows of a ledger, figures and tables as calls.
+A paper is data over this: configurations, filters by name, parts, rows of a ledger, figures and
+    tables as calls.
 """
 
 from __future__ import annotations
@@ -25,7 +27,7 @@ from celnav.gaussian.linalg import Array
 from celnav.store import RESULTS, existing
 from celnav.study.ledger import Claim, Row, Sentence
 from celnav.study.montecarlo import blocks, effort, generator, run_count
-from celnav.study.trial import Group, Trial, follow
+from celnav.study.trial import Group, Trial, follow, scales
 
 __all__ = ["Part", "Results", "Rngs", "Study", "Unit", "When", "fly", "together"]
 
@@ -35,7 +37,9 @@ When = int | slice | str
 
 
 def concatenated(blocks: Iterable[dict[str, Array]]) -> dict[str, Array]:
-    """Arrays of blocks along their runs; they are taken out of the blocks, so that none is there twice for long."""
+    """Arrays of blocks along their runs; they are taken out of the blocks, so that none is there
+    twice for long.
+    """
     first, *others = blocks
     for name in list(first) if others else ():
         arrays = [first[name], *(block.pop(name) for block in others)]
@@ -44,16 +48,19 @@ def concatenated(blocks: Iterable[dict[str, Array]]) -> dict[str, Array]:
 
 
 class Part(NamedTuple):
-    """Runs of one configuration, or anything else that is computed: the piece that `Results` knows by a name.
+    """Runs of one configuration, or anything else that is computed: the piece that `Results` knows
+    by a name.
 
     Attributes
     ----------
-    work: ``(config, rngs) ->`` arrays by name. Those of two axes or more have the runs second, ``(T, runs, ...)``, and are joined
-        over blocks; the others have to be the same in all of them.
+    work: ``(config, rngs) ->`` arrays by name. Those of two axes or more have the runs second,
+        ``(T, runs, ...)``, and are joined over blocks; the others have to be the same in all of
+        them.
     config: first argument of ``work``. number: of its random numbers. runs: at full effort.
-    block: runs computed together at most; it changes nothing beyond round-off. cost: CPU seconds of them all, roughly.
-    join: ``(arrays of blocks) ->`` arrays of all runs, where they are not joined as above, such as a
-        sum; ValueError if they are not of such work.
+    block: runs computed together at most; it changes nothing beyond round-off. cost: CPU seconds of
+        them all, roughly.
+    join: ``(arrays of blocks) ->`` arrays of all runs, where they are not joined as above, such as
+        a sum; ValueError if they are not of such work.
     """
 
     work: Callable[[Any, Rngs], dict[str, Array]]
@@ -72,16 +79,15 @@ def fly(
 
     Returns
     -------
-    times ``(T,)`` s; of each filter ``<name>/error`` and ``<name>/std`` ``(T, runs, n)`` in the units of the groups,
-    ``<name>/nees`` and ``<name>/nis`` ``(T, runs)``, the latter nan where nothing was measured. A run that is lost is nan.
-    With ``cov`` also ``<name>/cov (T, 1, n, n)`` of the first run, in the units of the state.
+    times ``(T,)`` s; of each filter ``<name>/error`` and ``<name>/std`` ``(T, runs, n)`` in the
+    units of the groups, ``<name>/nees`` and ``<name>/nis`` ``(T, runs)``, the latter nan where
+    nothing was measured. A run that is lost is nan. With ``cov`` also ``<name>/cov (T, 1, n, n)``
+    of the first run, in the units of the state.
     """
     out: dict[str, Array] = {}
     for name in names:
         found = follow(trial, name, every)
-        scale = np.ones(found.error.shape[-1])
-        for group in trial.groups:
-            scale[group.part] = group.scale
+        scale = scales(trial.groups, found.error.shape[-1])
         nis = np.where(found.dof > 0, found.nis, np.nan)
         each = {
             "error": found.error * scale,
@@ -98,7 +104,9 @@ def fly(
 def together(
     trial: Trial, priors: Mapping[str, Gaussian], names: Sequence[str], every: int = 1
 ) -> dict[str, Array]:
-    """Filters of a trial from several priors, on the same runs and in one batch: what `fly` gives, by ``<filter>, <prior>``."""
+    """Filters of a trial from several priors, on the same runs and in one batch: what `fly` gives,
+    by ``<filter>, <prior>``.
+    """
     count, each = len(priors), list(priors.values())
     covs = [np.broadcast_to(prior.cov, (len(prior.mean), *prior.cov.shape[-2:])) for prior in each]
 
@@ -129,11 +137,15 @@ class Study:
     Attributes
     ----------
     name: of the paper. groups: what is judged. rows: the ledger.
-    trial: ``(config, rngs) ->`` runs and their filters, see `celnav.study.trial`; None where nothing is drawn.
-    parts: ``(effort) ->`` parts by name; ``effort``, in (0, 1], may shorten what is long. Runs are scaled by it elsewhere.
-    says, found: what the paper claims as a whole, and our answer, each sentence with the verdicts that it rests on.
+    trial: ``(config, rngs) ->`` runs and their filters, see `celnav.study.trial`; None where
+        nothing is drawn.
+    parts: ``(effort) ->`` parts by name; ``effort``, in (0, 1], may shorten what is long. Runs are
+        scaled by it elsewhere.
+    says, found: what the paper claims as a whole, and our answer, each sentence with the verdicts
+        that it rests on.
     figure: stem of the one that decides.
-    windows: ``(config, times) ->`` parts of the time by name, as slices of the epochs that are judged.
+    windows: ``(config, times) ->`` parts of the time by name, as slices of the epochs that are
+        judged.
     source: hash of the file that it comes from, where that is none of celnav's.
     """
 
@@ -164,7 +176,8 @@ class Study:
         engine: str = "",
         **inputs: Any,
     ) -> list[Unit]:
-        """The work to be done; ``only``: names of the parts wanted, all if empty; ``inputs``: what else `parts` takes.
+        """The work to be done; ``only``: names of the parts wanted, all if empty; ``inputs``: what
+        else `parts` takes.
 
         engine: that of `celnav.run`; empty: the one that is set.
         """
@@ -187,7 +200,9 @@ class Study:
     def results(
         self, units: Sequence[Unit], found: Iterable[dict[str, Array]], *, effort: float = 1.0
     ) -> Results:
-        """What units gave, in their order, joined over runs. One part is joined before the next is asked for: they are large."""
+        """What units gave, in their order, joined over runs. One part is joined before the next is
+        asked for: they are large.
+        """
         parts = groupby(zip(units, found, strict=True), lambda pair: pair[0].part)
         works = {unit.part: unit.work for unit in units}
         joined = {name: works[name].join(arrays for _, arrays in pairs) for name, pairs in parts}
@@ -196,7 +211,8 @@ class Study:
     def reproduce(
         self, *, effort: float = 1.0, out: str | Path | None = None, **options: Any
     ) -> Results:
-        """Do all `units` here and now, but for those that ``celnav reproduce --out`` has done with this code; nothing is written.
+        """Do all `units` here and now, but for those that ``celnav reproduce --out`` has done with
+        this code; nothing is written.
 
         >>> results = csrukf.STUDY.reproduce(effort=0.1, only=["0", "I"], out="out")
         """
@@ -209,9 +225,11 @@ class Study:
         return self.results(units, found, effort=effort)
 
     def at_hand(self, out: str | Path = "out", *, small: float = 0.02) -> Results:
-        """All results, if ``celnav reproduce --out`` has computed them with this code; else those of a ``small`` part of the runs.
+        """All results, if ``celnav reproduce --out`` has computed them with this code; else those
+        of a ``small`` part of the runs.
 
-        ``CELNAV_EFFORT``, where it is set, says how large a part is taken, whatever is there; ``CELNAV_OUT`` stands for ``out``.
+        ``CELNAV_EFFORT``, where it is set, says how large a part is taken, whatever is there;
+        ``CELNAV_OUT`` stands for ``out``.
         """
         out = os.environ.get("CELNAV_OUT", out)
         store = existing(Path(out) / self.name / RESULTS)
@@ -256,7 +274,9 @@ class Unit(NamedTuple):
         self.work.join([arrays])
 
     def do(self) -> dict[str, Array]:
-        """The arrays of the part, and ``cpu_s (1, 1)``; warnings of its models and filters are errors."""
+        """The arrays of the part, and ``cpu_s (1, 1)``; warnings of its models and filters are
+        errors.
+        """
         start, token = process_time(), ENGINE.set(self.engine)
         rngs = [generator(self.seed, self.work.number, run) for run in self.runs]
         try:
@@ -296,7 +316,9 @@ class Results:
         return self.data[part]["times"]
 
     def error(self, part: str, filter: str, group: str, what: str = "error") -> Array:
-        """Errors, or with ``what="std"`` what the filter takes for their deviations, ``(T, runs, k)`` in the unit of a group."""
+        """Errors, or with ``what="std"`` what the filter takes for their deviations, ``(T, runs,
+        k)`` in the unit of a group.
+        """
         return self.data[part][f"{filter}/{what}"][..., self.group(group).part]
 
     def at(self, part: str, when: When) -> int | slice:
@@ -311,12 +333,16 @@ class Results:
         return windows[choice("at", when, windows)]
 
     def squares(self, part: str, filter: str, group: str, at: When = -1) -> Array:
-        """Squared errors ``(runs, k)`` of a group's components at an epoch, or their means over some of them."""
+        """Squared errors ``(runs, k)`` of a group's components at an epoch, or their means over
+        some of them.
+        """
         square = np.square(self.error(part, filter, group)[self.at(part, at)])
         return square if isinstance(at, int) else np.asarray(square.mean(0))
 
     def nees(self, part: str, filter: str, at: When = -1, what: str = "nees") -> Array:
-        """NEES, or with ``what="nis"`` NIS, of each run ``(runs,)`` at an epoch, or its mean over some of them."""
+        """NEES, or with ``what="nis"`` NIS, of each run ``(runs,)`` at an epoch, or its mean over
+        some of them.
+        """
         values = self.data[part][f"{filter}/{what}"][self.at(part, at)]
         return values if isinstance(at, int) else np.asarray(values.mean(0))
 
@@ -338,7 +364,9 @@ class Results:
         return self.effort == 1.0
 
     def claims(self, rows: Sequence[Row] = ()) -> list[Claim]:
-        """All rows of the ledger, or some, judged; those that need a part which is absent are left out."""
+        """All rows of the ledger, or some, judged; those that need a part which is absent are left
+        out.
+        """
         return [
             row.judged(self, self.full)
             for row in rows or self.study.rows

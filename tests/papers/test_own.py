@@ -268,7 +268,8 @@ def test_a_mission_takes_a_study_beside_it(folder, capsys, monkeypatch):
     (missions / "good.toml").write_text(text)
     assert cli.main(["run", "missions/good.toml", "--jobs", "1", "--effort", "1"]) == 0
     out = capsys.readouterr().out
-    assert "A vehicle by range and bearing: 6/6 runs" in out
+    assert "A vehicle by range and bearing: 100%, " in out
+    assert ": 6/6 runs" in out
     assert "ukf: position" in out
     monkeypatch.chdir(missions)
     (missions / "sweep.toml").write_text(text.replace("1.0", "[0.5, 1.0]"))
