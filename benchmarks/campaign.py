@@ -30,12 +30,13 @@ from typing import Any
 
 from celnav.campaign import campaign, given, processes, serial
 from celnav.campaign.missions import Study, study
-from celnav.campaign.units import STUDY, Unit
+from celnav.campaign.units import STUDY
 from celnav.filters.records import Epoch
 from celnav.filters.run import run
 from celnav.gaussian.belief import nees
 from celnav.papers.csrukf import trial
 from celnav.study.montecarlo import blocks, generator
+from celnav.study.study import Unit
 
 FILTER = "csrukf+z0"
 
@@ -90,7 +91,7 @@ class InTurn(Executor):
     def submit(self, fn: Callable[..., Any], /, unit: Unit, *args: Any) -> Future[Any]:  # type: ignore[override]
         """As `Executor` has it."""
         done: Future[Any] = Future()
-        part = range(unit.first, unit.last)
+        part = unit.runs
         functions: dict[str, Callable[[], object]] = {
             "bare": lambda: bare_block(self._work, part),
             "judged": lambda: judged_block(self._work, part),

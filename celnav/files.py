@@ -1,13 +1,16 @@
 """Files: written whole or not at all, and never over somebody else's.
 
-`Outputs` is a folder of celnav's own files. A small manifest remembers the contents that celnav wrote, so that a file which it
-did not make, or which was changed since, is refused instead of replaced.
+`Outputs` is a folder of celnav's own files. A small manifest remembers the contents that celnav
+wrote, so that a file which it did not make, or which was changed since, is refused instead of
+replaced.
 """
 
 from __future__ import annotations
 
+import difflib
 import errno
 import hashlib
+import io
 import json
 import os
 import secrets
@@ -24,11 +27,6 @@ from numpy.typing import NDArray
 
 from celnav.lazy import needed_by
 
-__all__ = [
-    "MOST_UNPACKED", "ForeignFileError", "InputError", "Outputs", "data", "locked", "read_json", "read_npz", "remove_leftovers",
-    "replacing", "write_bytes", "write_text",
-]  # fmt: skip
-
 MANIFEST = ".celnav.json"
 LOCK = ".celnav.lock"
 TEMPORARY = ".celnav-"
@@ -40,8 +38,22 @@ CURES = {
     "another file system",
 }
 """Of errors of writing."""
+DAMAGE = (
+    OSError,
+    ValueError,
+    EOFError,
+    zipfile.BadZipFile,
+    KeyError,
+    AttributeError,
+    RuntimeError,
+)
+"""What damaged archives raise; of OSError a seek to nowhere."""
 MOST_UNPACKED = 100
 """Times the size of a file: no honest archive of numbers unpacks to more."""
+
+
+Contents = Mapping[str, str] | Mapping[str, bytes]
+"""Of files by name, that were made before they are written."""
 
 
 class ForeignFileError(OSError):
@@ -49,12 +61,19 @@ class ForeignFileError(OSError):
 
 
 class InputError(ValueError):
-    """A file that was given cannot be used; the message names it, and the line where there is one."""
+    """A file that was given cannot be used; the message names it, and the line if there is one."""
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """The end of an error about an unknown word: the known one that is nearest, if one is near."""
+    near = difflib.get_close_matches(word, list(known), 1)
+    return f"; did you mean {near[0]}?" if near else ""
 
 
 @contextmanager
 def replacing(path: str | Path) -> Iterator[Path]:
-    """A path of the same name in a temporary folder beside ``path``; it takes the place of ``path`` at the end, or is removed.
+    """A path of the same name in a temporary folder beside ``path``; it takes the place of ``path``
+    at the end, or is removed.
 
     A device or a pipe, such as /dev/null, stays and is written to. OSError names ``path``, and the
     cure where the disk is full.
@@ -108,20 +127,14 @@ def read_npz(path: str | Path) -> dict[str, NDArray[Any]]:
             raise ValueError(f"unpacks to {size} bytes, more than {MOST_UNPACKED} times its size")
         with np.load(path, allow_pickle=False) as stored:
             return {name: stored[name] for name in stored.files}
-    except (
-        ValueError,
-        EOFError,
-        zipfile.BadZipFile,
-        KeyError,
-        AttributeError,
-        RuntimeError,
-    ) as error:
+    except DAMAGE as error:
         raise ValueError(f"{path}: expected an npz file of plain arrays ({error})") from None
 
 
 @contextmanager
 def locked(folder: str | Path) -> Iterator[None]:
-    """Keep other processes that ask for the same out of an existing folder; the lock ends with this process, however it ends.
+    """Keep other processes that ask for the same out of an existing folder; the lock ends with this
+    process, however it ends.
 
     Raises
     ------
@@ -144,7 +157,8 @@ def locked(folder: str | Path) -> Iterator[None]:
 
 
 def remove_leftovers(*folders: str | Path) -> None:
-    """Remove what processes left that were killed while they wrote into folders. Only for who has them `locked`.
+    """Remove what processes left that were killed while they wrote into folders. Only for who has
+    them `locked`.
 
     What celnav did not make stays, whatever its name begins with.
     """
@@ -156,7 +170,9 @@ def remove_leftovers(*folders: str | Path) -> None:
 
 
 def _temporary_name(token: str) -> str:
-    """How the name of a temporary folder begins: with a check of its random part, which nobody else writes there by chance."""
+    """How the name of a temporary folder begins: with a check of its random part, which nobody else
+    writes there by chance.
+    """
     return f"{TEMPORARY}{token}-{hashlib.sha256(f'celnav {token}'.encode()).hexdigest()[:16]}-"
 
 
@@ -165,7 +181,8 @@ def read_json(path: str | Path) -> Any:
 
     Raises
     ------
-    InputError: naming the file, if it is not JSON, or lists lie within one another too deeply. OSError: if it cannot be read.
+    InputError: naming the file, if it is not JSON, or lists lie within one another too deeply.
+        OSError: if it cannot be read.
     """
     try:
         return json.loads(Path(path).read_text(encoding="utf-8"))
@@ -217,7 +234,8 @@ class Outputs:
         for above in list(Path(name).parents)[:-1]:
             if (self.directory / above).is_symlink():
                 raise ForeignFileError(
-                    f"{self.directory / above}: expected a folder of its own, got a link; remove it first"
+                    f"{self.directory / above}: expected a folder of its own, got a link; remove "
+                    "it first"
                 )
             if (self.directory / above).exists() and not (self.directory / above).is_dir():
                 raise NotADirectoryError(f"{self.directory / above}: expected a folder to write to")
@@ -225,7 +243,8 @@ class Outputs:
             path.exists() and _sha256(path) not in self._manifest().get(name, [])
         ):
             raise ForeignFileError(
-                f"{path}: exists and was not made, or was changed since, by celnav; move it away first"
+                f"{path}: exists and was not made, or was changed since, by celnav; move it away "
+                "first"
             )
         return path
 
@@ -235,7 +254,8 @@ class Outputs:
         path = self._owned(name)
         with replacing(path) as temporary:
             yield temporary
-            # Both contents are owned before the old one is replaced: a crash in between leaves no foreign file.
+            # Both contents are owned before the old one is replaced: a crash in between leaves no
+            # foreign file.
             manifest = self._manifest()
             manifest[name] = [*manifest.get(name, [])[-1:], _sha256(temporary)]
             write_text(
@@ -251,10 +271,20 @@ class Outputs:
         """Write a UTF-8 file."""
         self.bytes(name, text.encode("utf-8"))
 
-    def npz(self, name: str, arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Write arrays."""
-        with self.path_for(name) as path:
-            np.savez(path, allow_pickle=False, **dict(arrays))
+    def publish(self, *contents: Contents) -> None:
+        """Write files that were made before; where one of their names is refused, none is written.
+        See `check`.
+        """
+        self.check(name for some in contents for name in some)
+        for name, content in (file for some in contents for file in some.items()):
+            self.bytes(name, content.encode("utf-8") if isinstance(content, str) else content)
+
+
+def npz(arrays: Mapping[str, NDArray[Any]]) -> bytes:
+    """Arrays as an npz file."""
+    buffer = io.BytesIO()
+    np.savez(buffer, allow_pickle=False, **dict(arrays))
+    return buffer.getvalue()
 
 
 def _sha256(path: Path) -> str:
@@ -263,7 +293,8 @@ def _sha256(path: Path) -> str:
 
 
 def data(name: str) -> Path:
-    """A file of the package's data: ``data/`` of the repository, or its copy inside an installed package.
+    """A file of the package's data: ``data/`` of the repository, or its copy inside an installed
+    package.
 
     Raises
     ------

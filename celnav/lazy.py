@@ -1,4 +1,5 @@
-"""What is imported only when it is asked for: modules of a package [PEP 562], scipy, and packages that only extras of celnav bring.
+"""What is imported only when it is asked for: modules of a package [PEP 562], scipy, and packages
+that only extras of celnav bring.
 
 ``import celnav`` is fast, enough, and needs numpy and scipy alone.
 """
@@ -13,17 +14,17 @@ from importlib.util import find_spec
 from pkgutil import iter_modules
 from typing import Any
 
-__all__ = ["PIP", "Late", "MissingError", "modules", "needed_by", "require"]
-
 PIP = r".venv\Scripts\pip" if sys.platform == "win32" else ".venv/bin/pip"
 
 
 def modules(
     package: str, *doors: str, **late: str
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
-    """``__getattr__`` and ``__dir__`` of a package that imports its modules when they are asked for.
+    """``__getattr__`` and ``__dir__`` of a package that imports its modules when they are asked
+    for.
 
-    doors: modules of which the public names are the package's own as well, the first that has a name.
+    doors: modules of which the public names are the package's own as well, the first that has a
+        name.
     late: names of the package, and the modules that have them.
     """
 
@@ -35,7 +36,8 @@ def modules(
         if not name.startswith("_"):
             try:
                 return import_module(f"{package}.{name}")
-            except MissingError as error:  # no attribute where its package is not installed: `help` and `hasattr` ask for all
+            except MissingError as error:
+                # No attribute where its package is not installed: `help` and `hasattr` ask for all.
                 raise AttributeError(str(error), name=name, obj=own) from error
             except ModuleNotFoundError as error:
                 if error.name != f"{package}.{name}":
@@ -69,7 +71,9 @@ class Late:
 
 
 class MissingError(ImportError):
-    """A package that an extra of celnav brings is not installed; the message is the command that does so."""
+    """A package that an extra of celnav brings is not installed; the message is the command that
+    does so.
+    """
 
     def __init__(self, what: str, module: str, extra: str):
         cure = f'{PIP} install -c constraints.txt -e ".[{extra}]"'
@@ -80,7 +84,9 @@ class MissingError(ImportError):
 
 @contextmanager
 def needed_by(what: str, extra: str) -> Iterator[None]:
-    """Around imports of packages that an extra brings. MissingError names ``what`` needs the first that is not installed."""
+    """Around imports of packages that an extra brings. MissingError names ``what`` needs the first
+    that is not installed.
+    """
     try:
         yield
     except ModuleNotFoundError as error:
@@ -88,7 +94,9 @@ def needed_by(what: str, extra: str) -> Iterator[None]:
 
 
 def require(what: str, extra: str, *packages: str) -> None:
-    """Raise `MissingError` if one of the packages is not installed, before work begins that would end there."""
+    """Raise `MissingError` if one of the packages is not installed, before work begins that would
+    end there.
+    """
     with needed_by(what, extra):
         for package in packages:
             if find_spec(package) is None:

@@ -1,6 +1,8 @@
-"""A store of results: a folder with a manifest and one checksummed file for each finished unit of work.
+"""A store of results: a folder with a manifest and one checksummed file for each finished unit of
+work.
 
-Every file is written under a temporary name and renamed: the folder is right after any interruption. The manifest says which code
+Every file is written under a temporary name and renamed: the folder is right after any
+interruption. The manifest says which code
 made the results: another one's are not used.
 """
 
@@ -9,7 +11,7 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import cache
 from importlib import metadata
 from pathlib import Path
@@ -20,8 +22,6 @@ from numpy.typing import NDArray
 
 import celnav
 from celnav.files import data, read_json, read_npz, remove_leftovers, replacing, write_text
-
-__all__ = ["FORMAT", "MANIFEST", "RESULTS", "Keyed", "Store", "code", "existing", "resumed"]
 
 FORMAT = 2
 MANIFEST, RESULTS = "manifest.json", ".results"
@@ -42,7 +42,9 @@ class Keyed(Protocol):
 
 @cache
 def code() -> dict[str, str]:
-    """What determines the numbers: versions of celnav, with a hash of its sources and data, and of what it computes with."""
+    """What determines the numbers: versions of celnav, with a hash of its sources and data, and of
+    what it computes with.
+    """
     root = Path(celnav.__file__).parent
     digest = hashlib.sha256()
     for path in [
@@ -60,7 +62,9 @@ def code() -> dict[str, str]:
 
 
 class Store:
-    """Finished units in ``folder / "units"``; see `resumed`, `existing` and `celnav.campaign.open_store`."""
+    """Finished units in ``folder / "units"``; see `resumed`, `existing` and
+    `celnav.campaign.open_store`.
+    """
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -74,14 +78,13 @@ class Store:
         with replacing(self.path(unit)) as path:
             np.savez(path, allow_pickle=False, **arrays, checksum=np.array(_checksum(unit, arrays)))
 
-    def has(self, unit: Keyed) -> bool:
-        """Whether a unit is finished and whole.
-
-        Raises
-        ------
-        ValueError: see `read`.
-        """
-        return self.path(unit).exists() and bool(self.read(unit))
+    def has(self, unit: Keyed, say: Callable[[str], Any] = print) -> bool:
+        """Whether a unit is finished and whole; ``say`` takes a line about one that is damaged."""
+        try:
+            return self.path(unit).exists() and bool(self.read(unit))
+        except ValueError as error:
+            say(f"{error}; it is computed again")
+            return False
 
     def forget_all_but(self, units: Iterable[Keyed]) -> None:
         """Remove the results of others."""
@@ -95,7 +98,8 @@ class Store:
 
         Raises
         ------
-        ValueError: naming the file, if it is damaged: nothing in it is used. OSError: if it is not there.
+        ValueError: naming the file, if it is damaged: nothing in it is used. OSError: if it is not
+            there.
         """
         path = self.path(unit)
         arrays = read_npz(path)

@@ -73,7 +73,6 @@ def study(monkeypatch):
     def use(**options):
         module = tiny(**options)
         monkeypatch.setattr(papers, "PAPERS", {"tiny": "tiny"})
-        monkeypatch.setattr("celnav.commands.index.PAPERS", {"tiny": "tiny"})
         monkeypatch.setattr("celnav.papers.import_module", lambda name: module)
 
     use()

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from celnav import cli
-from celnav.files import ForeignFileError, InputError, Outputs, read_npz, replacing, write_text
+from celnav.files import ForeignFileError, InputError, Outputs, npz, read_npz, replacing, write_text
 from celnav.show.claims import Ledger, dumps, read_claims
 from celnav.study.ledger import Number, Row
 
@@ -30,7 +30,7 @@ def test_an_npz_with_a_payload_raises_and_does_not_run(tmp_path):
 
 def test_a_truncated_npz_is_named(tmp_path):
     outputs = Outputs(tmp_path)
-    outputs.npz("good.npz", {"x": np.arange(1000.0)})
+    outputs.bytes("good.npz", npz({"x": np.arange(1000.0)}))
     np.testing.assert_array_equal(read_npz(tmp_path / "good.npz")["x"], np.arange(1000.0))
     (tmp_path / "cut.npz").write_bytes((tmp_path / "good.npz").read_bytes()[:200])
     with pytest.raises(ValueError, match=r"cut\.npz"):
@@ -204,7 +204,7 @@ def test_a_file_beyond_the_limit_of_size_is_named_and_the_old_one_stays(tmp_path
         limited(50_000),
         pytest.raises(OSError, match=r"larger than the limit of file sizes.*ulimit -f") as caught,
     ):
-        outputs.npz(name, {"a": large}) if name == "a.npz" else outputs.text(name, "a" * 100_000)
+        outputs.publish({name: npz({"a": large}) if name == "a.npz" else "a" * 100_000})
     assert caught.value.filename == str(tmp_path / name)
     assert {path.name for path in tmp_path.iterdir()} == {name, ".celnav.json"}
     assert (tmp_path / name).read_text() == "old"

@@ -12,7 +12,7 @@ import nbformat
 import pytest
 
 import celnav
-from celnav.commands.index import verdicts, words
+from celnav.commands.index import summary, verdicts
 from celnav.papers import PAPERS, load
 
 ROOT = Path(__file__).parents[1]
@@ -42,7 +42,7 @@ def test_the_table_of_verdicts_is_not_stale():
 
 
 def test_the_words_are_those_of_the_page():
-    assert words(list(PAPERS)) in README
+    assert summary(list(PAPERS)) in README
     count = sum(row.kind == "statement" for paper in PAPERS for row in load(paper).STUDY.rows)
     assert f"make {count} statements" in README
 

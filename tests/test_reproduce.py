@@ -21,7 +21,6 @@ import sys, time
 sys.path.insert(0, {str(Path(__file__).parent)!r})
 from test_cli import numbers, tiny
 from celnav import cli, papers
-from celnav.commands import index
 
 
 def slow(size, rngs):
@@ -32,7 +31,7 @@ def slow(size, rngs):
 
 
 module = tiny(work=slow, blocks=8)
-papers.PAPERS = index.PAPERS = {{{{"tiny": "tiny"}}}}
+papers.PAPERS = {{{{"tiny": "tiny"}}}}
 papers.import_module = lambda name: module
 if __name__ == "__main__":
     raise SystemExit(cli.main(sys.argv[1:]))
@@ -148,7 +147,6 @@ def test_a_killed_worker_is_replaced(tmp_path):
 def study(monkeypatch):
     large = tiny(size=30_000)
     monkeypatch.setattr(papers, "PAPERS", {"tiny": "tiny"})
-    monkeypatch.setattr("celnav.commands.index.PAPERS", {"tiny": "tiny"})
     monkeypatch.setattr("celnav.papers.import_module", lambda name: large)
 
 

@@ -49,8 +49,8 @@ pseudorange: sources emitted emitted_each measure jacobian
 linalg: block cholesky downdate sigma_deviations matvec outer semidefinite_root side_by_side solve_lower is_concretely_true
     solve_right tria whiten SquareRoot.lost Covariance.lost
 recorded: cholesky semidefinite_root solve_lower tria
-belief: any_lost nees mask_failed
-trial: check_groups squares Noiseless.standard_normal
+belief: any_lost nees settled
+trial: check_groups scales squares Noiseless.standard_normal
 """
 """What a filter calls at every step takes arrays as they are: a look at each would cost more than the product it makes."""
 INSIDE = """
@@ -60,29 +60,31 @@ drawing: Drawing.set render styled
 rules: check_point_count AnyDimension
 sparse_grid: check_orders univariate
 views: blueprint
-figures: band bars components consistency curve errors interval level panels quantiles rmse rmse_table sigma
+draw: band bars components curve grid interval level panels picture_names pictures quantiles
+figures: consistency errors rmse rmse_table sigma
 ephemeris: de421
 pulsar: known
 orbit: warn_of_degrees
 gnss: Broadcast Broadcast.chosen
 belief: symmetric
-montecarlo: Draws Draws.close blocks effort generators steps
-claims: answer Ledger accepted counted dumps plain read_claims row style table tally written
+montecarlo: Draws Draws.close blocks effort generators renewed run_of steps
+claims: answer Ledger cells columns counted dumps markdown notes numbers plain read_claims style tally written
 gyro: Gyro.drift
 ledger: Claim Row Row.judged estimate order
 operations: step_operations
 numbers: all_of consistency correlation entries given lagged of over_time ratio rmse settling tiers
 parameters: Parameters.check param
 sightings: limb
+study: concatenated
 study: Results Results.at Results.claims Results.error Results.first Results.get Results.group Results.nees Results.squares
     Results.times Results.value Study Study.at_hand Study.reproduce Study.results Study.units Unit.check Unit.do fly together
-page: document figure link linked table
+page: macro render
 picture: command end picture
-progress: Progress Progress.add Progress.close Progress.say RunProgress
+progress: Progress Progress.add Progress.close Progress.runs Progress.say
 estimates: Estimate Estimate.error Estimate.sigma again
 plots: draw
 diagnose: Diagnosis.biased Diagnosis.white autocorrelation first_order forgotten_wraps grid_index
-diagnosis_text: page
+diagnosis_text: consistency laid_out page
 diagnosis: figure size
 report: Report.figure
 scenes: arc behind beside constellation flight sigma_points sightings track turning unit
@@ -235,7 +237,7 @@ CALLS = {
     "recording.Recorder.exact": dict(entity="a", a=TIMES),
     "views.space": dict(origin="a", name="a", eye=[1.0, 0.0, 0.0], target=[0.0, 0.0, 0.0], up=[0.0, 0.0, 1.0], growing={"a": 1.0}),
     "views.plot": dict(origin="a", name="a", times=TIMES, limits=(0.0, 1.0), legend=0.1),
-    "figures.figure": dict(width=3.0, height=2.0, rows=1, columns=2),
+    "draw.figure": dict(width=3.0, height=2.0, rows=1, columns=2),
     "constellation.geostationary": dict(number=1, elapsed_s=60.0),
     "constellation.synthetic": dict(toe=345600.0),
     "ephemeris.Kernel": dict(path=str(ephemeris.de421().path)),

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import re
 import textwrap
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+
+__all__ = ["consistency", "laid_out", "page"]
 
 WIDTH = 110
 
@@ -30,16 +33,26 @@ def page(found: Diagnosis) -> str:
         colored = [c for c in found.components if found.white(c) == "colored"]
         said += [line for c in colored for line in _noise(c, found) if not found.wraps]
         said += [("model", found.why)] if found.why else []
-    lines = [_filled(f"{head:8} {line}") for head, line in said]
-    return "\n".join(
-        [
-            f"{runs}, {T} epochs over {t[-1] - t[0]:.6g} s, {spaced}{gaps}",
-            "",
-            *_table(found),
-            "",
-            *lines,
-        ]
-    )
+    head = f"{runs}, {T} epochs over {t[-1] - t[0]:.6g} s, {spaced}{gaps}"
+    return laid_out(head, _table(found), said)
+
+
+def laid_out(head: str, table: Sequence[Sequence[str]], said: Iterable[tuple[str, str]]) -> str:
+    """A first line, a table whose first column is words, and what is said of something, line by line."""
+    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
+    rows = [
+        [row[0].ljust(widths[0]), *(x.rjust(n) for x, n in zip(row[1:], widths[1:], strict=True))]
+        for row in table
+    ]
+    lines = [_filled(f"{word:8} {line}") for word, line in said]
+    return "\n".join([head, "", *map("  ".join, rows), "", *lines])
+
+
+def consistency(ratio: float, band: tuple[float, float]) -> str:
+    """What is said of a ratio that is 1 for a consistent filter, and of the band that it should lie in."""
+    if ratio > band[1]:
+        return "overconfident"
+    return "conservative" if ratio < band[0] else "consistent"
 
 
 def _filled(line: str) -> str:
@@ -49,7 +62,7 @@ def _filled(line: str) -> str:
     return filled.replace("\0", " ")
 
 
-def _table(found: Diagnosis) -> list[str]:
+def _table(found: Diagnosis) -> list[list[str]]:
     rows = [
         [
             "component",
@@ -79,16 +92,7 @@ def _table(found: Diagnosis) -> list[str]:
                 _p(c.p),
             ]
         )
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    return [
-        "  ".join(
-            [
-                row[0].ljust(widths[0]),
-                *(x.rjust(n) for x, n in zip(row[1:], widths[1:], strict=True)),
-            ]
-        )
-        for row in rows
-    ]
+    return rows
 
 
 def _lag(c: Component) -> str:
@@ -124,12 +128,12 @@ def _size(k: int, found: Diagnosis) -> str:
 
 def _verdict(k: int, found: Diagnosis) -> str:
     """Small innovations that follow each other do not make a filter conservative."""
-    nis, (low, high) = found.sensors[k].nis, found.sensors[k].band
-    if low <= nis <= high:
+    nis, word = found.sensors[k].nis, consistency(found.sensors[k].nis, found.sensors[k].band)
+    if word == "consistent":
         return "as large as predicted"
     white = all(found.white(c) != "colored" for c in found.components if c.sensor == k)
-    word = "overconfident, " if nis > high else "conservative, " if white else ""
-    return f"{word}{_plain(np.sqrt(nis), 3)} times as large as predicted"
+    named = f"{word}, " if white or word == "overconfident" else ""
+    return f"{named}{_plain(np.sqrt(nis), 3)} times as large as predicted"
 
 
 def _bias(found: Diagnosis) -> list[str]:

@@ -1,4 +1,6 @@
-"""The engine: hand out units that are missing, keep what comes back, begin again where a worker died."""
+"""The engine: hand out units that are missing, keep what comes back, begin again where a worker
+died.
+"""
 
 from __future__ import annotations
 
@@ -18,10 +20,9 @@ from celnav.campaign.units import VersionError, Work, WorkError, execute
 from celnav.gaussian.linalg import Array
 from celnav.store import code
 
-__all__ = ["ATTEMPTS", "UnfinishedError", "compute"]
-
 ATTEMPTS = 3
-"""How often in a row workers may die, and no unit be finished, before units are tried one by one."""
+"""How often in a row workers may die, and no unit be finished, before units are tried one by one.
+"""
 
 W = TypeVar("W", bound=Work)
 U = TypeVar("U")
@@ -42,11 +43,13 @@ def compute(
     keep: Callable[[W, dict[str, Array]], None],
     opened: Callable[[], None] = _nothing,
 ) -> None:
-    """Do all units and give each result to ``keep`` as it comes, in any order; ``opened()`` is called once there are workers.
+    """Do all units and give each result to ``keep`` as it comes, in any order; ``opened()`` is
+    called once there are workers.
 
     Raises
     ------
-    UnfinishedError: after all others are done, if units failed or killed their workers. VersionError: see `execute`; at once.
+    UnfinishedError: after all others are done, if units failed or killed their workers.
+        VersionError: see `execute`; at once.
     Whatever ``keep`` raises; then nothing more is handed out.
     """
     missing = dict.fromkeys(units)
@@ -96,11 +99,13 @@ def _said(error: Exception) -> str:
 def results(
     executor: Executor, function: Callable[..., R], todo: Sequence[U], ahead: int, *arguments: Any
 ) -> Iterator[tuple[U, R | Exception]]:
-    """Results and exceptions of ``function(unit, *arguments)``, as they come; ``ahead`` units are handed out before their turn.
+    """Results and exceptions of ``function(unit, *arguments)``, as they come; ``ahead`` units are
+    handed out before their turn.
 
     Raises
     ------
-    BrokenExecutor: if a worker died. VersionError: see `execute`. OSError: if the executor dropped the work.
+    BrokenExecutor: if a worker died. VersionError: see `execute`. OSError: if the executor dropped
+        the work.
     """
     waiting: dict[Future[R], U] = {}
     left = iter(todo)

@@ -1,4 +1,6 @@
-"""Where the work is done: here, in processes, or on a Dask cluster. Anything with ``submit`` of `concurrent.futures` will do."""
+"""Where the work is done: here, in processes, or on a Dask cluster. Anything with ``submit`` of
+`concurrent.futures` will do.
+"""
 
 from __future__ import annotations
 
@@ -18,8 +20,6 @@ from urllib.parse import urlsplit
 from celnav.gaussian.checks import integer
 from celnav.lazy import needed_by
 
-__all__ = ["Workers", "dask", "given", "processes", "serial"]
-
 MOST_PROCESSES = 61 if sys.platform == "win32" else 1_000_000
 """Windows waits for no more at once."""
 PATIENCE_S = 10.0
@@ -27,8 +27,8 @@ PATIENCE_S = 10.0
 
 
 class Workers(NamedTuple):
-    """``open()`` gives an executor; ``ahead``: how many units are handed out before their turn; ``again``: whether a new one is
-    given where the last one broke."""
+    """``open()`` gives an executor; ``ahead``: how many units are handed out before their turn;
+    ``again``: whether a new one is given where the last one broke."""
 
     open: Callable[[], AbstractContextManager[Executor]]
     ahead: int
@@ -53,7 +53,7 @@ def serial() -> Workers:
 
 
 def given(executor: Executor) -> Workers:
-    """An executor that somebody else opens and closes, such as ``mpi4py.futures.MPIPoolExecutor``."""
+    """An executor of somebody else's, such as ``mpi4py.futures.MPIPoolExecutor``; it stays open."""
     return Workers(lambda: contextlib.nullcontext(executor), 1000, again=False)
 
 
@@ -97,8 +97,8 @@ class _Pool(ProcessPoolExecutor):
 
 @contextmanager
 def _deaf_children() -> Iterator[None]:
-    """Processes that are started in here never hear of interrupts from the keyboard, which are for the parent alone: it hears of
-    them at the end."""
+    """Processes that are started in here never hear of interrupts from the keyboard, which are for
+    the parent alone: it hears of them at the end."""
     if sys.platform == "win32":
         yield
     else:
@@ -111,7 +111,9 @@ def _deaf_children() -> Iterator[None]:
 
 
 def _end_with_the_parent() -> None:
-    """In a new process: leave interrupts to the parent, and end when it does, even if it was killed."""
+    """In a new process: leave interrupts to the parent, and end when it does, even if it was
+    killed.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = parent_process()
 
@@ -124,7 +126,8 @@ def _end_with_the_parent() -> None:
 
 
 def dask(address: str | None = None, jobs: int = 1) -> Workers:
-    """A running Dask scheduler (``tcp://host:port``), or one of ``jobs`` processes that is started on this machine.
+    """A running Dask scheduler (``tcp://host:port``), or one of ``jobs`` processes that is started
+    on this machine.
 
     Opening it raises ImportError without ``distributed``, OSError if no scheduler answers.
 

@@ -1,6 +1,7 @@
 """Missions and studies: one TOML file over a paper's models and filters.
 
-A file names a paper, may start from one of its presets, and overrides any parameter of its ``Config``::
+A file names a paper, may start from one of its presets, and overrides any parameter of its
+``Config``::
 
     paper = "csrukf"
     filters = ["srukf", "csrukf+z0"]
@@ -10,8 +11,9 @@ A file names a paper, may start from one of its presets, and overrides any param
     inclination_deg = 98.2
     phi = 0.95
 
-A list where a parameter is one value makes it a study: every combination of the lists is a configuration. In place of a paper may
-stand a study of one's own, ``paper = "study.py"``, a file beside this one (`celnav.papers.own`).
+A list where a parameter is one value makes it a study: every combination of the lists is a
+configuration. In place of a paper may stand a study of one's own, ``paper = "study.py"``, a file
+beside this one (`celnav.papers.own`).
 """
 
 from __future__ import annotations
@@ -27,10 +29,11 @@ from types import ModuleType
 from typing import Any
 
 from celnav.campaign.typed import depth, named, type_depth, typed
-from celnav.files import InputError
+from celnav.files import InputError, did_you_mean
 from celnav.filters.run import ENGINES
 from celnav.gaussian.checks import choice
-from celnav.papers import PAPERS, load, own
+from celnav.papers import PAPERS, is_file, load
+from celnav.papers.own import identity
 from celnav.study.montecarlo import run_count
 
 __all__ = ["Configuration", "MissionError", "Study", "flat", "read", "study"]
@@ -43,7 +46,9 @@ MOST_UNITS = 1_000_000
 MOST_SAMPLES = 200_000_000
 """Of all runs of a block, which are simulated at once: more take tens of gigabytes."""
 BLOCK = 100
-"""Runs of a work unit, unless a file says otherwise: larger ones are hardly faster, and a campaign grows by whole ones."""
+"""Runs of a work unit, unless a file says otherwise: larger ones are hardly faster, and a campaign
+grows by whole ones.
+"""
 KEYS = (
     "title",
     "paper",
@@ -77,10 +82,13 @@ class Study:
 
     Attributes
     ----------
-    title, paper: as given, and the title determines nothing. filters: names. runs: of each configuration.
+    title, paper: as given, and the title determines nothing. filters: names. runs: of each
+        configuration.
     seed: all configurations share the random numbers.
-    block: runs of a work unit. every: how many judged epochs lie from one that is scored to the next.
-    settle_s: where means over time begin; None: in the middle. limits: largest error at the end, by group.
+    block: runs of a work unit. every: how many judged epochs lie from one that is scored to the
+        next.
+    settle_s: where means over time begin; None: in the middle. limits: largest error at the end, by
+        group.
     engine: that of `celnav.run`.
     swept: dotted key -> values. configurations: every combination, the last key changing fastest.
     """
@@ -99,7 +107,9 @@ class Study:
     configurations: tuple[Configuration, ...]
 
     def to_dict(self) -> dict[str, Any]:
-        """Everything that determines the results, in plain types: what a store is compared by. No title."""
+        """Everything that determines the results, in plain types: what a store is compared by. No
+        title.
+        """
         first = {
             k: v
             for k, v in flat(asdict(self.configurations[0].config)).items()
@@ -110,7 +120,7 @@ class Study:
             for f in fields(self)
             if f.name not in ("title", "swept", "configurations")
         }
-        about["paper"] = own.identity(self.paper)
+        about["paper"] = identity(self.paper)
         return {
             **flat(about),
             **{f"config.{k}": v for k, v in first.items()},
@@ -133,7 +143,8 @@ def read(path: str | Path, effort: float = 1.0) -> Study:
 
     Raises
     ------
-    MissionError: naming file and key, what was expected and what came. OSError: if the file cannot be read. ValueError: for an
+    MissionError: naming file and key, what was expected and what came. OSError: if the file cannot
+        be read. ValueError: for an
     ``effort`` that cannot be.
     """
     source = Path(path)
@@ -147,7 +158,7 @@ def read(path: str | Path, effort: float = 1.0) -> Study:
         raise MissionError(f"{source}: {_DEEP}") from None
     except (ValueError, UnicodeDecodeError) as error:
         raise MissionError(f"{source}: not a TOML file ({error})") from None
-    if isinstance(paper := table.get("paper"), str) and own.is_own(paper):
+    if isinstance(paper := table.get("paper"), str) and is_file(paper):
         table["paper"] = str((source.parent / paper).resolve())
     try:
         whole = study(table)
@@ -175,7 +186,9 @@ def study(table: Mapping[str, Any]) -> Study:
         )
     paper = typed("paper", table["paper"], str)
     module = (
-        own.load(paper, mission=True) if own.is_own(paper) else _part("paper", lambda: load(paper))
+        load(paper, mission=True)
+        if is_file(paper)
+        else _part("paper", lambda: load(paper, mission=True))
     )
     start = _preset(module, table)
     for key in (set(table) - set(KEYS)) & {f.name for f in fields(start)}:
@@ -209,7 +222,8 @@ def study(table: Mapping[str, Any]) -> Study:
     units = len(points) * -(-options["runs"] // options["block"])
     if units > MOST_UNITS:
         raise ValueError(
-            f"runs: expected at most {MOST_UNITS} blocks of runs in all, got {units}; fewer runs, or a larger block"
+            f"runs: expected at most {MOST_UNITS} blocks of runs in all, got {units}; fewer runs, "
+            "or a larger block"
         )
     _check_flights(points, options)
     names = _filters(module, table, points)
@@ -236,12 +250,14 @@ def _check_flights(points: Sequence[Configuration], options: Mapping[str, Any]) 
         where = f" where {at}" if (at := ", ".join(f"{k} = {v}" for k, v in values.items())) else ""
         if settle is not None and settle > config.end_s:
             raise ValueError(
-                f"settle_s (s): expected at most {config.end_s:g}, when the flight ends{where}, got {settle:g}"
+                f"settle_s (s): expected at most {config.end_s:g}, when the flight ends{where}, "
+                f"got {settle:g}"
             )
         if config.samples * runs > MOST_SAMPLES:
             sizes = f"{runs} runs of {config.samples} steps{where}"
             raise ValueError(
-                f"block: expected at most {MOST_SAMPLES} steps at once, got {sizes}; a smaller block needs less"
+                f"block: expected at most {MOST_SAMPLES} steps at once, got {sizes}; a smaller "
+                "block needs less"
             )
 
 
@@ -260,7 +276,8 @@ def _known(where: str, table: Mapping[str, Any], names: Sequence[str]) -> None:
     for key in table:
         if key not in names and where and key in KEYS:
             raise ValueError(
-                f"{where}{key}: expected {key} at the top of the file, outside of [{where.partition('.')[0]}]"
+                f"{where}{key}: expected {key} at the top of the file, outside of "
+                f"[{where.partition('.')[0]}]"
             )
         if key not in names:
             close = difflib.get_close_matches(key, names, 1)
@@ -291,7 +308,7 @@ def _limits(table: Mapping[str, Any], judged: Mapping[str, str]) -> dict[str, fl
 def _filters(
     module: ModuleType, table: Mapping[str, Any], points: Sequence[Configuration]
 ) -> tuple[str, ...]:
-    """The names asked for, all of which exist in some configuration; by default those of the first."""
+    """The names asked for, which all exist in some configuration; by default those of the first."""
     known: dict[str, Any] = _part("config", lambda: module.filters(points[0].config))
     names = [
         typed("filters", name, str)
@@ -306,9 +323,10 @@ def _filters(
             name in (known if i == 0 else module.filters(point.config))
             for i, point in enumerate(points)
         ):
-            close = difflib.get_close_matches(name, known, 1)
-            hint = f"; did you mean {close[0]}?" if close else ""
-            raise ValueError(f"filters: expected some of {', '.join(known)}, got {name!r}{hint}")
+            raise ValueError(
+                f"filters: expected some of {', '.join(known)}, got "
+                f"{name!r}{did_you_mean(name, known)}"
+            )
     return tuple(names)
 
 

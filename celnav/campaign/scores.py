@@ -1,6 +1,7 @@
 """Scores: sums over runs, enough for every statistic of a campaign, so that no track is ever kept.
 
-A block of runs is scored, scores of blocks are merged by adding, in whatever number they come, and a `Summary` reads the sum.
+A block of runs is scored, scores of blocks are merged by adding, in whatever number they come, and
+a `Summary` reads the sum.
 """
 
 from __future__ import annotations
@@ -15,25 +16,15 @@ from celnav.analysis.metrics import chi_square_band
 from celnav.gaussian.linalg import Array
 from celnav.study.trial import Followed, Group, squares
 
-__all__ = [
-    "Accuracy",
-    "Failure",
-    "Scores",
-    "Summary",
-    "check_scores",
-    "merge",
-    "score",
-    "summarize",
-]
-
 Scores = dict[str, Array]
 """Sums over runs that did not fail.
 
-times ``(K,)`` s. dimension ``()``: of the error. settled ``(K,)``: which epochs statistics are of. runs ``()``.
-count, nis, dof ``(K,)`` and square ``(K, groups)``: at each epoch, over the runs that have an estimate there. known ``(K,)``,
-variance ``(K, groups)``: over those with a covariance too. own ``(2, groups)``, own_nees ``(2,)``: of each run's mean over the
-settled epochs, and of its square; judged ``()``: how many runs have a NEES there. nees_beyond, nis_beyond ``(2,)``: single values
-above their 95 % quantile, and all.
+times ``(K,)`` s. dimension ``()``: of the error. settled ``(K,)``: which epochs statistics are of.
+runs ``()``. count, nis, dof ``(K,)`` and square ``(K, groups)``: at each epoch, over the runs that
+have an estimate there. known ``(K,)``, variance ``(K, groups)``: over those with a covariance too.
+own ``(2, groups)``, own_nees ``(2,)``: of each run's mean over the settled epochs, and of its
+square; judged ``()``: how many runs have a NEES there. nees_beyond, nis_beyond ``(2,)``: single
+values above their 95 % quantile, and all.
 """
 CONSTANT = ("times", "dimension", "settled")
 """Scores that are no sums."""
@@ -54,9 +45,11 @@ def score(
     settle_s: float | None,
     limits: Mapping[str, float],
 ) -> tuple[Scores, list[Failure]]:
-    """Scores of a block, and its runs that failed: lost their estimate, or ended with an error above the limit of its group.
+    """Scores of a block, and its runs that failed: lost their estimate, or ended with an error
+    above the limit of its group.
 
-    ``settle_s``: the mean over time begins here, not after the last epoch; None: in the middle of the run.
+    ``settle_s``: the mean over time begins here, not after the last epoch; None: in the middle of
+        the run.
     """
     times, end = followed.times, float(followed.times[-1])
     if settle_s is not None and settle_s > end:
@@ -140,20 +133,23 @@ def _beyond(values: Array, dof: Array) -> Array:
     )
 
 
-def check_scores(scores: Scores, groups: int) -> None:
-    """Raise ValueError unless these are numbers of the names and shapes that `score` makes for so many groups."""
+def check_scores(scores: Scores, groups: int, bound: Array | None) -> None:
+    """Raise ValueError unless these are numbers of the names and shapes that `score` makes for so
+    many groups, with their bound.
+    """
     K, G = scores.get("times", np.empty(0)).shape[:1], (groups,)
-    shapes = {
-        "times": K, "settled": K, "count": K, "known": K, "nis": K, "dof": K, "square": K + G, "variance": K + G, "own": (2, *G),
-        "own_nees": (2,), "nees_beyond": (2,), "nis_beyond": (2,), "dimension": (), "runs": (), "judged": (),
-    }  # fmt: skip
+    shapes: dict[str, tuple[int, ...]] = dict.fromkeys(("dimension", "runs", "judged"), ())
+    shapes |= dict.fromkeys(("times", "settled", "count", "known", "nis", "dof"), K)
+    shapes |= dict.fromkeys(("own_nees", "nees_beyond", "nis_beyond"), (2,))
+    shapes |= {"square": K + G, "variance": K + G, "own": (2, *G)}
     if set(scores) != set(shapes):
         raise ValueError(f"expected scores {', '.join(shapes)}, got {', '.join(scores)}")
     for name, shape in shapes.items():
         if scores[name].shape != shape or scores[name].dtype != np.float64:
-            raise ValueError(
-                f"{name}: expected numbers of shape {shape}, got {scores[name].dtype} of {scores[name].shape}"
-            )
+            got = f"{scores[name].dtype} of {scores[name].shape}"
+            raise ValueError(f"{name}: expected numbers of shape {shape}, got {got}")
+    if bound is not None and bound.shape != K + G:
+        raise ValueError(f"bound: expected shape {K + G}, got {bound.shape}")
 
 
 def merge(parts: Iterable[Scores]) -> Scores:
@@ -172,9 +168,11 @@ def merge(parts: Iterable[Scores]) -> Scores:
 
 
 class Accuracy(NamedTuple):
-    """Root mean squares of a group: over the settled epochs with a 95 % interval, at the end, and what the filter takes it for.
+    """Root mean squares of a group: over the settled epochs with a 95 % interval, at the end, and
+    what the filter takes it for.
 
-    The interval comes from how the runs differ: no errors need be Gaussian. ``efficiency``: `celnav.study.trial.bound` over rms.
+    The interval comes from how the runs differ: no errors need be Gaussian. ``efficiency``:
+    `celnav.study.trial.bound` over rms.
     """
 
     rms: float
@@ -192,8 +190,9 @@ class Summary(NamedTuple):
     Attributes
     ----------
     runs: scored. accuracy: of each group.
-    anees, low, high: NEES averaged over runs and settled epochs, over its dimension (1 if consistent), with a 95 % interval from
-        how the runs differ. band: where the mean over the runs at a single epoch lies with 95 %, if consistent.
+    anees, low, high: NEES averaged over runs and settled epochs, over its dimension (1 if
+        consistent), with a 95 % interval from how the runs differ. band: where the mean over the
+        runs at a single epoch lies with 95 %, if consistent.
     nis: NIS over its degrees of freedom, averaged over the settled epochs.
     nees_beyond, nis_beyond: part of single values above their 95 % quantiles, .05 if consistent.
     """
@@ -237,7 +236,9 @@ def summarize(scores: Scores, bound: Array | None = None) -> Summary:
 
 
 def _interval(sums: Array, runs: int) -> tuple[Array, Array, Array]:
-    """Mean of positive values from their sum and sum of squares ``(2, ...)``, and its 95 % interval, symmetric in the logarithm."""
+    """Mean of positive values from their sum and sum of squares ``(2, ...)``, and its 95 %
+    interval, symmetric in the logarithm.
+    """
     with np.errstate(invalid="ignore", divide="ignore"):
         mean = sums[0] / runs
         variance = np.maximum(sums[1] / runs - mean**2, 0.0) / (runs - 1)

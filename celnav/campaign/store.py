@@ -11,8 +11,6 @@ from celnav.campaign.missions import Study
 from celnav.files import InputError, Outputs, read_json, remove_leftovers, write_text
 from celnav.store import FORMAT, MANIFEST, Store, code
 
-__all__ = ["StoreError", "open_store"]
-
 
 class StoreError(InputError):
     """A folder that does not belong to this study."""
@@ -21,12 +19,12 @@ class StoreError(InputError):
 def open_store(folder: str | Path, study: Study) -> Store:
     """Begin a store, or go on with one of the same study, in a folder that is locked.
 
-    A study may have grown since: by runs, and by values of swept keys, or of keys that had one value.
+    A study may have grown since: by runs, and by values of swept keys, or of keys that had one.
 
     Raises
     ------
-    StoreError: if the folder belongs to another study, or one of more, or was begun with another celnav, numpy or scipy (the
-    message lists the differences), or holds something else.
+    StoreError: if the folder belongs to another study, or one of more, or was begun with another
+        celnav, numpy or scipy (the message lists the differences), or holds something else.
     OSError: if it cannot be made or written.
     """
     path = Path(folder)
@@ -47,7 +45,8 @@ def open_store(folder: str | Path, study: Study) -> Store:
         ):
             if changed := _differences(old, new, grown):
                 raise StoreError(
-                    f"{path}: {what} ({'; '.join(changed)}); choose another --out, or remove the folder"
+                    f"{path}: {what} ({'; '.join(changed)}); choose another --out, or remove the "
+                    "folder"
                 )
         if found["study"] == wanted:
             return Store(path)
@@ -72,21 +71,26 @@ def _read_manifest(path: Path) -> dict[str, Any]:
     except (ValueError, KeyError, TypeError):
         pass
     raise StoreError(
-        f"{path}: not a manifest of a campaign of this celnav; choose another --out, or remove the folder"
+        f"{path}: not a manifest of a campaign of this celnav; choose another --out, or remove the "
+        "folder"
     )
 
 
 def _differences(
     old: Mapping[str, Any], new: Mapping[str, Any], grown: Collection[str]
 ) -> list[str]:
-    """``key: old -> new`` of everything that differs, but for numbers and lists of some keys that have more in them now."""
+    """``key: old -> new`` of everything that differs, but for numbers and lists of some keys that
+    have more in them now.
+    """
     keys = [key for key in dict.fromkeys([*old, *new]) if _shown(old, key) != _shown(new, key)]
     same = {key for key in keys if key in grown and key in old and _within(old[key], new[key])}
     return [f"{key}: {_shown(old, key)} -> {_shown(new, key)}" for key in keys if key not in same]
 
 
 def _within(old: Any, new: Any) -> bool:
-    """Whether a list has an old value, or all of an old list, and a number is not below the old one."""
+    """Whether a list has an old value, or all of an old list, and a number is not below the old
+    one.
+    """
     if not isinstance(new, list):
         return isinstance(old, int) and old <= new
     return old in new or (isinstance(old, list) and all(value in new for value in old))

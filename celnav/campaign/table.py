@@ -5,29 +5,15 @@ from __future__ import annotations
 import csv
 import io
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from celnav.campaign.missions import Configuration, Study
-from celnav.campaign.scores import Accuracy, Scores, Summary, merge, summarize
-from celnav.campaign.units import Result
-from celnav.gaussian.linalg import Array
+from celnav.campaign.scores import Accuracy, Summary, summarize
+from celnav.campaign.units import Scored
 from celnav.lazy import needed_by
-
-__all__ = [
-    "Merged",
-    "Row",
-    "columns",
-    "costs",
-    "merged",
-    "plain",
-    "rows_of",
-    "summary",
-    "to_csv",
-    "to_parquet",
-]
 
 MOST_LINES = 40
 
@@ -37,8 +23,9 @@ class Row(NamedTuple):
 
     Attributes
     ----------
-    values: of the swept keys. groups: name and unit of what was judged. summary: None if no run is left, and then there may be
-        no groups. reasons: why runs failed, and how many of them. us: CPU microseconds per run and step.
+    values: of the swept keys. groups: name and unit of what was judged. summary: None if no run is
+        left, and then there may be no groups. reasons: why runs failed, and how many of them. us:
+        CPU microseconds per run and step.
     """
 
     values: dict[str, Any]
@@ -63,45 +50,14 @@ class Row(NamedTuple):
         )
 
 
-class Merged(NamedTuple):
-    """All units of a configuration: groups, bound ``(K, groups)`` or None, and of each filter its scores (None: no run is left),
-    reasons of failures, and CPU seconds and run-steps; trace: where the first exception came from."""
-
-    groups: tuple[tuple[str, str], ...]
-    bound: Array | None
-    scores: dict[str, Scores | None]
-    reasons: dict[str, Counter[str]]
-    cost: dict[str, tuple[float, int]]
-    trace: str
-
-
-def merged(study: Study, results: Iterable[Result]) -> Merged:
-    """Merge the results of a configuration's units, in their order. Only one of them is in memory at a time."""
-    groups: tuple[tuple[str, str], ...] = ()
-    bound: Array | None = None
-    scores: dict[str, Scores | None] = dict.fromkeys(study.filters)
-    reasons: dict[str, Counter[str]] = {name: Counter() for name in study.filters}
-    cost = dict.fromkeys(study.filters, (0.0, 0))
-    trace = ""
-    for result in results:
-        groups, trace = groups or result.groups, trace or result.trace
-        bound = result.bound if bound is None else bound
-        for name in study.filters:
-            found, before = result.scores.get(name), scores[name]
-            if found is not None:
-                scores[name] = found if before is None else merge([before, found])
-            reasons[name].update(failure.why for failure in result.failures[name])
-            cost[name] = cost[name][0] + result.cpu_s[name], cost[name][1] + result.steps[name]
-    return Merged(groups, bound, scores, reasons, cost, trace)
-
-
-def rows_of(study: Study, point: Configuration, found: Merged) -> Iterator[Row]:
+def rows_of(study: Study, point: Configuration, found: Scored) -> Iterator[Row]:
     """Rows of a configuration, one for each filter."""
     for name in study.filters:
-        scores, (seconds, steps) = found.scores[name], found.cost[name]
-        summary = None if scores is None or not scores["runs"] else summarize(scores, found.bound)
-        us = 1e6 * seconds / steps if steps else float("nan")
-        yield Row(point.values, name, found.groups, summary, found.reasons[name], us)
+        scores, steps = found.scores.get(name), found.steps[name]
+        reasons = {why: count for (filter, why), count in found.reasons.items() if filter == name}
+        summary = summarize(scores, found.bound) if scores and scores["runs"] else None
+        us = 1e6 * found.cpu_s[name] / steps if steps else np.nan
+        yield Row(point.values, name, found.groups, summary, Counter(reasons), us)
 
 
 def plain(value: Any) -> Any:
@@ -110,7 +66,8 @@ def plain(value: Any) -> Any:
 
 
 def columns(rows: Sequence[Row]) -> dict[str, list[Any]]:
-    """The table by column: swept keys, filter, runs, failures, accuracies with their units, consistency; None where there is none.
+    """The table by column: swept keys, filter, runs, failures, accuracies with their units,
+    consistency; None where there is none.
 
     No times: the same study gives the same table. They are in `costs`.
     """

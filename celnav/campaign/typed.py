@@ -7,8 +7,6 @@ import typing
 from dataclasses import fields, is_dataclass
 from typing import Any
 
-__all__ = ["depth", "described", "named", "type_depth", "typed", "unit_of"]
-
 _DIMENSIONS = (
     "km",
     "m",
@@ -39,7 +37,9 @@ _PRINTED = {
 
 
 def unit_of(key: str) -> str:
-    """Unit that a parameter's name ends in, ``sigma_km`` -> "km", ``drift_deg_per_h`` -> "deg/h"; empty if it has none."""
+    """Unit that a parameter's name ends in, ``sigma_km`` -> "km", ``drift_deg_per_h`` -> "deg/h";
+    empty if it has none.
+    """
     above, per, below = key.rpartition(".")[2].rpartition("_per_")
     if not per:
         above, below = below, ""
@@ -62,7 +62,9 @@ def type_depth(hint: Any) -> int:
 
 
 def described(of: type) -> dict[str, tuple[str, str, tuple[Any, ...]]]:
-    """What the parameters of a configuration mean, where they come from, and what words they can be; nested ones are dotted."""
+    """What the parameters of a configuration mean, where they come from, and what words they can
+    be; nested ones are dotted.
+    """
     found: dict[str, tuple[str, str, tuple[Any, ...]]] = {}
     hints = typing.get_type_hints(of)
     for f in fields(of):

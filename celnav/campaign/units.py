@@ -1,51 +1,48 @@
-"""Work units: what a process does at a time, here a block of runs of one configuration, all filters on the same noise."""
+"""Work units of a campaign: a block of runs of one configuration, all filters on the same noise,
+scored and forgotten.
+"""
 
 from __future__ import annotations
 
-import hashlib
 import json
 import platform
 import traceback
 import warnings
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass, field
+from functools import reduce
+from hashlib import sha256
+from itertools import groupby
+from operator import add
 from time import process_time
 from typing import Any, Protocol
 
 import numpy as np
 
-from celnav.campaign.missions import Study
-from celnav.campaign.scores import Failure, Scores, check_scores, merge, score
-from celnav.filters.run import ENGINE, repeated
+from celnav.campaign import missions
+from celnav.campaign.scores import Scores, check_scores, merge, score
 from celnav.gaussian.linalg import Array
 from celnav.lazy import needed_by
 from celnav.papers import load
-from celnav.papers.own import identity, place
+from celnav.papers.own import identity, name_of, place
 from celnav.store import Keyed, code
-from celnav.study.montecarlo import blocks, generator
+from celnav.study.montecarlo import renewed, run_of
+from celnav.study.study import Part, Rngs, Study, Unit
 from celnav.study.trial import Noiseless, Trial, bound, follow
 from celnav.tape.cuda import CudaError
 
 with needed_by("a campaign or a mission", "papers"):
     from threadpoolctl import threadpool_limits
 
-__all__ = [
-    "STUDY",
-    "Result",
-    "Unit",
-    "VersionError",
-    "Work",
-    "WorkError",
-    "execute",
-    "pack",
-    "units_of",
-    "unpack",
-]
-
 STUDY = 0
-"""Of `celnav.study.montecarlo.generator`, for all configurations: they share their random numbers, so differences are sharp."""
+"""Of `celnav.study.montecarlo.generator`, for all configurations: they share their random numbers,
+so differences are sharp.
+"""
 EXPECTED = 8
-"""Units with equal filters that a worker is taken to do; not counted, for the engine of a unit must not depend on the others."""
+"""Units with equal filters that a worker is taken to do; not counted, for the engine of a unit must
+not depend on the others.
+"""
 
 
 class WorkError(RuntimeError):
@@ -67,98 +64,186 @@ class Work(Keyed, Protocol):
         """The result, as arrays by name."""
 
 
-@dataclass(frozen=True)
-class Unit:
-    """Runs ``first`` to ``last - 1`` of a configuration, which are scored and forgotten."""
-
-    paper: str
-    config: Any
-    filters: tuple[str, ...]
-    seed: int
-    first: int
-    last: int
-    every: int
-    settle_s: float | None
-    limits: tuple[tuple[str, float], ...]
-    engine: str = "auto"
-
-    @property
-    def key(self) -> str:
-        """Hash of everything that determines the result, but the code."""
-        table = asdict(self)
-        table["config"].pop("runs")  # how many there are in all matters to none of them
-        table["paper"] = identity(self.paper)
-        text = json.dumps(table, sort_keys=True, ensure_ascii=False)
-        return hashlib.sha256(text.encode("utf-8")).hexdigest()[:24]
-
-    @property
-    def title(self) -> str:
-        """Runs and key."""
-        return f"runs {self.first} to {self.last - 1} of unit {self.key}"
-
-    @property
-    def runs(self) -> int:
-        """How many."""
-        return self.last - self.first
-
-    def do(self) -> dict[str, Array]:
-        """Arrays of the `Result`. Exceptions of models and filters are failures of their runs."""
-        token = ENGINE.set(self.engine)
-        try:
-            with warnings.catch_warnings(), repeated(EXPECTED):
-                warnings.simplefilter("ignore")  # said once, where the study is read
-                return pack(_Flight(self).result())
-        finally:
-            ENGINE.reset(token)
-
-    def check(self, arrays: dict[str, Array]) -> None:
-        """Raise ValueError unless a `Result` can be made of them."""
-        unpack(arrays, self.filters)
-
-
 @dataclass(frozen=True, eq=False)
-class Result:
-    """What a unit comes to.
+class Scored:
+    """What runs of a configuration come to, some or all of them: `+` joins those of other runs, or
+    of another filter.
 
     Attributes
     ----------
     groups: name and unit of what is judged; empty if nothing could be simulated.
-    scores: of each filter that has a run left. failures: of each filter; none of a filter that the configuration does not have.
-    bound: mean squares ``(K, groups)``, in the unit of the first runs only.
+    scores: of each filter that has a run left. reasons: (filter, why) of runs that failed.
     cpu_s, steps: of each filter: CPU seconds, and run-steps done in them.
+    bound: mean squares ``(K, groups)``, which the first run alone brings.
     trace: where the first exception came from, if there was one.
     """
 
-    groups: tuple[tuple[str, str], ...]
-    scores: dict[str, Scores]
-    failures: dict[str, list[Failure]]
-    bound: Array | None
-    cpu_s: dict[str, float]
-    steps: dict[str, int]
+    groups: tuple[tuple[str, str], ...] = ()
+    scores: dict[str, Scores] = field(default_factory=dict)
+    reasons: Counter[tuple[str, str]] = field(default_factory=Counter)
+    cpu_s: Counter[str] = field(default_factory=Counter)
+    steps: Counter[str] = field(default_factory=Counter)
+    bound: Array | None = None
     trace: str = ""
 
+    def __add__(self, other: Scored) -> Scored:
+        scores = dict(self.scores)
+        for name, more in other.scores.items():
+            scores[name] = merge([scores[name], more]) if name in scores else more
+        return Scored(
+            self.groups or other.groups,
+            scores,
+            self.reasons + other.reasons,
+            self.cpu_s + other.cpu_s,
+            self.steps + other.steps,
+            other.bound if self.bound is None else self.bound,
+            self.trace or other.trace,
+        )
 
-def units_of(study: Study) -> list[list[Unit]]:
-    """Units of each configuration, in the order in which they are merged."""
+    def arrays(self, filters: Sequence[str]) -> dict[str, Array]:
+        """The same as arrays, for an npz file."""
+        arrays = {
+            f"{filters.index(name)}/{stat}": value
+            for name, scores in self.scores.items()
+            for stat, value in scores.items()
+        }
+        if self.bound is not None:
+            arrays["bound"] = self.bound
+        reasons = [[*key, count] for key, count in self.reasons.items()]
+        about = self.groups, reasons, self.cpu_s, self.steps, self.trace
+        return arrays | {"about": np.array(json.dumps(about, ensure_ascii=False))}
+
+
+def read(arrays: dict[str, Array], filters: Sequence[str]) -> Scored:
+    """The inverse of `Scored.arrays`; ValueError if these are not such arrays."""
+    try:
+        groups, reasons, cpu_s, steps, trace = json.loads(str(arrays["about"]))
+        scores: dict[str, Scores] = {}
+        for key, value in arrays.items():
+            number, slash, stat = key.partition("/")
+            if slash:
+                scores.setdefault(filters[int(number)], {})[stat] = value
+        scored = Scored(
+            tuple((str(name), str(unit)) for name, unit in groups),
+            scores,
+            Counter({(name, why): count for name, why, count in reasons}),
+            Counter(cpu_s),
+            Counter(steps),
+            arrays.get("bound"),
+            trace,
+        )
+        if not {*scored.cpu_s, *scored.steps, *(name for name, _ in scored.reasons)} <= {*filters}:
+            raise ValueError(f"expected the filters {', '.join(filters)}")
+        for name in scores:
+            check_scores(scores[name], len(groups), scored.bound)
+    except (KeyError, TypeError, IndexError, AttributeError, RecursionError) as error:
+        raise ValueError(f"expected the arrays of a work unit ({error})") from None
+    return scored
+
+
+@dataclass(frozen=True)
+class Scoring:
+    """The work on a block of runs: each filter is run and scored. Exceptions of models and filters
+    are failures of their runs.
+    """
+
+    paper: str
+    filters: tuple[str, ...]
+    every: int
+    settle_s: float | None
+    limits: tuple[tuple[str, float], ...]
+
+    def __call__(self, config: Any, rngs: Rngs) -> dict[str, Array]:
+        """Arrays of what is `Scored`."""
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # said once, where the study is read
+            return _Block(self, config).scored(rngs).arrays(self.filters)
+
+    def join(self, blocks: Iterable[dict[str, Array]]) -> dict[str, Array]:
+        """The sum of blocks in their order; ValueError if they are not arrays of such work, or do
+        not go together.
+        """
+        return self.read(blocks).arrays(self.filters)
+
+    def read(self, blocks: Iterable[dict[str, Array]]) -> Scored:
+        """The same as an object. Only one of the blocks is in memory at a time."""
+        return reduce(add, (read(arrays, self.filters) for arrays in blocks))
+
+
+class _Block:
+    """Runs of a configuration, and what goes wrong in them."""
+
+    def __init__(self, scoring: Scoring, config: Any):
+        self.work, self.config, self.make = scoring, config, load(scoring.paper).trial
+
+    def trial(self, rngs: Sequence[Any]) -> Trial:
+        trial: Trial = self.make(self.config, rngs)
+        return trial
+
+    def scored(self, rngs: Rngs) -> Scored:
+        """All filters, and with the first run the bound."""
+        total, whole = Scored(), None
+        try:
+            whole = self.trial([renewed(rng) for rng in rngs])
+        except MemoryError:
+            raise
+        except Exception:  # then it is tried for fewer runs at once
+            total = Scored(trace=traceback.format_exc())
+        for name in self.work.filters:
+            total += self.flown(name, rngs, whole)
+        return total + self.bound() if run_of(rngs[0]) == 0 else total
+
+    def flown(self, name: str, rngs: Rngs, trial: Trial | None = None) -> Scored:
+        """A filter on some runs. Where a batch raises it is halved until the runs are found that
+        do.
+        """
+        work, groups = self.work, tuple[tuple[str, str], ...]()
+        try:
+            trial = trial or self.trial([renewed(rng) for rng in rngs])
+            groups = tuple((group.name, group.unit) for group in trial.groups)
+            if name not in trial.filters:
+                return Scored(groups)
+            start = process_time()
+            run = follow(trial, name, work.every)
+            seconds = process_time() - start
+            limits = dict(work.limits)
+            scores, failures = score(run, trial.groups, settle_s=work.settle_s, limits=limits)
+        except (MemoryError, CudaError):
+            raise
+        except Exception as error:
+            failed, half = Scored(groups, trace=traceback.format_exc()), len(rngs) // 2
+            if half:
+                return failed + self.flown(name, rngs[:half]) + self.flown(name, rngs[half:])
+            failed.reasons[name, f"{type(error).__name__}: {error}"] = 1
+            return failed
+        reasons = Counter((name, failure.why) for failure in failures)
+        steps = Counter({name: run.epochs * len(rngs)})
+        return Scored(groups, {name: scores}, reasons, Counter({name: seconds}), steps)
+
+    def bound(self) -> Scored:
+        try:
+            return Scored(bound=bound(self.trial([Noiseless()]), self.work.every))
+        except MemoryError:
+            raise
+        except Exception:
+            return Scored(trace=traceback.format_exc())
+
+
+def units_of(study: missions.Study) -> list[list[Unit]]:
+    """Units of each configuration, in the order in which they are joined."""
     limits = tuple(sorted(study.limits.items()))
-    return [
-        [
-            Unit(
-                study.paper,
-                point.config,
-                study.filters,
-                study.seed,
-                part.start,
-                part.stop,
-                study.every,
-                study.settle_s,
-                limits,
-                study.engine,
-            )
-            for part in blocks(study.runs, study.block)
-        ]
-        for point in study.configurations
-    ]
+    work = Scoring(study.paper, study.filters, study.every, study.settle_s, limits)
+    parts = {}
+    for point in study.configurations:
+        table = asdict(point.config)
+        del table["runs"]  # how many there are in all matters to none of them
+        name = sha256(json.dumps(table, sort_keys=True).encode()).hexdigest()[:16]
+        parts[name] = Part(work, point.config, STUDY, study.runs, study.block, 1.0, work.join)
+    source = json.dumps([identity(study.paper), *list(asdict(work).values())[1:]])
+    whole = Study(name_of(study.paper), (), None, lambda _: parts, (), source=source)
+    units = whole.units(seed=study.seed, engine=study.engine)
+    each = groupby((unit._replace(units=EXPECTED) for unit in units), lambda unit: unit.part)
+    return [list(group) for _, group in each]
 
 
 def execute(unit: Work, made_by: dict[str, str]) -> dict[str, Array]:
@@ -174,7 +259,8 @@ def execute(unit: Work, made_by: dict[str, str]) -> dict[str, Array]:
             for c in (code(), made_by)
         )
         raise VersionError(
-            f"the worker on {platform.node()} has {theirs}, this has {ours}; install the same on both"
+            f"the worker on {platform.node()} has {theirs}, this has {ours}; install the same on "
+            "both"
         )
     with threadpool_limits(1):
         try:
@@ -183,158 +269,3 @@ def execute(unit: Work, made_by: dict[str, str]) -> dict[str, Array]:
             if (where := place(error)) is not None:
                 error.add_note("{}, line {}: {}".format(*where))
             raise
-
-
-class _Flight:
-    """The runs of a unit, and what goes wrong in them."""
-
-    def __init__(self, unit: Unit) -> None:
-        self._unit = unit
-        self._trial = load(unit.paper).trial
-        self._groups: tuple[tuple[str, str], ...] = ()
-        self._trace = ""
-
-    def result(self) -> Result:
-        unit, runs = self._unit, range(self._unit.first, self._unit.last)
-        scores: dict[str, Scores] = {}
-        failures: dict[str, list[Failure]] = {}
-        cpu_s: dict[str, float] = {}
-        steps: dict[str, int] = {}
-        whole = self._simulated(runs)
-        for name in unit.filters:
-            parts, failures[name] = [], []
-            cpu_s[name], steps[name] = 0.0, 0
-            for found, failed, seconds, count in self._fly(name, runs, whole):
-                parts += [] if found is None else [found]
-                failures[name] += failed
-                cpu_s[name] += seconds
-                steps[name] += count
-            if parts:
-                scores[name] = merge(parts)
-        return Result(self._groups, scores, failures, self._bound(), cpu_s, steps, self._trace)
-
-    def _simulated(self, runs: range) -> Trial | None:
-        """The trial; None if it cannot be made for all these runs at once."""
-        unit = self._unit
-        try:
-            trial: Trial = self._trial(
-                unit.config, [generator(unit.seed, STUDY, run) for run in runs]
-            )
-        except MemoryError:
-            raise
-        except Exception:
-            self._note()
-            return None
-        self._judged(trial)
-        return trial
-
-    def _note(self) -> None:
-        self._trace = self._trace or traceback.format_exc()
-
-    def _judged(self, trial: Trial) -> None:
-        self._groups = tuple((group.name, group.unit) for group in trial.groups)
-
-    def _fly(
-        self, name: str, runs: range, whole: Trial | None
-    ) -> list[tuple[Scores | None, list[Failure], float, int]]:
-        """A filter on some runs. Where a batch raises it is halved until the runs are found that do."""
-        unit = self._unit
-        try:
-            trial = whole or self._trial(
-                unit.config, [generator(unit.seed, STUDY, run) for run in runs]
-            )
-            self._judged(trial)
-            if name not in trial.filters:
-                return []
-            start = process_time()
-            followed = follow(trial, name, unit.every)
-            seconds = process_time() - start
-            scores, failed = score(
-                followed, trial.groups, settle_s=unit.settle_s, limits=dict(unit.limits)
-            )
-        except (MemoryError, CudaError):
-            raise
-        except Exception as error:
-            self._note()
-            if len(runs) > 1:
-                middle = len(runs) // 2
-                return [
-                    *self._fly(name, runs[:middle], None),
-                    *self._fly(name, runs[middle:], None),
-                ]
-            return [(None, [Failure(runs[0], 0.0, f"{type(error).__name__}: {error}")], 0.0, 0)]
-        absolute = [failure._replace(run=runs[failure.run]) for failure in failed]
-        return [(scores, absolute, seconds, followed.epochs * len(runs))]
-
-    def _bound(self) -> Array | None:
-        if self._unit.first > 0:
-            return None
-        noiseless: Sequence[Any] = [Noiseless()]
-        try:
-            return bound(self._trial(self._unit.config, noiseless), self._unit.every)
-        except MemoryError:
-            raise
-        except Exception:
-            self._note()
-            return None
-
-
-def pack(result: Result) -> dict[str, Array]:
-    """Arrays for an npz file."""
-    arrays = {
-        f"{i}/{stat}": v
-        for i, name in enumerate(result.failures)
-        for stat, v in result.scores.get(name, {}).items()
-    }
-    if result.bound is not None:
-        arrays["bound"] = result.bound
-    about = {
-        "groups": result.groups,
-        "failures": result.failures,
-        "cpu_s": result.cpu_s,
-        "steps": result.steps,
-        "trace": result.trace,
-    }
-    return arrays | {"about": np.array(json.dumps(about, ensure_ascii=False))}
-
-
-def unpack(arrays: dict[str, Array], filters: Sequence[str]) -> Result:
-    """The inverse of `pack`, of a unit with these filters.
-
-    Raises
-    ------
-    ValueError: if these are not arrays of such a unit.
-    """
-    try:
-        about = json.loads(str(arrays["about"]))
-        names = list(about["failures"])
-        if not names == list(about["cpu_s"]) == list(about["steps"]) == list(filters):
-            raise ValueError(f"expected the filters {', '.join(filters)}")
-        scores: dict[str, Scores] = {}
-        for key, value in arrays.items():
-            number, slash, stat = key.partition("/")
-            if slash:
-                scores.setdefault(names[int(number)], {})[stat] = value
-        groups = tuple((str(name), str(unit)) for name, unit in about["groups"])
-        for found in scores.values():
-            check_scores(found, len(groups))
-        if "bound" in arrays and scores:
-            epochs = len(next(iter(scores.values()))["times"])
-            if arrays["bound"].shape != (epochs, len(groups)):
-                raise ValueError(
-                    f"bound: expected shape {(epochs, len(groups))}, got {arrays['bound'].shape}"
-                )
-        failures = {
-            name: [Failure(*one) for one in listed] for name, listed in about["failures"].items()
-        }
-        return Result(
-            groups,
-            scores,
-            failures,
-            arrays.get("bound"),
-            about["cpu_s"],
-            about["steps"],
-            about["trace"],
-        )
-    except (KeyError, TypeError, IndexError, AttributeError, RecursionError) as error:
-        raise ValueError(f"expected the arrays of a work unit ({error})") from None

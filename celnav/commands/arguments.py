@@ -10,25 +10,14 @@ from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING
 
-from celnav import papers, real
-from celnav.papers import own
+from celnav import papers
+from celnav.papers import is_file
+from celnav.papers.own import name_of
 from celnav.study.montecarlo import effort
 
 if TYPE_CHECKING:
     from celnav.campaign.executors import Workers
     from celnav.campaign.table import Row
-
-__all__ = [
-    "UsageError",
-    "cores",
-    "done",
-    "folder_of",
-    "fraction",
-    "module",
-    "number",
-    "whole",
-    "workers",
-]
 
 MOST_PER_CORE = 4
 """Processes."""
@@ -38,16 +27,20 @@ class UsageError(Exception):
     """The command was given something it cannot use: one line, exit 2."""
 
 
-def module(paper: str) -> ModuleType:
-    """The module of a paper, of a study on real data or of one's own, FILE.py, or UsageError."""
-    if own.is_own(paper) and (name := own.name_of(paper)) in (*papers.PAPERS, *real.STUDIES):
+def check_name(study: str) -> None:
+    """UsageError for a file that is called as a study of celnav."""
+    name = name_of(study)
+    if is_file(study) and name in (*papers.PAPERS, *papers.REAL):
         raise UsageError(
-            f"{paper}: expected another name than {name}, which celnav has; rename the file"
+            f"{study}: expected another name than {name}, which celnav has; rename the file"
         )
+
+
+def load(study: str) -> ModuleType:
+    """`celnav.papers.load`, or UsageError."""
+    check_name(study)
     try:
-        return (
-            real.load(paper) if paper in real.STUDIES else papers.load(paper, others=real.STUDIES)
-        )
+        return papers.load(study)
     except ValueError as error:
         raise UsageError(error) from None
 
@@ -64,14 +57,18 @@ def whole(name: str, text: str, least: int) -> int:
 
 
 def workers(jobs: str | None, units: int | None = None) -> Workers:
-    """Processes as ``--jobs`` has it (None: one for each core), but at most ``units``, or this one alone, or UsageError."""
+    """Processes as ``--jobs`` has it (None: one for each core), but at most ``units``, or this one
+    alone, or UsageError.
+    """
     from celnav.campaign.executors import processes, serial
 
     count = cores() if jobs is None else whole("jobs", jobs, 1)
     most = MOST_PER_CORE * cores()
     if count > most:
-        line = f"--jobs: {count} processes on {cores()} cores would only be in each other's way; {most} are started"
-        print(f"celnav: {line}", file=sys.stderr)
+        warn(
+            f"--jobs: {count} processes on {cores()} cores would only be in each other's way; "
+            f"{most} are started"
+        )
     count = min(count, most, units or most)
     return processes(count) if count > 1 else serial()
 
@@ -97,11 +94,16 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+def warn(line: str) -> None:
+    """A line for who uses the command, beside what it prints."""
+    print(f"celnav: {line}", file=sys.stderr)
+
+
 def done(rows: Sequence[Row]) -> int:
     """Exit status of runs: 1, with a line that says so, where all of them failed."""
     if any(row.summary is not None for row in rows):
         return 0
-    print("celnav: every run of every filter failed", file=sys.stderr)
+    warn("every run of every filter failed")
     return 1
 
 

@@ -3,19 +3,26 @@
 from __future__ import annotations
 
 import argparse
-import sys
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from celnav.commands.arguments import UsageError, cores, done, folder_of, fraction, whole, workers
+from celnav.commands.arguments import (
+    UsageError,
+    cores,
+    done,
+    folder_of,
+    fraction,
+    warn,
+    whole,
+    workers,
+)
 from celnav.commands.mission import ORIGIN
 from celnav.files import InputError, Outputs, locked
-from celnav.show.progress import RunProgress
+from celnav.show.progress import Progress
 
 if TYPE_CHECKING:
     from celnav.campaign.executors import Workers
-
-__all__ = ["run"]
 
 
 def run(options: argparse.Namespace) -> int:
@@ -33,23 +40,19 @@ def run(options: argparse.Namespace) -> int:
         raise InputError(f"{folder}: holds a mission; choose another --out, or remove the folder")
     outputs.check(names(stems(study)))
     try:
-        with RunProgress(folder.name) as progress:
-            outcome = campaign(study, folder, pool, progress=progress, say=_warn)
+        with closing(Progress(folder.name)) as progress:
+            outcome = campaign(study, folder, pool, progress=progress.runs, say=warn)
     except WorkError as error:
-        _warn(f"{error}; the others are kept in {folder}")
+        warn(f"{error}; the others are kept in {folder}")
         return 1
     except KeyboardInterrupt:
-        _warn(f"interrupted; what is finished is kept in {folder}, the same command goes on")
+        warn(f"interrupted; what is finished is kept in {folder}, the same command goes on")
         return 130
     print(summary(outcome.rows))
     with locked(folder):
         write(outcome, figures(outcome), outputs)
     print(f"wrote {folder / 'index.html'}")
     return done(outcome.rows)
-
-
-def _warn(line: str) -> None:
-    print(f"celnav: {line}", file=sys.stderr)
 
 
 def _workers(options: argparse.Namespace) -> Workers:

@@ -6,6 +6,7 @@ import argparse
 import csv
 import json
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,10 +16,9 @@ from celnav.commands.arguments import UsageError, number, whole
 from celnav.files import InputError, Outputs
 from celnav.gaussian.linalg import Array
 from celnav.lazy import require
+from celnav.show.draw import picture_names, pictures
 
-__all__ = ["read", "run"]
-
-FILES = ("diagnosis.txt", "diagnosis.json", "diagnosis.png", "diagnosis.svg")
+FILES = ("diagnosis.txt", "diagnosis.json", *picture_names(["diagnosis"]))
 TIMES = ("t", "time", "times", "seconds", "epoch")
 CLAIMS = ("std_", "sigma_")
 EMPTY = ("", "nan", "null", "none", "na", "-")
@@ -59,16 +59,10 @@ def run(options: argparse.Namespace) -> int:
     print(words)
     if outputs is not None:
         from celnav.show.diagnosis import figure
-        from celnav.show.drawing import render
 
-        drawing = figure(found)
-        drawn = {f"diagnosis.{kind}": render(drawing, kind) for kind in ("png", "svg")}
-        texts = {
-            "diagnosis.txt": words + "\n",
-            "diagnosis.json": json.dumps(_plain(found), indent=1) + "\n",
-        }
-        for name in FILES:
-            outputs.bytes(name, drawn[name] if name in drawn else texts[name].encode("utf-8"))
+        drawn = pictures([("diagnosis", figure(found))])
+        listed = json.dumps(_plain(found), indent=1) + "\n"
+        outputs.publish({"diagnosis.txt": words + "\n", "diagnosis.json": listed}, drawn)
         print(f"wrote {outputs.directory}")
     return 0
 
@@ -94,101 +88,99 @@ def read(path: Path, time: str | None = None, columns: Sequence[str] | None = No
 
     InputError names the file, and the line where something is wrong.
     """
-    try:
-        text = path.read_bytes().decode("utf-8-sig")
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: expected a table of text, got bytes that are none") from None
-    lines = [
-        (i, line)
-        for i, line in enumerate(text.splitlines(), 1)
-        if line.strip() and not line.startswith("#")
-    ]
-    if not lines:
-        raise InputError(
-            f"{path}: expected a line of names and lines of numbers, got an empty file"
-        )
-    mark = next((mark for mark in ",;\t" if mark in lines[0][1]), None)
-    split = (lambda line: next(csv.reader([line], delimiter=mark))) if mark else str.split
-    rows = [(i, [cell.strip() for cell in split(line)]) for i, line in lines]
-    names = rows[0][1]
-    if all(_value(name) is not None for name in names):
-        raise InputError(
-            f"{path}, line {rows[0][0]}: expected names of columns, such as t,x,std_x, got numbers"
-        )
-    if len(set(names)) != len(names):
-        raise InputError(
-            f"{path}, line {rows[0][0]}: expected names that differ, got {', '.join(names)}"
-        )
-    for i, cells in rows[1:]:
-        if len(cells) != len(names):
-            raise InputError(f"{path}, line {i}: expected {len(names)} columns, got {len(cells)}")
-    body = (
-        dict(zip(names, zip(*(cells for _, cells in rows[1:]), strict=True), strict=True))
-        if rows[1:]
-        else {}
-    )
-    numeric = [
-        name
-        for name, cells in body.items()
-        if any(_value(cell) is not None and cell.lower() not in EMPTY for cell in cells)
-    ]
+    names, cells, lines = _cells(path)
+    values = np.array([[_value(cell) for cell in row] for row in cells]).reshape(-1, len(names))
+    listed = ", ".join(names)
+    numeric = [name for name, is_numeric in zip(names, np.isfinite(values).any(0)) if is_numeric]
     for name in (*([time] if time else []), *(columns or ())):
         if name not in names:
-            raise InputError(f"{path}: expected a column {name!r}, got {', '.join(names)}")
+            raise InputError(f"{path}: expected a column {name!r}, got {listed}")
 
     def column(name: str) -> Array:
-        values = [_value(cell) for cell in body[name]]
-        for (i, _), value, cell in zip(rows[1:], values, body[name], strict=True):
-            if value is None or np.isinf(value):
-                raise InputError(
-                    f"{path}, line {i}: expected a finite number or nothing as {name}, got {cell!r:.40}"
-                )
-        return np.array(values, np.float64)
+        place = names.index(name)
+        for bad in np.flatnonzero(np.isinf(values[:, place])):
+            raise InputError(
+                f"{path}, line {lines[bad]}: expected a finite number or nothing as {name}, "
+                f"got {cells[bad][place]!r:.40}"
+            )
+        return np.asarray(values[:, place])
 
     when = time or next((name for name in numeric if name.lower().partition("_")[0] in TIMES), None)
     if when is None:
         raise InputError(
-            f"{path}: expected a column of times, such as t, got {', '.join(names)}; --time names it"
+            f"{path}: expected a column of times, such as t, got {listed}; --time names it"
         )
     claims = {name: claim + name for name in numeric for claim in CLAIMS if claim + name in numeric}
     others = [name for name in numeric if name not in (when, "run") and not name.startswith(CLAIMS)]
     chosen = list(columns or claims or others)
     if not chosen:
-        raise InputError(f"{path}: expected components beside {when}, got {', '.join(names)}")
-    t, run_of = column(when), column("run") if "run" in names else np.zeros(len(rows) - 1)
-    if np.isnan(t).any() or np.isnan(run_of).any():
-        bad = int(np.flatnonzero(np.isnan(t) | np.isnan(run_of))[0])
-        raise InputError(f"{path}, line {rows[1 + bad][0]}: expected a time, got nothing")
-    times, at = np.unique(t, return_inverse=True)
-    runs, of = np.unique(run_of, return_inverse=True)
+        raise InputError(f"{path}: expected components beside {when}, got {listed}")
+    t, run = column(when), column("run") if "run" in names else np.zeros(len(lines))
+    for bad in np.flatnonzero(np.isnan(t) | np.isnan(run)):
+        raise InputError(f"{path}, line {lines[bad]}: expected a time, got nothing")
+    times, epoch_of = np.unique(t, return_inverse=True)
+    runs, run_of = np.unique(run, return_inverse=True)
     for r in range(len(runs)):
-        mine = np.flatnonzero(of == r)
-        back = np.flatnonzero(np.diff(t[mine]) <= 0.0)
-        if len(back):
-            line, before = rows[1 + mine[back[0] + 1]][0], t[mine[back[0]]]
-            raise InputError(
-                f"{path}, line {line}: expected a time after {before:g}, got {t[mine[back[0] + 1]]:g}"
-            )
+        rows = np.flatnonzero(run_of == r)
+        for before, row in pairwise(rows):
+            if t[row] <= t[before]:
+                raise InputError(
+                    f"{path}, line {lines[row]}: expected a time after {t[before]:g}, "
+                    f"got {t[row]:g}"
+                )
 
-    def whole_of(chosen: Sequence[str]) -> Array:
-        out = np.full((len(times), len(runs), len(chosen)), np.nan)
-        out[at, of] = np.stack([column(name) for name in chosen], -1)
+    def arranged(some: Sequence[str]) -> Array:
+        out = np.full((len(times), len(runs), len(some)), np.nan)
+        out[epoch_of, run_of] = np.stack([column(name) for name in some], -1)
         return out
 
-    std = (
-        whole_of([claims[name] for name in chosen])
-        if all(name in claims for name in chosen)
-        else None
-    )
-    used = {when, "run", *chosen, *(claims[name] for name in chosen if std is not None)}
-    return Table(times, whole_of(chosen), std, chosen, [name for name in names if name not in used])
+    std, used = None, {when, "run", *chosen}
+    if all(name in claims for name in chosen):
+        predicted = [claims[name] for name in chosen]
+        std, used = arranged(predicted), used.union(predicted)
+    ignored = [name for name in names if name not in used]
+    return Table(times, arranged(chosen), std, chosen, ignored)
 
 
-def _value(cell: str) -> float | None:
-    """The number of a cell, nan where it is empty, None where it is none."""
+def _cells(path: Path) -> tuple[list[str], list[list[str]], list[int]]:
+    """Names of columns, the cells of each row, and the lines on which the rows stand."""
+    try:
+        text = path.read_bytes().decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: expected a table of text, got bytes that are none") from None
+    lines = {
+        i: line
+        for i, line in enumerate(text.splitlines(), 1)
+        if line.strip() and not line.startswith("#")
+    }
+    if not lines:
+        raise InputError(
+            f"{path}: expected a line of names and lines of numbers, got an empty file"
+        )
+    first, head = next(iter(lines.items()))
+    mark = next((mark for mark in ",;\t" if mark in head), None)
+    split = (lambda line: next(csv.reader([line], delimiter=mark))) if mark else str.split
+    rows = {i: [cell.strip() for cell in split(line)] for i, line in lines.items()}
+    names = rows.pop(first)
+    if not np.isinf([_value(name) for name in names]).any():
+        raise InputError(
+            f"{path}, line {first}: expected names of columns, such as t,x,std_x, got numbers"
+        )
+    if len(set(names)) != len(names):
+        raise InputError(
+            f"{path}, line {first}: expected names that differ, got {', '.join(names)}"
+        )
+    for i, cells in rows.items():
+        if len(cells) != len(names):
+            raise InputError(f"{path}, line {i}: expected {len(names)} columns, got {len(cells)}")
+    return names, list(rows.values()), list(rows)
+
+
+def _value(cell: str) -> float:
+    """The number of a cell, nan where it is empty, infinite where it is none."""
     if cell.lower() in EMPTY:
         return np.nan
     try:
         return float(cell)
     except ValueError:
-        return None
+        return np.inf

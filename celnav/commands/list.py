@@ -8,41 +8,42 @@ from dataclasses import asdict
 from types import ModuleType
 from typing import Any
 
-from celnav import papers, real
-from celnav.commands.arguments import module
-from celnav.papers import load, own
-
-__all__ = ["run"]
+from celnav import papers
+from celnav.commands.arguments import load
+from celnav.papers.own import name_of
 
 WIDTH = 132
 """Of lines."""
+UNBROKEN: Any = {
+    "subsequent_indent": 70 * " ",
+    "break_on_hyphens": False,
+    "break_long_words": False,
+}
+"""How a line is wrapped."""
 
 
 def run(options: argparse.Namespace) -> int:
     """Print papers, figures, filters and rules, or the parameters of a paper."""
     if options.paper is None:
         _everything()
-    elif options.paper in real.STUDIES:
-        _on_real_data(options.paper)
-    elif own.is_own(options.paper):
-        _drawn(own.name_of(options.paper), one := module(options.paper))
-        print()
-        if hasattr(one, "PRESETS"):
-            _parameters(options.paper)
-    else:
+        return 0
+    study = load(options.paper)
+    if options.paper not in papers.PAPERS:
+        _drawn(name_of(options.paper), study)
+    if hasattr(study, "PRESETS"):
+        print(end="" if options.paper in papers.PAPERS else "\n")
         _parameters(options.paper)
     return 0
 
 
 def _everything() -> None:
-    for paper in papers.PAPERS:
-        study = load(paper)
-        _drawn(paper, study)
-        print(f"\n  filters: {', '.join(study.filters(next(iter(study.PRESETS.values()))))}")
-        print(f"  presets: {', '.join(study.PRESETS)}")
-        print(f"  parameters: celnav list {paper}\n")
-    for name in real.STUDIES:
-        _on_real_data(name)
+    for name in (*papers.PAPERS, *papers.REAL):
+        study = load(name)
+        _drawn(name, study)
+        if name in papers.PAPERS:
+            print(f"\n  filters: {', '.join(study.filters(next(iter(study.PRESETS.values()))))}")
+            print(f"  presets: {', '.join(study.PRESETS)}")
+            print(f"  parameters: celnav list {name}\n")
     print("rules: unscented (by default cubature of degree 3), simplex, cubature (degree 3 and 5),")
     print("  gauss_hermite, smolyak, from_filterpy, Taylor (EKF)")
 
@@ -51,13 +52,9 @@ def _drawn(name: str, study: ModuleType) -> None:
     print(f"{name}: {study.TITLE}\n")
     for stem, (caption, _) in {**study.FIGURES, **study.TABLES}.items():
         print(f"  {stem:12} {caption}")
-
-
-def _on_real_data(name: str) -> None:
-    _drawn(name, module(name))
-    print(
-        f"\n  on real data: celnav reproduce {name} --{name} DIR, folder of {real.STUDIES[name]}\n"
-    )
+    if name in papers.REAL:
+        folder = papers.REAL[name]
+        print(f"\n  on real data: celnav reproduce {name} --{name} DIR, folder of {folder}\n")
 
 
 def _parameters(paper: str) -> None:
@@ -65,11 +62,12 @@ def _parameters(paper: str) -> None:
     from celnav.campaign.missions import flat
     from celnav.campaign.typed import described, unit_of
 
-    study = own.load(paper, mission=True) if own.is_own(paper) else module(paper)
+    study = papers.load(paper, mission=True)
     presets = {name: flat(asdict(config)) for name, config in study.PRESETS.items()}
     first, *others = presets.items()
     print(
-        f"{paper}: {study.TITLE}\n\nAt the top of a mission:\n\n{_TOP.format(runs=first[1]['runs'])}"
+        f"{paper}: {study.TITLE}\n\nAt the top of a "
+        f"mission:\n\n{_TOP.format(runs=first[1]['runs'])}"
     )
     for name, unit in study.JUDGED.items():
         print(
@@ -86,15 +84,7 @@ def _parameters(paper: str) -> None:
                 else ""
             )
             line = f"  {key:32} {_written(value):24} {unit_of(key):9} {meaning}.{known} [{source}]"
-            print(
-                textwrap.fill(
-                    line,
-                    WIDTH,
-                    subsequent_indent=70 * " ",
-                    break_on_hyphens=False,
-                    break_long_words=False,
-                )
-            )
+            print(*textwrap.wrap(line, WIDTH, **UNBROKEN), sep="\n")
     for name, values in others:
         changed = {key: value for key, value in values.items() if value != first[1][key]}
         print(f"\npreset {name}: {_assigned(changed) or 'the same'}")
@@ -112,7 +102,8 @@ _TOP = """\
   block                            runs of a work unit (100); a campaign grows by whole ones
   every                            judge one epoch in so many, and the last (1)
   settle_s                         where means over time begin; none: in the middle of the run
-  limits                           a table of largest errors at the end; a run beyond one has failed"""
+  limits                           a table of largest errors at the end; a run beyond one has \
+failed"""
 
 
 def _assigned(values: dict[str, Any]) -> str:

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
+from contextlib import closing
 from pathlib import Path
 
-from celnav.commands.arguments import UsageError, done, folder_of, fraction, workers
+from celnav.commands.arguments import UsageError, done, folder_of, fraction, warn, workers
 from celnav.files import InputError, Outputs, locked, read_json
-from celnav.show.progress import RunProgress
-
-__all__ = ["ORIGIN", "run"]
+from celnav.show.progress import Progress
 
 RECORDING = "mission.rrd"
 ORIGIN = "mission.json"
@@ -24,7 +22,7 @@ def run(options: argparse.Namespace) -> int:
     from celnav.campaign.figures import figures, stems
     from celnav.campaign.missions import read
     from celnav.campaign.page import names, write
-    from celnav.campaign.showcase import errors, record, showcase
+    from celnav.campaign.showcase import errors, first_run, record
     from celnav.campaign.table import summary
 
     study = read(options.mission, fraction(options.effort))
@@ -32,19 +30,20 @@ def run(options: argparse.Namespace) -> int:
     if study.swept:
         listed = ", ".join(f"config.{key}" for key in study.swept)
         raise UsageError(
-            f"{options.mission}: {listed}: a list of values is a study; use: celnav campaign {options.mission}"
+            f"{options.mission}: {listed}: a list of values is a study; use: celnav campaign "
+            f"{options.mission}"
         )
     outputs = Outputs(options.out or folder_of("missions", options.mission))
     _check_origin(outputs.directory, options.mission)
     outputs.check([*names([*stems(study), "errors"]), "summary.txt", RECORDING, ORIGIN])
     try:
-        with RunProgress(study.title) as progress:
-            outcome = fly(study, pool, progress=progress)
+        with closing(Progress(study.title)) as progress:
+            outcome = fly(study, pool, progress=progress.runs)
     except WorkError as error:
-        print(f"celnav: {error}", file=sys.stderr)
+        warn(str(error))
         return 1
     print(summary(outcome.rows))
-    first, recorded = showcase(study), ""
+    first, recorded = first_run(study), ""
     drawings = figures(outcome) | ({"errors": errors(first)} if first else {})
     with locked(outputs.directory):
         try:
@@ -53,16 +52,12 @@ def run(options: argparse.Namespace) -> int:
                     record(first, outcome, path)
                 recorded = RECORDING
         except (ImportError, OSError, RuntimeError, ValueError) as error:
-            print(f"celnav: no recording ({error}); everything else is written", file=sys.stderr)
+            warn(f"no recording ({error}); everything else is written")
         write(outcome, drawings, outputs, recorded)
         outputs.text("summary.txt", summary(outcome.rows) + "\n")
-        outputs.text(ORIGIN, json.dumps({"file": _origin(options.mission)}) + "\n")
+        outputs.text(ORIGIN, json.dumps({"file": str(Path(options.mission).resolve())}) + "\n")
     print(f"wrote {outputs.directory / 'index.html'}")
     return done(outcome.rows)
-
-
-def _origin(file: str) -> str:
-    return str(Path(file).resolve())
 
 
 def _check_origin(folder: Path, file: str) -> None:
@@ -77,9 +72,8 @@ def _check_origin(folder: Path, file: str) -> None:
         other = str(read_json(folder / ORIGIN)["file"])
     except (ValueError, KeyError, TypeError):
         other = str(folder / ORIGIN)
-    if (
-        other != _origin(file) and Path(other).exists()
-    ):  # a folder that moved with its file is its own
+    # A folder that moved with its file is its own.
+    if other != str(Path(file).resolve()) and Path(other).exists():
         raise InputError(
             f"{folder}: holds the mission of {other}; choose another --out, or remove the folder"
         )

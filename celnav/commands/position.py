@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from celnav.commands.arguments import UsageError, number
+from celnav.commands.arguments import UsageError, number, warn
 from celnav.files import InputError, Outputs
 from celnav.lazy import require
 
 if TYPE_CHECKING:
     from celnav.gaussian.linalg import Array
-
-__all__ = ["run"]
 
 NO_TRACKS = (".kml", ".gpx", ".json", ".txt")
 """Nobody means a folder by these."""
@@ -62,7 +59,8 @@ def run(options: argparse.Namespace) -> int:
     track = FORMATS.get(out.suffix.lower())
     if out.suffix.lower() in NO_TRACKS:
         raise UsageError(
-            f"--out: expected a folder, or a file with one of {', '.join(FORMATS)}, got {options.out!r}"
+            f"--out: expected a folder, or a file with one of {', '.join(FORMATS)}, got "
+            f"{options.out!r}"
         )
     if track is None:
         require("position with figures", "papers", "matplotlib", "PIL")
@@ -81,7 +79,8 @@ def run(options: argparse.Namespace) -> int:
         observations, navigation, systems=systems, mask_deg=mask, sigma=sigma, false_alarm=alarm
     )
     east, north, up = observations.antenna
-    of = f"the marker's by {'the header' if given is None else '--position'} and the header's offset, {east:.3f} m east, "
+    source = "the header" if given is None else "--position"
+    of = f"the marker's by {source} and the header's offset, {east:.3f} m east, "
     of += f"{north:.3f} north, {up:.3f} up"
     try:
         found = positioning_report.position(
@@ -89,7 +88,8 @@ def run(options: argparse.Namespace) -> int:
         )
     except FilterError as error:
         raise InputError(
-            f"{options.filter} is lost on {options.observations}: {str(error).partition(' (on_failure')[0]}"
+            f"{options.filter} is lost on {options.observations}: "
+            f"{str(error).partition(' (on_failure')[0]}"
         ) from None
     print(positioning_report.summary(found))
     status = int(options.strict and bool(found.doubtful.any()))
@@ -102,7 +102,7 @@ def run(options: argparse.Namespace) -> int:
         with outputs.path_for(positioning_report.RECORDING) as path:
             positioning_report.record_positioned(found, path)
     except (ImportError, OSError, RuntimeError, ValueError) as error:  # of one epoch there is none
-        print(f"celnav: no recording ({error}); everything else is written", file=sys.stderr)
+        warn(f"no recording ({error}); everything else is written")
     print(f"wrote {outputs.directory}")
     return status
 
@@ -116,7 +116,8 @@ def _ionosphere(given: str) -> tuple[Array, Array]:
         return read_ionosphere(given)
     if len(parts) != 8:
         raise UsageError(
-            f"--ion: expected a navigation file, or eight numbers with commas between, got {len(parts)}"
+            "--ion: expected a navigation file, or eight numbers with commas between, got "
+            f"{len(parts)}"
         )
     return ionosphere("--ion", [number("ion", part) for part in parts])
 

@@ -1,4 +1,6 @@
-"""``celnav reproduce``: do the studies of papers, and one's own, write everything that they show."""
+"""``celnav reproduce``: do studies of papers, on real data, and users' own; write everything that
+they show.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +9,6 @@ import csv
 import io
 import json
 import platform
-import sys
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
@@ -15,242 +16,230 @@ from importlib import metadata
 from pathlib import Path
 from time import process_time
 from types import ModuleType
-from typing import Any
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
 import celnav
-from celnav import papers, real
+from celnav import papers
 from celnav.campaign.engine import UnfinishedError, compute
-from celnav.commands.arguments import UsageError, cores, fraction, module, whole, workers
-from celnav.files import Outputs, locked, remove_leftovers
-from celnav.filters.run import ENGINE
+from celnav.commands.arguments import UsageError, cores, fraction, load, warn, whole, workers
+from celnav.commands.index import USER, index, page_data
+from celnav.files import Outputs, locked, npz, remove_leftovers
 from celnav.gaussian.linalg import Array
-from celnav.papers import own
+from celnav.papers.own import name_of
+from celnav.show.claims import dumps
+from celnav.show.draw import picture_names, pictures
 from celnav.show.progress import Progress
-from celnav.store import RESULTS, Store, resumed
+from celnav.store import RESULTS, resumed
 from celnav.study.ledger import Claim
 from celnav.study.study import Results, Unit
 from celnav.tape.cuda import device
 
-__all__ = ["run"]
-
-KINDS = ("png", "svg")
-"""Of each figure."""
 WRITING_S = {"ledger": 1.0, "figures": 5.0, "recordings": 4.0}
 """CPU seconds of what is made of a paper's results, roughly, whatever the effort."""
+FILES = ("claims.json", "checks.json", "timings.json", "result.npz", USER)
+T = TypeVar("T")
+
+
+class Task(NamedTuple):
+    """A study that is to be reproduced: its name, its module, and the file of a user's study or
+    None.
+    """
+
+    name: str
+    module: ModuleType
+    file: str | None
+    outputs: Outputs
+
+    def check(self) -> None:
+        """Refuse what could not be written before anything is computed."""
+        tables = (f"tables/{stem}.csv" for stem in self.module.TABLES)
+        figures = picture_names(f"figures/{stem}" for stem in self.module.FIGURES)
+        self.outputs.check([*figures, *tables, *FILES, *self.module.RECORDINGS])
 
 
 def run(options: argparse.Namespace) -> int:
-    """Do the papers side by side where there are several processes, and write each as soon as it is done."""
-    from celnav.commands.index import OWN, described, index
-
-    words = list(dict.fromkeys(options.papers)) or [
-        *papers.PAPERS,
-        *(s for s in real.STUDIES if getattr(options, s) is not None),
-    ]
-    modules = {own.name_of(word): module(word) for word in words}
-    chosen, files = list(modules), {own.name_of(word): word for word in words if own.is_own(word)}
-    if len(chosen) < len(words):
-        raise UsageError(
-            f"{', '.join(filter(own.is_own, words))}: expected files of different names; rename one"
-        )
-    part, seed = fraction(options.effort), whole("seed", options.seed, 0)
+    """Do the studies side by side where there are several processes, and write each as soon as it
+    is done.
+    """
+    words = list(dict.fromkeys(options.papers))
+    if not words:
+        real = (name for name in papers.REAL if getattr(options, name) is not None)
+        words = [*papers.PAPERS, *real]
+    modules = {name_of(word): load(word) for word in words}
+    if len(modules) < len(words):
+        files = ", ".join(filter(papers.is_file, words))
+        raise UsageError(f"{files}: expected files of different names; rename one")
+    effort, seed = fraction(options.effort), whole("seed", options.seed, 0)
     pool = workers(options.jobs)
-    for name, taken in {
-        "rinex": "a paper that takes a receiver's log (aukf)",
-        **{s: f"the study {s}" for s in real.STUDIES},
-    }.items():
-        if getattr(options, name) is not None and not any(
-            name in getattr(one, "INPUTS", ()) for one in modules.values()
-        ):
-            raise UsageError(f"--{name}: expected {taken}, got {', '.join(chosen)}")
-        if name in chosen and getattr(options, name) is None:
-            raise UsageError(
-                f"{name}: expected --{name} DIR with it, a folder of {real.STUDIES[name]}"
-            )
+    _check_inputs(modules, options)
     if options.engine == "cuda":
-        device()  # told at once, not by each unit
-    if part < 1.0:
+        device()  # an error at once, not of each unit
+    if effort < 1.0:
         print(
-            f"celnav: {part:.3g} of the runs: intervals are wide, and what they do not decide is undecided"
+            f"celnav: {effort:.3g} of the runs: intervals are wide, "
+            "and what they do not decide is undecided"
         )
     out = Path(options.out)
-    top, folders = Outputs(out), {paper: Outputs(out / paper) for paper in chosen}
+    top = Outputs(out)
     top.check(["index.html"])
-    for paper, one in modules.items():
-        _check(one, folders[paper])
-    surprises = undecided = 0
+    tasks = {
+        name: Task(name, module, word if papers.is_file(word) else None, Outputs(out / name))
+        for word, (name, module) in zip(words, modules.items(), strict=True)
+    }
+    for task in tasks.values():
+        task.check()
     with locked(out):
         remove_leftovers(
-            out, *(out / paper / below for paper in chosen for below in ("", "figures", "tables"))
+            out, *(out / name / part for name in tasks for part in ("", "figures", "tables"))
         )
-        stores = {paper: resumed(out / paper / RESULTS) for paper in modules}
-        token = ENGINE.set(options.engine)
-        units = {
-            paper: one.STUDY.units(effort=part, seed=seed, **_inputs(one, options))
-            for paper, one in modules.items()
-        }
-        ENGINE.reset(token)
-        left = {
-            paper: [unit for unit in all if not _kept(stores[paper], unit)]
-            for paper, all in units.items()
-        }
-        total, missing = (
-            sum(unit.cost for some in which.values() for unit in some) for which in (units, left)
-        )
-        progress = Progress("celnav", total + len(units) * sum(WRITING_S.values()), total - missing)
-
-        def written(paper: str) -> None:
-            nonlocal surprises, undecided
-            done = units.pop(paper)
-            results = modules[paper].STUDY.results(done, map(stores[paper].read, done), effort=part)
-            claims = _write(paper, modules[paper], results, folders[paper], progress)
-            surprises += sum(claim.surprise for claim in claims)
-            undecided += sum(claim.verdict == "undecided" != claim.expected for claim in claims)
-            if paper in files:
-                folders[paper].text(OWN, described(modules[paper], files[paper]))
-            stores[paper].forget_all_but(done)
-
-        def keep(unit: Unit, arrays: dict[str, Array]) -> None:
-            stores[unit.study].write(unit, arrays)
-            left[unit.study].remove(unit)
-            progress.add(unit.cost, f"{unit.study}: {unit.part}")
-            if not left[unit.study]:
-                written(unit.study)
-
-        with closing(progress):
-            for paper in [paper for paper, some in left.items() if not some]:
-                written(paper)
-            # The longest first: the end is then made of short ones, and all processes are busy until it.
-            try:
-                compute(
-                    sorted(
-                        (unit for some in left.values() for unit in some),
-                        key=lambda unit: -unit.cost,
-                    ),
-                    pool,
-                    keep,
-                )
-            except UnfinishedError as error:
-                raise OSError(
-                    f"{error}; what is finished is kept: the same command goes on from there"
-                ) from None
+        claims = _do(tasks, options, effort, seed, pool)
         top.text("index.html", index(out))
-    told = [f"{surprises} not as expected, see above"] if surprises else []
-    if part < 1.0 and undecided:
-        told.append(f"{undecided} undecided with {part:.3g} of the runs")
-    print(f"wrote {out / 'index.html'}: {', '.join(told) or 'all as expected'}")
+    surprises = sum(claim.surprise for claim in claims)
+    undecided = sum(claim.verdict == "undecided" != claim.expected for claim in claims)
+    notes = [f"{surprises} not as expected, see above"] if surprises else []
+    if effort < 1.0 and undecided:
+        notes.append(f"{undecided} undecided with {effort:.3g} of the runs")
+    print(f"wrote {out / 'index.html'}: {', '.join(notes) or 'all as expected'}")
     return 1 if options.strict and surprises else 0
 
 
-def _inputs(one: ModuleType, options: argparse.Namespace) -> dict[str, Path]:
-    return {
-        name: Path(given)
-        for name in getattr(one, "INPUTS", ())
-        if (given := getattr(options, name)) is not None
-    }
+def _check_inputs(modules: Mapping[str, ModuleType], options: argparse.Namespace) -> None:
+    """UsageError where no study takes a folder that is given, or one is missing that it needs."""
+    takers = {name: f"the study {name}" for name in papers.REAL}
+    takers["rinex"] = "a paper that takes a receiver's log (aukf)"
+    taken = {name for module in modules.values() for name in getattr(module, "INPUTS", ())}
+    for name, taker in takers.items():
+        if getattr(options, name) is not None and name not in taken:
+            raise UsageError(f"--{name}: expected {taker}, got {', '.join(modules)}")
+    for name in modules:
+        if name in papers.REAL and getattr(options, name) is None:
+            folder = papers.REAL[name]
+            raise UsageError(f"{name}: expected --{name} DIR with it, a folder of {folder}")
 
 
-def _check(one: ModuleType, outputs: Outputs) -> None:
-    """Refuse what could not be written before anything is computed."""
-    outputs.check(f"figures/{stem}.{kind}" for stem in one.FIGURES for kind in KINDS)
-    outputs.check(f"tables/{stem}.csv" for stem in one.TABLES)
-    outputs.check(
-        ["claims.json", "checks.json", "timings.json", "result.npz", "study.json", *one.RECORDINGS]
-    )
+def _units(task: Task, options: argparse.Namespace, **chosen: Any) -> list[Unit]:
+    folders = {name: getattr(options, name) for name in getattr(task.module, "INPUTS", ())}
+    inputs = {name: Path(folder) for name, folder in folders.items() if folder is not None}
+    units: list[Unit] = task.module.STUDY.units(engine=options.engine, **chosen, **inputs)
+    return units
 
 
-def _kept(store: Store, unit: Unit) -> bool:
-    try:
-        return store.has(unit)
-    except ValueError as error:
-        print(f"celnav: {error}; it is computed again", file=sys.stderr)
-        return False
-
-
-def _write(
-    paper: str, one: ModuleType, results: Results, outputs: Outputs, progress: Progress
+def _do(
+    tasks: Mapping[str, Task], options: argparse.Namespace, effort: float, seed: int, pool: Any
 ) -> list[Claim]:
-    """Write everything that a paper shows. Returns its claims."""
-    from celnav.show.claims import dumps
-    from celnav.show.drawing import render
+    """Compute what is missing, and write each study once all of it is there; the claims of all."""
+    stores = {name: resumed(task.outputs.directory / RESULTS) for name, task in tasks.items()}
+    units = {name: _units(task, options, effort=effort, seed=seed) for name, task in tasks.items()}
+    left = {
+        name: [unit for unit in all if not stores[name].has(unit, warn)]
+        for name, all in units.items()
+    }
+    total, missing = (
+        sum(unit.cost for some in which.values() for unit in some) for which in (units, left)
+    )
+    writing = len(units) * sum(WRITING_S.values())
+    progress = Progress("celnav", total + writing, total - missing)
+    claims: list[Claim] = []
 
-    timings: dict[str, float] = {
+    def write(name: str) -> None:
+        done, store, task = units.pop(name), stores[name], tasks[name]
+        results = task.module.STUDY.results(done, map(store.read, done), effort=effort)
+        claims.extend(_write(task, results, progress))
+        store.forget_all_but(done)
+
+    def keep(unit: Unit, arrays: dict[str, Array]) -> None:
+        stores[unit.study].write(unit, arrays)
+        left[unit.study].remove(unit)
+        progress.add(unit.cost, f"{unit.study}: {unit.part}")
+        if not left[unit.study]:
+            write(unit.study)
+
+    with closing(progress):
+        for name in [name for name, some in left.items() if not some]:
+            write(name)
+        todo = [unit for some in left.values() for unit in some]
+        # The longest first: the end is made of short ones, and all processes are busy until it.
+        todo.sort(key=lambda unit: -unit.cost)
+        try:
+            compute(todo, pool, keep)
+        except UnfinishedError as error:
+            raise OSError(
+                f"{error}; what is finished is kept: the same command goes on from there"
+            ) from None
+    return claims
+
+
+def _write(task: Task, results: Results, progress: Progress) -> list[Claim]:
+    """Write everything that a study shows. Returns its claims."""
+    name, module, outputs = task.name, task.module, task.outputs
+    timings = {
         f"cpu_s {part}": float(arrays["cpu_s"].sum()) for part, arrays in results.data.items()
     }
 
-    def stage(name: str, work: Callable[[], Any]) -> Any:
-        progress.add(0.0, f"{paper}: {name}")
+    def stage(what: str, work: Callable[[], T]) -> T:
+        progress.add(0.0, f"{name}: {what}")
         start = process_time()
         value = work()
-        timings[f"cpu_s {name}"] = process_time() - start
-        progress.add(WRITING_S[name])
+        timings[f"cpu_s {what}"] = process_time() - start
+        progress.add(WRITING_S[what])
         return value
 
     claims = stage("ledger", results.claims)
-    outputs.text("claims.json", dumps(claim for claim in claims if claim.kind != "check"))
-    outputs.text("checks.json", dumps(claim for claim in claims if claim.kind == "check"))
-    outputs.npz("result.npz", _arrays(results.data))
-    for stem, (_, function) in one.TABLES.items():
-        if rows := function(results):  # none without what a person may give
-            outputs.text(f"tables/{stem}.csv", _csv(rows))
+    texts = {
+        "claims.json": dumps(claim for claim in claims if claim.kind != "check"),
+        "checks.json": dumps(claim for claim in claims if claim.kind == "check"),
+    }
+    for stem, (_, table) in module.TABLES.items():
+        if rows := table(results):  # none without what a person may give
+            texts[f"tables/{stem}.csv"] = _csv(rows)
+    if task.file is not None:
+        texts[USER] = page_data(module, task.file)
+    outputs.publish(texts, {"result.npz": npz(_arrays(results.data))})
+    figures = {f"figures/{stem}": draw for stem, (_, draw) in module.FIGURES.items()}
 
-    def draw() -> None:
-        for stem, (_, function) in one.FIGURES.items():
-            if (drawing := function(results)) is not None:
-                for kind in KINDS:
-                    outputs.bytes(f"figures/{stem}.{kind}", render(drawing, kind))
+    def drawn() -> dict[str, bytes]:
+        return pictures((stem, draw(results)) for stem, draw in figures.items())
 
-    stage("figures", draw)
+    outputs.publish(stage("figures", drawn))
     try:
-        stage("recordings", lambda: one.record(results, outputs))
+        stage("recordings", lambda: module.record(results, outputs))
     except (ImportError, OSError, RuntimeError) as error:
-        print(
-            f"celnav: {paper}: no recordings ({error}); everything else is written", file=sys.stderr
-        )
-    versions = {name: metadata.version(name) for name in ("numpy", "scipy", "matplotlib")}
-    machine = f"{platform.system()} {platform.machine()}, {cores()} cores"
-    about = {
-        "celnav": celnav.__version__,
-        "python": platform.python_version(),
-        **versions,
-        "machine": machine,
-    }
-    record = {
-        "about": about,
-        "effort": results.effort,
-        "cpu_s": sum(timings.values()),
-        "timings": timings,
-    }
-    outputs.text("timings.json", json.dumps(record, indent=1) + "\n")
+        warn(f"{name}: no recordings ({error}); everything else is written")
+    about = {"celnav": celnav.__version__, "python": platform.python_version()}
+    about |= {package: metadata.version(package) for package in ("numpy", "scipy", "matplotlib")}
+    about["machine"] = f"{platform.system()} {platform.machine()}, {cores()} cores"
+    record = {"about": about, "effort": results.effort, "cpu_s": sum(timings.values())}
+    outputs.text("timings.json", json.dumps(record | {"timings": timings}, indent=1) + "\n")
     for kind in ("statement", "finding", "check"):
-        if count := Counter(claim.verdict for claim in claims if claim.kind == kind):
-            progress.say(
-                f"{paper}: {kind}s: {', '.join(f'{number} {verdict}' for verdict, number in sorted(count.items()))}"
-            )
+        count = Counter(claim.verdict for claim in claims if claim.kind == kind)
+        if count:
+            listed = ", ".join(f"{number} {verdict}" for verdict, number in sorted(count.items()))
+            progress.say(f"{name}: {kind}s: {listed}")
     for claim in claims:
         if claim.surprise:
             progress.say(
-                f"{paper}: not as expected: {claim.id}: {claim.verdict}, expected {claim.expected}: {claim.row.says}"
+                f"{name}: not as expected: {claim.id}: {claim.verdict}, "
+                f"expected {claim.expected}: {claim.row.says}"
             )
-    return list(claims)
+    return claims
 
 
 def _arrays(data: Mapping[str, Mapping[str, Array]]) -> dict[str, Array]:
-    """What is stored: times, and over the runs the root mean squares of errors and the means of NEES and NIS."""
+    """What is stored: times, and over the runs the root mean squares of errors and the means of
+    NEES and NIS.
+    """
     out = {}
     for part, arrays in data.items():
         for name, values in arrays.items():
             what = name.rpartition("/")[2]
-            if what in ("error", "nees", "nis") and values.ndim < 2:  # without runs
+            if what == "times" or (what in ("error", "nees", "nis") and values.ndim < 2):
                 out[f"{part}/{name}"] = values
             elif what == "error":
                 out[f"{part}/{name} rms"] = np.sqrt(np.square(values).mean(1))
             elif what in ("nees", "nis"):
                 out[f"{part}/{name}"] = values.mean(1)
-            elif what == "times":
-                out[f"{part}/times"] = values
     return out
 
 
@@ -258,7 +247,6 @@ def _csv(rows: Sequence[dict[str, Any]]) -> str:
     text = io.StringIO()
     writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
     writer.writeheader()
-    writer.writerows(
-        {k: f"{v:.6g}" if isinstance(v, float) else v for k, v in line.items()} for line in rows
-    )
+    for row in rows:
+        writer.writerow({k: f"{v:.6g}" if isinstance(v, float) else v for k, v in row.items()})
     return text.getvalue()

@@ -8,21 +8,20 @@ import subprocess
 import sys
 from pathlib import Path
 
-from celnav.commands.arguments import UsageError, module, number
-from celnav.commands.index import OWN, shown
-from celnav.papers import own
-
-__all__ = ["run"]
+from celnav.commands.arguments import UsageError, number
+from celnav.commands.index import study_of
+from celnav.papers import is_file
+from celnav.papers.own import name_of
 
 
 def run(options: argparse.Namespace) -> int:
     """Open a paper's recording, or a file."""
-    path = _file(options) if Path(options.paper).suffix not in ("", ".py") else _of_paper(options)
+    file = Path(options.paper)
+    path = _recording(options, file) if file.suffix in ("", ".py") else _file(options, file)
+    at = None if options.at is None else number("at", options.at)
     if options.picture is not None:
-        return _picture(
-            path, Path(options.picture), None if options.at is None else number("at", options.at)
-        )
-    if options.at is not None:
+        return _picture(path, Path(options.picture), at)
+    if at is not None:
         raise UsageError(
             "--at: expected --picture FILE.png with it; in a window the time is moved by hand"
         )
@@ -52,8 +51,7 @@ def _picture(path: Path, target: Path, at: float | None) -> int:
     return 0
 
 
-def _file(options: argparse.Namespace) -> Path:
-    path = Path(options.paper)
+def _file(options: argparse.Namespace, path: Path) -> Path:
     if options.recording is not None:
         raise UsageError(f"--recording: expected a paper with it, got the file {path}")
     if path.suffix != ".rrd":
@@ -63,25 +61,24 @@ def _file(options: argparse.Namespace) -> Path:
     return path
 
 
-def _of_paper(options: argparse.Namespace) -> Path:
-    name = own.name_of(options.paper)
-    folder = Path(options.out, name)
-    study = shown(Path(options.out), name) if (folder / OWN).exists() else module(options.paper)
-    if not study.RECORDINGS:
-        mission = "; a mission of it (celnav run) has one" if options.paper.endswith(".py") else ""
-        raise UsageError(f"{options.paper}: has no recordings{mission}")
-    recordings = [name for name in study.RECORDINGS if (folder / name).is_file()]
+def _recording(options: argparse.Namespace, study: Path) -> Path:
+    """The recording of a study that was reproduced."""
+    out = Path(options.out)
+    folder = out / name_of(options.paper)
+    names = study_of(out, folder.name, options.paper).RECORDINGS
+    if not names:
+        mission = "; a mission of it (celnav run) has one" if is_file(options.paper) else ""
+        raise UsageError(f"{study}: has no recordings{mission}")
+    recordings = [str(name) for name in names if (folder / name).is_file()]
     if not recordings:
         raise FileNotFoundError(
-            f"{folder}: no recording; make it with: celnav reproduce {options.paper} --out {options.out}"
+            f"{folder}: no recording; make it with: celnav reproduce {study} --out {out}"
         )
     if options.recording is None:
-        return Path(folder, recordings[0])
-    wanted: str = (
-        options.recording if options.recording.endswith(".rrd") else f"{options.recording}.rrd"
-    )
+        return folder / recordings[0]
+    wanted = f"{options.recording}".removesuffix(".rrd") + ".rrd"
     if wanted not in recordings:
         raise UsageError(
             f"unknown recording {options.recording!r}: expected one of {', '.join(recordings)}"
         )
-    return Path(folder, wanted)
+    return folder / wanted

@@ -1,53 +1,75 @@
-"""The papers: one module each, all with the same names.
+"""The papers: one module each, all with the same names; and the one list of all studies, and how
+one is loaded.
 
-``CITATION``, ``TITLE``, ``Config``, ``PRESETS``, ``simulate``, ``filters``: the scenario. ``trial`` and ``JUDGED``, what it judges
-and in which units: see `celnav.study.trial`. ``STUDY``: what is flown and said, see `celnav.study.study`. ``FIGURES``, ``TABLES``:
-file stem -> caption and function of the results; ``RECORDINGS`` and ``record``. ``INPUTS``, if there: names of optional folders
-that the study takes. ``MISSION``, if there: parameters that a mission has by default, whatever the preset.
+``CITATION``, ``TITLE``, ``Config``, ``PRESETS``, ``simulate``, ``filters``: the scenario.
+``trial`` and ``JUDGED``, what it judges and in which units: see `celnav.study.trial`. ``STUDY``:
+what is computed and said, see `celnav.study.study`. ``FIGURES``, ``TABLES``: file stem -> caption
+and function of the results; ``RECORDINGS`` and ``record``. ``INPUTS``, if there: names of the
+folders that ``STUDY.parts`` takes, which are also options of ``celnav reproduce``. ``MISSION``, if
+there: parameters that a mission has by default, whatever the preset. Studies on real data
+(`celnav.real`) and a user's file (`celnav.papers.own`) have the same shape.
 """
 
 from __future__ import annotations
 
-import difflib
 import re
-from collections.abc import Iterable
 from importlib import import_module
 from types import ModuleType
 
-from celnav.files import data
+from celnav.files import data, did_you_mean
 from celnav.lazy import modules
 
 __getattr__, __dir__ = modules(__name__)
 
-__all__ = ["PAPERS", "citation", "load"]
+__all__ = ["PAPERS", "REAL", "citation", "is_file", "load"]
 
 PAPERS = {
     name: f"celnav.papers.{name}" for name in ("csrukf", "ssukf", "tstdkf", "aasghqf", "aukf")
 }
 """Identifier -> module."""
+REAL = {
+    "grace": "GPS fixes and positions of GRACE-A, August 2008, and a gravity field",
+    "nanograv": "pulsars' arrival times (daily_averages.npz)",
+    "rxte": "photons of a pulsar, the satellite's orbit, a timing model (*.fits, FPorbit*, *.par)",
+    "broad": "trials of BROAD (MATLAB files)",
+}
+"""Identifier of a study on real data, which is also its module and its input -> what the input's
+folder holds.
+"""
 
 
-def load(paper: str, others: Iterable[str] = ()) -> ModuleType:
-    """The module of a paper, or of a study of one's own, a file (`celnav.papers.own`); ``others``: identifiers known where it is
-    asked for.
+def is_file(study: str) -> bool:
+    """Whether this is a user's file, not an identifier."""
+    return study.endswith(".py")
+
+
+def load(study: str, *, mission: bool = False) -> ModuleType:
+    """The module of a paper, of a study on real data, or of a user's study, FILE.py
+    (`celnav.papers.own.load`).
+
+    ``mission``: whether missions are to be made of it, which need presets: no study on real data
+        has them.
 
     Raises
     ------
-    ValueError: for an unknown identifier; the message lists the known ones; or for a file, see `celnav.papers.own.load`.
+    ValueError: for an unknown identifier; the message lists the known ones.
     """
-    if paper not in PAPERS:
-        if paper.endswith(".py"):
-            own: ModuleType = import_module("celnav.papers.own").load(paper)
-            return own
-        known = [*PAPERS, *others, "a file FILE.py"]
-        close = difflib.get_close_matches(paper, known, 1)
-        hint = f"; did you mean {close[0]}?" if close else ""
-        raise ValueError(f"unknown paper {paper!r}: expected one of {', '.join(known)}{hint}")
-    return import_module(PAPERS[paper])
+    if is_file(study):
+        module: ModuleType = import_module("celnav.papers.own").load(study, mission=mission)
+        return module
+    known = PAPERS if mission else PAPERS | {name: f"celnav.real.{name}" for name in REAL}
+    if study not in known:
+        names = [*known, "a file FILE.py"]
+        raise ValueError(
+            f"unknown paper {study!r}: expected one of "
+            f"{', '.join(names)}{did_you_mean(study, names)}"
+        )
+    return import_module(known[study])
 
 
 def citation(key: str) -> str:
-    """The BibTeX entry of a source that docstrings cite, of all that are in ``data/references.bib``.
+    """The BibTeX entry of a source that docstrings cite, of all that are in
+    ``data/references.bib``.
 
     >>> print(celnav.papers.citation("Sun2015"))
 

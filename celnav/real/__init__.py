@@ -2,45 +2,26 @@
 there was stated by anybody.
 
 ``CITATION``: where the data come from. ``TITLE``, ``STUDY``, ``FIGURES``, ``TABLES``,
-``RECORDINGS`` and ``record`` are as a paper's; ``INPUTS`` is the study's own name: ``STUDY.parts``
-takes the folder of its data under it. The ledger has findings, with intervals by blocks of time
-(`celnav.study.ledger.estimate`, ``block=``), and checks; filters fly one run, and arrays are
-``(T, 1, ...)``. The data are nobody's here: without a folder a study is not done, and its rows are
-not on the page.
+    ``RECORDINGS`` and ``record`` are as a
+paper's; ``INPUTS`` is the study's own name: ``STUDY.parts`` takes the folder of its data under it.
+The ledger has findings, with intervals by blocks of time (`celnav.study.ledger.estimate`,
+``block=``), and checks; filters run once, and arrays are ``(T, 1, ...)``. The data are nobody's
+here: without a folder a study is not done, and its rows are not on the page.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from importlib import import_module
 from pathlib import Path
-from types import ModuleType
 
 from celnav.lazy import modules
+from celnav.papers import REAL, load
 
 __getattr__, __dir__ = modules(__name__)
 
-STUDIES: dict[str, str] = {
-    "grace": "GPS fixes and positions of GRACE-A, August 2008, and a gravity field",
-    "nanograv": "pulsars' arrival times (daily_averages.npz)",
-    "rxte": "photons of a pulsar, the satellite's orbit, a timing model (*.fits, FPorbit*, *.par)",
-    "broad": "trials of BROAD (MATLAB files)",
-}
-"""Identifier, which is also the option of ``celnav reproduce`` and the module -> what the folder
-holds.
-"""
+__all__ = ["STUDIES", "found", "load"]
 
-
-def load(study: str) -> ModuleType:
-    """The module of a study.
-
-    Raises
-    ------
-    ValueError: for an unknown identifier; the message lists the known ones.
-    """
-    if study not in STUDIES:
-        raise ValueError(f"unknown study {study!r}: expected one of {', '.join(STUDIES)}")
-    return import_module(f"celnav.real.{study}")
+STUDIES = REAL
 
 
 def found(folder: str | Path, patterns: Sequence[str]) -> list[Path]:

@@ -21,7 +21,7 @@ from celnav.receiver.fixes import GIVEN
 from celnav.receiver.position import Log, prepare
 from celnav.receiver.report import Positioned
 from celnav.receiver.rinex import Navigation, Observations, read_navigation, read_observations
-from celnav.show.figures import Line, Panel, curve, panels
+from celnav.show.draw import Line, Panel, curve, panels
 from celnav.study.study import Rngs
 
 if TYPE_CHECKING:

@@ -23,7 +23,15 @@ from celnav.receiver.rinex import SYSTEMS
 from celnav.receiver.sky import GROUND_M, local_axes, on_earth
 from celnav.receiver.tracks import DOUBTS, civil, table
 from celnav.show import colors
-from celnav.show.figures import Panel, components, curve, figure, panels
+from celnav.show.draw import (
+    Panel,
+    components,
+    curve,
+    figure,
+    panels,
+    picture_names,
+    pictures,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -379,22 +387,14 @@ def _sky(found: Positioned) -> Figure:
     return fig
 
 
-FILES = ("summary.txt", "track.csv", "track.png", "track.svg", "sky.png", "sky.svg")
+FILES = ("summary.txt", "track.csv", *picture_names(("track", "sky")))
 RECORDING = "position.rrd"
 
 
 def write(found: Positioned, outputs: Outputs) -> None:
     """Write `FILES`, all of which are made before the first is written."""
-    from celnav.show.drawing import render
-
-    drawn = {
-        f"{stem}.{kind}": render(drawing, kind)
-        for stem, drawing in figures(found).items()
-        for kind in ("png", "svg")
-    }
     texts = {"summary.txt": summary(found) + "\n", "track.csv": table(found)}
-    for name in FILES:
-        outputs.bytes(name, drawn[name] if name in drawn else texts[name].encode("utf-8"))
+    outputs.publish(texts, pictures(figures(found).items()))
 
 
 def record_positioned(found: Positioned, path: Any) -> None:

@@ -1,8 +1,9 @@
-"""The ledger as people read it, and as it lies in files: rows with place, printed number, ours, verdict."""
+"""The ledger as people read it, and as it lies in files: rows with place, printed number, ours,
+verdict.
+"""
 
 from __future__ import annotations
 
-import html
 import json
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
@@ -15,53 +16,48 @@ import numpy as np
 from celnav.files import InputError, read_json
 from celnav.study.ledger import BETWEEN, KINDS, OPEN, VERDICTS, WORDS, Claim, Sentence
 
-__all__ = [
-    "TYPES",
-    "Ledger",
-    "answer",
-    "counted",
-    "dumps",
-    "plain",
-    "read_claims",
-    "table",
-    "tally",
-    "written",
-]
-
+Row = Mapping[str, Any]
+"""A claim as `written` has it."""
 COLUMNS = ("place", "what is said", "printed", "ours", "verdict")
 WIDE = 10.0
-"""Ends of an interval that lie so many times apart are told to be those of few runs, or of a heavy tail."""
-FEW = "Only a part of the runs was done: intervals are wide, and what they do not decide is undecided."
-_GOOD = {words[0] for kind, words in WORDS.items() if kind in ("statement", "finding", "check")} | {
-    BETWEEN[0]
-}
+"""Ends of an interval that lie so many times apart are said to be those of few runs, or of a heavy
+tail.
+"""
+FEW = (
+    "Only a part of the runs was done: intervals are wide, "
+    "and what they do not decide is undecided."
+)
+_GOOD = {BETWEEN[0], *(WORDS[kind][0] for kind in ("statement", "finding", "check"))}
 _BAD = {words[1] for words in WORDS.values()}
 
 
 def style(verdict: str) -> str:
-    """How a verdict looks: "good" for what holds, "bad" for what does not, "error" of a paper, "open", or "part"."""
+    """How a verdict looks: "good" for what holds, "bad" for what does not, "error" of a paper,
+    "open", or "part".
+    """
     if verdict in _GOOD:
         return "good"
-    return (
-        "bad"
-        if verdict in _BAD
-        else "open"
-        if verdict in OPEN
-        else "error"
-        if verdict == WORDS["erratum"][0]
-        else "part"
-    )
+    if verdict in _BAD:
+        return "bad"
+    if verdict in OPEN:
+        return "open"
+    return "error" if verdict == WORDS["erratum"][0] else "part"
 
 
-def row(claim: Mapping[str, Any]) -> tuple[str, ...]:
-    """The cells of a claim (as a dictionary) under `COLUMNS`."""
-    return (
-        claim["place"],
-        claim["statement"],
-        "" if claim["printed_value"] is None else f"{claim['printed_value']}",
-        _ours(claim),
-        claim["verdict"],
-    )
+def cells(claim: Row) -> dict[str, str]:
+    """What stands of a claim under each of `COLUMNS`; "printed" is the paper's value of the number
+    under "ours".
+    """
+    printed = claim["printed_value"]
+    shown = "" if printed is None else str(printed)
+    values = claim["place"], claim["statement"], shown, _ours(claim), claim["verdict"]
+    return dict(zip(COLUMNS, values, strict=True))
+
+
+def columns(claims: Sequence[Row]) -> list[str]:
+    """Those of `COLUMNS` in which some claim has anything."""
+    every = [cells(claim) for claim in claims]
+    return [name for name in COLUMNS if not every or any(row[name] for row in every)]
 
 
 def _printed(value: Any) -> str:
@@ -71,14 +67,16 @@ def _printed(value: Any) -> str:
 
 
 def _flat(value: Any) -> Iterable[Any]:
-    if isinstance(value, Mapping | list):
-        for part in value.values() if isinstance(value, Mapping) else value:
-            yield from _flat(part)
+    if isinstance(value, Mapping):
+        value = list(value.values())
+    if isinstance(value, list):
+        for item in value:
+            yield from _flat(item)
     elif value is not None:
         yield value
 
 
-def _ours(number: Mapping[str, Any]) -> str:
+def _ours(number: Row) -> str:
     """A number with its interval, with as many digits as the paper prints of it."""
     value, ci = number["value"], number["ci"]
     if value is None:
@@ -91,89 +89,48 @@ def _ours(number: Mapping[str, Any]) -> str:
     return f"{value:.{digits}g} [{ci[0]:.3g}, {ci[1]:.3g}]{heavy}"
 
 
-def accepted(number: Mapping[str, Any]) -> str:
+def _accepted(number: Row) -> str:
     """The accepted range of a number, in words."""
     low, high = number["accept"]
-    if low is None and high is None:
-        return "any"
-    return f"≥ {low:g}" if high is None else f"≤ {high:g}" if low is None else f"{low:g} … {high:g}"
+    if low is None:
+        return "any" if high is None else f"≤ {high:g}"
+    return f"≥ {low:g}" if high is None else f"{low:g} … {high:g}"
 
 
-def tally(claims: Iterable[Mapping[str, Any]]) -> dict[str, int]:
+def tally(claims: Iterable[Row]) -> dict[str, int]:
     """How many claims have which verdict, in the order of `VERDICTS`."""
     count = Counter(claim["verdict"] for claim in claims)
     return {verdict: count[verdict] for verdict in VERDICTS if count[verdict]}
 
 
-def counted(claims: Iterable[Mapping[str, Any]]) -> str:
+def counted(claims: Iterable[Row]) -> str:
     """The same in words: "4 reproduced, 1 undecided"."""
     return ", ".join(f"{number} {verdict}" for verdict, number in tally(claims).items())
 
 
-def table(claims: Sequence[Mapping[str, Any]], link: str = "", cell: str = "") -> str:
-    """Rows as HTML, every number behind a fold; ``link``: where figures lie, ``cell``: what is before an id where it is decided.
+def notes(claim: Row) -> list[str]:
+    """What stands below a claim: what we find, what the paper prints too, what was revised."""
+    printed = _printed(claim["printed"])
+    texts = [claim["note"]]
+    if printed != cells(claim)["printed"]:
+        texts.append(printed and f"The paper prints {printed}.")
+    texts.append(claim["revised"] and f"Accepted range revised: {claim['revised']}")
+    return [text for text in texts if text]
 
-    "printed" is the paper's value of the number under "ours". A column in which no row has anything is left out.
+
+def numbers(claim: Row) -> list[str]:
+    """A line for each number: what is accepted (where there are several verdicts, for which), and
+    whether it is.
     """
-    shown = [
-        name
-        for i, name in enumerate(COLUMNS)
-        if not claims or any(row(claim)[i] for claim in claims)
-    ]
-    head = "".join(f"<th>{name}</th>" for name in shown)
-    lines = "".join(_line(claim, link, cell, shown) for claim in claims)
-    return f'<table class="cards"><thead><tr>{head}</tr></thead><tbody>{lines}</tbody></table>'
+    several = len({number["tier"] for number in claim["numbers"]}) > 1
+    return [_number(number, several) for number in claim["numbers"]]
 
 
-def _line(claim: Mapping[str, Any], link: str, cell: str, columns: Sequence[str]) -> str:
-    place, says, printed, ours, verdict = (html.escape(text) for text in row(claim))
-    verbatim = _printed(claim["printed"])
-    notes = (
-        claim["note"],
-        verbatim and verbatim != row(claim)[2] and f"The paper prints {verbatim}.",
-        claim["revised"] and f"Accepted range revised: {claim['revised']}",
-    )
-    told = [f"<small>{html.escape(note)}</small>" for note in notes if note]
-    if claim["numbers"]:
-        several = len({number["tier"] for number in claim["numbers"]}) > 1
-        listed = "".join(
-            f"<li>{html.escape(_number(number, several))}</li>" for number in claim["numbers"]
-        )
-        why = f"<p>The criterion: {html.escape(claim['why'])}</p>" if claim["why"] else ""
-        count = len(claim["numbers"])
-        told.append(
-            f"<details class=numbers><summary>{count} number{'s' * (count > 1)}</summary>"
-            f"{why}<ul>{listed}</ul></details>"
-        )
-    figure = (
-        f' <a href="{link}{claim["figure"]}.svg">figure</a>' if claim["figure"] and link else ""
-    )
-    odd = " <b>(not as expected)</b>" if claim["surprise"] else ""
-    cells = {
-        "place": place,
-        "what is said": "<br>".join([says, *told]),
-        "printed": printed,
-        "ours": ours,
-    }
-    known = ((name, text) for name, text in cells.items() if name in columns)
-    named = "".join(
-        f'<td data-name="{name}">{text}</td>' if text else "<td></td>" for name, text in known
-    )
-    shown = (
-        f'<a href="{cell}{html.escape(claim["id"])}">{verdict}</a>'
-        if cell and claim["kind"] == "statement"
-        else verdict
-    )
-    said = f'<td class="{style(claim["verdict"])}">{shown}{odd}{figure}</td>'
-    return f'<tr id="{html.escape(claim["id"])}" data-verdict="{verdict}">{named}{said}</tr>'
-
-
-def _number(number: Mapping[str, Any], several: bool) -> str:
-    """A number, what is accepted (of ``several`` verdicts, for which), and whether it is."""
+def _number(number: Row, several: bool) -> str:
     about = f"for {number['tier']}, " * several + f"{number['label']}: {_ours(number)}"
     if number["accept"] == [None, None] and number["printed"] is None:
         return f"{about} (told only)"
-    asked = accepted(number)
+    asked = _accepted(number)
     if (among := number["agreement"]) and None not in among:
         within = f"[{among[0]:.4g}, {among[1]:.4g}]"
         asked = f"{asked}; printed {number['printed']}, agrees within {within}"
@@ -182,7 +139,8 @@ def _number(number: Mapping[str, Any], several: bool) -> str:
 
 
 class Ledger:
-    """Claims as a table: for a notebook (HTML; a statement's verdict leads to the cell that decides it), Markdown or a terminal.
+    """Claims as a table: for a notebook (HTML; a statement's verdict leads to the cell that decides
+    it), Markdown or a terminal.
 
     found: sentences that answer for all of them, see `answer`.
 
@@ -202,31 +160,36 @@ class Ledger:
         return "\n".join([*self._head, *lines])
 
     def _repr_markdown_(self) -> str:
-        lines = [
-            " | ".join(COLUMNS),
-            " | ".join("---" for _ in COLUMNS),
-            *(" | ".join(row(c)) for c in self._claims),
-        ]
-        return "\n\n".join([*self._head, "\n".join(f"| {line} |" for line in lines)])
+        rows = [COLUMNS, ["---"] * len(COLUMNS), *(cells(c).values() for c in self._claims)]
+        return "\n\n".join([*self._head, markdown(rows)])
 
     def _repr_html_(self) -> str:
-        head = "".join(f"<p>{html.escape(line)}</p>" for line in self._head)
-        return head + table(self._claims, cell="#say-")
+        from celnav.show.page import macro
+
+        return macro("paragraphs", self._head) + macro("ledger", self._claims, anchor="#say-")
 
 
-def answer(found: Iterable[Sentence], claims: Iterable[Mapping[str, Any]]) -> str:
-    """What a study finds: the sentences whose rows have the verdicts that they rest on, and which rows have others."""
-    known = {claim["id"]: claim for claim in claims}
+def markdown(rows: Iterable[Iterable[str]]) -> str:
+    """A table in Markdown; the second row says how columns are aligned."""
+    return "\n".join(f"| {' | '.join(row)} |" for row in rows)
+
+
+def answer(found: Iterable[Sentence], claims: Iterable[Row]) -> str:
+    """What a study finds: the sentences whose rows have the verdicts that they rest on, and which
+    rows have others.
+    """
+    by_id = {claim["id"]: claim for claim in claims}
+    verdicts = {id: claim["verdict"] for id, claim in by_id.items()}
     numbers = {
         id: [np.nan if n["value"] is None else n["value"] for n in claim["numbers"]]
-        for id, claim in known.items()
+        for id, claim in by_id.items()
     }
     said, otherwise = list[str](), dict[str, str]()
     for text, rests_on in found:
         apart = {
-            id: known[id]["verdict"] if id in known else "not among these rows"
+            id: verdicts.get(id, "not among these rows")
             for id, verdict in rests_on.items()
-            if id not in known or known[id]["verdict"] != verdict
+            if verdicts.get(id) != verdict
         }
         otherwise |= apart
         if not apart:
@@ -244,22 +207,37 @@ def _filled(text: str, numbers: Mapping[str, Sequence[float]]) -> str:
         return f"(a sentence that cannot be made of its rows: {error!r})"
 
 
-# -- files -------------------------------------------------------------------------------------------------------------------
+# -- files ----------------------------------------------------------------------------------------
 def written(claim: Claim) -> dict[str, Any]:
-    """As it stands in ``claims.json``: ``value`` and the like are the decisive number's; all are in ``numbers``, with outcomes."""
+    """As it stands in ``claims.json``: ``value`` and the like are the decisive number's; all are in
+    ``numbers``, with outcomes.
+    """
     row, first = claim.row, claim.decisive
+    numbers = [
+        {key: plain(value) for key, value in number._asdict().items()}
+        | {"tier": tier, "agreement": plain(number.agreement), "holds": holds}
+        for tier, number, holds in claim.outcomes
+    ]
     return {
-        "id": row.id, "kind": row.kind, "place": row.place, "statement": row.says, "printed": plain(row.printed, 17),
-        "value": plain(first and first.value), "ci": plain(first and first.ci),
+        "id": row.id,
+        "kind": row.kind,
+        "place": row.place,
+        "statement": row.says,
+        "printed": plain(row.printed, 17),
+        "value": plain(first and first.value),
+        "ci": plain(first and first.ci),
         "accept": plain(first.accept if first else (None, None)),
-        "printed_value": plain(first and first.printed, 17), "why": row.why, "revised": row.revised, "expected": claim.expected,
-        "holds": claim.holds, "verdict": claim.verdict, "surprise": claim.surprise, "note": claim.note, "figure": row.figure,
-        "numbers": [
-            {key: plain(value) for key, value in n._asdict().items()}
-            | {"tier": tier, "agreement": plain(n.agreement), "holds": holds}
-            for tier, n, holds in claim.outcomes
-        ],
-    }  # fmt: skip
+        "printed_value": plain(first and first.printed, 17),
+        "why": row.why,
+        "revised": row.revised,
+        "expected": claim.expected,
+        "holds": claim.holds,
+        "verdict": claim.verdict,
+        "surprise": claim.surprise,
+        "note": claim.note,
+        "figure": row.figure,
+        "numbers": numbers,
+    }
 
 
 def plain(value: Any, digits: int = 6) -> Any:
@@ -286,18 +264,34 @@ def dumps(claims: Iterable[Claim]) -> str:
 
 NUMBER = (int, float, NoneType)
 TYPES: dict[str, tuple[type, ...]] = {
-    "id": (str,), "kind": (str,), "place": (str,), "statement": (str,), "printed": (str, bool, list, dict, *NUMBER),
-    "value": NUMBER, "ci": (list, NoneType), "accept": (list,), "printed_value": NUMBER, "why": (str,),
-    "revised": (str, NoneType), "expected": (str,), "holds": (bool, NoneType), "verdict": (str,), "surprise": (bool,),
-    "note": (str,), "figure": (str,), "numbers": (list,),
-}  # fmt: skip
+    "id": (str,),
+    "kind": (str,),
+    "place": (str,),
+    "statement": (str,),
+    "printed": (str, bool, list, dict, *NUMBER),
+    "value": NUMBER,
+    "ci": (list, NoneType),
+    "accept": (list,),
+    "printed_value": NUMBER,
+    "why": (str,),
+    "revised": (str, NoneType),
+    "expected": (str,),
+    "holds": (bool, NoneType),
+    "verdict": (str,),
+    "surprise": (bool,),
+    "note": (str,),
+    "figure": (str,),
+    "numbers": (list,),
+}
 """What `written` writes, in its order."""
 PARTS = {"label", "value", "accept", "ci", "tier", "holds", "printed", "agreement"}
 """What it writes of each number at least."""
 
 
 def read_claims(path: str | Path) -> list[dict[str, Any]]:
-    """Claims of a ``claims.json`` as dictionaries; InputError names the file, and the claim that is not whole."""
+    """Claims of a ``claims.json`` as dictionaries; InputError names the file, and the claim that is
+    not whole.
+    """
     loaded = read_json(path)
     if not isinstance(loaded, list):
         raise InputError(f"{path}: expected a list of claims")
@@ -308,7 +302,8 @@ def read_claims(path: str | Path) -> list[dict[str, Any]]:
             if key not in claim or not _right(key, claim[key]):
                 got = f"got {claim[key]!r:.80}" if key in claim else "got none"
                 raise InputError(
-                    f"{path}: claim {number}: {key}: not what celnav writes, {got}; reproduce the paper again"
+                    f"{path}: claim {number}: {key}: not what celnav writes, {got}; reproduce the "
+                    "paper again"
                 )
     return loaded
 
@@ -318,19 +313,18 @@ def _right(key: str, value: Any) -> bool:
     if type(value) not in TYPES[key] or value not in known:
         return False
     if key == "numbers":
-        return all(isinstance(one, dict) and set(one) >= PARTS and _pairs(one) for one in value)
+        return all(isinstance(number, dict) and _whole(number) for number in value)
     return key not in ("ci", "accept") or value is None or _pair(value)
 
 
-def _pairs(number: Mapping[str, Any]) -> bool:
+def _whole(number: Row) -> bool:
     return (
-        _pair(number["accept"])
+        set(number) >= PARTS
+        and _pair(number["accept"])
         and (number["ci"] is None or _pair(number["ci"]))
         and type(number["value"]) in NUMBER
     )
 
 
 def _pair(value: Any) -> bool:
-    return (
-        isinstance(value, list) and len(value) == 2 and all(type(part) in NUMBER for part in value)
-    )
+    return isinstance(value, list) and [type(end) in NUMBER for end in value] == [True, True]

@@ -1,9 +1,6 @@
-"""Okabe-Ito colors by meaning, the same in figures and recordings, and what is no filter's: stars and bodies."""
-
-__all__ = [
-    "BODY", "BOUND", "COMPARISON", "ESTIMATE", "FAINT", "MEASUREMENT", "NAMES", "NEGATIVE", "OPEN_LOOP", "PAPER", "REFERENCE",
-    "SIGMA", "STAR", "TRUTH",
-]  # fmt: skip
+"""Okabe-Ito colors by meaning, the same in figures and recordings, and what is no filter's: stars
+and bodies.
+"""
 
 TRUTH = "#009E73"
 ESTIMATE = "#E69F00"

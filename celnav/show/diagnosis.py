@@ -10,14 +10,12 @@ from celnav.analysis.diagnose import Diagnosis, SensorConsistency
 from celnav.analysis.metrics import chi_square_band
 from celnav.gaussian.linalg import Array
 from celnav.show import colors
-from celnav.show.figures import Item, Panel, curve, panels
-from celnav.show.figures import level as horizontal
+from celnav.show.draw import Item, Panel, curve, panels
+from celnav.show.draw import level as horizontal
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-__all__ = ["figure", "size"]
 
 SHADES = (
     colors.COMPARISON,

@@ -16,8 +16,6 @@ with needed_by("a figure", "papers"):
     from matplotlib.ticker import NullLocator
     from PIL import Image
 
-__all__ = ["Drawing", "render", "styled"]
-
 STYLE: Any = {
     "figure.constrained_layout.use": True,
     "figure.dpi": 100,
@@ -54,7 +52,9 @@ class Drawing(Figure):
 
 
 def _sparse_ticks(fig: Figure) -> None:
-    """No minor ticks on logarithmic axes of many decades: nobody reads them, and they take half of the time of a drawing."""
+    """No minor ticks on logarithmic axes of many decades: nobody reads them, and they take half of
+    the time of a drawing.
+    """
     for axis in (axis for ax in fig.axes for axis in (ax.xaxis, ax.yaxis)):
         low, high = axis.get_view_interval()
         if axis.get_scale() == "log" and high > 100.0 * low > 0.0:

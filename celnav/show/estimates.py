@@ -1,4 +1,6 @@
-"""What filters made of runs, as a showcase takes it: errors, covariances and consistency, in groups of components."""
+"""What filters made of runs, as a showcase takes it: errors, covariances and consistency, in groups
+of components.
+"""
 
 from __future__ import annotations
 
@@ -9,16 +11,17 @@ from typing import NamedTuple
 import numpy as np
 
 from celnav.gaussian.linalg import Array
-from celnav.show.figures import Line
+from celnav.show.draw import Line
 from celnav.study.study import Results
-
-__all__ = ["Estimate", "Group", "again"]
+from celnav.study.trial import scales
 
 
 class Group(NamedTuple):
-    """Components of the error that are drawn together: ``part`` of them, times ``scale``, is in ``unit``.
+    """Components of the error that are drawn together: ``part`` of them, times ``scale``, is in
+    ``unit``.
 
-    ``axes``: names of the components. ``truth (T, k)``, in ``unit``: if given, estimates are drawn about it, else their errors are.
+    ``axes``: names of the components. ``truth (T, k)``, in ``unit``: if given, estimates are drawn
+        about it, else their errors are.
     """
 
     name: str
@@ -49,7 +52,9 @@ class Estimate:
     nis: Array | None = None
 
     def error(self, group: Group) -> Array:
-        """Of all runs in a group, ``(T, runs, k)`` in its unit; k is 0 if the filter does not estimate it."""
+        """Of all runs in a group, ``(T, runs, k)`` in its unit; k is 0 if the filter does not
+        estimate it.
+        """
         return np.asarray(self.errors[..., group.part] * np.asarray(group.scale))
 
     def sigma(self, group: Group) -> Array | None:
@@ -65,23 +70,18 @@ class Estimate:
 def again(
     results: Results, part: str, lines: Mapping[str, Line]
 ) -> tuple[dict[str, Estimate], Array, Array]:
-    """Filters of a part, of which `celnav.study.study.fly` kept the covariances of the first run: the errors of all runs; its truth
-    ``(T, n)`` and measurements ``(T, m)``, of epochs that are the same for all filters."""
-    first, scale = (
-        results.first(part),
-        np.ones(results.get(part, f"{next(iter(lines))}/error").shape[-1]),
-    )
-    for group in results.study.groups:
-        scale[group.part] = group.scale
-    found, epochs = {}, list(first.epochs(next(iter(lines))))
+    """Filters of a part, of which `celnav.study.study.fly` kept the covariances of the first run:
+    the errors of all runs; its truth ``(T, n)`` and measurements ``(T, m)``, of epochs that are the
+    same for all filters."""
+    first, some = results.first(part), next(iter(lines))
+    scale = scales(results.study.groups, results.get(part, f"{some}/error").shape[-1])
+    found = {}
     for name, line in lines.items():
         error, cov, nees, nis = (
             results.get(part, f"{name}/{what}") for what in ("error", "cov", "nees", "nis")
         )
         shown = error / scale, cov[:, 0], nees[:, 0], nis[:, 0]
         found[name] = Estimate(line.label, line.color, *shown)
-    return (
-        found,
-        np.stack([epoch.truth[0] for epoch in epochs]),
-        np.stack([epoch.z[0] for epoch in epochs]),
-    )
+    epochs = list(first.epochs(some))
+    truth, z = ([getattr(epoch, what)[0] for epoch in epochs] for what in ("truth", "z"))
+    return found, np.stack(truth), np.stack(z)

@@ -26,8 +26,6 @@ with needed_by("a picture of a recording", "record"):
     from PIL import Image
     from rerun.experimental import ViewerClient
 
-__all__ = ["command", "end", "picture"]
-
 Ask = Callable[[Callable[[ViewerClient], Any]], Any]
 """Gives the viewer's client to a function, again and again until it answers."""
 

@@ -1,4 +1,4 @@
-"""Plots of a recording: curves with three deviations about them, or their logarithms, and a band."""
+"""Plots of a recording: curves with three deviations about them, or their logarithms; a band."""
 
 from __future__ import annotations
 
@@ -12,13 +12,12 @@ from celnav.gaussian.linalg import Array
 if TYPE_CHECKING:
     from celnav.show.recording import Recorder
 
-__all__ = ["Curve", "Plot", "draw"]
-
 
 class Curve(NamedTuple):
     """Values ``(T,)`` and, if given, three deviations ``sigma (T,)`` about a ``center``.
 
-    Unless ``shown`` the deviations, or the values if they have none, are hidden until clicked in the legend.
+    Unless ``shown`` the deviations, or the values if they have none, are hidden until clicked in
+    the legend.
     """
 
     values: Array
@@ -31,7 +30,9 @@ class Curve(NamedTuple):
 
 
 class Plot(NamedTuple):
-    """Curves by name; of their decimal logarithms if ``log``. ``band``: where a consistent filter stays."""
+    """Curves by name; of their decimal logarithms if ``log``. ``band``: where a consistent filter
+    stays.
+    """
 
     title: str
     curves: Mapping[str, Curve]

@@ -1,9 +1,11 @@
-"""Recordings for the Rerun viewer: whole columns on one timeline, the layout inside the file, files that are whole or not there.
+"""Recordings for the Rerun viewer: whole columns on one timeline, the layout inside the file, files
+that are whole or not there.
 
-Imports rerun; import it late, inside the function that records, so that filters run without it. A study opens a file with
-`recording`, gives whole arrays to the `Recorder` (time first, nan where there is nothing) and lays out `celnav.show.views`. Two
-recordings of the same arrays hold the same contents: ids are given and no wall clock is logged. Geometry is single precision in
-the viewer; `Recorder.exact` keeps double.
+Imports rerun; import it late, inside the function that records, so that filters run without it. A
+study opens a file with `recording`, gives whole arrays to the `Recorder` (time first, nan where
+there is nothing) and lays out `celnav.show.views`. Two
+recordings of the same arrays hold the same contents: ids are given and no wall clock is logged.
+Geometry is single precision in the viewer; `Recorder.exact` keeps double.
 """
 
 from __future__ import annotations
@@ -31,8 +33,6 @@ from celnav.show.views import TIMELINE, blueprint
 with needed_by("a recording", "record"):
     import rerun as rr
     from rerun.error_utils import strict_mode
-
-__all__ = ["Recorder", "ellipsoid_axes", "recording"]
 
 APPLICATION = "celnav"
 
@@ -67,7 +67,8 @@ def _labels(labels: Sequence[str], count: int) -> list[str]:
 
 
 def ellipsoid_axes(covariance: Array, sigmas: float = 3.0) -> tuple[Array, Array]:
-    """Half sizes ``(..., 3)`` and rotations ``(..., 4)`` (quaternions x, y, z, w) of the ellipsoids of covariances ``(..., 3, 3)``.
+    """Half sizes ``(..., 3)`` and rotations ``(..., 4)`` (quaternions x, y, z, w) of the ellipsoids
+    of covariances ``(..., 3, 3)``.
 
     Raises
     ------
@@ -77,7 +78,8 @@ def ellipsoid_axes(covariance: Array, sigmas: float = 3.0) -> tuple[Array, Array
     sigmas = number("sigmas", sigmas, 0.0)
     if (eigenvalues[..., 0] < -1e-9 * np.abs(eigenvalues).max(-1, initial=0.0)).any():
         raise ValueError(
-            f"covariance: expected positive semidefinite matrices, smallest eigenvalue {eigenvalues.min():.3g}"
+            "covariance: expected positive semidefinite matrices, smallest eigenvalue "
+            f"{eigenvalues.min():.3g}"
         )
     # The eigenvectors may be those of a reflection; the direction of an axis is free.
     axes[..., 0] *= np.where(np.linalg.det(axes) < 0.0, -1.0, 1.0)[..., None]
@@ -88,7 +90,8 @@ def ellipsoid_axes(covariance: Array, sigmas: float = 3.0) -> tuple[Array, Array
 
 
 class Recorder:
-    """An open recording over ``times (T,)`` s; every method logs the whole run of one entity. Lengths are in the unit of the view.
+    """An open recording over ``times (T,)`` s; every method logs the whole run of one entity.
+    Lengths are in the unit of the view.
 
     Radii and line widths are in points of the screen, whatever the zoom.
     """
@@ -109,7 +112,9 @@ class Recorder:
     def _array(
         self, entity: str, name: str, values: ArrayLike, shape: tuple[int | None, ...]
     ) -> Array:
-        """``values`` as float64 of shape ``(T, *shape)``, None for any length; ValueError names the entity and the argument."""
+        """``values`` as float64 of shape ``(T, *shape)``, None for any length; ValueError names the
+        entity and the argument.
+        """
         return numbers(f"{_text('entity', entity)} {name}", values, (len(self.times), *shape))
 
     def text(self, entity: str, markdown: str) -> None:
@@ -129,8 +134,8 @@ class Recorder:
         shown: bool = True,
         log: bool = False,
     ) -> None:
-        """A curve ``(T,)`` in a plot, with gaps at nan; hidden until clicked in the legend unless ``shown``; ``log``: of decimal
-        logarithms, since plots have no logarithmic axis."""
+        """A curve ``(T,)`` in a plot, with gaps at nan; hidden until clicked in the legend unless
+        ``shown``; ``log``: of decimal logarithms, since plots have no logarithmic axis."""
         scalars = self._array(entity, "values", values, ())
         if log:
             scalars = np.log10(scalars, out=np.full(scalars.shape, np.nan), where=scalars > 0.0)
@@ -180,7 +185,9 @@ class Recorder:
         self.stream.send_columns(entity, [rr.TimeColumn(TIMELINE, duration=ends)], scalars)
 
     def trail(self, entity: str, points: ArrayLike, color: str, *, radius: float = 1.0) -> None:
-        """A line through ``points (T, 3)`` that grows with time: a segment per step. The view must list it as ``growing``."""
+        """A line through ``points (T, 3)`` that grows with time: a segment per step. The view must
+        list it as ``growing``.
+        """
         p = self._array(entity, "points", points, (3,))
         segments = np.stack([p[:-1], p[1:]], 1)
         there = np.isfinite(segments).all((1, 2))
@@ -245,7 +252,9 @@ class Recorder:
         )
 
     def pose(self, entity: str, origins: ArrayLike, quaternions: ArrayLike) -> None:
-        """Where everything below ``entity`` is: origins ``(T, 3)`` and attitudes ``(T, 4)`` (see `celnav.gaussian.attitude`)."""
+        """Where everything below ``entity`` is: origins ``(T, 3)`` and attitudes ``(T, 4)`` (see
+        `celnav.gaussian.attitude`).
+        """
         start, q = (
             self._array(entity, "origins", origins, (3,)),
             self._array(entity, "quaternions", quaternions, (4,)),
@@ -279,7 +288,9 @@ class Recorder:
         radius: float = 2.0,
         label: str = "",
     ) -> None:
-        """Points ``(T, 3)`` or, ``k`` at a time, ``(T, k, 3)``; those that are partly nan are left out."""
+        """Points ``(T, 3)`` or, ``k`` at a time, ``(T, k, 3)``; those that are partly nan are left
+        out.
+        """
         p = numbers(f"{entity} points", points)
         p = self._array(entity, "points", p[:, None] if p.ndim == 2 else p, (None, 3))
         there = np.isfinite(p).all(2)
@@ -302,7 +313,8 @@ class Recorder:
         sigmas: float = 3.0,
         alpha: float = 0.35,
     ) -> None:
-        """Ellipsoids of covariances ``(T, 3, 3)`` about ``centers (T, 3)``; none where either is nan.
+        """Ellipsoids of covariances ``(T, 3, 3)`` about ``centers (T, 3)``; none where either is
+        nan.
 
         Raises
         ------
@@ -325,7 +337,9 @@ class Recorder:
         self._send(entity, columns.partition(there.astype(int)))
 
     def globe(self, entity: str, radius: float) -> None:
-        """A sphere about the origin, with circles of latitude and half circles of longitude every 15 degrees."""
+        """A sphere about the origin, with circles of latitude and half circles of longitude every
+        15 degrees.
+        """
         radius = number("radius", radius, above=0.0)
         self._style(
             entity, rr.Ellipsoids3D(radii=[radius], colors=rgba("#16324F"), fill_mode="solid")
@@ -384,17 +398,21 @@ def recording(
     properties: Mapping[str, Any] = {},
     counter: str = "",
 ) -> Iterator[Recorder]:
-    """Write a recording when the block ends: to a temporary file beside ``path`` that then takes its place, or not at all.
+    """Write a recording when the block ends: to a temporary file beside ``path`` that then takes
+    its place, or not at all.
 
     Parameters
     ----------
-    path: of the file. One that celnav recorded before is replaced, any other is left alone. times: ``(T,)`` s, increasing.
+    path: of the file. One that celnav recorded before is replaced, any other is left alone. times:
+        ``(T,)`` s, increasing.
     name: what the viewer calls it, and its id. layout: a view or container of `celnav.show.views`.
-    properties: facts about the whole recording. counter: name of a second timeline that counts the rows; none if empty.
+    properties: facts about the whole recording. counter: name of a second timeline that counts the
+        rows; none if empty.
 
     Raises
     ------
-    ValueError: if ``times`` are not finite, increasing seconds, or ``path`` is a file that celnav did not make.
+    ValueError: if ``times`` are not finite, increasing seconds, or ``path`` is a file that celnav
+        did not make.
     OSError: naming ``path``, if it cannot be written.
     """
     t = numbers("times", times)
@@ -416,7 +434,8 @@ def recording(
             _slug(f"{APPLICATION} {name}"), recording_id=_slug(name), send_properties=False
         )
         stack.callback(stream.disconnect)
-        # Not to a file: its writer works in the background, keeps a full disk to itself and then waits for ever.
+        # Not to a file: its writer works in the background, keeps a full disk to itself and then
+        # waits for ever.
         memory = stream.memory_recording()
         stream.set_log_time_enabled(False)
         with stream:
@@ -429,7 +448,9 @@ def recording(
 
 
 def _slug(name: str) -> str:
-    """An identifier out of a title: the layout belongs to it, so that two recordings do not share one."""
+    """An identifier out of a title: the layout belongs to it, so that two recordings do not share
+    one.
+    """
     return re.sub(
         r"\W+", "-", unicodedata.normalize("NFKD", name.replace("Φ", "Phi")), flags=re.ASCII
     ).strip("-")
@@ -448,5 +469,6 @@ def _check_ours(target: Path) -> None:
         makers = []
     if not makers or not all(maker.startswith(APPLICATION) for maker in makers):
         raise ValueError(
-            f"path: expected a new file or a recording of celnav, got another file, which is left alone: {target}"
+            "path: expected a new file or a recording of celnav, got another file, which is left "
+            f"alone: {target}"
         )

@@ -1,12 +1,12 @@
-"""How a filter did against the truth: errors and claims of each component, consistency, sensors, events; in words and as a figure.
+"""How a filter did against the truth: errors and claims of each component, consistency, sensors,
+events; in words and as a figure.
 
 >>> print(track.report(truth))
 """
 
 from __future__ import annotations
 
-import textwrap
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -20,6 +20,7 @@ from celnav.analysis.diagnose import (
     forgotten_wraps,
     grid_index,
 )
+from celnav.analysis.diagnosis_text import consistency, laid_out
 from celnav.analysis.metrics import bootstrap, chi_square_band
 from celnav.filters.model import Motion
 from celnav.filters.track import Track
@@ -29,14 +30,14 @@ from celnav.gaussian.linalg import Array
 from celnav.gaussian.spaces import EUCLIDEAN, Space
 from celnav.show import colors
 from celnav.show.diagnosis import size
-from celnav.show.figures import Item, Panel, curve, panels
+from celnav.show.draw import Line, Panel, curve, grid, panels
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = ["Report", "report"]
 
-WIDTH = 110
+TIME = "time (s)"
 CORRELATED = (
     "below its band while NEES is above it: the noise of the measurements is correlated "
     "(see celnav.diagnose), or its model is wrong"
@@ -48,8 +49,9 @@ MOST_PANELS = 12
 class Component(NamedTuple):
     """What is said of one component of the error, in its own unit.
 
-    rmse, interval: over all runs and epochs, and by a bootstrap over runs; nan for fewer than two. claimed: rms of the filter's
-    deviations. mean: of the error. inside: part of the errors that lie within what the filter claims to hold the `Report.level`.
+    rmse, interval: over all runs and epochs, and by a bootstrap over runs; nan for fewer than two.
+    claimed: rms of the filter's deviations. mean: of the error. inside: part of the errors that
+        lie within what the filter claims to hold the `Report.level`.
     """
 
     name: str
@@ -64,12 +66,17 @@ class Report(NamedTuple):
     """How a track did; ``print`` it for a table, `figure` draws it.
 
     times: ``(T,)`` s, those that are judged. runs: how many. level: of all intervals and bands.
-    components: of the error, as the filter's space has it: rotation vectors of attitudes, angles wrapped.
-    nees: NEES over the dimension and its band, None without covariances; ``shared``: epochs that vary as one, since errors do.
-    within: part of the epochs at which the mean NEES of the runs lies in the band of a consistent filter.
-    sensors: NIS over the degrees of freedom, what was not measured left out, with the band of a consistent filter.
+    components: of the error, as the filter's space has it: rotation vectors of attitudes, angles
+        wrapped.
+    nees: NEES over the dimension and its band, None without covariances; ``shared``: epochs that
+        vary as one, since errors do.
+    within: part of the epochs at which the mean NEES of the runs lies in the band of a consistent
+        filter.
+    sensors: NIS over the degrees of freedom, what was not measured left out, with the band of a
+        consistent filter.
     rejected: measured components of each sensor that did not take part.
-    events: of all runs and epochs, see `celnav.filters.track.Track`. lost: ``(run, t)`` of runs without an estimate from there.
+    events: of all runs and epochs, see `celnav.filters.track.Track`. lost: ``(run, t)`` of runs
+        without an estimate from there.
     wraps: angles whose wrap seems forgotten, a sentence for each sensor, and for the motion.
     rms, claims: ``(T, n)``, over the runs.
 
@@ -91,133 +98,92 @@ class Report(NamedTuple):
     claims: Array
 
     def __str__(self) -> str:
-        runs, percent = (
-            "one run" if self.runs == 1 else f"{self.runs} runs",
-            f"{100 * self.level:.3g} %",
-        )
-        lines = [
-            f"{runs}, {len(self.times)} epochs from {self.times[0]:g} to {self.times[-1]:g} s",
-            "",
-            *self._table(percent),
-            "",
-        ]
-        said = [("wrap", line) for line in self.wraps] + [("NEES", self._nees(percent))]
+        runs = "one run" if self.runs == 1 else f"{self.runs} runs"
+        said = [*(("wrap", line) for line in self.wraps), ("NEES", self._nees())]
         for k, (sensor, rejected) in enumerate(zip(self.sensors, self.rejected, strict=True)):
-            used = f"of {int(sensor.dof.sum())} components used" + (
-                f", {rejected} rejected" if rejected else ""
-            )
-            said.append(
-                (f"NIS {k}", f"{', '.join(sensor.names)}: {_ratio(sensor, percent)}; {used}")
-            )
+            used = f"of {int(sensor.dof.sum())} components used"
+            used += f", {rejected} rejected" if rejected else ""
+            said.append((f"NIS {k}", f"{', '.join(sensor.names)}: {self._ratio(sensor)}; {used}"))
         if self.nees is not None and self.nees.nis > self.nees.band[1]:
-            said += [
-                (f"NIS {k}", CORRELATED)
-                for k, sensor in enumerate(self.sensors)
-                if sensor.nis < sensor.band[0]
-            ]
+            small = [k for k, sensor in enumerate(self.sensors) if sensor.nis < sensor.band[0]]
+            said += [(f"NIS {k}", CORRELATED) for k in small]
         events = [
             f"{count} {'steps' if what == 'redone' else 'components'} {what}"
             for what, count in self.events.items()
             if count
         ]
         if self.lost:
-            run, t = min(self.lost, key=lambda one: one[1])
-            events.append(
-                f"{len(self.lost)} of {runs} lost, the first (run {run}) at {t:g} s; what was before counts"
-            )
+            run, t = min(self.lost, key=lambda lost: lost[1])
+            first = f"the first (run {run}) at {t:g} s; what was before counts"
+            events.append(f"{len(self.lost)} of {runs} lost, {first}")
         said.append(("events", ", ".join(events) or "none: nothing missing, rejected or lost"))
-        return "\n".join(
-            lines
-            + [
-                textwrap.fill(f"{head:8} {text}", WIDTH, subsequent_indent=9 * " ")
-                for head, text in said
-            ]
-        )
+        head = f"{runs}, {len(self.times)} epochs from {self.times[0]:g} to {self.times[-1]:g} s"
+        return laid_out(head, self._table(), said)
 
-    def _table(self, percent: str) -> list[str]:
-        many = self.runs > 1
-        rows = [
-            [
-                "component",
-                "RMSE",
-                *([percent] * many),
-                "predicted σ",
-                "mean error",
-                f"inside {percent}",
-            ]
-        ]
+    @property
+    def _percent(self) -> str:
+        return f"{100 * self.level:.3g} %"
+
+    def _table(self) -> list[list[str]]:
+        """A row for each component; an interval where there are several runs."""
+        names = ("component", "RMSE", self._percent, "predicted σ", "mean error")
+        rows = [[*names, f"inside {self._percent}"]]
         for c in self.components:
-            between = [f"{c.interval[0]:.4g} to {c.interval[1]:.4g}"] * many
-            rows.append(
-                [
-                    c.name,
-                    f"{c.rmse:.4g}",
-                    *between,
-                    f"{c.claimed:.4g}",
-                    f"{c.mean:.3g}",
-                    f"{100 * c.inside:.1f} %",
-                ]
-            )
-        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-        return [
-            f"{row[0]:{widths[0]}}  "
-            + "  ".join(x.rjust(n) for x, n in zip(row[1:], widths[1:], strict=True))
-            for row in rows
-        ]
+            interval = f"{c.interval[0]:.4g} to {c.interval[1]:.4g}"
+            sizes = f"{c.rmse:.4g}", interval, f"{c.claimed:.4g}", f"{c.mean:.3g}"
+            rows.append([c.name, *sizes, f"{100 * c.inside:.1f} %"])
+        return [row if self.runs > 1 else row[:2] + row[3:] for row in rows]
 
-    def _nees(self, percent: str) -> str:
+    def _nees(self) -> str:
         if self.nees is None:
             return "no covariances are stored: run with keep='cov'"
-        often = (
-            f"; in the band of the runs' mean at {100 * self.within:.0f} % of the epochs"
-            if self.runs > 1
-            else ""
-        )
-        return f"over {len(self.components)}: {_ratio(self.nees, percent)}, correlation of errors counted{often}"
+        often = f"; in the band of the runs' mean at {100 * self.within:.0f} % of the epochs"
+        counted = f"{self._ratio(self.nees)}, correlation of errors counted"
+        return f"over {len(self.components)}: {counted}{often * (self.runs > 1)}"
+
+    def _ratio(self, judged: SensorConsistency) -> str:
+        """A ratio that is 1 for a consistent filter, with its band."""
+        if np.isnan(judged.nis):
+            return "nothing was used"
+        band = f"{judged.band[0]:.4g} to {judged.band[1]:.4g}"
+        word = consistency(judged.nis, judged.band)
+        return f"{judged.nis:.4g}, {word} ({self._percent} of consistent ones: {band})"
 
     def figure(self) -> Figure:
-        """Errors and claims of each component over time (rms over the runs), NEES and NIS in their bands."""
+        """Errors and claims of each component over time (rms over the runs), NEES and NIS in their
+        bands.
+        """
         said = "RMSE over the runs" if self.runs > 1 else "|error|"
-        percent, columns = f"{100 * self.level:.3g} %", 3 if len(self.components) > 4 else 2
-        shown = [
-            Panel("", [curve(self.times, self.rms[:, i], color=colors.ESTIMATE, label=said, linewidth=0.9),
-                       curve(self.times, self.claims[:, i], color=colors.SIGMA, label="predicted σ", linestyle="--")],
-                  "time (s)", c.name)
-            for i, c in enumerate(self.components[:MOST_PANELS])
-        ]  # fmt: skip
-        judged = [*([("NEES / n", self.nees)] * (self.nees is not None)),
-                  *((f"NIS / dof: {', '.join(sensor.names)}", sensor) for sensor in self.sensors)]  # fmt: skip
-        last = [
+        columns = 3 if len(self.components) > 4 else 2
+        errors = Line(said, colors.ESTIMATE, width=0.9)
+        claims = Line("predicted σ", colors.SIGMA, "--")
+        drawn = [
             Panel(
-                title,
-                [
-                    size(
-                        self.times,
-                        sensor,
-                        self.level,
-                        f"{percent} band if consistent",
-                        "mean of bins",
-                    )
-                ],
-                "time (s)",
+                "", [curve(self.times, rms, errors), curve(self.times, std, claims)], TIME, c.name
             )
-            for title, sensor in judged
-            if sensor is not None
+            for c, rms, std in zip(self.components, self.rms.T, self.claims.T, strict=True)
+        ][:MOST_PANELS]
+        rows = grid(drawn, columns)
+        judged = {} if self.nees is None else {"NEES / n": self.nees}
+        judged |= {f"NIS / dof: {', '.join(sensor.names)}": sensor for sensor in self.sensors}
+        labels = f"{self._percent} band if consistent", "mean of bins"
+        last = [
+            Panel(title, [size(self.times, sensor, self.level, *labels)], TIME)
+            for title, sensor in judged.items()
         ]
-        rows = [
-            part[i : i + columns] for part in (shown, last) for i in range(0, len(part), columns)
-        ]
-        blank: list[Item] = [lambda ax: ax.set_axis_off()]
-        return panels(
-            *([*row, *[Panel("", blank)] * (columns - len(row))] for row in rows),
-            size=(3.2 * columns, 1.9 * len(rows) + 0.4),
-        )
+        rows += grid(last, columns)
+        return panels(*rows, size=(3.2 * columns, 1.9 * len(rows) + 0.4))
 
 
 def report(
-    track: Track, truth: ArrayLike, *, names: Sequence[str] | None = None, start: float | None = None, space: Space | None = None,
+    track: Track,
+    truth: ArrayLike,
+    *,
+    names: Sequence[str] | None = None,
+    start: float | None = None,
+    space: Space | None = None,
     level: float = 0.95,
-) -> Report:  # fmt: skip
+) -> Report:
     """What `celnav.Track.report` gives, which says the arguments."""
     instance("track", track, Track, "what celnav.run gave")
     level = number("level", level, above=0.0, below=1.0)
@@ -225,123 +191,132 @@ def report(
         raise ValueError(
             "track: expected one with means and deviations; run with keep='cov', or 'std'"
         )
-    chosen = (
-        _space_of(track.filter)
-        if space is None
-        else instance("space", space, Space, "a Space, such as celnav.attitude()")
-    )
-    from_here = (
-        slice(None)
-        if start is None
-        else slice(int(np.searchsorted(track.times, number("start", start))), None)
-    )
-    times = track.times[from_here]
-    if not len(times):
+    if space is None:
+        space = _space_of(track.filter)
+    instance("space", space, Space, "a Space, such as celnav.attitude()")
+    first = 0 if start is None else int(np.searchsorted(track.times, number("start", start)))
+    times = track.times[first:]
+    T = len(times)
+    if not T:
         raise ValueError(
             f"start: expected at most {track.times[-1]:g}, the last epoch, got {start!r}"
         )
-    error, n = _errors(track, truth, chosen)
-    called = (
-        [f"x{i}" for i in range(n)]
-        if names is None
-        else list(sequence("names", names, "['x', 'y']"))
-    )
-    if len(called) != n or not all(isinstance(name, str) for name in called):
+    error = _errors(track, truth, space)
+    n = error.shape[-1]
+    if names is None:
+        names = [f"x{i}" for i in range(n)]
+    names = sequence("names", names, "['x', 'y']")
+    if len(names) != n or not all(isinstance(name, str) for name in names):
         raise ValueError(
             f"names: expected {n} words, one for each component of the error, got {names!r:.80}"
         )
-    error, std = (x[from_here].reshape(len(times), -1, n) for x in (error, track.std[..., :n]))
+    error, std = (x[first:].reshape(T, -1, n) for x in (error, track.std[..., :n]))
     std = np.where(np.isfinite(error), std, np.nan)
-    runs = error.shape[1]
-    components = tuple(_component(called[i], error[..., i], std[..., i], level) for i in range(n))
     with np.errstate(invalid="ignore", divide="ignore"):  # where nothing is known there is nan
         rms, claims = (np.sqrt(np.nansum(x * x, 1) / np.isfinite(x).sum(1)) for x in (error, std))
     judged, within = None, np.nan
     if track.belief is not None:
-        judged, within = _consistency(error, track.sqrt_cov[from_here][..., :n, :n], times, level)
-    sensors, rejected = _sensors(track, from_here, level)
-    wraps = forgotten_wraps(error, (n,), called, model="Motion")
+        judged, within = _consistency(error, track.sqrt_cov[first:, ..., :n, :n], times, level)
+    wraps = forgotten_wraps(error, (n,), names, model="Motion")
     if track.sensors:
-        innovation = track.innovation[from_here].reshape(len(times), -1, sum(track.sensors))
+        innovation = track.innovation[first:].reshape(T, -1, sum(track.sensors))
         wraps = forgotten_wraps(innovation, track.sensors, track.measured) + wraps
-    lost = np.flatnonzero(track.failed_at.ravel() >= 0)
-    gone = np.isnan(track.mean.reshape(len(track.times), -1, track.mean.shape[-1])[:, lost]).any(-1)
-    since = np.where(
-        gone.any(0), track.times[gone.argmax(0)], np.nan
-    )  # a run may be lost after all epochs that are stored
+    sensors = list(_sensors(track, first, level))
     return Report(
-        times, runs, level, components, judged, within, sensors, rejected,
-        {what: int(count.sum()) for what, count in track.events.items()}, tuple(zip(lost.tolist(), since.tolist(), strict=True)),
-        wraps, rms, claims,
-    )  # fmt: skip
+        times=times,
+        runs=error.shape[1],
+        level=level,
+        components=tuple(
+            _component(name, error[..., i], std[..., i], level) for i, name in enumerate(names)
+        ),
+        nees=judged,
+        within=within,
+        sensors=tuple(sensor for sensor, _ in sensors),
+        rejected=tuple(rejected for _, rejected in sensors),
+        events={what: int(count.sum()) for what, count in track.events.items()},
+        lost=_lost(track),
+        wraps=wraps,
+        rms=rms,
+        claims=claims,
+    )
+
+
+def _lost(track: Track) -> tuple[tuple[int, float], ...]:
+    """Lost runs, and since when; nan where a run is lost after all epochs that are stored."""
+    runs = np.flatnonzero(track.failed_at.ravel() >= 0)
+    missing = np.isnan(track.mean).any(-1).reshape(len(track.times), -1)[:, runs]
+    since = np.where(missing.any(0), track.times[missing.argmax(0)], np.nan)
+    return tuple(zip(runs.tolist(), since.tolist(), strict=True))
 
 
 def _space_of(filter: Any) -> Space:
     """Of a filter's states, or of those of the filters within it."""
     if isinstance(motion := getattr(filter, "motion", None), Motion):
         return motion.space
-    within = (getattr(filter, name, None) for name in ("first", "filter", "filters"))
-    found = next((one[0] if isinstance(one, tuple) else one for one in within if one), None)
-    return EUCLIDEAN if found is None else _space_of(found)
+    for name in ("first", "filter", "filters"):
+        if within := getattr(filter, name, None):
+            return _space_of(within[0] if isinstance(within, tuple) else within)
+    return EUCLIDEAN
 
 
-def _errors(track: Track, truth: Any, space: Space) -> tuple[Array, int]:
-    """Errors ``(T, ..., n)`` in a space, and their dimension."""
-    mean, known = track.mean, numbers("truth", truth)
+def _errors(track: Track, truth: Any, space: Space) -> Array:
+    """Errors ``(T, ..., n)`` in a space."""
+    mean, true = track.mean, numbers("truth", truth)
     T, N = len(mean), mean.shape[-1]
-    fewer = space == EUCLIDEAN and known.ndim > 1 and 0 < known.shape[-1] <= N
-    if known.ndim == 2 < mean.ndim:
-        known = known.reshape(len(known), *[1] * (mean.ndim - 2), known.shape[-1])
-    wrong = known.ndim != mean.ndim or len(known) != T or (known.shape[-1] != N and not fewer)
-    if wrong or any(
-        k not in (1, m) for k, m in zip(known.shape[1:-1], mean.shape[1:-1], strict=True)
+    if true.ndim == 2 < mean.ndim:
+        true = true.reshape(len(true), *[1] * (mean.ndim - 2), true.shape[-1])
+    width = true.shape[-1] if true.ndim else 0
+    fewer = space == EUCLIDEAN and true.ndim > 1 and 0 < width <= N
+    runs = zip(true.shape[1:-1], mean.shape[1:-1], strict=False)
+    if (
+        true.ndim != mean.ndim
+        or len(true) != T
+        or not (width == N or fewer)
+        or any(count not in (1, every) for count, every in runs)
     ):
         shape = ", ".join(map(str, mean.shape))
-        hint = (
-            "; truth[::every] goes with a track of each every-th epoch"
-            if known.ndim and len(known) > T
-            else ""
-        )
+        late = true.ndim and len(true) > T
+        hint = "; truth[::every] goes with a track of each every-th epoch" if late else ""
         raise ValueError(
             f"truth: expected shape ({shape}), at the track's epochs, got {np.shape(truth)}{hint}"
         )
-    if np.isinf(known).any():
+    if np.isinf(true).any():
         raise ValueError(
             "truth: expected finite numbers, or nan where it is not known, got an infinite one"
         )
-    width = known.shape[-1]
     if width == N and space == EUCLIDEAN and track.std.shape[-1] != N:
         raise ValueError(
-            "space: expected the space of the states, which are no vectors, such as celnav.attitude(), got none"
+            "space: expected the space of the states, which are no vectors, "
+            "such as celnav.attitude(), got none"
         )
-    with np.errstate(invalid="ignore"):
-        mine = mean[..., :width]
-        error = -space.minus(
-            np.broadcast_to(known, mine.shape), mine
-        )  # tangents at the mean, as covariances are
-    return error, error.shape[-1]
+    estimate = mean[..., :width]
+    with np.errstate(invalid="ignore"):  # tangents at the mean, as covariances are
+        return np.asarray(-space.minus(np.broadcast_to(true, estimate.shape), estimate))
 
 
 def _component(name: str, error: Array, std: Array, level: float) -> Component:
     """Of errors ``(T, runs)`` and claims."""
     squares, counts = np.nansum(error * error, 0), np.isfinite(error).sum(0)
-    if not counts.any():
+    seen, total = counts > 0, int(counts.sum())
+    if not total:
         return Component(name, np.nan, (np.nan, np.nan), np.nan, np.nan, np.nan)
-    known = counts > 0
     interval = np.nan, np.nan
-    if known.sum() > 1:
-        interval = bootstrap(
-            lambda s, k: float(np.sqrt(s.sum() / k.sum())),
-            squares[known],
-            counts[known],
-            level=level,
-        )
+    if seen.sum() > 1:
+        samples = squares[seen], counts[seen]
+        interval = bootstrap(_rms, *samples, level=level)
     inside = np.abs(error) <= float(ndtri(0.5 + level / 2)) * std  # nan lies nowhere
-    total = int(counts.sum())
     return Component(
-        name, float(np.sqrt(squares.sum() / total)), interval, float(np.sqrt(np.nanmean(std * std))),
-        float(np.nansum(error) / total), float(inside.sum() / total),
-    )  # fmt: skip
+        name=name,
+        rmse=_rms(squares, counts),
+        interval=interval,
+        claimed=float(np.sqrt(np.nanmean(std * std))),
+        mean=float(np.nansum(error) / total),
+        inside=float(inside.sum() / total),
+    )
+
+
+def _rms(squares: Array, counts: Array) -> float:
+    return float(np.sqrt(squares.sum() / counts.sum()))
 
 
 def _consistency(
@@ -355,24 +330,19 @@ def _consistency(
     squares, count = np.nansum(every, 1), np.isfinite(every).sum(1)
     if not count.any():
         return None, np.nan
-    seen = np.flatnonzero(count)
-    bands = {k: chi_square_band(n, k, level) for k in set(count[seen].tolist())}
-    within = np.mean(
-        [
-            bands[k][0] <= s / k <= bands[k][1]
-            for s, k in zip(squares[seen], count[seen].tolist(), strict=True)
-        ]
-    )
-    shared = _shared(every, times)
-    total = int(count.sum())
+    bands = {k: chi_square_band(n, k, level) for k in set(count.tolist()) if k}
+    seen = [(s / k, bands[k]) for s, k in zip(squares, count.tolist(), strict=True) if k]
+    within = np.mean([low <= mean <= high for mean, (low, high) in seen])
+    total, shared = int(count.sum()), _shared(every, times)
     band = chi_square_band(1.0, n * max(total / shared, 1.0), level)
-    return SensorConsistency(
-        (f"NEES / {n}",), float(squares.sum() / total / n), band, squares, n * count, shared
-    ), float(within)
+    ratio, names = float(squares.sum() / total / n), (f"NEES / {n}",)
+    return SensorConsistency(names, ratio, band, squares, n * count, shared), float(within)
 
 
 def _shared(every: Array, times: Array) -> float:
-    """How many epochs vary as one: errors of a consistent filter follow each other, those of different runs do not."""
+    """How many epochs vary as one: errors of a consistent filter follow each other, those of
+    different runs do not.
+    """
     seen = np.isfinite(every).any(-1)
     place, _ = grid_index(times[seen])
     if len(place) < 4 or np.nanvar(every) == 0.0 or place[-1] < 2:
@@ -381,46 +351,24 @@ def _shared(every: Array, times: Array) -> float:
     return min(max(longer, 1.0), float(len(place)))
 
 
-def _sensors(
-    track: Track, from_here: slice, level: float
-) -> tuple[tuple[SensorConsistency, ...], tuple[int, ...]]:
-    """NIS over the degrees of freedom of each sensor; the innovations of a consistent filter are white."""
-    found, rejected, first = [], [], 0
+def _sensors(track: Track, first: int, level: float) -> Iterator[tuple[SensorConsistency, int]]:
+    """NIS over the degrees of freedom of each sensor, and how many components it rejected.
+
+    The innovations of a consistent filter are white, so none vary as one.
+    """
+    start = 0
     for width in track.sensors:
-        own = slice(first, first + width)
+        columns = slice(start, start + width)
         white, used, innovation = (
-            x[from_here][..., own] for x in (track.whitened, track.used, track.innovation)
+            x[first:, ..., columns] for x in (track.whitened, track.used, track.innovation)
         )
-        counts = (used & np.isfinite(white)).reshape(
-            len(used), -1
-        )  # of a lost run there is nothing
-        dof, squares = (
-            counts.sum(1),
-            np.where(counts, np.square(white).reshape(counts.shape), 0.0).sum(1),
-        )
+        judged = used & np.isfinite(white)  # of a lost run there is nothing
+        terms = np.where(judged, np.square(white), 0.0)
+        dof, squares = (x.reshape(len(x), -1).sum(1) for x in (judged, terms))
         total = int(dof.sum())
         band = chi_square_band(1.0, total, level) if total else (np.nan, np.nan)
-        names = tuple(track.measured[first : first + width])
-        found.append(
-            SensorConsistency(
-                names, float(squares.sum() / total) if total else np.nan, band, squares, dof, 1.0
-            )
-        )
-        rejected.append(int((np.isfinite(innovation) & ~used).sum()))
-        first += width
-    return tuple(found), tuple(rejected)
-
-
-def _ratio(judged: SensorConsistency, percent: str) -> str:
-    """A ratio that is 1 for a consistent filter, with its band."""
-    low, high = judged.band
-    if np.isnan(judged.nis):
-        return "nothing was used"
-    said = (
-        "consistent"
-        if low <= judged.nis <= high
-        else "overconfident"
-        if judged.nis > high
-        else "conservative"
-    )
-    return f"{judged.nis:.4g}, {said} ({percent} of consistent ones: {low:.4g} to {high:.4g})"
+        ratio = float(squares.sum() / total) if total else np.nan
+        names = tuple(track.measured[columns])
+        rejected = int((np.isfinite(innovation) & ~used).sum())
+        yield SensorConsistency(names, ratio, band, squares, dof, 1.0), rejected
+        start += width

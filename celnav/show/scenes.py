@@ -1,4 +1,6 @@
-"""What the scenes of recordings share: tracks, a satellite's sight lines and angles, and the line behind a moving point."""
+"""What the scenes of recordings share: tracks, a satellite's sight lines and angles, and the line
+behind a moving point.
+"""
 
 from __future__ import annotations
 
@@ -16,17 +18,6 @@ from celnav.show.showcase import Space
 if TYPE_CHECKING:
     from celnav.show.recording import Recorder
 
-__all__ = [
-    "behind",
-    "beside",
-    "constellation",
-    "flight",
-    "sightings",
-    "sigma_points",
-    "track",
-    "turning",
-]
-
 
 def track(
     out: Recorder,
@@ -38,7 +29,8 @@ def track(
     cov: Array | None = None,
     radius: float = 1.0,
 ) -> None:
-    """A point that moves through ``points (T, 3)``, its ``trail`` and the 3 sigma ellipsoid of ``cov (T, 3, 3)``, if given.
+    """A point that moves through ``points (T, 3)``, its ``trail`` and the 3 sigma ellipsoid of
+    ``cov (T, 3, 3)``, if given.
 
     The view must list ``entity/trail`` as growing.
     """
@@ -51,8 +43,10 @@ def track(
 def sightings(
     out: Recorder, origin: str, position: Array, velocity: Array, stars: Array, radius: float
 ) -> None:
-    """A satellite at ``position (T, 3)`` with its ``velocity (T, 3)`` above a sphere, and what it sees: the directions of
-    ``stars (k, 3)``, the sphere's limb, and the angles between the vertical and the stars, and between the limb's sight lines."""
+    """A satellite at ``position (T, 3)`` with its ``velocity (T, 3)`` above a sphere, and what it
+    sees: the directions of ``stars (k, 3)``, the sphere's limb, and the angles between the vertical
+    and the stars, and between the limb's sight lines.
+    """
     out.globe(f"{origin}/earth", radius)
     out.path(f"{origin}/orbit", [position], colors.FAINT)
     track(out, f"{origin}/truth", position, colors.TRUTH, radius=3.5)
@@ -88,7 +82,9 @@ def sightings(
 
 
 def beside(origin: str, title: str, state: Array, radius: float, growing: Sequence[str]) -> Space:
-    """A view of a satellite's scene with an orbit's plane from its side, from above the equator; ``state (6)`` is on the orbit."""
+    """A view of a satellite's scene with an orbit's plane from its side, from above the equator;
+    ``state (6)`` is on the orbit.
+    """
     side = np.cross(unit(state[:3]), unit(state[3:]))
     target = 0.8 * radius * unit(state[:3])
     eye = target + 1.7 * radius * unit(np.copysign(1.0, side[2]) * side + np.array([0.0, 0.0, 0.8]))
@@ -102,8 +98,9 @@ def turning(
     length: float,
     factor: float = 1.0,
 ) -> None:
-    """Axes of estimates below ``entity``, whose axes are the truth's: rotation vectors ``(T, 3)`` rad with their colors, drawn
-    ``factor`` times as large; not those that would then turn by more than a right angle."""
+    """Axes of estimates below ``entity``, whose axes are the truth's: rotation vectors ``(T, 3)``
+    rad with their colors, drawn ``factor`` times as large; not those that would then turn by more
+    than a right angle."""
     for key, (error, color) in errors.items():
         small = np.linalg.norm(error, axis=1, keepdims=True) < 0.5 * np.pi / factor
         out.pose(
@@ -123,7 +120,9 @@ def constellation(
     names: Sequence[str],
     shades: Sequence[str],
 ) -> None:
-    """Satellites at ``places (T, S, 3)`` on ``orbits (points, S, 3)``, with names and colors, seen from ``receiver (T, 3)``."""
+    """Satellites at ``places (T, S, 3)`` on ``orbits (points, S, 3)``, with names and colors, seen
+    from ``receiver (T, 3)``.
+    """
     for s, (name, shade) in enumerate(zip(names, shades, strict=True)):
         out.path(f"{origin}/orbit/{name}", [orbits[:, s]], shade, radius=0.3)
         out.points(f"{origin}/sat/{name}", places[:, s], shade, radius=4.0, label=str(name))
@@ -145,8 +144,10 @@ def flight(
     sights: Array,
     expected: Array,
 ) -> None:
-    """An aircraft at ``place (T, 3)``, where its inertial system takes it to be, and its fixes ``(T,)``; sight lines to stars,
-    and where the system expects them, ``(T, 3, k)``. The view must list the trails of aircraft and inertial as growing."""
+    """An aircraft at ``place (T, 3)``, where its inertial system takes it to be, and its fixes
+    ``(T,)``; sight lines to stars, and where the system expects them, ``(T, 3, k)``. The view must
+    list the trails of aircraft and inertial as growing.
+    """
     track(out, f"{origin}/aircraft", place, colors.TRUTH, "aircraft", radius=2.5)
     track(out, f"{origin}/inertial", computed, colors.SIGMA, "inertial system", radius=1.5)
     out.points(
@@ -160,7 +161,9 @@ def flight(
 
 
 def sigma_points(out: Recorder, entity: str, points: Array, weights: Array, color: str) -> None:
-    """Points ``(T, N, 3)`` about the truth at the origin; those of negative weight ``(N,)`` are white."""
+    """Points ``(T, N, 3)`` about the truth at the origin; those of negative weight ``(N,)`` are
+    white.
+    """
     out.points(f"{entity}/positive", points[:, weights > 0.0], color, radius=2.5)
     out.points(f"{entity}/negative", points[:, weights < 0.0], colors.NEGATIVE, radius=2.5)
     out.points(f"{entity}/truth", np.zeros((len(points), 3)), colors.TRUTH, radius=5.0)
@@ -180,6 +183,8 @@ def arc(start: Array, end: Array) -> Array:
 
 
 def behind(points: Array, steps: int, every: int = 1) -> Array:
-    """The last steps of a track ``(K, 3)`` behind each ``every``-th point, ``(T, steps + 1, 3)``; at the start as much as is."""
+    """The last steps of a track ``(K, 3)`` behind each ``every``-th point, ``(T, steps + 1, 3)``;
+    at the start as much as is.
+    """
     rows = np.arange(0, len(points), every)[:, None] + np.arange(-steps, 1)
     return np.asarray(points[np.maximum(rows, 0)])

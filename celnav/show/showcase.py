@@ -1,7 +1,8 @@
-"""Showcases: one run in full as a recording, with its scene, its errors about the origin, plots with bounds and exact states.
+"""Showcases: one run in full as a recording, with its scene, its errors about the origin, plots
+with bounds and exact states.
 
-A study gives arrays and draws its own scene; names, layout and legend are the same for all. rerun is imported when a showcase is
-recorded, not before.
+A study gives arrays and draws its own scene; names, layout and legend are the same for all. rerun
+is imported when a showcase is recorded, not before.
 """
 
 from __future__ import annotations
@@ -24,8 +25,6 @@ if TYPE_CHECKING:
     from celnav.files import Outputs
     from celnav.show.recording import Recorder
 
-__all__ = ["Showcase", "Space", "record", "write"]
-
 ENSEMBLE = 20
 """Runs that are drawn as points."""
 FAR = 20.0
@@ -33,7 +32,9 @@ FAR = 20.0
 
 
 class Space(NamedTuple):
-    """A view of a study's own entities below ``origin``, from ``eye`` to ``target``; of those ``growing`` the past is seen too."""
+    """A view of a study's own entities below ``origin``, from ``eye`` to ``target``; of those
+    ``growing`` the past is seen too.
+    """
 
     origin: str
     title: str
@@ -52,12 +53,15 @@ class Showcase:
     name: what the viewer calls the recording. notes: Markdown. times: ``(T,)`` s.
     estimates: by name, the study's own first: of the first two bounds are seen at first.
     groups: of the error's components. truth: the states ``(T, m)``, to be read back.
-    axes: the linear map ``(3, n)`` from errors to the space of errors, in ``unit``; None: no such space.
-    measured: errors ``(T, 3)`` of the measurements there, nan where there is none. nis_dof: components of a measurement.
+    axes: the linear map ``(3, n)`` from errors to the space of errors, in ``unit``; None: no such
+        space.
+    measured: errors ``(T, 3)`` of the measurements there, nan where there is none. nis_dof:
+        components of a measurement.
     bound: of the RMSE, ``(T,)`` by name of the group, in its unit.
     scene: draws what the ``spaces`` show. plots: further ones by name, in rows by name.
     bars: values ``(k,)`` by title. events: seconds, and what happens then.
-    legend: what colors mean that are not of estimates. parameters: of the study, those that are no numbers or texts are left out.
+    legend: what colors mean that are not of estimates. parameters: of the study, those that are no
+        numbers or texts are left out.
     facts: about the recording. counter: name of a second timeline, of steps.
     """
 
@@ -101,7 +105,8 @@ def record(showcase: Showcase, path: str | os.PathLike[str]) -> None:
 
     Raises
     ------
-    ValueError: if an array does not go with the others, or ``path`` is a file that celnav did not make.
+    ValueError: if an array does not go with the others, or ``path`` is a file that celnav did not
+        make.
     OSError: if ``path`` cannot be written.
     """
     from celnav.show.recording import recording
@@ -163,7 +168,10 @@ def _legend(showcase: Showcase) -> str:
         + " · ".join(f"{colors.NAMES.get(color, color)}: {text}" for color, text in meant)
         + "."
     ]
-    errors = "**Errors.** Estimate minus truth. A consistent filter keeps the origin in its 3σ ellipsoid. Points: other runs."
+    errors = (
+        "**Errors.** Estimate minus truth. A consistent filter keeps the origin in its 3σ "
+        "ellipsoid. Points: other runs."
+    )
     lines += [errors] * (showcase.axes is not None)
     lines.append("Space bar: play. Tabs: other axes. Double-click in a plot: all of its range.")
     rows = [
@@ -198,8 +206,12 @@ def _largest(values: Array, quantile: float = 1.0) -> float:
 
 
 def _reach(errors: Sequence[Array], sigmas: Sequence[Array | None], quantile: float) -> float:
-    """Room for errors and for three deviations ``(T, ...)``, neither so much that the other shrinks to a line, nor all for the
-    start: three deviations count at most twice what they come to after the first quarter of the run, and errors only from there."""
+    """Room for errors and for three deviations ``(T, ...)``.
+
+    Neither has so much that the other shrinks to a line, nor all for the start: three deviations
+    count at most twice what they come to after the first quarter of the run, and errors only from
+    there.
+    """
     late = slice(len(errors[0]) // 4 if errors else 0, None)
     known = [s for s in sigmas if s is not None]
     bound = 3.0 * max(
@@ -259,7 +271,9 @@ def _errors(showcase: Showcase) -> dict[str, dict[str, Plot]]:
 def _curve(
     showcase: Showcase, key: str, values: Any, sigma: Array | None = None, center: Any = 0.0
 ) -> Curve:
-    """In the color of an estimate. The viewer draws by name, so wide curves are seen below those they coincide with."""
+    """In the color of an estimate. The viewer draws by name, so wide curves are seen below those
+    they coincide with.
+    """
     e, below = showcase.estimates[key], sorted(showcase.estimates).index(key)
     return Curve(
         values,
@@ -309,7 +323,9 @@ def _statistics(showcase: Showcase) -> dict[str, dict[str, Plot]]:
 
 
 _Mapped = dict[str, tuple[Array, Array | None]]
-"""Estimates in the space of errors: all runs ``(T, runs, 3)``, covariances ``(T, 3, 3)`` of the first."""
+"""Estimates in the space of errors: all runs ``(T, runs, 3)``, covariances ``(T, 3, 3)`` of the
+first.
+"""
 
 
 def _mapped(showcase: Showcase) -> tuple[_Mapped, float]:
@@ -373,16 +389,43 @@ def _layout(showcase: Showcase, rows: Mapping[str, Mapping[str, Plot]], size: fl
         }
         growing |= {f"error/{key}/trail": np.inf for key in showcase.estimates}
         eye = size * np.array([1.7, -1.5, 1.1])
-        left = [views.columns(views.space("error", f"errors, {showcase.unit} (origin: truth)", eye=eye, growing=growing), *left,
-                              column_shares=(3, 2))]  # fmt: skip
+        left = [
+            views.columns(
+                views.space(
+                    "error", f"errors, {showcase.unit} (origin: truth)", eye=eye, growing=growing
+                ),
+                *left,
+                column_shares=(3, 2),
+            )
+        ]
     if showcase.spaces:
-        scenes = [views.space(s.origin, s.title, eye=s.eye, target=s.target, up=s.up, growing=dict.fromkeys(s.growing, np.inf))
-                  for s in showcase.spaces]  # fmt: skip
+        scenes = [
+            views.space(
+                s.origin,
+                s.title,
+                eye=s.eye,
+                target=s.target,
+                up=s.up,
+                growing=dict.fromkeys(s.growing, np.inf),
+            )
+            for s in showcase.spaces
+        ]
         left = [views.tabs(*scenes), *left]
-    # Where there is no scene, there is room for all plots of a row at once, in which a legend takes more.
+    # Where there is no scene, there is room for all plots of a row at once; a legend takes more.
     arranged, legend = (views.tabs, 0.24) if showcase.spaces else (views.columns, 0.42)
-    right = {row: [views.plot(_entity("plots", row, name), p.title, times, limits=p.limits, legend=legend * p.legend)
-                   for name, p in plots.items()] for row, plots in rows.items()}  # fmt: skip
+    right = {
+        row: [
+            views.plot(
+                _entity("plots", row, name),
+                p.title,
+                times,
+                limits=p.limits,
+                legend=legend * p.legend,
+            )
+            for name, p in plots.items()
+        ]
+        for row, plots in rows.items()
+    }
     below = [views.tabs(*right.pop(row)) for row in ("consistency", "rmse") if row in right]
     drawn = [
         *(arranged(*plots) for plots in right.values()),

@@ -1,4 +1,5 @@
-"""How a recording is laid out in the viewer: views of spaces, plots, texts, logs, and how they stand beside each other.
+"""How a recording is laid out in the viewer: views of spaces, plots, texts, logs, and how they
+stand beside each other.
 
 Imports rerun; import it late, where a recording is made (`celnav.show.recording`).
 """
@@ -19,19 +20,6 @@ from celnav.lazy import needed_by
 with needed_by("a recording", "record"):
     import rerun as rr
     import rerun.blueprint as rrb
-
-__all__ = [
-    "TIMELINE",
-    "bar_chart",
-    "blueprint",
-    "columns",
-    "log",
-    "plot",
-    "rows",
-    "space",
-    "tabs",
-    "text",
-]
 
 TIMELINE = "t"
 """Of every recording, seconds."""
@@ -98,9 +86,11 @@ def plot(
     limits: tuple[float, float] | None = None,
     legend: float = 0.24,
 ) -> Any:
-    """A plot of the curves below ``origin`` over the whole run (by default the viewer scrolls), with ``limits`` of its y axis.
+    """A plot of the curves below ``origin`` over the whole run (by default the viewer scrolls),
+    with ``limits`` of its y axis.
 
-    ``legend``: so much of the run the time axis goes on after it, where the legend hides nothing; 0: no legend.
+    ``legend``: so much of the run the time axis goes on after it, where the legend hides nothing;
+        0: no legend.
     """
     legend = number("legend", legend, 0.0)
     times = finite("times", times, ("T",))

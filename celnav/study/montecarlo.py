@@ -1,7 +1,7 @@
 """Monte Carlo: how many runs, one generator for each, and blocks of them that stay in cache.
 
-A run's random numbers depend on ``(seed, study, run)`` alone, where ``study`` numbers the configuration: not on the size of a
-block, the number of processes or the order of the work.
+A run's random numbers depend on ``(seed, study, run)`` alone, where ``study`` numbers the
+configuration: not on the size of a block, the number of processes or the order of the work.
 """
 
 from __future__ import annotations
@@ -17,19 +17,6 @@ from numpy.random.bit_generator import ISeedSequence
 from celnav.gaussian.checks import describe, integer, number, sequence
 from celnav.gaussian.linalg import Array
 
-__all__ = [
-    "BRIEF",
-    "MOST_STEPS",
-    "Draws",
-    "blocks",
-    "effort",
-    "generator",
-    "generators",
-    "normals",
-    "run_count",
-    "steps",
-]
-
 MOST_NUMBERS = 1 << 22  # random ones that are drawn ahead, of all runs: 32 MiB
 _INIT_A, _MULT_A = 0x43B0D7E5, 0x931E8875  # of numpy's SeedSequence, whose streams stay as they are
 _INIT_B, _MULT_B = 0x8B51F9DD, 0x58F38DED
@@ -44,6 +31,18 @@ def generator(seed: int, study: int, run: int) -> np.random.Generator:
     """The generator of one run of one study, which are not negative."""
     key = (integer("study", study, 0), integer("run", run, 0))
     return np.random.default_rng(np.random.SeedSequence(integer("seed", seed, 0), spawn_key=key))
+
+
+def renewed(rng: np.random.Generator) -> np.random.Generator:
+    """Such a generator as it was at first."""
+    seeds: Any = rng.bit_generator.seed_seq
+    return np.random.default_rng(seeds)
+
+
+def run_of(rng: np.random.Generator) -> int:
+    """The run that a `generator` is of."""
+    seeds: Any = rng.bit_generator.seed_seq
+    return int(seeds.spawn_key[-1])
 
 
 class _Seeds(ISeedSequence):
@@ -88,7 +87,9 @@ def _hashed(values: Array, factor: int, by: int) -> tuple[Any, int]:
 
 
 def normals(rngs: Sequence[np.random.Generator], *shapes: tuple[int, ...]) -> list[Array]:
-    """Standard normal arrays, one of each shape from each generator, with the run axis before the last: ``(..., runs, n)``."""
+    """Standard normal arrays, one of each shape from each generator, with the run axis before the
+    last: ``(..., runs, n)``.
+    """
     for rng in (
         every := sequence(
             "rngs", rngs, "[celnav.study.montecarlo.generator(seed, study, run)]", least=1
@@ -104,7 +105,8 @@ def normals(rngs: Sequence[np.random.Generator], *shapes: tuple[int, ...]) -> li
 
 
 class Draws:
-    """Standard normal numbers, some for each run: the same as if each generator were asked each time.
+    """Standard normal numbers, some for each run: the same as if each generator were asked each
+    time.
 
     They are drawn in chunks. `close` sets the generators back to where they would be then; it need
     not be called of generators that nobody else has, ``owned``.
@@ -154,7 +156,9 @@ def blocks(runs: int, size: int) -> list[range]:
 
 
 def effort(value: str | float | None = None, default: float = 1.0) -> float:
-    """A fraction in (0, 1] of the Monte-Carlo runs: the argument, else ``CELNAV_EFFORT``, which is read only here, or a default."""
+    """A fraction in (0, 1] of the Monte-Carlo runs: the argument, else ``CELNAV_EFFORT``, which is
+    read only here, or a default.
+    """
     name, given = (
         ("effort", value)
         if value is not None
@@ -170,13 +174,17 @@ def effort(value: str | float | None = None, default: float = 1.0) -> float:
 
 
 def run_count(full: int, runs: int | None, effort: float) -> int:
-    """Number of runs of a study: ``runs``, or the full number times the effort, in (0, 1]; at least 2."""
+    """Number of runs of a study: ``runs``, or the full number times the effort, in (0, 1]; at least
+    2.
+    """
     part = integer("full", full) * number("effort", effort, above=0.0, most=1.0)
     return integer("runs", max(2, round(part)) if runs is None else runs, 2)
 
 
 def steps(name: str, count: float) -> int:
-    """The number of steps of a run, which may come as a quotient; ValueError names what it follows from if there are too many."""
+    """The number of steps of a run, which may come as a quotient; ValueError names what it follows
+    from if there are too many.
+    """
     if not 0.5 < count <= MOST_STEPS:
         raise ValueError(f"{name}: expected a run of 1 to {MOST_STEPS} steps, got {count:.10g}")
     return round(count)

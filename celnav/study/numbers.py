@@ -1,6 +1,8 @@
-"""Numbers that decide rows of a ledger, each a function of the results: ratios, levels, consistency, bands of tables.
+"""Numbers that decide rows of a ledger, each a function of the results: ratios, levels,
+consistency, bands of tables.
 
->>> finding("poor-prior", "…", ratio("without z_0", ("D", "csrukf"), ("D", "srukf"), "position", (1.3, None)))
+>>> worse = ratio("without z_0", ("D", "csrukf"), ("D", "srukf"), "position", (1.3, None))
+>>> finding("poor-prior", "…", worse)
 """
 
 from __future__ import annotations
@@ -15,9 +17,22 @@ from celnav.study.ledger import Bounds, Number, Tiers, estimate
 from celnav.study.study import Results, When
 
 __all__ = [
-    "SAME_ORDER", "Decided", "Flown", "all_of", "consistency", "correlation", "entries", "given", "lagged", "of", "over_time",
-    "ratio", "rmse", "settling", "tiers",
-]  # fmt: skip
+    "SAME_ORDER",
+    "Decided",
+    "Flown",
+    "all_of",
+    "consistency",
+    "correlation",
+    "entries",
+    "given",
+    "lagged",
+    "of",
+    "over_time",
+    "ratio",
+    "rmse",
+    "settling",
+    "tiers",
+]
 
 Decided = Callable[[Results], Number]
 Flown = tuple[str, str]
@@ -27,10 +42,20 @@ SAME_ORDER = 3.2
 
 
 def ratio(
-    label: str, a: Flown, b: Flown, group: str, accept: Bounds = (None, None), *, at: When = -1, to: When | None = None,
-    axes: slice = slice(None), median: bool = False, **more: Any,
-) -> Decided:  # fmt: skip
-    """RMSE of a group's length: of one flown filter ``at`` epochs over that of another at the same, or at those of ``to``.
+    label: str,
+    a: Flown,
+    b: Flown,
+    group: str,
+    accept: Bounds = (None, None),
+    *,
+    at: When = -1,
+    to: When | None = None,
+    axes: slice = slice(None),
+    median: bool = False,
+    **more: Any,
+) -> Decided:
+    """RMSE of a group's length: of one flown filter ``at`` epochs over that of another at the same,
+    or at those of ``to``.
 
     ``axes``: of some components only. ``median``: of medians over the runs instead.
     """
@@ -62,10 +87,19 @@ def rmse(
 
 
 def settling(
-    label: str, a: Flown, group: str, level: float, accept: Bounds = (None, None), *, sooner: Flown | None = None,
-    axes: slice = slice(None), window: slice = slice(None), **more: Any,
-) -> Decided:  # fmt: skip
-    """From when (s) the RMSE of a group's components stays below a level, or how much ``sooner`` that of another filter does.
+    label: str,
+    a: Flown,
+    group: str,
+    level: float,
+    accept: Bounds = (None, None),
+    *,
+    sooner: Flown | None = None,
+    axes: slice = slice(None),
+    window: slice = slice(None),
+    **more: Any,
+) -> Decided:
+    """From when (s) the RMSE of a group's components stays below a level, or how much ``sooner``
+    that of another filter does.
 
     ``window``: epochs that are looked at, to the end of which it has to stay there.
     """
@@ -106,12 +140,20 @@ def consistency(
 
 
 def over_time(
-    label: str, statistic: Callable[..., float], columns: Callable[[Results], Sequence[Array]], accept: Bounds = (None, None), *,
-    start: int = 0, block: int, **more: Any,
-) -> Decided:  # fmt: skip
-    """A statistic of one run: of columns ``(T, ...)`` from the epoch ``start`` on, at those where all of them are known.
+    label: str,
+    statistic: Callable[..., float],
+    columns: Callable[[Results], Sequence[Array]],
+    accept: Bounds = (None, None),
+    *,
+    start: int = 0,
+    block: int,
+    **more: Any,
+) -> Decided:
+    """A statistic of one run: of columns ``(T, ...)`` from the epoch ``start`` on, at those where
+    all of them are known.
 
-    ``block``: epochs that the bootstrap draws together, several times as many as errors are correlated over.
+    ``block``: epochs that the bootstrap draws together, several times as many as errors are
+        correlated over.
     """
 
     def decide(r: Results) -> Number:
@@ -125,7 +167,9 @@ def over_time(
 
 
 def lagged(values: Array, lag: int = 1) -> tuple[Array, Array]:
-    """A column ``(T, ...)`` and itself so many epochs later, nan at the end: what `correlation` takes."""
+    """A column ``(T, ...)`` and itself so many epochs later, nan at the end: what `correlation`
+    takes.
+    """
     later = np.full(values.shape, np.nan)
     later[:-lag] = values[lag:]
     return values, later
@@ -173,10 +217,11 @@ def entries(
     *,
     at: When = -1,
 ) -> Callable[[Results], Tiers]:
-    """A printed table of RMSE by component: ``best`` if at most so many entries leave a band, else whether the level is right.
+    """A printed table of RMSE by component: ``best`` if at most so many entries leave a band, else
+    whether the level is right.
 
-    The band is that of the paper's sampling error, 95 % of RMSEs of ``printed_runs`` runs over the right one; ours is in the
-    intervals of what is counted.
+    The band is that of the paper's sampling error, 95 % of RMSEs of ``printed_runs`` runs over the
+    right one; ours is in the intervals of what is counted.
     ``cells``: part, filter and what is printed for the components of all groups.
     """
     printed = np.concatenate([row for _, row in cells])

@@ -1,4 +1,6 @@
-"""Operations of a filter's step, counted on its record: the same with each engine, on every machine."""
+"""Operations of a filter's step, counted on its record: the same with each engine, on every
+machine.
+"""
 
 from __future__ import annotations
 
@@ -10,11 +12,10 @@ from celnav.filters.records import Epoch, Filter
 from celnav.filters.track import KEEP
 from celnav.gaussian.belief import Gaussian
 
-__all__ = ["step_operations"]
-
 
 def step_operations(filter: Filter, prior: Gaussian, epochs: Sequence[Epoch]) -> int:
-    """Arithmetic operations of the step (prediction and update) of one run over the second of some epochs.
+    """Arithmetic operations of the step (prediction and update) of one run over the second of some
+    epochs.
 
     >>> count = celnav.study.operations.step_operations(filter, prior, epochs)
     """

@@ -11,8 +11,6 @@ import numpy as np
 from celnav.gaussian.checks import choice, finite, integer, number
 from celnav.gaussian.linalg import Array
 
-__all__ = ["Parameters", "Timed", "param"]
-
 SOURCES = ("paper", "inferred", "chosen")
 """Printed; follows from what is printed; ours, because nothing is."""
 
@@ -22,7 +20,8 @@ def param(
 ) -> Any:
     """A parameter of a `Parameters` class, by its default.
 
-    value: the default; what is given instead has to be of its kind. source: one of `SOURCES`, and why after a colon.
+    value: the default; what is given instead has to be of its kind. source: one of `SOURCES`, and
+        why after a colon.
     meaning: in words; the unit is in the parameter's name. one_of: what it can be, if it is a word.
     bounds: least, most, above, below, of a number or of each of several.
 

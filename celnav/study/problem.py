@@ -1,7 +1,8 @@
 """A problem of one's own, and how filters do on it: a model, and the runs that it draws of itself.
 
-A filter is consistent, and its accuracy can be compared with a bound, where what happens is what it believes: here truth and
-measurements come from the very model that filters are made of, its outliers excepted.
+A filter is consistent, and its accuracy can be compared with a bound, where what happens is what it
+believes: here truth and measurements come from the very model that filters are made of, its
+outliers excepted.
 """
 
 from __future__ import annotations
@@ -40,13 +41,16 @@ PASSES = 3
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """What a filter believes, as what happens: a motion, a sensor and a start, whose noise may be colored or wild.
+    """What a filter believes, as what happens: a motion, a sensor and a start, whose noise may be
+    colored or wild.
 
     motion, sensor: with noise beside the models, constant or a function of mean and epoch.
     prior: belief about the start, mean ``(N,)`` and covariance ``(n, n)``.
-    times: ``(T,)`` s, increasing. u: inputs, ``epoch.u``: ``u[k]`` acts from ``times[k]`` to ``times[k + 1]``.
+    times: ``(T,)`` s, increasing. u: inputs, ``epoch.u``: ``u[k]`` acts from ``times[k]`` to
+        ``times[k + 1]``.
     phi: correlation of the measurement's noise with the last one, in [0, 1): an AR(1) process.
-    outliers: part of the components, in [0, 1), whose noise is `WILD` times as large; filters are not told.
+    outliers: part of the components, in [0, 1), whose noise is `WILD` times as large; filters are
+        not told.
     groups: what is judged, by name; one group of all components if empty.
 
     >>> problem = Problem(motion, sensor, prior, np.arange(601.0), outliers=0.05)
@@ -69,7 +73,8 @@ class Problem:
         vectors = self.motion.space == EUCLIDEAN
         if prior.mean.ndim != 1 or prior.cov.ndim != 2 or (vectors and len(prior.mean) != self.n):
             raise ValueError(
-                f"prior: expected one mean (N,) and covariance (n, n), got {prior.mean.shape} and {prior.cov.shape}"
+                f"prior: expected one mean (N,) and covariance (n, n), got {prior.mean.shape} and "
+                f"{prior.cov.shape}"
             )
         for name in ("phi", "outliers"):
             number(name, getattr(self, name), 0.0, below=1.0)
@@ -110,12 +115,14 @@ class Problem:
         return epochs(self.times, u=self.u)
 
     def _noise(self) -> tuple[Any, Any]:
-        """Columns ``(n, r)`` of the process noise and ``(m, s)`` of the measurement's after the first interval."""
+        """Columns ``(n, r)`` of the process noise and ``(m, s)`` of the measurement's after the
+        first interval.
+        """
         mean, epoch = self.prior.mean, self.epochs[1]
         return self.motion.columns(mean, epoch, self.n), self.sensor.columns(mean, epoch, self.m)
 
     def draw(self, rngs: Sequence[np.random.Generator]) -> tuple[Array, Array]:
-        """Truth ``(T, runs, N)`` and measurements ``(T, runs, M)`` of one run with each generator."""
+        """Truth ``(T, runs, N)`` and measurements ``(T, runs, M)``, a run with each generator."""
         T, space, (W, V) = len(self.times), self.motion.space, self._noise()
         start, walk, noise, lot = normals(
             rngs, (self.n,), (T, W.shape[1]), (T, V.shape[1]), (T, self.m)
@@ -160,11 +167,15 @@ def _image(model: Motion | Sensor, x: Array, epoch: Epoch, m: int | None = None)
 class Row(NamedTuple):
     """How a filter does on a problem.
 
-    problem, filter: names. rms: of the first group over the second half of the epochs; rms_low, rms_high: its 95 % interval.
-    efficiency: the linearized posterior Cramer-Rao bound over it: about 1 if it is as good as can be; a little more by chance, or
-        where process noise leads away from the run about which it is linearized. nan where there is no bound.
-    anees, low, high: NEES over its dimension, 1 if consistent, with its interval. Intervals come from how the runs differ.
-    lost: runs without an estimate. us_per_step: CPU time of a run's step, microseconds, the least of `PASSES`.
+    problem, filter: names. rms: of the first group over the second half of the epochs; rms_low,
+        rms_high: its 95 % interval.
+    efficiency: the linearized posterior Cramer-Rao bound over it: about 1 if it is as good as can
+        be; a little more by chance, or where process noise leads away from the run about which it
+        is linearized. nan where there is no bound.
+    anees, low, high: NEES over its dimension, 1 if consistent, with its interval. Intervals come
+        from how the runs differ.
+    lost: runs without an estimate. us_per_step: CPU time of a run's step, microseconds, the least
+        of `PASSES`.
     """
 
     problem: str
@@ -187,54 +198,53 @@ def compare(
     runs: int = 200,
     seed: int = 0,
 ) -> list[Row]:
-    """Fly filters on problems, all on the same noise: a `Row` for each problem and filter that go together.
+    """Fly filters on problems, all on the same noise: a `Row` for each problem and filter that go
+    together.
 
     problems: by name. runs: of each. seed: run r has the generator of ``(seed, 0, r)``.
     filters: by name, functions of a problem that give a filter, or None where there is none.
 
-    >>> filters = {"UKF": lambda p: celnav.ukf(p.motion, p.sensor), "EKF": lambda p: celnav.ekf(p.motion, p.sensor)}
+    >>> filters = {"UKF": lambda p: celnav.ukf(p.motion, p.sensor)}
+    >>> filters["EKF"] = lambda p: celnav.ekf(p.motion, p.sensor)
     >>> pandas.DataFrame(compare({"falling body": problem}, filters))
     """
     runs = integer("runs", runs)
-    instance(
-        "filters",
-        filters,
-        Mapping,
-        "functions by name, such as {'UKF': lambda p: celnav.ukf(p.motion, p.sensor)}",
-    )
-    for make in filters.values():
+    example = "functions by name, such as {'UKF': lambda p: celnav.ukf(p.motion, p.sensor)}"
+    for make in instance("filters", filters, Mapping, example).values():
         function("filters", make, "(problem)")
     rows = []
-    for name, problem in instance(
-        "problems", problems, Mapping, "problems by name, such as {'turn': problem}"
-    ).items():
+    example = "problems by name, such as {'turn': problem}"
+    for name, problem in instance("problems", problems, Mapping, example).items():
         instance("problems", problem, Problem, "each a Problem(motion, sensor, prior, times)")
         made = {
             key: filter for key, make in filters.items() if (filter := make(problem)) is not None
         }
-        trial, least = (
-            problem.trial(made, [generator(seed, 0, run) for run in range(runs)]),
-            _bound(problem),
-        )
-        for key in made:
-            found = follow(trial, key)
-            half, n = len(found.times) // 2, found.error.shape[-1]
-            kept = np.isfinite(found.nees[half:]).all(0)
-            square = squares(trial.groups[:1], found.error)[half:, kept, 0].mean(0)
-            nees = found.nees[half:, kept].mean(0) / n
-            seconds = []
-            for _ in range(PASSES):
-                start = process_time()
-                deque(steps(made[key], trial.prior, trial.epochs(key)), 0)
-                seconds.append(process_time() - start)
-            rows.append(
-                Row(
-                    name, key, *_interval(rms, square),
-                    np.nan if least is None else float(np.sqrt(least[half:, 0].mean() / square.mean())),
-                    *_interval(np.mean, nees), int((~kept).sum()), 1e6 * min(seconds) / (runs * len(problem.times)),
-                )
-            )  # fmt: skip
+        trial = problem.trial(made, [generator(seed, 0, run) for run in range(runs)])
+        least = _bound(problem)
+        for key, filter in made.items():
+            run = follow(trial, key)
+            half, n = len(run.times) // 2, run.error.shape[-1]
+            sound = np.isfinite(run.nees[half:]).all(0)
+            square = squares(trial.groups[:1], run.error)[half:, sound, 0].mean(0)
+            efficiency = np.nan
+            if least is not None:
+                efficiency = float(np.sqrt(least[half:, 0].mean() / square.mean()))
+            accuracy = _interval(rms, square)
+            anees = _interval(np.mean, run.nees[half:, sound].mean(0) / n)
+            us = 1e6 * _seconds(filter, trial, key) / (runs * len(problem.times))
+            lost = int((~sound).sum())
+            rows.append(Row(name, key, *accuracy, efficiency, *anees, lost, us))
     return rows
+
+
+def _seconds(filter: Filter, trial: Trial, name: str) -> float:
+    """CPU seconds that a filter takes for all runs, the least of `PASSES`; nothing is judged."""
+    passes = []
+    for _ in range(PASSES):
+        start = process_time()
+        deque(steps(filter, trial.prior, trial.epochs(name)), 0)
+        passes.append(process_time() - start)
+    return min(passes)
 
 
 def _interval(statistic: Callable[[Array], Any], samples: Array) -> tuple[float, float, float]:
@@ -244,7 +254,9 @@ def _interval(statistic: Callable[[Array], Any], samples: Array) -> tuple[float,
 
 
 def _bound(problem: Problem) -> Array | None:
-    """Of the filter that knows the color, outliers aside, along the undisturbed run; None where there is none, on curved spaces."""
+    """Of the filter that knows the color, outliers aside, along the undisturbed run; None where
+    there is none, on curved spaces.
+    """
     if problem.phi == 0.0:
         best: Filter = sigma_point(problem.motion, problem.sensor, rule=Taylor())
     elif problem.motion.space == problem.sensor.space == EUCLIDEAN:

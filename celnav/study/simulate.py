@@ -1,4 +1,6 @@
-"""Truth and measurements drawn from what a filter believes: of the same `Motion` and `Sensor`, so they cannot disagree."""
+"""Truth and measurements drawn from what a filter believes: of the same `Motion` and `Sensor`, so
+they cannot disagree.
+"""
 
 from __future__ import annotations
 
@@ -23,17 +25,27 @@ MOST_RUNS = 1_000_000  # generators of numbers take time and memory
 
 
 def simulate(
-    motion: Motion, sensor: Sensor | Sequence[Sensor], prior: Gaussian, times: ArrayLike, *,
-    runs: int | Sequence[np.random.Generator], seed: int = 0, u: Any = None, Phi: Any = None,
-) -> tuple[Array, Any]:  # fmt: skip
-    """Truth ``(T, runs, N)`` and measurements ``(T, runs, m)``, a tuple of them for a sequence of sensors.
+    motion: Motion,
+    sensor: Sensor | Sequence[Sensor],
+    prior: Gaussian,
+    times: ArrayLike,
+    *,
+    runs: int | Sequence[np.random.Generator],
+    seed: int = 0,
+    u: Any = None,
+    Phi: Any = None,
+) -> tuple[Array, Any]:
+    """Truth ``(T, runs, N)`` and measurements ``(T, runs, m)``, a tuple of them for a sequence of
+    sensors.
 
-    motion, sensor: what a filter of them believes; of several sensors a sequence. Noise through the points is drawn, too.
+    motion, sensor: what a filter of them believes; of several sensors a sequence. Noise through the
+        points is drawn, too.
     prior: mean ``(N,)`` and covariance ``(n, n)`` of the start.
     times: ``(T,)`` s. u: inputs, as in `celnav.epochs`.
-    runs: how many. seed: run r has the generator of ``(seed, 0, r)``, whatever the number of runs. A study has generators: then
-        ``runs`` is a list of them, one for each run.
-    Phi: ``(m, m)`` or a function of the epoch, of colored noise ``V' = Phi V + zeta`` of covariance R (one sensor).
+    runs: how many. seed: run r has the generator of ``(seed, 0, r)``, whatever the number of runs.
+        A study has generators: then ``runs`` is a list of them, one for each run.
+    Phi: ``(m, m)`` or a function of the epoch, of colored noise ``V' = Phi V + zeta`` of covariance
+        R (one sensor).
 
     >>> truth, z = celnav.simulate(motion, gps, prior, np.arange(601.0), runs=500)
     """
@@ -50,7 +62,8 @@ def simulate(
     instance("prior", prior, Gaussian, "celnav.Gaussian(mean, cov)")
     if prior.mean.ndim != 1 or prior.cov.ndim != 2:
         raise ValueError(
-            f"prior: expected one mean (N,) and covariance (n, n), got {prior.mean.shape} and {prior.cov.shape}"
+            f"prior: expected one mean (N,) and covariance (n, n), got {prior.mean.shape} and "
+            f"{prior.cov.shape}"
         )
     check_matrices(len(prior.mean), len(prior.cov), motion, *sensors)
     if (
@@ -76,7 +89,9 @@ def simulate(
     def image(
         name: str, model: Motion | Sensor, x: Array, epoch: Epoch, noise: Callable[..., Any] = white
     ) -> Array:
-        """What a model makes of states ``(runs, N)``, with the noise through the points and the one beside them, of that name."""
+        """What a model makes of states ``(runs, N)``, with the noise through the points and the one
+        beside them, of that name.
+        """
         augment = [draw(root)[None] for root in model.augment]
         y: Array = evaluate(model, x[None].copy(), epoch, augment)[0]
         rows = model.space.minus(y, y).shape[-1]

@@ -1,6 +1,8 @@
-"""A study: parts that are drawn and flown, one labelled store of what they gave, and a ledger that is judged from it.
+"""A study: parts that are drawn and flown, one labelled store of what they gave, and a ledger that
+is judged from it.
 
-A paper is data over this: configurations, filters by name, parts, rows of a ledger, figures and tables as calls.
+A paper is data over this: configurations, filters by name, parts, rows of a ledger, figures and
+    tables as calls.
 """
 
 from __future__ import annotations
@@ -25,7 +27,7 @@ from celnav.gaussian.linalg import Array
 from celnav.store import RESULTS, existing
 from celnav.study.ledger import Claim, Row, Sentence
 from celnav.study.montecarlo import blocks, effort, generator, run_count
-from celnav.study.trial import Group, Trial, follow
+from celnav.study.trial import Group, Trial, follow, scales
 
 __all__ = ["Part", "Results", "Rngs", "Study", "Unit", "When", "fly", "together"]
 
@@ -34,15 +36,31 @@ When = int | slice | str
 """An epoch, those that are averaged over, or the name of a window, see `Study`."""
 
 
+def concatenated(blocks: Iterable[dict[str, Array]]) -> dict[str, Array]:
+    """Arrays of blocks along their runs; they are taken out of the blocks, so that none is there
+    twice for long.
+    """
+    first, *others = blocks
+    for name in list(first) if others else ():
+        arrays = [first[name], *(block.pop(name) for block in others)]
+        first[name] = np.concatenate(arrays, 1) if arrays[0].ndim > 1 else arrays[0]
+    return first
+
+
 class Part(NamedTuple):
-    """Runs of one configuration, or anything else that is computed: the piece that `Results` knows by a name.
+    """Runs of one configuration, or anything else that is computed: the piece that `Results` knows
+    by a name.
 
     Attributes
     ----------
-    work: ``(config, rngs) ->`` arrays by name. Those of two axes or more have the runs second, ``(T, runs, ...)``, and are joined
-        over blocks; the others have to be the same in all of them.
+    work: ``(config, rngs) ->`` arrays by name. Those of two axes or more have the runs second,
+        ``(T, runs, ...)``, and are joined over blocks; the others have to be the same in all of
+        them.
     config: first argument of ``work``. number: of its random numbers. runs: at full effort.
-    block: runs computed together at most; it changes nothing beyond round-off. cost: CPU seconds of them all, roughly.
+    block: runs computed together at most; it changes nothing beyond round-off. cost: CPU seconds of
+        them all, roughly.
+    join: ``(arrays of blocks) ->`` arrays of all runs, where they are not joined as above, such as
+        a sum; ValueError if they are not of such work.
     """
 
     work: Callable[[Any, Rngs], dict[str, Array]]
@@ -51,6 +69,7 @@ class Part(NamedTuple):
     runs: int = 1
     block: int = 100
     cost: float = 1.0
+    join: Callable[[Iterable[dict[str, Array]]], dict[str, Array]] = concatenated
 
 
 def fly(
@@ -60,16 +79,15 @@ def fly(
 
     Returns
     -------
-    times ``(T,)`` s; of each filter ``<name>/error`` and ``<name>/std`` ``(T, runs, n)`` in the units of the groups,
-    ``<name>/nees`` and ``<name>/nis`` ``(T, runs)``, the latter nan where nothing was measured. A run that is lost is nan.
-    With ``cov`` also ``<name>/cov (T, 1, n, n)`` of the first run, in the units of the state.
+    times ``(T,)`` s; of each filter ``<name>/error`` and ``<name>/std`` ``(T, runs, n)`` in the
+    units of the groups, ``<name>/nees`` and ``<name>/nis`` ``(T, runs)``, the latter nan where
+    nothing was measured. A run that is lost is nan. With ``cov`` also ``<name>/cov (T, 1, n, n)``
+    of the first run, in the units of the state.
     """
     out: dict[str, Array] = {}
     for name in names:
         found = follow(trial, name, every)
-        scale = np.ones(found.error.shape[-1])
-        for group in trial.groups:
-            scale[group.part] = group.scale
+        scale = scales(trial.groups, found.error.shape[-1])
         nis = np.where(found.dof > 0, found.nis, np.nan)
         each = {
             "error": found.error * scale,
@@ -86,7 +104,9 @@ def fly(
 def together(
     trial: Trial, priors: Mapping[str, Gaussian], names: Sequence[str], every: int = 1
 ) -> dict[str, Array]:
-    """Filters of a trial from several priors, on the same runs and in one batch: what `fly` gives, by ``<filter>, <prior>``."""
+    """Filters of a trial from several priors, on the same runs and in one batch: what `fly` gives,
+    by ``<filter>, <prior>``.
+    """
     count, each = len(priors), list(priors.values())
     covs = [np.broadcast_to(prior.cov, (len(prior.mean), *prior.cov.shape[-2:])) for prior in each]
 
@@ -117,11 +137,15 @@ class Study:
     Attributes
     ----------
     name: of the paper. groups: what is judged. rows: the ledger.
-    trial: ``(config, rngs) ->`` runs and their filters, see `celnav.study.trial`; None where nothing is drawn.
-    parts: ``(effort) ->`` parts by name; ``effort``, in (0, 1], may shorten what is long. Runs are scaled by it elsewhere.
-    says, found: what the paper claims as a whole, and our answer, each sentence with the verdicts that it rests on.
+    trial: ``(config, rngs) ->`` runs and their filters, see `celnav.study.trial`; None where
+        nothing is drawn.
+    parts: ``(effort) ->`` parts by name; ``effort``, in (0, 1], may shorten what is long. Runs are
+        scaled by it elsewhere.
+    says, found: what the paper claims as a whole, and our answer, each sentence with the verdicts
+        that it rests on.
     figure: stem of the one that decides.
-    windows: ``(config, times) ->`` parts of the time by name, as slices of the epochs that are judged.
+    windows: ``(config, times) ->`` parts of the time by name, as slices of the epochs that are
+        judged.
     source: hash of the file that it comes from, where that is none of celnav's.
     """
 
@@ -144,51 +168,51 @@ class Study:
             )
 
     def units(
-        self, *, effort: float = 1.0, seed: int = 0, only: Sequence[str] = (), **inputs: Any
+        self,
+        *,
+        effort: float = 1.0,
+        seed: int = 0,
+        only: Sequence[str] = (),
+        engine: str = "",
+        **inputs: Any,
     ) -> list[Unit]:
-        """The work to be done; ``only``: names of the parts wanted, all if empty; ``inputs``: what else `parts` takes."""
+        """The work to be done; ``only``: names of the parts wanted, all if empty; ``inputs``: what
+        else `parts` takes.
+
+        engine: that of `celnav.run`; empty: the one that is set.
+        """
         parts = self.parts(effort, **inputs)
         for name in only:
             choice("only", name, parts)
-        engine = ENGINE.get()
+        engine = engine or ENGINE.get()
         about = f"effort {effort!r}, {sorted((key, str(value)) for key, value in inputs.items())}"
         about += "" if engine == "auto" else f", engine {engine}"
         about += f", source {self.source}" if self.source else ""
         units = []
-        for name, part in parts.items():
-            if not only or name in only:
-                count = part.runs if part.runs == 1 else run_count(part.runs, None, effort)
-                each = blocks(count, part.block)
-                for runs in each:
-                    units.append(
-                        Unit(
-                            self.name,
-                            name,
-                            part,
-                            seed,
-                            runs,
-                            about,
-                            part.cost * len(runs) / part.runs,
-                            engine,
-                            len(each),
-                        )
-                    )
+        for name in only or parts:
+            part = parts[name]
+            count = part.runs if part.runs == 1 else run_count(part.runs, None, effort)
+            each = blocks(count, part.block)
+            unit = Unit(self.name, name, part, seed, each[0], about, engine, len(each))
+            units += [unit._replace(runs=runs) for runs in each]
         return units
 
     def results(
         self, units: Sequence[Unit], found: Iterable[dict[str, Array]], *, effort: float = 1.0
     ) -> Results:
-        """What units gave, in their order, joined over runs. One part is joined before the next is asked for: they are large."""
+        """What units gave, in their order, joined over runs. One part is joined before the next is
+        asked for: they are large.
+        """
         parts = groupby(zip(units, found, strict=True), lambda pair: pair[0].part)
-        joined = {name: _joined([arrays for _, arrays in pairs]) for name, pairs in parts}
-        return Results(
-            self, units[0].seed, effort, {unit.part: unit.work for unit in units}, joined
-        )
+        works = {unit.part: unit.work for unit in units}
+        joined = {name: works[name].join(arrays for _, arrays in pairs) for name, pairs in parts}
+        return Results(self, units[0].seed, effort, works, joined)
 
     def reproduce(
         self, *, effort: float = 1.0, out: str | Path | None = None, **options: Any
     ) -> Results:
-        """Do all `units` here and now, but for those that ``celnav reproduce --out`` has done with this code; nothing is written.
+        """Do all `units` here and now, but for those that ``celnav reproduce --out`` has done with
+        this code; nothing is written.
 
         >>> results = csrukf.STUDY.reproduce(effort=0.1, only=["0", "I"], out="out")
         """
@@ -201,9 +225,11 @@ class Study:
         return self.results(units, found, effort=effort)
 
     def at_hand(self, out: str | Path = "out", *, small: float = 0.02) -> Results:
-        """All results, if ``celnav reproduce --out`` has computed them with this code; else those of a ``small`` part of the runs.
+        """All results, if ``celnav reproduce --out`` has computed them with this code; else those
+        of a ``small`` part of the runs.
 
-        ``CELNAV_EFFORT``, where it is set, says how large a part is taken, whatever is there; ``CELNAV_OUT`` stands for ``out``.
+        ``CELNAV_EFFORT``, where it is set, says how large a part is taken, whatever is there;
+        ``CELNAV_OUT`` stands for ``out``.
         """
         out = os.environ.get("CELNAV_OUT", out)
         store = existing(Path(out) / self.name / RESULTS)
@@ -214,7 +240,7 @@ class Study:
 class Unit(NamedTuple):
     """Some runs of a part: what a process does at a time.
 
-    about: what else it depends on. cost: CPU seconds, roughly. units: of the part.
+    about: what else it depends on. units: of the part.
     """
 
     study: str
@@ -223,9 +249,13 @@ class Unit(NamedTuple):
     seed: int
     runs: range
     about: str
-    cost: float
     engine: str = "auto"
     units: int = 1
+
+    @property
+    def cost(self) -> float:
+        """CPU seconds, roughly."""
+        return self.work.cost * len(self.runs) / self.work.runs
 
     @property
     def title(self) -> str:
@@ -238,12 +268,15 @@ class Unit(NamedTuple):
         return sha256(f"{self.title}, seed {self.seed}, {self.about}".encode()).hexdigest()[:24]
 
     def check(self, arrays: dict[str, Array]) -> None:
-        """Raise ValueError unless there are any."""
+        """Raise ValueError unless they are of such a part."""
         if not arrays:
             raise ValueError(f"{self.title}: expected arrays, got none")
+        self.work.join([arrays])
 
     def do(self) -> dict[str, Array]:
-        """The arrays of the part, and ``cpu_s (1, 1)``; warnings of its models and filters are errors."""
+        """The arrays of the part, and ``cpu_s (1, 1)``; warnings of its models and filters are
+        errors.
+        """
         start, token = process_time(), ENGINE.set(self.engine)
         rngs = [generator(self.seed, self.work.number, run) for run in self.runs]
         try:
@@ -253,14 +286,6 @@ class Unit(NamedTuple):
         finally:
             ENGINE.reset(token)
         return arrays | {"cpu_s": np.array([[process_time() - start]])}
-
-
-def _joined(found: Sequence[dict[str, Array]]) -> dict[str, Array]:
-    """Arrays of the blocks of a part, along their runs; they are taken out of ``found``, so that none is there twice for long."""
-    if len(found) == 1:
-        return found[0]
-    parts = ((name, [arrays.pop(name) for arrays in found]) for name in list(found[0]))
-    return {name: np.concatenate(part, 1) if part[0].ndim > 1 else part[0] for name, part in parts}
 
 
 @dataclass(frozen=True, eq=False)
@@ -291,7 +316,9 @@ class Results:
         return self.data[part]["times"]
 
     def error(self, part: str, filter: str, group: str, what: str = "error") -> Array:
-        """Errors, or with ``what="std"`` what the filter takes for their deviations, ``(T, runs, k)`` in the unit of a group."""
+        """Errors, or with ``what="std"`` what the filter takes for their deviations, ``(T, runs,
+        k)`` in the unit of a group.
+        """
         return self.data[part][f"{filter}/{what}"][..., self.group(group).part]
 
     def at(self, part: str, when: When) -> int | slice:
@@ -306,12 +333,16 @@ class Results:
         return windows[choice("at", when, windows)]
 
     def squares(self, part: str, filter: str, group: str, at: When = -1) -> Array:
-        """Squared errors ``(runs, k)`` of a group's components at an epoch, or their means over some of them."""
+        """Squared errors ``(runs, k)`` of a group's components at an epoch, or their means over
+        some of them.
+        """
         square = np.square(self.error(part, filter, group)[self.at(part, at)])
         return square if isinstance(at, int) else np.asarray(square.mean(0))
 
     def nees(self, part: str, filter: str, at: When = -1, what: str = "nees") -> Array:
-        """NEES, or with ``what="nis"`` NIS, of each run ``(runs,)`` at an epoch, or its mean over some of them."""
+        """NEES, or with ``what="nis"`` NIS, of each run ``(runs,)`` at an epoch, or its mean over
+        some of them.
+        """
         values = self.data[part][f"{filter}/{what}"][self.at(part, at)]
         return values if isinstance(at, int) else np.asarray(values.mean(0))
 
@@ -333,7 +364,9 @@ class Results:
         return self.effort == 1.0
 
     def claims(self, rows: Sequence[Row] = ()) -> list[Claim]:
-        """All rows of the ledger, or some, judged; those that need a part which is absent are left out."""
+        """All rows of the ledger, or some, judged; those that need a part which is absent are left
+        out.
+        """
         return [
             row.judged(self, self.full)
             for row in rows or self.study.rows

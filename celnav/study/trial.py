@@ -1,6 +1,8 @@
-"""A trial: simulated runs of one configuration, the filters that may be flown on them, and how their estimates are judged.
+"""A trial: simulated runs of one configuration, the filters that may be flown on them, and how
+their estimates are judged.
 
-Each paper has a function ``trial(config, rngs) -> Trial``; missions, campaigns and the linear bound need nothing else of it.
+Each paper has a function ``trial(config, rngs) -> Trial``; missions, campaigns and the linear bound
+need nothing else of it.
 """
 
 from __future__ import annotations
@@ -28,16 +30,19 @@ __all__ = [
     "check_groups",
     "drawn",
     "follow",
+    "scales",
     "squares",
 ]
 
-TOGETHER = 8  # epochs whose roots are evaluated at once; with more of them the filter's own arrays leave the cache
+TOGETHER = 8
+"""Epochs whose roots are evaluated at once; with more the filter's own arrays leave the cache."""
 
 
 class Group(NamedTuple):
     """Components of the error that are judged together, such as a position.
 
-    ``part`` of the error's components, times ``scale`` (a number, or one for each of them), are in ``unit``.
+    ``part`` of the error's components, times ``scale`` (a number, or one for each of them), are in
+    ``unit``.
 
     >>> position = celnav.Group("position", "m", slice(0, 3), 1000.0)  # of errors in km
     """
@@ -52,10 +57,14 @@ class Trial(NamedTuple):
     """Simulated runs of a configuration.
 
     groups: what is judged. filters: by name. prior: of all runs, ``(runs, n)``.
-    epochs: ``name ->`` epochs for the filter of that name, from the start at every call. Those with a ``truth`` are judged.
-    compare: ``(truth, belief) ->`` errors ``(runs, n)`` and roots ``(runs, n, n)`` of what the belief takes for their covariance.
-    reference: name of a filter that is as good as can be where errors are small, for `bound`; empty if there is none.
-    place: position ``(..., 3)`` km about the Earth's center of a state ``(..., n)``; None if it is no orbit.
+    epochs: ``name ->`` epochs for the filter of that name, from the start at every call. Those with
+        a ``truth`` are judged.
+    compare: ``(truth, belief) ->`` errors ``(runs, n)`` and roots ``(runs, n, n)`` of what the
+        belief takes for their covariance.
+    reference: name of a filter that is as good as can be where errors are small, for `bound`; empty
+        if there is none.
+    place: position ``(..., 3)`` km about the Earth's center of a state ``(..., n)``; None if it is
+        no orbit.
     """
 
     groups: tuple[Group, ...]
@@ -78,15 +87,26 @@ def check_groups(groups: Any, n: int) -> None:
 
 
 def drawn(
-    groups: Sequence[Group], filters: Mapping[str, Filter], prior: Gaussian, times: Array, z: Any, truth: Array, *,
-    u: Any = None, space: Space = EUCLIDEAN, reference: str = "",
-) -> Trial:  # fmt: skip
-    """A trial of runs that were drawn: of the states themselves, which are judged as their space has it.
+    groups: Sequence[Group],
+    filters: Mapping[str, Filter],
+    prior: Gaussian,
+    times: Array,
+    z: Any,
+    truth: Array,
+    *,
+    u: Any = None,
+    space: Space = EUCLIDEAN,
+    reference: str = "",
+) -> Trial:
+    """A trial of runs that were drawn: of the states themselves, which are judged as their space
+    has it.
 
-    prior: of one run. times: ``(T,)`` s. z, u: as `celnav.epochs` takes them. truth: ``(T, runs, N)``. The rest: see `Trial`.
+    prior: of one run. times: ``(T,)`` s. z, u: as `celnav.epochs` takes them. truth: ``(T, runs,
+        N)``. The rest: see `Trial`.
 
     >>> truth, z = celnav.simulate(motion, radar, prior, times, runs=rngs)
-    >>> trial = celnav.study.trial.drawn(groups, {"ukf": celnav.ukf(motion, radar)}, prior, times, z, truth)
+    >>> filters = {"ukf": celnav.ukf(motion, radar)}
+    >>> trial = celnav.study.trial.drawn(groups, filters, prior, times, z, truth)
     """
     instance("filters", filters, Mapping, "filters by name, such as {'ukf': filter}")
     choice("reference", reference, ("", *filters))
@@ -106,10 +126,20 @@ def drawn(
 
 
 def squares(groups: Sequence[Group], values: Array) -> Array:
-    """Sums of squares ``(..., groups)`` of errors or deviations ``(..., n)``, in the units of the groups."""
+    """Sums of squares ``(..., groups)`` of errors or deviations ``(..., n)``, in the units of the
+    groups.
+    """
     parts = [np.square(values[..., group.part] * np.asarray(group.scale)) for group in groups]
     # One by one: reductions over so few numbers take several times as long.
     return np.stack([reduce(np.add, np.moveaxis(part, -1, 0)) for part in parts], -1)
+
+
+def scales(groups: Sequence[Group], n: int) -> Array:
+    """What takes ``n`` components of an error to the units of the groups."""
+    factors = np.ones(n)
+    for group in groups:
+        factors[group.part] = group.scale
+    return factors
 
 
 class Noiseless:
@@ -126,7 +156,8 @@ class Followed(NamedTuple):
     times: ``(K,)`` s. error: ``(K, runs, n)``, and std: what the filter takes for its deviations.
     nees, nis, dof: ``(K, runs)``; ``dof`` is the number of measured components behind ``nis``.
     cov: ``(K, n, n)``, what it takes for the covariance of the first run's error.
-    lost: ``(run, t, why)`` of each run whose estimate ceased to be finite. epochs: of the filter, judged or not.
+    lost: ``(run, t, why)`` of each run whose estimate ceased to be finite. epochs: of the filter,
+        judged or not.
     """
 
     times: Array
@@ -141,7 +172,9 @@ class Followed(NamedTuple):
 
 
 def follow(trial: Trial, name: str, every: int = 1) -> Followed:
-    """Run the filter of a name and judge it at each ``every``-th of the epochs that have a truth, and at the last."""
+    """Run the filter of a name and judge it at each ``every``-th of the epochs that have a truth,
+    and at the last.
+    """
     instance("trial", trial, Trial, "a Trial, such as problem.trial(filters, rngs)")
     filter, every = trial.filters[choice("name", name, trial.filters)], integer("every", every)
     flown = None
@@ -225,7 +258,9 @@ def _row(trial: Trial, epoch: Epoch, belief: Belief, infos: tuple[Info, ...]) ->
 
 
 def _watch(lost: dict[int, tuple[float, str]], epoch: Epoch, belief: Belief, why: str = "") -> None:
-    """Note the runs that have no estimate, and forget those that have one again: a filter of single epochs comes back."""
+    """Note the runs that have no estimate, and forget those that have one again: a filter of single
+    epochs comes back.
+    """
     there = np.atleast_1d(np.isfinite(belief.mean).all(-1))
     for i in np.flatnonzero(~there).tolist():
         lost.setdefault(i, (float(epoch.t), why or "the estimate is not finite"))
@@ -234,10 +269,12 @@ def _watch(lost: dict[int, tuple[float, str]], epoch: Epoch, belief: Belief, why
 
 
 def bound(trial: Trial, every: int = 1) -> Array | None:
-    """Linearized posterior Cramer-Rao bound, from a trial of one `Noiseless` run: mean squares ``(K, groups)``, or None.
+    """Linearized posterior Cramer-Rao bound, from a trial of one `Noiseless` run: mean squares
+    ``(K, groups)``, or None.
 
-    These are the variances of the reference filter along the undisturbed run: for small process noise and errors in the linear
-    range, no filter with this model and these measurements has smaller mean squares.
+    These are the variances of the reference filter along the undisturbed run: for small process
+    noise and errors in the linear range, no filter with this model and these measurements has
+    smaller mean squares.
     """
     instance("trial", trial, Trial, "a Trial, such as problem.trial(filters, rngs)")
     return (

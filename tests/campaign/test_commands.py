@@ -57,7 +57,7 @@ def sweep(tmp_path):
 @pytest.fixture
 def undrawn(monkeypatch):
     """Figures as nothing: drawing takes most of the time of a small study."""
-    monkeypatch.setattr("celnav.campaign.page.render", lambda drawing, kind: b"")
+    monkeypatch.setattr("celnav.show.drawing.render", lambda drawing, kind: b"")
 
 
 def files(folder):
@@ -70,7 +70,7 @@ def files(folder):
 
 def test_a_mission_is_flown_and_everything_is_written(mission, tmp_path, capsys, monkeypatch):
     with monkeypatch.context() as patch:  # figures that are empty, which the second replaces
-        patch.setattr("celnav.campaign.page.render", lambda drawing, kind: b"")
+        patch.setattr("celnav.show.drawing.render", lambda drawing, kind: b"")
         assert cli.main(["run", str(mission)]) == 0
     assert cli.main(["run", str(mission)]) == 0
     out = tmp_path / "out" / "missions" / "my-mission"

@@ -108,7 +108,7 @@ def test_a_unit_that_kills_its_workers_is_told_and_the_others_are_done(plan):
     kept = []
     with pytest.raises(
         UnfinishedError,
-        match=rf"^1 unit is not done: runs 6 to 8 of unit {poison.key} \(its worker dies\)$",
+        match=rf"^1 unit is not done: csrukf: {poison.part}, runs 6 to 8 \(its worker dies\)$",
     ):
         compute(plan, workers, lambda unit, result: kept.append(unit))
     assert set(kept) == set(plan) - {poison}
@@ -156,7 +156,7 @@ def failing(error):
     class Failing(Executor):
         def submit(self, fn, /, unit, *args):
             future = Future()
-            if unit.first == 3:
+            if unit.runs.start == 3:
                 future.set_exception(error)
             else:
                 future.set_result(fn(unit, *args))
@@ -169,7 +169,7 @@ def test_units_that_fail_are_told_after_all_others_are_done(plan):
     kept = []
     with pytest.raises(
         UnfinishedError,
-        match=r"^2 units are not done: runs 3 to 5 of unit \w+ \(MemoryError\); runs 3 to 5",
+        match=r"^2 units are not done: csrukf: \w+, runs 3 to 5 \(MemoryError\); csrukf: \w+, runs 3 to 5",
     ):
         compute(plan, failing(MemoryError()), lambda unit, result: kept.append(unit))
     assert len(kept) == len(plan) - 2

@@ -135,7 +135,6 @@ def test_processes_give_the_same_and_refuse_a_file_that_has_changed(folder):
 def test_papers_and_own_studies_go_together(folder, monkeypatch, capsys):
     module = tiny()
     monkeypatch.setattr(papers, "PAPERS", {"tiny": "tiny"})
-    monkeypatch.setattr("celnav.commands.index.PAPERS", {"tiny": "tiny"})
     monkeypatch.setattr(
         "celnav.papers.import_module", lambda name: own if name == "celnav.papers.own" else module
     )
@@ -328,7 +327,8 @@ def test_a_mission_takes_a_study_beside_it(folder, capsys, monkeypatch):
     (missions / "good.toml").write_text(text)
     assert cli.main(["run", "missions/good.toml", "--jobs", "1", "--effort", "1"]) == 0
     out = capsys.readouterr().out
-    assert "A vehicle by range and bearing: 6/6 runs" in out
+    assert "A vehicle by range and bearing: 100%, " in out
+    assert ": 6/6 runs" in out
     assert "ukf: position" in out
     monkeypatch.chdir(missions)
     (missions / "sweep.toml").write_text(text.replace("1.0", "[0.5, 1.0]"))

@@ -59,12 +59,11 @@ def measured():
 def both(monkeypatch):
     """A paper and a study on real data."""
     monkeypatch.setattr(papers, "PAPERS", {"tiny": "tiny"})
-    monkeypatch.setattr("celnav.commands.index.PAPERS", {"tiny": "tiny"})
-    monkeypatch.setattr("celnav.papers.import_module", lambda name: tiny())
     for key in list(real.STUDIES):
         monkeypatch.delitem(real.STUDIES, key)
     monkeypatch.setitem(real.STUDIES, "clocks", "a clock's log")
-    monkeypatch.setattr("celnav.real.import_module", lambda name: measured())
+    modules = {"tiny": tiny, "celnav.real.clocks": measured}
+    monkeypatch.setattr("celnav.papers.import_module", lambda name: modules[name]())
 
 
 @pytest.fixture
@@ -109,7 +108,7 @@ def test_without_one_the_page_only_says_what_could_be_added(both, tmp_path):
     assert cli.main(["reproduce", "--out", str(tmp_path), "--jobs", "1"]) == 0
     page = (tmp_path / "index.html").read_text()
     assert page.count("clock") == 2
-    assert "adds a study for a folder of a clock&#x27;s log (<code>--clocks DIR</code>)" in page
+    assert "adds a study for a folder of a clock&#39;s log (<code>--clocks DIR</code>)" in page
     assert not (tmp_path / "clocks").exists()
 
 
@@ -162,7 +161,7 @@ def test_they_are_listed(both, capsys):
     assert cli.main(["list", "clocks"]) == 0
     told = capsys.readouterr().out
     assert "on real data: celnav reproduce clocks --clocks DIR, folder of a clock's log" in told
-    with pytest.raises(ValueError, match="unknown study 'grade': expected one of clocks"):
+    with pytest.raises(ValueError, match="unknown paper 'grade': expected one of tiny, clocks"):
         real.load("grade")
 
 

@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from celnav.show import progress
-from celnav.show.progress import Progress, RunProgress
+from celnav.show.progress import Progress
 
 
 class Terminal(io.StringIO):
@@ -76,30 +76,32 @@ def test_work_that_begins_says_no_time(clock, capsys):
 
 
 def test_runs_have_lines_with_their_rate(clock, capsys):
-    with RunProgress("study") as runs:
-        for clock[0], done in [(0.0, 200), (4.9, 300), (5.0, 400), (9.9, 600), (10.0, 1000)]:
-            runs(done, 1000)
+    runs = Progress("study")
+    for clock[0], done in [(0.0, 200), (4.9, 300), (5.0, 400), (9.9, 600), (10.0, 1000)]:
+        runs.runs(done, 1000)
     assert capsys.readouterr().out.splitlines() == [
-        "study: 200/1000 runs",
-        "study: 400/1000 runs, 40 a second, 15 s left",
-        "study: 1000/1000 runs, 80 a second, 0 s left",
+        "study: 20% was done before",
+        "study: 20%: 200/1000 runs",
+        "study: 40%, 15 s left: 400/1000 runs, 40 a second",
+        "study: 100%, 0 s left: 1000/1000 runs, 80 a second",
     ]
 
 
-def test_runs_without_a_rate_end_at_no_time(clock, capsys):
-    runs = RunProgress("study")
-    runs(0, 10)
+def test_runs_without_a_rate_say_no_time(clock, capsys):
+    runs = Progress("study")
+    runs.runs(0, 10)
     clock[0] = 6.0
-    runs(0, 10)
-    assert capsys.readouterr().out.endswith("study: 0/10 runs, 0 a second, inf s left\n")
+    runs.runs(0, 10)
+    assert capsys.readouterr().out == "study: 0%: 0/10 runs\n" * 2
 
 
 def test_runs_have_a_bar(monkeypatch, capsys):
     monkeypatch.setattr(sys, "stderr", terminal := Terminal())
-    with RunProgress("study") as runs:
-        for done in (20, 30, 40):
-            runs(done, 100)
+    runs = Progress("study")
+    for done in (20, 30, 40):
+        runs.runs(done, 100)
+    runs.close()
     assert terminal.frame().startswith("study:  40%|")
-    assert "| 40/100 [" in terminal.frame()
-    assert terminal.frame().endswith("run/s]")
+    assert ", 40/100 runs, " in terminal.frame()
+    assert terminal.frame().endswith(" a second")
     assert capsys.readouterr().out == ""

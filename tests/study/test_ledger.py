@@ -10,8 +10,13 @@ import pytest
 
 from celnav.analysis.metrics import bootstrap
 from celnav.show import page
-from celnav.show.claims import TYPES, Ledger, answer, dumps, plain, style, table, written
+from celnav.show.claims import TYPES, Ledger, answer, dumps, plain, style, written
 from celnav.study.ledger import KINDS, VERDICTS, WORDS, Number, Row, Sentence, estimate, order
+
+
+def table(claims):
+    """The rows of a page."""
+    return page.macro("ledger", claims)
 
 
 def claim(*numbers, kind="finding", **more):
@@ -340,7 +345,7 @@ STYLES = {
 def test_each_verdict_has_its_color():
     """And the page has a color of its own for each of the five classes."""
     assert {verdict: style(verdict) for verdict in VERDICTS} == STYLES
-    text = page.document("t")
+    text = page.render("base.html", title="t")
     for name in set(STYLES.values()):
         assert f".{name}{{color:var(--{name})" in text
     colors = [text.split(f"--{name}:#")[1][:6].split("}")[0] for name in set(STYLES.values())]

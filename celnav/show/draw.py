@@ -1,0 +1,247 @@
+"""Drawings of any numbers: a figure is panels, a panel is items, and an item draws itself on axes.
+
+>>> panel = Panel("Residuals", [curve(times, residuals, label="x")], "time (s)", "residual (m)")
+>>> panels(panel, size=(7.0, 3.2))
+
+The style is in `drawing`, the colors are in `colors`. matplotlib is imported when something is
+drawn: processes that only compute start in a third of the time. Nothing here knows studies: reports
+of tracks and logs are drawn by it, too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from celnav.gaussian.checks import integer, number
+from celnav.gaussian.linalg import Array
+from celnav.show import colors
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+KINDS = ("png", "svg")
+"""Of each figure that is written."""
+Item = Callable[["Axes"], Any]
+"""Draws something."""
+
+
+def figure(
+    width: float, height: float, rows: int = 1, columns: int = 1, **axes: Any
+) -> tuple[Figure, Any]:
+    """An empty figure (inches) and its axes in celnav's style, outside pyplot's list of open
+    figures.
+    """
+    from celnav.show.drawing import Drawing, styled
+
+    size = number("width", width, above=0.0), number("height", height, above=0.0)
+    rows, columns = integer("rows", rows, 1, 100), integer("columns", columns, 1, 100)
+    with styled():
+        fig = Drawing(figsize=size)
+        return fig, fig.subplots(rows, columns, **axes)
+
+
+class Panel(NamedTuple):
+    """What one pair of axes shows.
+
+    Attributes
+    ----------
+    title, x, y: texts. items: drawn one after the other. log: which axes are logarithmic, "x", "y"
+        or "xy". more: of `Axes.set`.
+    """
+
+    title: str
+    items: Iterable[Item]
+    x: str = ""
+    y: str = ""
+    log: str = ""
+    more: Mapping[str, Any] = {}
+
+
+def grid(drawn: Sequence[Panel], columns: int) -> list[list[Panel]]:
+    """Rows of so many panels, the last one filled up with empty ones."""
+    empty: list[Item] = [lambda ax: ax.set_axis_off()]
+    filled = [*drawn, *[Panel("", empty)] * (-len(drawn) % columns)]
+    return [filled[i : i + columns] for i in range(0, len(filled), columns)]
+
+
+def panels(
+    *rows: Panel | Sequence[Panel],
+    size: tuple[float, float],
+    legend: Any = "outside lower center",
+    title: str = "",
+    **axes: Any,
+) -> Figure:
+    """A figure of rows of panels, and below them one legend of all labels.
+
+    ``axes``: as of `figure`; where they share x or y (``sharex="col"``) the outer ones alone are
+        labeled.
+    """
+    from celnav.show.drawing import styled
+
+    every = [[row] if isinstance(row, Panel) else list(row) for row in rows]
+    fig, drawn = figure(*size, len(every), len(every[0]), squeeze=False, **axes)
+    handles: dict[str, Any] = {}
+    with styled():
+        for ax, panel in zip(drawn.flat, (panel for row in every for panel in row), strict=True):
+            for item in panel.items:
+                item(ax)
+            place, inside = ax.get_subplotspec(), {"title": panel.title}
+            if place.is_last_row() or not axes.get("sharex"):
+                inside["xlabel"] = panel.x
+            if place.is_first_col() or not axes.get("sharey"):
+                inside["ylabel"] = panel.y
+            scales = {f"{axis}scale": "log" for axis in panel.log}
+            ax.set(**inside, **scales, **panel.more)
+            for handle, label in zip(*ax.get_legend_handles_labels(), strict=True):
+                handles.setdefault(label, handle)
+        if handles and legend:
+            each = max(map(len, handles)) * 0.05 + 0.45  # inches that a label takes
+            columns = (
+                1 if "right" in str(legend) else max(1, min(len(handles), int(size[0] / each)))
+            )
+            fig.legend(handles.values(), handles, loc=legend, ncols=columns)
+        if title:
+            fig.suptitle(title)
+    return fig
+
+
+def picture_names(stems: Iterable[str]) -> list[str]:
+    """The files of figures, such as "figures/figure_01.png"."""
+    return [f"{stem}.{kind}" for stem in stems for kind in KINDS]
+
+
+def pictures(drawings: Iterable[tuple[str, Figure | None]]) -> dict[str, bytes]:
+    """The contents of the files of figures, which come with their stems; nothing of one that is
+    None.
+    """
+    from celnav.show.drawing import render
+
+    return {
+        f"{stem}.{kind}": render(drawing, kind)
+        for stem, drawing in drawings
+        if drawing is not None
+        for kind in KINDS
+    }
+
+
+# -- items ---------------------------------------------------------------------------------------
+class Line(NamedTuple):
+    """How a filter looks, in every figure of a study."""
+
+    label: str
+    color: str
+    style: str = "-"
+    width: float = 1.1
+
+    @property
+    def look(self) -> dict[str, Any]:
+        """The same as matplotlib has it."""
+        return {
+            "label": self.label,
+            "color": self.color,
+            "linestyle": self.style,
+            "linewidth": self.width,
+        }
+
+
+def curve(x: Any, y: Any, line: Line | None = None, **look: Any) -> Item:
+    """``y (T,)`` or ``(T, k)`` over ``x``; ``look``: as of `Axes.plot`, over that of the line."""
+    return lambda ax: ax.plot(x, y, **(line.look if line else {}) | look)
+
+
+def components(
+    x: Any, y: Array, names: Sequence[str], shades: Sequence[str], **look: Any
+) -> list[Item]:
+    """A curve for each column of ``y (T, k)``."""
+    return [
+        curve(x, column, label=name, color=c, **look)
+        for column, name, c in zip(y.T, names, shades, strict=False)
+    ]
+
+
+def level(
+    *values: float,
+    label: str = "",
+    color: str = colors.SIGMA,
+    style: str = ":",
+    upright: bool = False,
+) -> Item:
+    """Lines across the axes, the first with a label."""
+
+    def item(ax: Axes) -> None:
+        for i, value in enumerate(values):
+            line = ax.axvline if upright else ax.axhline
+            line(
+                value,
+                color=color,
+                linestyle=style,
+                linewidth=0.8,
+                label=None if i else label or None,
+            )
+
+    return item
+
+
+def interval(start: float, end: float, label: str = "", color: str = colors.BOUND) -> Item:
+    """A part of the time, shaded."""
+    return lambda ax: ax.axvspan(
+        start, end, color=color, alpha=0.25, linewidth=0.0, label=label or None
+    )
+
+
+def band(
+    ax: Axes,
+    t: Array,
+    low: Array,
+    high: Array,
+    *,
+    color: str,
+    label: str | None = None,
+    alpha: float = 0.22,
+) -> None:
+    """A translucent band, for quantiles of a Monte Carlo."""
+    ax.fill_between(t, low, high, color=color, alpha=alpha, linewidth=0.0, label=label)
+
+
+def quantiles(x: Array, values: Array, line: Line, *, median: bool = True) -> Item:
+    """From 5 to 95 % of ``values (T, runs)`` as a band, and their median."""
+
+    def item(ax: Axes) -> None:
+        low, middle, high = np.quantile(values, [0.05, 0.5, 0.95], axis=1)
+        band(ax, x, low, high, color=line.color, label=f"{line.label}, 5-95 % of runs")
+        if median:
+            ax.plot(x, middle, **line.look | {"label": f"{line.label}, median"})
+
+    return item
+
+
+def bars(
+    ticks: Sequence[str],
+    heights: Mapping[str, tuple[Sequence[float], Any]],
+    *,
+    across: bool = False,
+) -> Item:
+    """Groups of bars: label -> values, one for each tick, and color; ``across``: from the left, the
+    first at the top.
+    """
+
+    def item(ax: Axes) -> None:
+        place, width = np.arange(len(ticks)), 0.84 / len(heights)
+        draw, name = (ax.barh, ax.set_yticks) if across else (ax.bar, ax.set_xticks)
+        for k, (label, (values, color)) in enumerate(heights.items()):
+            draw(
+                place + width * (k - 0.5 * (len(heights) - 1)),
+                values,
+                0.92 * width,
+                color=color,
+                label=label,
+            )
+        name(place, ticks)
+        if across:
+            ax.invert_yaxis()
+
+    return item
