@@ -49,7 +49,7 @@ pseudorange: sources emitted emitted_each measure jacobian
 linalg: block cholesky downdate sigma_deviations matvec outer semidefinite_root side_by_side solve_lower is_concretely_true
     solve_right tria whiten SquareRoot.lost Covariance.lost
 recorded: cholesky semidefinite_root solve_lower tria
-belief: any_lost nees settled
+belief: any_lost nees mask_failed
 trial: check_groups scales squares Noiseless.standard_normal
 """
 """What a filter calls at every step takes arrays as they are: a look at each would cost more than the product it makes."""

@@ -28,7 +28,7 @@ from types import ModuleType
 from typing import Any
 
 from celnav.files import InputError
-from celnav.gaussian.checks import kind, takes
+from celnav.gaussian.checks import accepts, describe
 from celnav.papers import is_file
 from celnav.study.ledger import Row
 from celnav.study.parameters import Timed
@@ -217,7 +217,7 @@ def _are_presets(value: Any) -> bool:
 
 def _takes(count: int) -> Check:
     """Whether something is a function of so many arguments."""
-    return lambda value: callable(value) and takes(value, count)
+    return lambda value: callable(value) and accepts(value, count)
 
 
 def _is(*types: type) -> Check:
@@ -280,7 +280,7 @@ def _wrong(module: ModuleType, mission: bool) -> Iterator[str]:
 
 
 def _shown(value: Any) -> str:
-    return f"{value!r:.60}" if isinstance(value, str | dict | list | tuple) else kind(value)
+    return f"{value!r:.60}" if isinstance(value, str | dict | list | tuple) else describe(value)
 
 
 def _wrong_study(study: Study, figures: Mapping[str, Any], mission: bool) -> Iterator[str]:
@@ -288,7 +288,7 @@ def _wrong_study(study: Study, figures: Mapping[str, Any], mission: bool) -> Ite
         example = '(celnav.Group("position", "m", slice(0, 2)), ...)'
         yield f"groups: expected {example}, got {study.groups!r:.60}"
     if (mission or study.trial is not None) and not _takes(2)(study.trial):
-        yield f"trial: expected a function (config, rngs), got {kind(study.trial)}"
+        yield f"trial: expected a function (config, rngs), got {describe(study.trial)}"
     parts: Mapping[str, Any] = {}
     try:
         parts = study.parts(1.0)
@@ -314,7 +314,7 @@ def _wrong_study(study: Study, figures: Mapping[str, Any], mission: bool) -> Ite
         if count > 1:
             yield f"rows: expected different ids, got {id!r} {count} times"
     for row in study.rows:
-        where, got = f"rows {row.id!r}", kind(row.decide)
+        where, got = f"rows {row.id!r}", describe(row.decide)
         if row.decide is not None and not _takes(1)(row.decide):
             yield f"{where}: expected a function of the results that decides it, got {got}"
         if row.figure and row.figure not in figures:
@@ -326,7 +326,7 @@ def _wrong_study(study: Study, figures: Mapping[str, Any], mission: bool) -> Ite
 
 def _wrong_part(part: Part) -> Iterator[str]:
     if not _takes(2)(part.work):
-        got = kind(part.work)
+        got = describe(part.work)
         yield f"expected a work (config, rngs) that gives arrays by name, got {got}"
         return
     try:
