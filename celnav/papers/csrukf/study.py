@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass, replace
 from functools import partial
 from itertools import pairwise, product
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -45,17 +46,7 @@ from celnav.papers.csrukf.scenario import (
     simulate,
     trial,
 )
-from celnav.study.ledger import (
-    Number,
-    Sentence,
-    Tiers,
-    check,
-    erratum,
-    estimate,
-    finding,
-    remark,
-    statement,
-)
+from celnav.study.ledger import Decision, Number, Tiers, estimate, read_ledger
 from celnav.study.montecarlo import BRIEF
 from celnav.study.numbers import Decided, all_of, consistency, entries, given, of, ratio, tiers
 from celnav.study.study import Part, Results, Rngs, Study, fly
@@ -607,211 +598,205 @@ def right(wrong: Array) -> float:
 
 
 # -- the ledger --------------------------------------------------------------------------------------------------------------
-HALF = "half-way, on a logarithmic scale, between no effect and the one that the paper prints"
-BAND = "95 % band of an RMSE of the paper's 100 runs; of 12 entries 2 may leave it, of 24 3; a factor 3.2 is the same order"
 SAME, PRINTED = (
     ((-1, -1, "end"), (ALL, ALL, "averaged")),
     ((-1, -2, "end"), (slice(2, None), slice(1, -1), "averaged")),
 )
-CASE_2, TABLE, MORE = (
-    "§4, case 2, Figs 8-13",
-    "§4, on Table 3",
-    "2026-11-23: more runs; 100 left it open",
-)
 CELLS = [((case, filter.lower()), TABLE_3[case][filter]) for case in TABLE_3 for filter in TABLE_1]
 
-STATEMENTS = [
-    statement("white-alike", "With white noise the new filter and the ordinary one are practically equally accurate.",
-              all_of(*(ratio(f"{name}, {group}, {w}", ("0", f), ("0", "srukf"), group, (0.885, 1.13), at=at, to=to)
-                       for f, name, when in (("csrukf", "same data", SAME), ("lagged", "as printed", PRINTED))
-                       for group in BOTH for at, to, w in when)),
-              place="§4, case 1, Figs 2-7, Table 1", why="largest axis ratio of the paper's own Table 1", figure="figure_02",
-              found="Given the same data it has {0:.6f} of the position error; as printed, a sample ahead, {4}."),
-    statement("table-1-levels", "At Φ = 0 the errors are about 0.03 km and 0.035 m/s in each axis, for both filters.",
-              entries([(("0, many", f.lower()), TABLE_1[f]) for f in TABLE_1], BOTH, FITTED, 100, 2), place="§4, Table 1",
-              why=BAND, printed=TABLE_1, expected=FITTED, found="{0:.0f} of 12 entries leave the band; σ, P0, Q are fitted."),
-    statement("srukf-diverges", "Under a random walk (Φ = I) the ordinary filter has large errors and diverges.",
-              all_of(consistency("final NEES", ("I", "srukf"), (10.0 * chi_square_band(6, 100)[1], None)),
-                     ratio("position RMSE, 600 s over 300 s", ("I", "srukf"), ("I", "srukf"), "position", (1.0, None), to=300),
-                     ratio("position RMSE over that of the noise itself", ("I", "srukf"), ("walk", "noise"), "position")),
-              place=f"{CASE_2}; abstract, §1, §5", why="errors far beyond the filter's own covariance, and growing",
-              found="NEES {0:.0f} where 6 is consistent; in the second half the error becomes {1} times as large, {2} of the "
-              "noise itself.", figure="figure_08"),
-    statement("csrukf-converges", "Under a random walk the errors of the new filter converge.",
-              all_of(*converges("I", "fitted prior"), *converges("D/I", "poor prior")), place=CASE_2, expected="not reproduced",
-              why="below the start and below the open loop; an interval that contains 1 shows none", figure="figure_08",
-              found="With the fitted prior the error ends at {0} of its start, and at {1} of the open loop; with a poor one at {2} "
-              "and {3}."),
-    statement("csrukf-far-better", "Under a random walk the errors of the new filter are far smaller than the ordinary one's.",
-              tiers(reproduced=[*better("I", 0.26, 0.34), *better("D/I", 0.26, 0.34)], in_part=better("I", 0.26, 0.34)),
-              place="abstract; §4, case 2, Table 2; §5", why=HALF, expected="in part", figure="figure_16",
-              found="With the fitted prior {0} of the ordinary one's in position, {2} in velocity; from 10 km and 10 m/s {4} in "
-              "position."),
-    statement("table-2-levels", "At Φ = I the ordinary filter errs by 2.8 to 5.5 km and 1.3 to 2.7 m/s, the new one by 0.16 to "
-              "0.41 km and 0.20 to 0.27 m/s.", entries([(("I", f.lower()), TABLE_2[f]) for f in TABLE_2], BOTH, FITTED, 100, 2),
-              place="§4, Table 2", why=BAND, printed=TABLE_2, expected="level only",
-              found="{0:.0f} of 12 entries leave the band; the farthest is off by a factor {1:.2f}."),
-    statement("little-change", "The errors of the new filter change little from Table 1 to 2: it is insensitive to the color.",
-              all_of(*(given(f"{g}, the paper's own", length(TABLE_2["CSRUKF"], g) / length(TABLE_1["CSRUKF"], g), (None, 3.2))
-                       for g in BOTH), *(ratio(g, ("I", "csrukf"), ("0", "csrukf"), g, (None, 3.2)) for g in BOTH)),
-              place="§4, case 2, Tables 1 and 2", why="the same order of magnitude, a factor 3.2", expected="not reproduced",
-              printed={"Table 1": TABLE_1["CSRUKF"], "Table 2": TABLE_2["CSRUKF"]},
-              found="By the paper's own numbers they grow {0:.1f} times in position and {1:.1f} times in velocity, by ours {2} and "
-              "{3}."),
-    statement("larger-phi-worse", "The larger Φ, the worse both filters.", stepwise, place=TABLE, figure="figure_16",
-              why="every step up in φ raises the error, on the same noise", found="Of the steps from 0 to 0.5, 0.8, 0.95 and 1, "
-              "with either prior, the least changes it {0} times ({0.label})."),
-    statement("srukf-changes-more", "From Φ = 0.8 I to I the ordinary filter changes very much, the new one little.", changes,
-              place=TABLE, why="SRUKF grows more than CSRUKF, by as much as in the printed numbers; in part: it grows more",
-              expected="in part", printed=[17.346, 40.373, 0.4218, 0.6935],
-              revised="2026-11-23: that it grows more was enough, whatever the printed numbers give",
-              found="SRUKF grows {0} times as much in position and {1} in velocity; by the printed numbers {0.printed:.2f} and "
-              "{1.printed:.2f} times."),
-    statement("better-at-both", "At Φ = 0.8 I as at I the new filter is clearly better than the ordinary one.",
-              tiers(reproduced=[*better("0.8, many", 0.16, 0.28), *better("I", 0.15, 0.26)],
-                    in_part=[*better("0.8, many", 1.0, 1.0), *better("I", 0.15, 0.26)]),
-              place=TABLE, why=HALF, expected="in part", found="At I it has {4} of the position error; at 0.8 I "
-              "{0}, and {2} of the velocity error."),
-    statement("table-3-levels", "At Φ = 0.8 I the ordinary filter errs by 17 to 19 km, at I by 32 to 40; the new by less than 1.",
-              lambda r: {**entries(CELLS, BOTH, "reproduced", 100, 3)(r), "not reproduced": [
-                  of("settings", "misfit", "the same, of the best of the settings", reduce=np.min)(r)]},
-              place="§4, Table 3", why=BAND, printed=TABLE_3, expected="not reproduced", found="{0:.0f} of 24 entries leave the "
-              "band, by up to {1:.0f} times; the best of the random settings by {2:.0f}."),
-    statement("square-roots-stabilize", "Square roots keep the covariance symmetric and positive definite: the filter is more "
-              "stable.", stable, place="title; abstract; §1; §5", expected="not reproduced", figure="figure_19",
-              why="a run is lost if a factorization fails. In double precision, with the paper's noise, P - K S K' has to lose "
-              "more runs than the printed root, or to err more; in part if it loses more, by a twentieth of the runs, under stress "
-              "only: in single precision, with noise of 1 mm to 35 m, over a day, or with angles (all chosen)",
-              revised="2026-11-23: any share more was enough for 'in part', which one run of 1360 leaves open",
-              found="In double precision forms differ by {9:.0e} deviations, and lose {8:.0f} runs, those under stress included. "
-              "In single precision the printed downdate, which subtracts, loses {5} of the runs, P - K S K', which does too, {2}, "
-              "a covariance in Joseph's form {4}, one QR {6}. The state is rounded too, by a deviation or more in {7} of them."),
-    statement("geometry-fixes-position", "Two angles to stars and the Earth's angular diameter determine the position completely.",
-              tiers(reproduced=[of("geometry", "wrong", "share of a revolution right to 1 m", (1.0, None), right)],
-                    in_part=[of("geometry", "wrong", "the same of the paper's own 600 s", (1.0, None),
-                                lambda x: right(x[: P.steps + 1])),
-                             of("geometry", "corrected", "once the hemisphere is known, km", (None, 1e-3)),
-                             of("geometry", "wrong", "largest error, km")]),
-              place="§3.2, Eqs. 40-42", why="right to 1 m everywhere; in part: all along the paper's own arc", expected="in part",
-              revised="2026-11-23: the paper's own arc was not asked for", figure="figure_01",
-              found="On {1:.0f} of the paper's own arc, and on {0:.2f} of a revolution: the angles do not tell the side of the "
-              "stars' plane, and the printed root errs by up to {3:.0f} km. With the side known it is right to {2:.0e} km."),
-    statement("whitened-and-optimal", "Differencing, and a term that is zero, make the noises white and uncorrelated; the filter "
-              "built on them has minimum variance.",
-              tiers(reproduced=[of("redrawn", "reused", "printed step against the Kalman filter", (None, 1e-9)),
-                                of("linear", "first sample lost", "without the first sample, deviations", (None, 1e-9))],
-                    in_part=[of("linear", "cross", "cross-covariance of the whitened noises", (None, 1e-9)),
-                             of("linear", "corrected", "corrected, against exact conditioning, deviations", (None, 1e-9))]),
-              place="§1, Eqs. 2-21; §5", why="linear models: equal to rounding, 1e-9", expected="in part",
-              found="Once corrected noises correlate by {2:.0e}, and the filter is off by {3:.0e}; as printed by {0:.2g}."),
-]  # fmt: skip
-ERRATA = [
-    erratum("erratum-radius", "Printed r = (R_e / 2) sin(A3 / 2); right R_e / sin(A3 / 2), as the third line of Eq. 40 has it.",
-            of("geometry", "radius", "printed over right", (0.39, 0.41)), place="Eq. 41",
-            found="The satellite would be at {0:.3f} of its radius, inside the Earth."),
-    erratum("erratum-hemisphere", "Printed: z is the positive root; right ±, the angles do not give the side of the stars' plane.",
-            of("geometry", "later", "km, 300 s past the equator", (3900.0, 4100.0)), place="Eq. 42", found="Off by {0:.0f} km."),
-    erratum("erratum-shapes", "Printed H Φ x, J (z* - h) - V*, S_i for i > n, ξ_k,i, and f* for two functions; right Φ H x, "
-            "J (z* - h - V*), S_i-n, ξ_k-1,i, two symbols.", given("columns of H less rows of Φ", len(H.T) - len(P.Phi), (1, None)),
-            place="Eqs. 4-6, 14, 21, 24, 25, 33", found="Undefined: H Φ has {0:.0f} columns too many."),
-    erratum("erratum-moments", "Printed E[J V V*'], E[w] - E[V*], w* - J V*; right V* for V, E[w] - J E[V*], w - J V*.",
-            of("linear", "cross", "cross-covariance by the right ones", (None, 1e-9)), place="Eqs. 16, 18, 19",
-            found="Eqs. 17 and 20 follow from the right ones only (cross-covariance {0:.0e})."),
-    erratum("erratum-9-roots-nees", "Printed qr of Q* and R*; right of their roots.",
-            all_of(consistency("final NEES, Φ = 0, in km", ("0", "printed roots"), (1e3, None)),
-                   ratio("velocity RMSE, over the right one", ("0", "printed roots"), ("0", "csrukf"), "velocity", (5.0, None))),
-            place="Eqs. 27, 32", found="NEES {0:.0f} where 6 is consistent."),
-    erratum("erratum-11-redraw", "Printed: the points of the prediction again; right: new ones from its mean and root.",
-            all_of(of("redrawn", "reused", "one linear step against the Kalman filter", (0.01, None)),
-                   of("redrawn", "redrawn", "with new points", (None, 1e-12))),
-            place="Eqs. 29-32", found="A linear step is off by {0:.2g}; common elsewhere, but not minimum variance."),
-    erratum("erratum-19-growth", "The RMSE of the new filter changes little from Table 1 to 2.",
-            given("largest growth of an axis", growth(TABLE_1["CSRUKF"], TABLE_2["CSRUKF"]), (3.0, None)),
-            place="§4, Tables 1, 2", found="By its own numbers up to {0:.1f} times in position."),
-    erratum("erratum-20-contradiction", "Tables 2 and 3 give two sets of numbers for one setting, Φ = I.",
-            given("largest ratio of SRUKF", growth(TABLE_2["SRUKF"], TABLE_3["I"]["SRUKF"]), (3.0, None)),
-            place="Tables 2, 3", found="They differ by up to {0:.1f} times."),
-    erratum("erratum-21-growth", "SRUKF doubles from 0.8 I to I, and CSRUKF is 37 times better at 0.8 I.",
-            all_of(of("settings", "growth", "least growth of SRUKF over random settings", (5.0, None), np.min),
-                   of("settings", "gain", "largest gain of any filter at 0.8 I", (None, 5.0))),
-            place="Table 3", found="Over the settings SRUKF grows {0:.1f} times at least; at most a filter gains {1:.2f}."),
-    erratum("erratum-editorial", "All measurement noise is said to be white: ζ is, V is not. Eq. 5 occurs twice, so references "
-            "within §1 are one too high; two headings 1.1, heading 2.1 left over; CSUKF in Table 1; references 2 and 6 are the "
-            "same, 3 and 4 change places, 9 is about visual tracking."),
-]  # fmt: skip
-REMARKS = [
-    remark("remark-first-sample", "z_0 is never used, and the loop begins at k = 1.",
-           ratio("with z_0 over without, poor prior, Φ = I", ("D/I", "csrukf+z0"), ("D/I", "csrukf"), "position", (None, 0.6)),
-           place="§2", found="From a poor prior at Φ = I its absolute information leaves {0} of the error."),
-    remark("remark-angle-space", "AR(1) noise on pseudo-positions: sensors measure angles, and their color lives there.",
-           ratio("angles whitened, over positions", ("sensor/D/I", "angles"), ("sensor/D/I", ISOTROPIC), "position", (None, 0.95)),
-           place="§3.2", found="Noise that walks in the angles, whitened there: {0} of the error, poor prior, Φ = I."),
-    remark("remark-unsaid", "σ, P0, Q and the stars' angle are not given, nor whether accuracies are of 1 or 3 σ; the RMSE adds "
-           "km² and (m/s)² and names no instant; axes that differ 2 : 1 are odd for 100 runs if they are alike; x_k has seen "
-           "z_k+1, and is compared with a filter that has not; cholupdate with a weight, where a negative one is a downdate; lower "
-           "roots are meant; the index of R in Eqs. 2, 10.", place="§2, §3, §4"),
-]  # fmt: skip
-FINDINGS = [
-    finding("openloop-final", "Under a random walk of 600 s the new filter is the open loop of its prior: the sensors add nothing.",
-            ratio("3-D position", ("I", "csrukf"), ("I", "openloop"), "position", (0.98, 1.02)), found="{0:.4f} of its error.",
-            figure="figure_08"),
-    finding("consistent", "Corrected, it is consistent at every Φ.",
-            all_of(*(consistency(f"Φ = {n}", (f"{n}, many", "csrukf"), (5.0, 7.1)) for n in PHIS)),
-            found="Final NEES {0}, {1}, {2} (6).", figure="figure_14", revised=MORE),
-    finding("at-the-bound", "Corrected, it is as good as any filter can be.", all_of(*map(over_theory, PHIS)),
-            found="Final position RMSE {0}, {1}, {2} of the posterior Cramér-Rao bound.", figure="figure_15", revised=MORE),
-    finding("cheap-remedy", "At Φ = 0.8 I an ordinary filter that is told R / (1 - 0.8)² is as good, and consistent; at Φ = I no "
-            "inflation of white noise helps, not even to half the walk's final variance.",
-            all_of(ratio("3-D position", ("0.8", "srukf-reff"), ("0.8", "csrukf"), "position", (0.9, 1.1)),
-                   consistency("final NEES", ("0.8", "srukf-reff"), (4.8, 7.1)),
-                   ratio("3-D position, Φ = I", ("I", "srukf-inflated"), ("I", "csrukf"), "position", (5.0, None)),
-                   consistency("final NEES, Φ = I", ("I", "srukf-inflated"), (200.0, None))),
-            found="{0} of its error, NEES {1}; {2} times the error, NEES {3}."),
-    finding("larger-phi-convention", "Both filters get worse with Φ because the increments are held fixed. If the noise's spectral "
-            "density at zero frequency is, SRUKF gets better, and so does CSRUKF if it uses the first sample.", held_fixed,
-            why="every step in φ from 0 to 0.99, exact linear theory: position and velocity, both priors, end and average",
-            revised="2026-11-23: was said of CSRUKF without the first sample as well, which does not get better",
-            found="Largest factor of a step: SRUKF {2:.4f}, CSRUKF with the first sample {3:.4f}, without it {4}. If the noise's "
-            "own covariance is held the least is {0} and {1}.", figure="figure_16"),
-    finding("poor-prior", "From a poor prior at Φ = I the paper's filter is worse than SRUKF; with the first sample it is better.",
-            all_of(ratio("without z_0", ("D/I", "csrukf"), ("D/I", "srukf"), "position", (1.3, None)),
-                   ratio("with z_0", ("D/I", "csrukf+z0"), ("D/I", "srukf"), "position", (None, 0.85))),
-            found="{0} times its error, and {1}.", figure="figure_16"),
-    finding("wrong-coefficient", "A coefficient assumed too small ruins consistency; one too large only costs accuracy.",
-            all_of(consistency("time-mean NEES, true I, assumed 0.95", ("I", "phi 0.95"), (50.0, None), at=ALL),
-                   consistency("true 0.8, assumed I", ("0.8", "phi 1"), (4.9, 7.3), at=ALL),
-                   ratio("what that costs in position", ("0.8", "phi 1"), ("0.8", "csrukf"), "position", (2.0, 4.0))),
-            found="NEES {0} and {1}; the error is {2} times as large.", figure="figure_18"),
-    finding("correlation-matters", "With strong process noise the decorrelation matters: without J the error grows.",
-            ratio("Φ = I", ("stress/I", "without J"), ("stress/I", "csrukf"), "position", (1.2, None), at=LATE), found="By {0}."),
-    finding("long-arc", "On long arcs color costs SRUKF little: at 0.8 I no accuracy, at I a factor 2; its covariance is wrong.",
-            long_arc, found="After 3000 s from a poor prior {0:.2f} and {1:.3f} of the bound.", figure="figure_17"),
-    check("nis-csrukf", "NIS of CSRUKF (3 if consistent)",
-          all_of(*(consistency(f"Φ = {n}", (n, "csrukf"), (2.8, 3.2), at=ALL, what="nis") for n in PHIS))),
-]  # fmt: skip
-STUDY = Study(
-    "csrukf", GROUPS, trial, parts, [*STATEMENTS, *ERRATA, *REMARKS, *FINDINGS],
-    figure="figure_08",
-    says="Differencing whitens colored measurement noise. The square-root UKF made of it is as good as the ordinary one where "
-    "noise is white, and converges where that one diverges.",
-    found=(
-        Sentence(
-            "Once corrected, the filter is exact and at the bound.",
-            {"whitened-and-optimal": "in part", "at-the-bound": "shown"},
+DECISIONS: dict[str, Decision] = {
+    "white-alike": all_of(
+        *(
+            ratio(
+                f"{name}, {group}, {w}",
+                ("0", f),
+                ("0", "srukf"),
+                group,
+                (0.885, 1.13),
+                at=at,
+                to=to,
+            )
+            for f, name, when in (("csrukf", "same data", SAME), ("lagged", "as printed", PRINTED))
+            for group in BOTH
+            for at, to, w in when
+        )
+    ),
+    "table-1-levels": entries(
+        [(("0, many", f.lower()), TABLE_1[f]) for f in TABLE_1], BOTH, FITTED, 100, 2
+    ),
+    "srukf-diverges": all_of(
+        consistency("final NEES", ("I", "srukf"), (10.0 * chi_square_band(6, 100)[1], None)),
+        ratio(
+            "position RMSE, 600 s over 300 s",
+            ("I", "srukf"),
+            ("I", "srukf"),
+            "position",
+            (1.0, None),
+            to=300,
         ),
-        Sentence(
-            "One set of fitted parameters reproduces Table 1 and the level of Table 2; no set that we tried reproduces Table 3.",
-            {"table-1-levels": FITTED, "table-2-levels": "level only", "table-3-levels": "not reproduced"},
-        ),
-        Sentence(
-            "Under a random walk, from the fitted prior, the sensors add nothing to the open loop. From a poor prior the filter is "
-            "worse than the ordinary one, because it throws the first sample's position away.",
-            {"csrukf-converges": "not reproduced", "openloop-final": "shown", "poor-prior": "shown"},
-        ),
-        Sentence(
-            "Its square roots change nothing in double precision. In single precision the printed filter fails "
-            "at the same point as the covariance form, because the update downdates a Cholesky factor.",
-            {"square-roots-stabilize": "not reproduced"},
+        ratio(
+            "position RMSE over that of the noise itself",
+            ("I", "srukf"),
+            ("walk", "noise"),
+            "position",
         ),
     ),
-)  # fmt: skip
+    "csrukf-converges": all_of(*converges("I", "fitted prior"), *converges("D/I", "poor prior")),
+    "csrukf-far-better": tiers(
+        reproduced=[*better("I", 0.26, 0.34), *better("D/I", 0.26, 0.34)],
+        in_part=better("I", 0.26, 0.34),
+    ),
+    "table-2-levels": entries(
+        [(("I", f.lower()), TABLE_2[f]) for f in TABLE_2], BOTH, FITTED, 100, 2
+    ),
+    "little-change": all_of(
+        *(
+            given(
+                f"{g}, the paper's own",
+                length(TABLE_2["CSRUKF"], g) / length(TABLE_1["CSRUKF"], g),
+                (None, 3.2),
+            )
+            for g in BOTH
+        ),
+        *(ratio(g, ("I", "csrukf"), ("0", "csrukf"), g, (None, 3.2)) for g in BOTH),
+    ),
+    "larger-phi-worse": stepwise,
+    "srukf-changes-more": changes,
+    "better-at-both": tiers(
+        reproduced=[*better("0.8, many", 0.16, 0.28), *better("I", 0.15, 0.26)],
+        in_part=[*better("0.8, many", 1.0, 1.0), *better("I", 0.15, 0.26)],
+    ),
+    "table-3-levels": lambda r: {
+        **entries(CELLS, BOTH, "reproduced", 100, 3)(r),
+        "not reproduced": [
+            of("settings", "misfit", "the same, of the best of the settings", reduce=np.min)(r)
+        ],
+    },
+    "square-roots-stabilize": stable,
+    "geometry-fixes-position": tiers(
+        reproduced=[
+            of("geometry", "wrong", "share of a revolution right to 1 m", (1.0, None), right)
+        ],
+        in_part=[
+            of(
+                "geometry",
+                "wrong",
+                "the same of the paper's own 600 s",
+                (1.0, None),
+                lambda x: right(x[: P.steps + 1]),
+            ),
+            of("geometry", "corrected", "once the hemisphere is known, km", (None, 1e-3)),
+            of("geometry", "wrong", "largest error, km"),
+        ],
+    ),
+    "whitened-and-optimal": tiers(
+        reproduced=[
+            of("redrawn", "reused", "printed step against the Kalman filter", (None, 1e-9)),
+            of("linear", "first sample lost", "without the first sample, deviations", (None, 1e-9)),
+        ],
+        in_part=[
+            of("linear", "cross", "cross-covariance of the whitened noises", (None, 1e-9)),
+            of(
+                "linear",
+                "corrected",
+                "corrected, against exact conditioning, deviations",
+                (None, 1e-9),
+            ),
+        ],
+    ),
+    "erratum-radius": of("geometry", "radius", "printed over right", (0.39, 0.41)),
+    "erratum-hemisphere": of("geometry", "later", "km, 300 s past the equator", (3900.0, 4100.0)),
+    "erratum-shapes": given("columns of H less rows of Φ", len(H.T) - len(P.Phi), (1, None)),
+    "erratum-moments": of("linear", "cross", "cross-covariance by the right ones", (None, 1e-9)),
+    "erratum-9-roots-nees": all_of(
+        consistency("final NEES, Φ = 0, in km", ("0", "printed roots"), (1e3, None)),
+        ratio(
+            "velocity RMSE, over the right one",
+            ("0", "printed roots"),
+            ("0", "csrukf"),
+            "velocity",
+            (5.0, None),
+        ),
+    ),
+    "erratum-11-redraw": all_of(
+        of("redrawn", "reused", "one linear step against the Kalman filter", (0.01, None)),
+        of("redrawn", "redrawn", "with new points", (None, 1e-12)),
+    ),
+    "erratum-19-growth": given(
+        "largest growth of an axis", growth(TABLE_1["CSRUKF"], TABLE_2["CSRUKF"]), (3.0, None)
+    ),
+    "erratum-20-contradiction": given(
+        "largest ratio of SRUKF", growth(TABLE_2["SRUKF"], TABLE_3["I"]["SRUKF"]), (3.0, None)
+    ),
+    "erratum-21-growth": all_of(
+        of("settings", "growth", "least growth of SRUKF over random settings", (5.0, None), np.min),
+        of("settings", "gain", "largest gain of any filter at 0.8 I", (None, 5.0)),
+    ),
+    "remark-first-sample": ratio(
+        "with z_0 over without, poor prior, Φ = I",
+        ("D/I", "csrukf+z0"),
+        ("D/I", "csrukf"),
+        "position",
+        (None, 0.6),
+    ),
+    "remark-angle-space": ratio(
+        "angles whitened, over positions",
+        ("sensor/D/I", "angles"),
+        ("sensor/D/I", ISOTROPIC),
+        "position",
+        (None, 0.95),
+    ),
+    "openloop-final": ratio(
+        "3-D position", ("I", "csrukf"), ("I", "openloop"), "position", (0.98, 1.02)
+    ),
+    "consistent": all_of(
+        *(consistency(f"Φ = {n}", (f"{n}, many", "csrukf"), (5.0, 7.1)) for n in PHIS)
+    ),
+    "at-the-bound": all_of(*map(over_theory, PHIS)),
+    "cheap-remedy": all_of(
+        ratio("3-D position", ("0.8", "srukf-reff"), ("0.8", "csrukf"), "position", (0.9, 1.1)),
+        consistency("final NEES", ("0.8", "srukf-reff"), (4.8, 7.1)),
+        ratio(
+            "3-D position, Φ = I", ("I", "srukf-inflated"), ("I", "csrukf"), "position", (5.0, None)
+        ),
+        consistency("final NEES, Φ = I", ("I", "srukf-inflated"), (200.0, None)),
+    ),
+    "larger-phi-convention": held_fixed,
+    "poor-prior": all_of(
+        ratio("without z_0", ("D/I", "csrukf"), ("D/I", "srukf"), "position", (1.3, None)),
+        ratio("with z_0", ("D/I", "csrukf+z0"), ("D/I", "srukf"), "position", (None, 0.85)),
+    ),
+    "wrong-coefficient": all_of(
+        consistency(
+            "time-mean NEES, true I, assumed 0.95", ("I", "phi 0.95"), (50.0, None), at=ALL
+        ),
+        consistency("true 0.8, assumed I", ("0.8", "phi 1"), (4.9, 7.3), at=ALL),
+        ratio(
+            "what that costs in position",
+            ("0.8", "phi 1"),
+            ("0.8", "csrukf"),
+            "position",
+            (2.0, 4.0),
+        ),
+    ),
+    "correlation-matters": ratio(
+        "Φ = I", ("stress/I", "without J"), ("stress/I", "csrukf"), "position", (1.2, None), at=LATE
+    ),
+    "long-arc": long_arc,
+    "nis-csrukf": all_of(
+        *(consistency(f"Φ = {n}", (n, "csrukf"), (2.8, 3.2), at=ALL, what="nis") for n in PHIS)
+    ),
+}
+
+ROWS, ANSWER = read_ledger(Path(__file__).with_name("ledger.toml"), DECISIONS)
+STUDY = Study(
+    "csrukf",
+    GROUPS,
+    trial,
+    parts,
+    ROWS,
+    figure="figure_08",
+    says="Differencing whitens colored measurement noise. The square-root UKF made of it is as good "
+    "as the ordinary one where noise is white, and converges where that one diverges.",
+    found=ANSWER,
+)
