@@ -796,6 +796,12 @@ def test_printed_numbers_are_the_papers():
     assert " ".join(f"{value:g}" for value in given) == "400 4 800 60 70 50 2"
 
 
+def test_checks_of_a_real_receiver_say_what_its_day_judges():
+    rows = {row.id: row for row in aukf.STUDY.rows if row.needs == "real"}
+    says = {f"real-{id}": f"Real receiver: {text}" for id, (text, _) in day.JUDGED.items()}
+    assert {id: row.says for id, row in rows.items()} == says
+
+
 def test_a_run_does_not_depend_on_how_many_there_are():
     three, one = simulate(SHORT, runs(3)), simulate(SHORT, runs(3)[2:])
     np.testing.assert_array_equal(three.z[:, 2], one.z[:, 0])
