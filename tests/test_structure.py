@@ -234,6 +234,16 @@ def test_a_paper_is_data_in_few_files(paper):
     assert {p.stem for p in files} - {"method"} == {"__init__", "scenario", "show", "study"}
 
 
+@pytest.mark.parametrize("paper", PAPERS)
+def test_a_paper_is_formatted_in_lines_of_at_most_100_characters(paper):
+    """By ruff, everywhere; the prose of its ledger too."""
+    folder = ROOT / "papers" / paper
+    for path in (*folder.glob("*.py"), folder / "ledger.toml"):
+        text = path.read_text(encoding="utf-8")
+        assert "fmt: skip" not in text, path
+        assert max(map(len, text.splitlines())) <= 100, path
+
+
 def test_every_source_that_is_cited_is_in_the_bibliography():
     text = "".join(p.read_text(encoding="utf-8") for p in sorted(ROOT.rglob("*.py")))
     places = re.findall(r"\[([A-Z][A-Za-z]+\d{4}\b[^\]]*)\]", text)

@@ -1,4 +1,5 @@
-"""[Liang2014] judged: the runs, what the paper states and prints, what is wrong in it, and what we found beside it."""
+"""[Liang2014] judged: the runs, what the paper states and prints, what is wrong in it, and what we
+found beside it."""
 
 from __future__ import annotations
 
@@ -45,27 +46,51 @@ from celnav.study.operations import step_operations
 from celnav.study.study import Part, Results, Rngs, Study, When, fly
 
 __all__ = [
-    "COMPARED", "FLOWN", "MISALIGNMENTS_DEG", "POINTS", "ROWS", "SEVEN", "SHOWN", "STUDY", "TABLE_1", "TABLE_2", "TABLE_3",
-    "TABLE_4", "THRESHOLD", "UNDISTURBED", "WEIGHTS", "averaged", "flown", "grid",
-]  # fmt: skip
+    "COMPARED",
+    "FLOWN",
+    "MISALIGNMENTS_DEG",
+    "POINTS",
+    "ROWS",
+    "SEVEN",
+    "SHOWN",
+    "STUDY",
+    "TABLE_1",
+    "TABLE_2",
+    "TABLE_3",
+    "TABLE_4",
+    "THRESHOLD",
+    "UNDISTURBED",
+    "WEIGHTS",
+    "averaged",
+    "flown",
+    "grid",
+]
 
 COMPARED = ("ukf", "sghqf", "aasghqf")  # the paper's three filters
 FLOWN = (*COMPARED, "nonlinear", "triad-ekf")
-MANY, SHOWN, PHI = "T3, 200 runs", ("T3", "A-slow", "A"), inertial.PHI
+MANY = "T3, 200 runs"
+SHOWN = ("T3", "A-slow", "A")
+PHI = inertial.PHI
 SIX = replace(T3, step_s=5.0, steps=24, star_interval=6, sar_interval=5)
-"""Fixes when T3 has them, in longer steps and for two minutes only: a tensor rule takes ten times as long as all other filters."""
+"""Fixes when T3 has them, in longer steps and for two minutes only: a tensor rule takes ten times
+as long as all other filters."""
 LEVELS = (2, 3, 4)
 MISALIGNMENTS_DEG = (1.0, 2.0, 5.0, 10.0, 20.0, 30.0, 45.0, 60.0)
-TEN, LATE, THRESHOLD = itemgetter(MISALIGNMENTS_DEG.index(10.0)), slice(-100, None), 5.0
+TEN = itemgetter(MISALIGNMENTS_DEG.index(10.0))
+LATE = slice(-100, None)
+THRESHOLD = 5.0
 UNDISTURBED: Any = (trials.Noiseless(),)
 LAST = slice(-11, None)  # the same 100 s of what is kept at each tenth epoch
 SEVEN = ("φx", "φy", "φz", "east velocity", "north velocity", "longitude", "latitude")
 CHOICES: dict[str, Callable[[Config], scenario.Choose]] = {
-    "unweighed": scenario.by_observability, "weighed": partial(scenario.by_observability, weigh=True),
-    "bends": lambda _: scenario.by_nonlinearity(), "bends, 0.01": lambda _: scenario.by_nonlinearity(0.01),
+    "unweighed": scenario.by_observability,
+    "weighed": partial(scenario.by_observability, weigh=True),
+    "bends": lambda _: scenario.by_nonlinearity(),
+    "bends, 0.01": lambda _: scenario.by_nonlinearity(0.01),
     "bends, 1": lambda _: scenario.by_nonlinearity(1.0),
-}  # fmt: skip
-"""Weights on line: by Eqs. 15 and 19, the singular vectors weighed by what is believed or not; by nonlinearity."""
+}
+"""Weights on line: by Eqs. 15 and 19, the singular vectors weighed by what is believed or not; by
+nonlinearity."""
 READINGS = list(
     product(
         ("Table 2", "deg", "SI", "rad", "deviations"),
@@ -74,7 +99,8 @@ READINGS = list(
         ("S1", "S2", "S3"),
     )
 )
-"""Of Eq. 15: units; of a segment or all so far; by what is believed; sigma_0 of positions, of the measurement, of a velocity."""
+"""Of Eq. 15: units; of a segment or all so far; by what is believed; sigma_0 of positions, of the
+measurement, of a velocity."""
 MOUNTINGS = ((0, False), (20, False), (60, False), (200, False), (60, True))
 """Arc seconds on each axis of each star sensor (chosen), and whether both have the same."""
 WEIGHTS = ((1,), (2, 1), (2, 1, 1), (2, 2, 1, 1), (2, 2, 1, 1, 1), (2, 2, 2, 1, 1, 1))
@@ -99,14 +125,17 @@ TABLE_2 = [
     3.795e-5,
     3.652e-7,
 ]
-TABLE_3 = {"UKF": [0.350, 0.367, 0.412, 0.527, 0.609, 18.163, 17.821],
-           "SGHQF": [0.217, 0.203, 0.251, 0.328, 0.397, 16.274, 16.183],
-           "AASGHQF": [0.223, 0.201, 0.256, 0.303, 0.426, 15.997, 16.285]}  # fmt: skip
+TABLE_3 = {
+    "UKF": [0.350, 0.367, 0.412, 0.527, 0.609, 18.163, 17.821],
+    "SGHQF": [0.217, 0.203, 0.251, 0.328, 0.397, 16.274, 16.183],
+    "AASGHQF": [0.223, 0.201, 0.256, 0.303, 0.426, 15.997, 16.285],
+}
 TABLE_4 = {"UKF": (27, 0.0021), "SGHQF": (417, 0.0065), "AASGHQF": (99, 0.0028)}
-"""As printed: points by n; indices by weights; degrees by state; deg, m/s and m; points, and seconds of a cycle."""
+"""As printed: points by n; indices by weights; degrees by state; deg, m/s and m; points, and
+seconds of a cycle."""
 
 
-# -- what is flown -----------------------------------------------------------------------------------------------------------
+# -- what is flown ---------------------------------------------------------------------------------
 def shown(sim: scenario.Scenario) -> trials.Trial:
     """The trial of simulated runs, in the units of the paper."""
     return scenario.trial_of(sim)._replace(groups=scenario.groups(sim.config, DEGREE, "deg"))
@@ -123,14 +152,17 @@ def flown(names: Sequence[str], config: Config, rngs: Rngs) -> dict[str, Array]:
 
 
 def bound(config: Config, _: Rngs) -> dict[str, Array]:
-    """Linearized posterior Cramer-Rao bound along the flight without errors: mean squares ``square (T, groups)``."""
+    """Linearized posterior Cramer-Rao bound along the flight without errors: mean squares ``square
+    (T, groups)``."""
     return {"square": np.asarray(trials.bound(judged(config, UNDISTURBED)))}
 
 
 def six_states(names: Sequence[str], config: Config, rngs: Rngs) -> dict[str, Array]:
-    """Filters of six states: errors of the misalignment ``<name>/error (T, runs, 3)`` deg, the initial one ``start (1, runs)``."""
+    """Filters of six states: errors of the misalignment ``<name>/error (T, runs, 3)`` deg, the
+    initial one ``start (1, runs)``."""
     sim, known, prior = scenario.six_states(config, rngs)
-    phi, out = sim.truth[..., PHI], {"times": config.times}
+    phi = sim.truth[..., PHI]
+    out = {"times": config.times}
     for name in names:
         track = run(
             known[name], prior, sim.epochs(), keep="mean", on_failure="flag", engine="numpy"
@@ -140,10 +172,12 @@ def six_states(names: Sequence[str], config: Config, rngs: Rngs) -> dict[str, Ar
 
 
 def operations(config: Config, _: Rngs) -> dict[str, Array]:
-    """Arithmetic operations of a cycle (prediction and update) of one run, as the filter's own step does them: the same everywhere.
-    Of SGHQF, and of the tensor rule of six states, whose steps are too long to be recorded, at least: a point more adds to all
-    covariances, of the prediction, of the measurements and between both, in two operations each."""
-    sim, out = simulate(replace(config, steps=1), UNDISTURBED), dict[str, Array]()
+    """Arithmetic operations of a cycle (prediction and update) of one run, as the filter's own step
+    does them: the same everywhere. Of SGHQF, and of the tensor rule of six states, whose steps are
+    too long to be recorded, at least: a point more adds to all covariances, of the prediction, of
+    the measurements and between both, in two operations each."""
+    sim = simulate(replace(config, steps=1), UNDISTURBED)
+    out = dict[str, Array]()
     short, filters, prior = scenario.six_states(replace(config, steps=1), UNDISTURBED)
     known = rules(config.level) | scenario.six_rules()
 
@@ -163,18 +197,30 @@ def operations(config: Config, _: Rngs) -> dict[str, Array]:
 
 
 def degrees(config: Config, _: Rngs) -> dict[str, Array]:
-    """Degrees at the start of the flight, by Lie derivatives to the third order, ``every (4, 72, 13)`` for all units of angles, and
-    of positions, drifts, biases, star residuals, fixes: first rad, m, deg/h, micro g, 1, m, the nearest to Table 2; then deg."""
-    epoch, meters = next(simulate(replace(config, steps=1), UNDISTURBED).epochs()), config.meters()
+    """Degrees at the start of the flight, by Lie derivatives to the third order, ``every (4, 72,
+    13)`` for all units of angles, and of positions, drifts, biases, star residuals, fixes: first
+    rad, m, deg/h, micro g, 1, m, the nearest to Table 2; then deg."""
+    epoch = next(simulate(replace(config, steps=1), UNDISTURBED).epochs())
+    meters = config.meters()
     nav = inertial.navigation(config.flight, 0, np.zeros(3), np.zeros(3))
     found = lie_gradients(
         lambda x: inertial.derivative(x, nav), lambda x: measurement(x, epoch), np.zeros(13), 3
     )
-    radius, star = float(meters.mean()), 1.0 / epoch.u.sqrt_R[0, 0]
-    scales = np.array(list(product(
-        (1.0, DEGREE, DEGREE / 60.0, DEGREE / 3600.0), (1.0,), (1.0, radius, radius * DEGREE), (1.0, 3600.0 / DEGREE),
-        (1.0, 1.0 / scenario.MICRO_G), (1.0, star), (1.0, 1.0 / radius, 1.0 / config.sar_m),
-    )))  # fmt: skip
+    radius = float(meters.mean())
+    star = 1.0 / epoch.u.sqrt_R[0, 0]
+    scales = np.array(
+        list(
+            product(
+                (1.0, DEGREE, DEGREE / 60.0, DEGREE / 3600.0),
+                (1.0,),
+                (1.0, radius, radius * DEGREE),
+                (1.0, 3600.0 / DEGREE),
+                (1.0, 1.0 / scenario.MICRO_G),
+                (1.0, star),
+                (1.0, 1.0 / radius, 1.0 / config.sar_m),
+            )
+        )
+    )
     scales = np.repeat(scales, [3, 2, 2, 3, 3, 6, 2], axis=1)[:, None]
     states, outputs = np.split(np.concatenate(config.units) * scales, [13], axis=-1)
     every = outputs[..., None] * found * states[:, None]
@@ -183,8 +229,10 @@ def degrees(config: Config, _: Rngs) -> dict[str, Array]:
 
 
 def on_line(names: Sequence[str], config: Config, rngs: Rngs) -> dict[str, Array]:
-    """Filters by `CHOICES`: error and NEES as `flown` has them, and the number of points ``(T, runs)`` at each epoch."""
-    sim, out = simulate(config, rngs), {"times": config.times}
+    """Filters by `CHOICES`: error and NEES as `flown` has them, and the number of points ``(T,
+    runs)`` at each epoch."""
+    sim = simulate(config, rngs)
+    out = {"times": config.times}
     scale = (
         1.0
         / np.r_[
@@ -197,29 +245,48 @@ def on_line(names: Sequence[str], config: Config, rngs: Rngs) -> dict[str, Array
         ]
     )
     for name in names:
-        track = run(scenario.adaptive(CHOICES[name](config), config), sim.prior, sim.epochs(), keep="cov", on_failure="flag",
-                    engine="numpy", also=lambda _, state, __: {"chosen": state.chosen})  # fmt: skip
-        kinds, which = np.unique(track.extra["chosen"], return_inverse=True)
-        error, points = (
-            track.mean - sim.truth,
-            [weighted(kind, config.level).num_sigmas() for kind in kinds.tolist()],
+        track = run(
+            scenario.adaptive(CHOICES[name](config), config),
+            sim.prior,
+            sim.epochs(),
+            keep="cov",
+            on_failure="flag",
+            engine="numpy",
+            also=lambda _, state, __: {"chosen": state.chosen},
         )
-        out |= {f"{name}/error": error * scale, f"{name}/nees": nees(error, track.sqrt_cov),
-                f"{name}/points": np.array(points)[which], f"{name}/chosen": track.extra["chosen"]}  # fmt: skip
+        kinds, which = np.unique(track.extra["chosen"], return_inverse=True)
+        error = track.mean - sim.truth
+        points = [weighted(kind, config.level).num_sigmas() for kind in kinds.tolist()]
+        out |= {
+            f"{name}/error": error * scale,
+            f"{name}/nees": nees(error, track.sqrt_cov),
+            f"{name}/points": np.array(points)[which],
+            f"{name}/chosen": track.extra["chosen"],
+        }
     return out
 
 
 def along(config: Config, rngs: Rngs) -> dict[str, Array]:
-    """States above the threshold at the estimates of the filter by nonlinearity, ``above (50, runs, 60, 13)`` by `READINGS`, and
-    degrees along the paper's flight and the turning one, both without errors, ``degrees (2, T, 13)``."""
-    sim, (states, outputs) = simulate(config, rngs), config.units
+    """States above the threshold at the estimates of the filter by nonlinearity, ``above (50, runs,
+    60, 13)`` by `READINGS`, and degrees along the paper's flight and the turning one, both without
+    errors, ``degrees (2, T, 13)``."""
+    sim = simulate(config, rngs)
+    (states, outputs) = config.units
     track = run(filters(config)["nonlinear"], sim.prior, sim.epochs(), keep="cov", engine="numpy")
     noise = np.repeat([np.radians(config.star_arcsec / 3600.0), config.sar_m], [6, 2])
-    units = (config.units, (np.r_[[DEGREE] * 3, states[3:]], outputs), (np.r_[states[:7], np.ones(6)], outputs),
-             (np.ones(13), np.ones(8)), (config.sigma0, outputs / noise))  # fmt: skip
-    so_far, rows = [np.zeros((len(rngs), 13, 13)) for _ in units], []
+    units = (
+        config.units,
+        (np.r_[[DEGREE] * 3, states[3:]], outputs),
+        (np.r_[states[:7], np.ones(6)], outputs),
+        (np.ones(13), np.ones(8)),
+        (config.sigma0, outputs / noise),
+    )
+    so_far = [np.zeros((len(rngs), 13, 13)) for _ in units]
+    rows = []
     for epoch in islice(sim.epochs(), 1, None, 10):
-        x, P, row = track.mean[epoch.k - 1], np.asarray(track.cov)[epoch.k - 1], []
+        x = track.mean[epoch.k - 1]
+        P = np.asarray(track.cov)[epoch.k - 1]
+        row = []
         for n, (scale, shown) in enumerate(units):
             own = scenario.observability(x, epoch, (scale, shown))
             least = np.linalg.svd(own[:, :8], compute_uv=False)[
@@ -249,21 +316,22 @@ def along(config: Config, rngs: Rngs) -> dict[str, Array]:
 
 
 def mounting(config: Config, rngs: Rngs) -> dict[str, Array]:
-    """Filters that do not know mounting errors, of the sizes of `MOUNTINGS` in the same runs, and one of 19 states that estimates
-    them ("S"): what `fly` gives, by ``<filter>, <size>``."""
-    sim, count, draws = (
-        simulate(config, rngs),
-        len(MOUNTINGS),
-        normals(rngs, (2, 3))[0].swapaxes(0, 1),
-    )
+    """Filters that do not know mounting errors, of the sizes of `MOUNTINGS` in the same runs, and
+    one of 19 states that estimates them ("S"): what `fly` gives, by ``<filter>, <size>``."""
+    sim = simulate(config, rngs)
+    count = len(MOUNTINGS)
+    draws = normals(rngs, (2, 3))[0].swapaxes(0, 1)
     errors = np.array(
         [
             np.radians(size / 3600.0) * (draws[:, :1] if how else draws) + np.zeros((2, 3))
             for size, how in MOUNTINGS
         ]
     )
-    tiled = sim._replace(truth=np.tile(sim.truth, (count, 1)), z=np.tile(sim.z, (count, 1)),
-                         prior=Gaussian(np.tile(sim.prior.mean, (count, 1)), sim.prior.cov))  # fmt: skip
+    tiled = sim._replace(
+        truth=np.tile(sim.truth, (count, 1)),
+        z=np.tile(sim.z, (count, 1)),
+        prior=Gaussian(np.tile(sim.prior.mean, (count, 1)), sim.prior.cov),
+    )
     flown = fly(
         shown(scenario.mounted(tiled, errors.reshape(-1, 2, 3))),
         ("ukf", "nonlinear", "aasghqf"),
@@ -272,8 +340,10 @@ def mounting(config: Config, rngs: Rngs) -> dict[str, Array]:
     out = {"times": flown.pop("times")}
     for key, values in flown.items():
         name, what = key.split("/")
-        out |= {f"{name}, {'common ' * how}{size}/{what}": part
-                for (size, how), part in zip(MOUNTINGS, np.split(values, count, 1))}  # fmt: skip
+        out |= {
+            f"{name}, {'common ' * how}{size}/{what}": part
+            for (size, how), part in zip(MOUNTINGS, np.split(values, count, 1))
+        }
     filter, prior = scenario.mounting_filter(config, np.radians(60.0 / 3600.0))
     trial = shown(scenario.mounted(sim, errors[MOUNTINGS.index((60, False))]))._replace(
         filters={"S": filter},
@@ -291,22 +361,19 @@ def mounting(config: Config, rngs: Rngs) -> dict[str, Array]:
 
 
 def first_fixes(config: Config, _: Rngs) -> dict[str, Array]:
-    """The first star fix by rule, each ``(angles,)``, against a fine tensor rule. least: smallest eigenvalue of the covariance of
-    the misalignment after it, over the right one. mean, cov: relative errors of the moments of the star residuals."""
-    epoch, out, exact = (
-        next(simulate(replace(config, steps=1), UNDISTURBED).epochs()),
-        dict[str, Array](),
-        dict[float, Any](),
-    )
+    """The first star fix by rule, each ``(angles,)``, against a fine tensor rule. least: smallest
+    eigenvalue of the covariance of the misalignment after it, over the right one. mean, cov:
+    relative errors of the moments of the star residuals."""
+    epoch = next(simulate(replace(config, steps=1), UNDISTURBED).epochs())
+    out = dict[str, Array]()
+    exact = dict[float, Any]()
     stars = Sensor(lambda x, e: measurement(x, e)[..., :6], sqrt_R=epoch.u.sqrt_R[:6, :6])
     for name, rule in {
         "exact": tensor_product(gauss_hermite(3, 20), simplex(10)),
         **rules(config.level),
     }.items():
-        filter, rows = (
-            sigma_point(scenario.model(config)[0], stars, rule=rule, form=scenario.FORM),
-            [],
-        )
+        filter = sigma_point(scenario.model(config)[0], stars, rule=rule, form=scenario.FORM)
+        rows = []
         for angle in np.radians(MISALIGNMENTS_DEG).tolist():
             prior = Gaussian(
                 np.zeros((1, 13)), np.diag(np.square([angle] * 3 + config.sigma0[3:].tolist()))
@@ -330,30 +397,42 @@ def first_fixes(config: Config, _: Rngs) -> dict[str, Array]:
 
 
 def parts(effort: float = 1.0) -> dict[str, Part]:
-    """All that is computed; flights are shorter at an effort below `BRIEF`, but those at T3 and in the turn."""
+    """All that is computed; flights are shorter at an effort below `BRIEF`, but those at T3 and in
+    the turn."""
 
     def flight(config: Config) -> Config:
         return replace(config, steps=150) if effort < BRIEF else config
 
     presets = {name: flight(config) for name, config in PRESETS.items()} | {"T3": T3}
-    fitted, slow = flight(T3), presets["A-slow"]
-    return {name: Part(partial(flown, FLOWN), config, i, A.runs, 50, 11.0) for i, (name, config) in enumerate(presets.items())} | {
-        MANY: Part(partial(flown, ("ukf", "aasghqf", "nonlinear")), fitted, 0, 200, 100, 11.0), "bound": Part(bound, presets["A"]),
-        "observability": Part(degrees, T3), "fixes": Part(first_fixes, T3), "operations": Part(operations, A, cost=3.0),
+    fitted = flight(T3)
+    slow = presets["A-slow"]
+    return {
+        name: Part(partial(flown, FLOWN), config, i, A.runs, 50, 11.0)
+        for i, (name, config) in enumerate(presets.items())
+    } | {
+        MANY: Part(partial(flown, ("ukf", "aasghqf", "nonlinear")), fitted, 0, 200, 100, 11.0),
+        "bound": Part(bound, presets["A"]),
+        "observability": Part(degrees, T3),
+        "fixes": Part(first_fixes, T3),
+        "operations": Part(operations, A, cost=3.0),
         "six states": Part(partial(six_states, ("ekf", "ukf", "sghqf")), SIX, 5, 1000, 100, 5.0),
         "tensor": Part(partial(six_states, ("sghqf", "ghqf")), SIX, 5, 400, 100, 10.0),
         "T3, on line": Part(partial(on_line, ("bends",)), T3, 0, A.runs, 50, 2.0),
         "first fix": Part(partial(flown, ("ukf", "sghqf")), replace(A, steps=1), 1, 1000, 100, 2.0),
-        f"{MANY}, on line": Part(partial(on_line, ("unweighed", "weighed")), fitted, 0, 200, 50, 16.0),
+        f"{MANY}, on line": Part(
+            partial(on_line, ("unweighed", "weighed")), fitted, 0, 200, 50, 16.0
+        ),
         "A-slow, on line": Part(partial(on_line, tuple(CHOICES)), slow, 2, A.runs, 50, 10.0),
         "turning": Part(partial(on_line, ("unweighed",)), scenario.TURNING, 2, 10, 50, 1.0),
-        "along": Part(along, PRESETS["A-slow"], 4, 10, 50, 4.0), "mounting": Part(mounting, slow, 2, A.runs, 50, 15.0),
-    }  # fmt: skip
+        "along": Part(along, PRESETS["A-slow"], 4, 10, 50, 4.0),
+        "mounting": Part(mounting, slow, 2, A.runs, 50, 15.0),
+    }
 
 
-# -- points of grids ---------------------------------------------------------------------------------------------------------
+# -- points of grids -------------------------------------------------------------------------------
 def grid(indices: Mapping[tuple[int, ...], int]) -> dict[tuple[float, ...], list[float]]:
-    """Union of the points of tensor rules, and the terms of a point's weight, one for each index that has it [Eqs. 13, 14]."""
+    """Union of the points of tensor rules, and the terms of a point's weight, one for each index
+    that has it [Eqs. 13, 14]."""
     found: dict[tuple[float, ...], list[float]] = {}
     for index, c in indices.items():
         lines = (
@@ -368,21 +447,26 @@ def grid(indices: Mapping[tuple[int, ...], int]) -> dict[tuple[float, ...], list
 
 
 def growth(_: Results) -> list[Number]:
-    """Points of tensor rules that differ from m^n, and by level the largest ratio log(points) / log(n) of sparse grids."""
+    """Points of tensor rules that differ from m^n, and by level the largest ratio log(points) /
+    log(n) of sparse grids."""
     built = product([ORDERS[level - 1] for level in LEVELS], (1, 2, 3))
     differ = sum(gauss_hermite(n, m).num_sigmas() != m**n for m, n in built)
     powers = [
-        Number(f"largest power of n, level {level}, n = 20 to 40",
-               max(np.log(point_count(n, level)) / np.log(n) for n in range(20, 41)), (None, level - 0.5))
+        Number(
+            f"largest power of n, level {level}, n = 20 to 40",
+            max(np.log(point_count(n, level)) / np.log(n) for n in range(20, 41)),
+            (None, level - 0.5),
+        )
         for level in LEVELS
-    ]  # fmt: skip
+    ]
     ends = [Number(f"points for n = 40, level {level}", point_count(40, level)) for level in LEVELS]
     tensor = Number("tensor rules whose number of points is not m^n", differ, (0, 0))
     return [tensor, *powers, *ends, Number("points of the tensor rule of 3 for n = 40", 3.0**40)]
 
 
 def printed_bound(_: Results) -> list[Number]:
-    """Points at level 3 over the index set as Eq. 18 prints it, with sum_j (i_j - 1) g_j >= 2 min(g) - |g|, and with > instead."""
+    """Points at level 3 over the index set as Eq. 18 prints it, with sum_j (i_j - 1) g_j >= 2
+    min(g) - |g|, and with > instead."""
     cases = (((1,), 0), ((2, 1), 1))
     sets = [
         [i for i in index_set(3, g) if np.subtract(i, 1) @ g >= 2 * min(g) - sum(g) + strict]
@@ -394,7 +478,8 @@ def printed_bound(_: Results) -> list[Number]:
 
 
 def two_states(_: Results) -> list[Number]:
-    """The example of the paper: index sets, up to indices of coefficient 0, points, common nodes."""
+    """The example of the paper: index sets, up to indices of coefficient 0, points, common
+    nodes."""
     sets = [(index_set(3, g), printed) for g, printed in EXAMPLE.items()]
     wrong = sum(
         len({i for i, c in own.items() if c} ^ {i for i in printed if own.get(i) != 0})
@@ -413,12 +498,11 @@ def two_states(_: Results) -> list[Number]:
 
 
 def one_term(_: Results) -> list[Number]:
-    """Points of Fig. 1 that are in several index sets, and what the weights sum to if each has one term only."""
+    """Points of Fig. 1 that are in several index sets, and what the weights sum to if each has one
+    term only."""
     terms = grid({index: c for index, c in index_set(3, (1, 1)).items() if c}).values()
-    most, least = (
-        Number("sum of largest", sum(map(max, terms)), (1.5, None)),
-        Number("of least", sum(map(min, terms)), (None, 0.0)),
-    )
+    most = Number("sum of largest", sum(map(max, terms)), (1.5, None))
+    least = Number("of least", sum(map(min, terms)), (None, 0.0))
     return [
         Number(
             "points in several index sets, of 21, n = 2", sum(len(t) > 1 for t in terms), (5, 5)
@@ -448,20 +532,28 @@ def savings(_: Results) -> Tiers:
     return {"reproduced": [number, *steps, *ends], "in part": [number]}
 
 
-# -- numbers of the ledger ---------------------------------------------------------------------------------------------------
+# -- numbers of the ledger -------------------------------------------------------------------------
 def averaged(
-    label: str, seen: Sequence[Flown], states: slice, accept: Bounds = (None, None), *, at: When = slice(None),
-    statistic: Any = lambda a, b: a.sum() / b.sum(), **more: Any,
-) -> Decided:  # fmt: skip
-    """Numbers as Table 3 has them, RMSE over the runs averaged over epochs: of two filters the ratio of their sums over states, or
-    another statistic of ``(states,)``, one for each that is seen."""
+    label: str,
+    seen: Sequence[Flown],
+    states: slice,
+    accept: Bounds = (None, None),
+    *,
+    at: When = slice(None),
+    statistic: Any = lambda a, b: a.sum() / b.sum(),
+    **more: Any,
+) -> Decided:
+    """Numbers as Table 3 has them, RMSE over the runs averaged over epochs: of two filters the
+    ratio of their sums over states, or another statistic of ``(states,)``, one for each that is
+    seen."""
 
     def number(r: Results) -> Number:
         squares = [
             np.square(r.get(part, f"{f}/error")[r.at(part, at), :, states]).swapaxes(0, 1)
             for part, f in seen
         ]
-        (runs, *shape), flat = squares[0].shape, [s.reshape(len(s), -1) for s in squares]
+        (runs, *shape) = squares[0].shape
+        flat = [s.reshape(len(s), -1) for s in squares]
 
         def value(drawn: Array) -> float:
             share = (
@@ -475,14 +567,19 @@ def averaged(
 
 
 def each(r: Results, a: str, b: str, accept: Bounds = (None, None), **more: Any) -> list[Number]:
-    """Filter ``a`` over ``b`` in each preset and state of Table 3. At T3, where errors have long tails, from more runs: SGHQF is
-    then flown with the 57 points that give its estimates."""
+    """Filter ``a`` over ``b`` in each preset and state of Table 3. At T3, where errors have long
+    tails, from more runs: SGHQF is then flown with the 57 points that give its estimates."""
     seen = {
         p: [(p, f) if p != "T3" else (MANY, {"sghqf": "nonlinear"}.get(f, f)) for f in (a, b)]
         for p in PRESETS
     }
-    return [averaged(f"{state}, {p}, {a.upper()} over {b.upper()}", seen[p], slice(i, i + 1), accept, **more)(r)
-            for p in PRESETS for i, state in enumerate(SEVEN)]  # fmt: skip
+    return [
+        averaged(
+            f"{state}, {p}, {a.upper()} over {b.upper()}", seen[p], slice(i, i + 1), accept, **more
+        )(r)
+        for p in PRESETS
+        for i, state in enumerate(SEVEN)
+    ]
 
 
 def cycle(label: str, a: str, b: str, accept: Bounds, how: Any = np.divide) -> Decided:
@@ -491,13 +588,15 @@ def cycle(label: str, a: str, b: str, accept: Bounds, how: Any = np.divide) -> D
 
 
 def tenth(r: Results, part: str, name: str) -> Array:
-    """Time ``(runs,)`` s until the error of the misalignment is a tenth of the initial one; that after the end if it never is."""
+    """Time ``(runs,)`` s until the error of the misalignment is a tenth of the initial one; that
+    after the end if it never is."""
     below = np.linalg.norm(r.get(part, f"{name}/error"), axis=-1) < 0.1 * r.get(part, "start")
     return SIX.step_s * np.where(below.any(0), below.argmax(0), len(below))
 
 
 def six_filters(r: Results) -> Tiers:
-    """SGHQF against EKF, UKF and GHQF: RMSE of the misalignment, time to a tenth of the initial one, operations; how many hold."""
+    """SGHQF against EKF, UKF and GHQF: RMSE of the misalignment, time to a tenth of the initial
+    one, operations; how many hold."""
     parts = {"ekf": "six states", "ukf": "six states", "ghqf": "tensor"}
 
     def error(name: str, accept: Bounds) -> Number:
@@ -527,7 +626,11 @@ def six_filters(r: Results) -> Tiers:
     sure = float(sum(all(outcome) for outcome in outcomes))
     perhaps = float(sum(False not in outcome for outcome in outcomes))
     held = Number("of the three, those that hold", sure, (2, None), (sure, perhaps))
-    return {"reproduced": [*below, *alike, *cheaper], "in part": [held], "not reproduced": [sooner("ghqf")]}  # fmt: skip
+    return {
+        "reproduced": [*below, *alike, *cheaper],
+        "in part": [held],
+        "not reproduced": [sooner("ghqf")],
+    }
 
 
 def changed(r: Results, part: str, name: str) -> Array:
@@ -536,24 +639,42 @@ def changed(r: Results, part: str, name: str) -> Array:
 
 
 def adapts(r: Results) -> Tiers:
-    """Whether weights change in most runs, by reading and preset, and what that does to errors; in how many readings they do."""
+    """Whether weights change in most runs, by reading and preset, and what that does to errors; in
+    how many readings they do."""
     seen = [(f"{p}, on line", f, p) for p, f in product((MANY, "A-slow"), ("unweighed", "weighed"))]
-    shares = [estimate(f"share of runs whose weights change, {f}, {p}", np.mean, [np.array(changed(r, part, f).any(0) * 1.0)],
-                       (0.5, None)) for part, f, p in seen]  # fmt: skip
-    ratios = [averaged(f"{SEVEN[i]}, {p}, {f} over fixed weights", [(part, f), (p, "aasghqf")], slice(i, i + 1))(r)
-              for part, f, p in seen for i in range(7)]  # fmt: skip
+    shares = [
+        estimate(
+            f"share of runs whose weights change, {f}, {p}",
+            np.mean,
+            [np.array(changed(r, part, f).any(0) * 1.0)],
+            (0.5, None),
+        )
+        for part, f, p in seen
+    ]
+    ratios = [
+        averaged(
+            f"{SEVEN[i]}, {p}, {f} over fixed weights", [(part, f), (p, "aasghqf")], slice(i, i + 1)
+        )(r)
+        for part, f, p in seen
+        for i in range(7)
+    ]
     worse, better = (
         sum(bool(n.ci and sign * n.ci[end] > sign + 1e-3) for n in ratios)
         for sign, end in ((1, 0), (-1, 1))
     )
-    bar, above = (
-        Number("of 28 errors, larger than with fixed weights", worse, (None, 0)),
-        r.get("along", "above"),
-    )
-    more = [Number("smaller", better),
-            Number("of 60 readings, those that ever change", (above[1:] != above[:-1]).any((0, 1, 3)).sum()),
-            *(Number(f"changes in a run, {f}, {p}", changed(r, part, f).sum(0).mean()) for part, f, p in seen[2:]),
-            max(ratios, key=lambda n: n.ci[0] if n.ci else n.value)]  # fmt: skip
+    bar = Number("of 28 errors, larger than with fixed weights", worse, (None, 0))
+    above = r.get("along", "above")
+    more = [
+        Number("smaller", better),
+        Number(
+            "of 60 readings, those that ever change", (above[1:] != above[:-1]).any((0, 1, 3)).sum()
+        ),
+        *(
+            Number(f"changes in a run, {f}, {p}", changed(r, part, f).sum(0).mean())
+            for part, f, p in seen[2:]
+        ),
+        max(ratios, key=lambda n: n.ci[0] if n.ci else n.value),
+    ]
     return {
         "reproduced": [*shares, bar, *more],
         "in part": [max(shares, key=lambda n: n.value)],
@@ -561,46 +682,76 @@ def adapts(r: Results) -> Tiers:
 
 
 def followed(r: Results) -> list[Number]:
-    """Points and errors of weights by nonlinearity, chosen before each step, and with other thresholds."""
-    parts, slow = [(p, f"{p}, on line") for p in ("T3", "A-slow")], "A-slow, on line"
+    """Points and errors of weights by nonlinearity, chosen before each step, and with other
+    thresholds."""
+    parts = [(p, f"{p}, on line") for p in ("T3", "A-slow")]
+    slow = "A-slow, on line"
     pairs = [[(part, "bends"), (p, "sghqf")] for p, part in parts]
     pairs += [[(slow, "bends"), (slow, f"bends, {t}")] for t in ("0.01", "1")]
     return [
-        *(Number(f"points in the mean, {p}", r.get(part, "bends/points").mean(), (27, 30)) for p, part in parts),
-        *(averaged(f"RMSE of the angles, {a} over {b} of {part}", [(of, a), (part, b)], PHI, (0.99, 1.01))(r)
-          for (of, a), (part, b) in pairs),
+        *(
+            Number(f"points in the mean, {p}", r.get(part, "bends/points").mean(), (27, 30))
+            for p, part in parts
+        ),
+        *(
+            averaged(
+                f"RMSE of the angles, {a} over {b} of {part}",
+                [(of, a), (part, b)],
+                PHI,
+                (0.99, 1.01),
+            )(r)
+            for (of, a), (part, b) in pairs
+        ),
         Number("changes in a run, A-slow", changed(r, slow, "bends").sum(0).mean(), (1, 5)),
-        Number("times that a linear state had weight 1", (r.get(slow, "bends/chosen") > 7).sum(), (0, 0)),
-    ]  # fmt: skip
+        Number(
+            "times that a linear state had weight 1",
+            (r.get(slow, "bends/chosen") > 7).sum(),
+            (0, 0),
+        ),
+    ]
 
 
 def gentle(r: Results) -> list[Number]:
-    """The degree of the heading on the paper's flight, and at what force it becomes large on the turning one."""
-    (own, turning), (flight, force) = (
-        r.get("along", "degrees")[..., 2],
-        (f.flight.force[::2] for f in (A, scenario.TURNING)),
-    )
+    """The degree of the heading on the paper's flight, and at what force it becomes large on the
+    turning one."""
+    (own, turning) = r.get("along", "degrees")[..., 2]
+    (flight, force) = (f.flight.force[::2] for f in (A, scenario.TURNING))
     across = (np.hypot(*force.T[:2]) / force[:, 2])[turning > THRESHOLD]
-    return [Number("largest degree of φz", own.max(), (None, 2)),
-            Number("largest force across, m/s^2", np.hypot(*flight.T[:2]).max()),
-            Number("force across over that upward where it exceeds 5", across[0] if len(across) else np.nan, (0.95, 1.05)),
-            Number("changes in a run there", changed(r, "turning", "unweighed").sum(0).mean(), (1, None))]  # fmt: skip
+    return [
+        Number("largest degree of φz", own.max(), (None, 2)),
+        Number("largest force across, m/s^2", np.hypot(*flight.T[:2]).max()),
+        Number(
+            "force across over that upward where it exceeds 5",
+            across[0] if len(across) else np.nan,
+            (0.95, 1.05),
+        ),
+        Number(
+            "changes in a run there", changed(r, "turning", "unweighed").sum(0).mean(), (1, None)
+        ),
+    ]
 
 
 def doubled(r: Results) -> Number:
-    """The size of mounting errors, arc seconds, at which the RMSE of the angles at the end is doubled: they add in the square."""
+    """The size of mounting errors, arc seconds, at which the RMSE of the angles at the end is
+    doubled: they add in the square."""
     none, most = (
         np.square(r.get("mounting", f"nonlinear, {size}/error")[LAST, :, PHI]).sum(-1).mean(0)
         for size in (0, 200)
     )
     bar = np.sqrt(3.0 * none.mean() / 2.5) * 3600.0  # by the closed form, 2.5 sigma^2 in all
-    return estimate("arc seconds that double it", lambda a, b: 200.0 * np.sqrt(3.0 * a.mean() / (b.mean() - a.mean())),
-                    [none, most], (0.8 * bar, 1.25 * bar))  # fmt: skip
+    return estimate(
+        "arc seconds that double it",
+        lambda a, b: 200.0 * np.sqrt(3.0 * a.mean() / (b.mean() - a.mean())),
+        [none, most],
+        (0.8 * bar, 1.25 * bar),
+    )
 
 
 def degree(r: Results) -> Tiers:
-    """Degrees of all scalings beside the printed ones: states that agree, and the order of the states."""
-    every, printed = r.get("observability", "every"), np.array(TABLE_2)
+    """Degrees of all scalings beside the printed ones: states that agree, and the order of the
+    states."""
+    every = r.get("observability", "every")
+    printed = np.array(TABLE_2)
     far = np.abs(np.log(np.maximum(every, 1e-300) / printed)) > np.log([1.1] * 7 + [3.2] * 6)
     a, b = np.nonzero(
         printed[:, None] > printed
@@ -629,10 +780,8 @@ def classes(r: Results) -> Tiers:
     own, *computed = (
         np.not_equal(threshold_weights(d, THRESHOLD), PAPER_WEIGHTS).sum() for d in every
     )
-    printed, first = (
-        Number("by the printed degrees, of 13", own, (None, 0)),
-        Number("by computed ones", computed[0], (None, 0)),
-    )
+    printed = Number("by the printed degrees, of 13", own, (None, 0))
+    first = Number("by computed ones", computed[0], (None, 0))
     extremes = [
         Number("fewest of any units", min(computed)),
         Number("most of any units", max(computed)),
@@ -660,9 +809,11 @@ def criterion(r: Results) -> list[Number]:
 
 
 def better_than_ukf(r: Results) -> Tiers:
-    """UKF over both sparse filters, in every state and preset; by filter how many are above 1; the least of them first."""
+    """UKF over both sparse filters, in every state and preset; by filter how many are above 1; the
+    least of them first."""
     both = [each(r, "ukf", f, (1.0, None)) for f in ("sghqf", "aasghqf")]
-    sghqf, every = both[0], sorted([*both[0], *both[1]], key=lambda n: n.value)
+    sghqf = both[0]
+    every = sorted([*both[0], *both[1]], key=lambda n: n.value)
     half = np.sqrt(np.divide(TABLE_3["UKF"], TABLE_3["SGHQF"]))
 
     def above(label: str, ratios: Sequence[Number]) -> Number:
@@ -680,9 +831,11 @@ def better_than_ukf(r: Results) -> Tiers:
     isotropic = [
         Number("of 28 ratios to SGHQF, those below 1 with their interval", below, (None, 0)),
         above("the seven to SGHQF at T3", sghqf[:7]),
-        Number("of the seven to SGHQF at T3, those above half-way to the printed ones",
-               sum(n.value > bar for n, bar in zip(sghqf, half))),
-    ]  # fmt: skip
+        Number(
+            "of the seven to SGHQF at T3, those above half-way to the printed ones",
+            sum(n.value > bar for n, bar in zip(sghqf, half)),
+        ),
+    ]
     least = min(sghqf, key=lambda n: n.value)._replace(accept=(None, None))
     counts = [
         above(f"28 ratios to {name}", ratios) for name, ratios in zip(("SGHQF", "AASGHQF"), both)
@@ -692,11 +845,9 @@ def better_than_ukf(r: Results) -> Tiers:
 
 def levels(r: Results) -> Tiers:
     """All 21 entries of Table 3 at T3."""
-    cells, own, bar = (
-        [(MANY, f) for f in ("ukf", "nonlinear", "aasghqf")],
-        np.log(list(TABLE_3.values())),
-        np.log(1.32),
-    )
+    cells = [(MANY, f) for f in ("ukf", "nonlinear", "aasghqf")]
+    own = np.log(list(TABLE_3.values()))
+    bar = np.log(1.32)
     number = partial(averaged, seen=cells, states=slice(0, 7))
     beyond = number(
         "of 21, beyond 1.32",
@@ -712,7 +863,8 @@ def levels(r: Results) -> Tiers:
 
 
 def orders(r: Results) -> Tiers:
-    """Total degrees to which grids are exact, one less than that of the first even monomial that they fail, and their errors."""
+    """Total degrees to which grids are exact, one less than that of the first even monomial that
+    they fail, and their errors."""
     fail = [
         min(sum(p) for p in product((0, 2, 4, 6), repeat=3) if not integrates(p, 3, g))
         for g in ((1, 1, 1), (1, 1, 2))
@@ -722,28 +874,36 @@ def orders(r: Results) -> Tiers:
         for name, least in zip(("isotropic", "weights with a 2"), fail)
     ]
     error = partial(r.get, "fixes")
-    errors = [Number(f"error of the {what}, {f.upper()} over UKF", TEN(error(f"{f}/{what}") / error(f"ukf/{what}")), (None, 1.0))
-              for f in ("sghqf", "aasghqf") for what in ("mean", "cov")]  # fmt: skip
+    errors = [
+        Number(
+            f"error of the {what}, {f.upper()} over UKF",
+            TEN(error(f"{f}/{what}") / error(f"ukf/{what}")),
+            (None, 1.0),
+        )
+        for f in ("sghqf", "aasghqf")
+        for what in ("mean", "cov")
+    ]
     return {"reproduced": exact, "in part": [exact[0], *errors]}
 
 
 def coriolis(_: Results) -> list[Number]:
-    """Latitude derivative of ``(2 w_ie + w_en)_up`` by Eq. 22, over that by differences: as printed, and corrected."""
-    L, velocity, step = (
-        float(np.radians(T3.latitude_deg)),
-        T3.flight.velocity[0],
-        np.array([-1e-4, 1e-4]),
-    )
+    """Latitude derivative of ``(2 w_ie + w_en)_up`` by Eq. 22, over that by differences: as
+    printed, and corrected."""
+    L = float(np.radians(T3.latitude_deg))
+    velocity = T3.flight.velocity[0]
+    step = np.array([-1e-4, 1e-4])
     rate = 2.0 * earth.earth_rate(L + step) + earth.transport_rate(velocity, L + step, T3.height_m)
-    right, east = float(np.diff(rate[:, 2])[0]) / 2e-4, earth.radii(L, T3.height_m)[1]
-    ie, en = earth.ROTATION_RATE * np.cos(L), velocity[0] / (np.cos(L) ** 2 * east)
+    right = float(np.diff(rate[:, 2])[0]) / 2e-4
+    east = earth.radii(L, T3.height_m)[1]
+    ie = earth.ROTATION_RATE * np.cos(L)
+    en = velocity[0] / (np.cos(L) ** 2 * east)
     return [
         Number("printed", (ie + en) / right, (0.6, 0.7)),
         Number("corrected", (2.0 * ie + en) / right, (0.99, 1.01)),
     ]
 
 
-# -- the ledger --------------------------------------------------------------------------------------------------------------
+# -- the ledger ------------------------------------------------------------------------------------
 DECISIONS: dict[str, Decision] = {
     "table-1-counts": lambda _: Number(
         "of twelve counts, those that differ",
@@ -946,6 +1106,7 @@ STUDY = Study(
     parts,
     ROWS,
     figure="figure_06",
-    says="A sparse grid with its points where states are observable beats the UKF, equals 417 points with 99, and is cheaper.",
+    says="A sparse grid with its points where states are observable beats the UKF, equals 417 "
+    "points with 99, and is cheaper.",
     found=ANSWER,
 )

@@ -1,7 +1,9 @@
-"""The covariance of [Sun2015]'s filter in five forms, in the precision of the arrays that are given.
+"""The covariance of [Sun2015]'s filter in five forms, in the precision of the arrays that are
+given.
 
-Neither celnav nor numpy computes in single precision: a `celnav.Gaussian` holds doubles, and numpy factors in double whatever it is
-given and rounds at the end. So factorizations are written out here. What has no root is nan, and so is all that follows from it.
+Neither celnav nor numpy computes in single precision: a `celnav.Gaussian` holds doubles, and numpy
+factors in double whatever it is given and rounds at the end. So factorizations are written out
+here. What has no root is nan, and so is all that follows from it.
 """
 
 from __future__ import annotations
@@ -21,18 +23,24 @@ from celnav.papers.csrukf.scenario import Config, H, Scenario, simulate
 __all__ = ["FORMS", "ROOTS", "cholesky", "compared", "downdate", "fly", "step", "tria", "updated"]
 
 Cases = Sequence[tuple[Config, float]]
-"""Configurations of as many steps, and how many of the units of length, in which all is computed, are a kilometer."""
+"""Configurations of as many steps, and how many of the units of length, in which all is computed,
+are a kilometer."""
 
 FORMS = {
-    "plain": "P - K S K'", "symmetrized": "symmetrized", "Joseph": "Joseph's form", "downdated": "QR and downdate, as printed",
+    "plain": "P - K S K'",
+    "symmetrized": "symmetrized",
+    "Joseph": "Joseph's form",
+    "downdated": "QR and downdate, as printed",
     "array": "one QR",
-}  # fmt: skip
-"""An update: of the covariance, the same made symmetric, as a sum; of the root [Sun2015, Eqs. 32-37], and without a difference."""
+}
+"""An update: of the covariance, the same made symmetric, as a sum; of the root [Sun2015, Eqs.
+32-37], and without a difference."""
 ROOTS = ("downdated", "array")
 
 
 def tria(A: Array) -> Array:
-    """Lower root ``(..., n, n)`` of the columns ``A (..., n, q)``, by Householder's reflections of its rows."""
+    """Lower root ``(..., n, n)`` of the columns ``A (..., n, q)``, by Householder's reflections of
+    its rows."""
     A, n = A.copy(), A.shape[-2]
     for i in range(n):
         v = A[..., i, i:].copy()
@@ -59,14 +67,18 @@ def cholesky(P: Array) -> Array:
 
 
 def downdate(L: Array, V: Array) -> Array:
-    """Lower root of ``L L' - V V'``, column after column as `cholupdate` does it [Sun2015, Eq. 37], by LINPACK's rotations."""
+    """Lower root of ``L L' - V V'``, column after column as `cholupdate` does it [Sun2015, Eq. 37],
+    by LINPACK's rotations."""
     L = L.copy()
     for v in np.moveaxis(V, -1, 0):
         p = _solve(L, v[..., None])[..., 0]
-        a, gone = _sqrt(1 - (p * p).sum(-1, keepdims=True)), np.zeros_like(v)
+        a = _sqrt(1 - (p * p).sum(-1, keepdims=True))
+        gone = np.zeros_like(v)
         for i in reversed(range(L.shape[-1])):
             length = np.sqrt(a * a + p[..., i, None] * p[..., i, None])
-            c, s, a = a / length, p[..., i, None] / length, length
+            c = a / length
+            s = p[..., i, None] / length
+            a = length
             gone, L[..., i] = c * gone + s * L[..., i], c * L[..., i] - s * gone
     return L
 
@@ -88,15 +100,20 @@ def _solve(L: Array, B: Array) -> Array:
 def updated(form: str, spread: Array, D: Array, E: Array, sqrt_R: Array) -> tuple[Array, Array]:
     """Gain ``(..., n, m)``, and the covariance or root given a measurement [Sun2015, Eqs. 32-37].
 
-    ``spread``: what it was. ``D (..., n, q)``, ``E (..., m, q)``: deviations of state and measurement.
+    ``spread``: what it was. ``D (..., n, q)``, ``E (..., m, q)``: deviations of state and
+    measurement.
     """
-    # The deviations stand before the noise, as printed: of a precise measurement they are larger, and reflections that
+    # The deviations stand before the noise, as printed: of a precise measurement they are larger,
+    # and reflections that
     # begin with what is large keep the digits of what is small.
-    m, noisy = E.shape[-2], side_by_side([E, sqrt_R])
+    m = E.shape[-2]
+    noisy = side_by_side([E, sqrt_R])
     if form == "array":
         still = np.zeros((D.shape[-2], sqrt_R.shape[-1]), D.dtype)
         L = tria(np.concatenate([noisy, side_by_side([D, still])], -2))
-        S, U, after = L[..., :m, :m], L[..., m:, :m], L[..., m:, m:]
+        S = L[..., :m, :m]
+        U = L[..., m:, :m]
+        after = L[..., m:, m:]
     else:
         S = tria(noisy) if form == "downdated" else cholesky(outer(noisy))
         U = _solve(S, E @ D.mT).mT
@@ -114,12 +131,14 @@ def updated(form: str, spread: Array, D: Array, E: Array, sqrt_R: Array) -> tupl
 def step(
     form: str, x: Array, spread: Array, model: Callable[[Array], Array], noise: Array, z: Any = None
 ) -> tuple[Array, Array]:
-    """Mean, and covariance or root, after a motion [Sun2015, Eqs. 24-27]; or, with ``z``, given a measurement."""
+    """Mean, and covariance or root, after a motion [Sun2015, Eqs. 24-27]; or, with ``z``, given a
+    measurement."""
     S = (spread if form in ROOTS else cholesky(spread)).mT
     X = x[..., None, :] + np.sqrt(S.dtype.type(S.shape[-1])) * np.concatenate(
         [S, -S], -2
     )  # no center: its weight is 0
-    Y, root = model(X), np.sqrt(S.dtype.type(X.shape[-2]))
+    Y = model(X)
+    root = np.sqrt(S.dtype.type(X.shape[-2]))
     y = Y[..., 0, :] + (Y - Y[..., :1, :]).mean(-2)
     D, E = ((points - mean[..., None, :]).mT / root for points, mean in ((X, x), (Y, y)))
     if z is None:
@@ -134,14 +153,13 @@ def fly(
 ) -> Iterator[tuple[Array, Array]]:
     """CSRUKF [Sun2015, Eqs. 21-37], corrected; of angles SRUKF, for white noise.
 
-    Yields mean, and covariance or root, at each epoch but the first, ``(cases, runs, ...)`` in km and km/s.
+    Yields mean, and covariance or root, at each epoch but the first, ``(cases, runs, ...)`` in km
+    and km/s.
     """
-    c, angles, one, rows = (
-        cases[0][0],
-        sims[0].angles is not None,
-        np.ones((1, 1, 1)),
-        list[tuple[Any, ...]](),
-    )
+    c = cases[0][0]
+    angles = sims[0].angles is not None
+    one = np.ones((1, 1, 1))
+    rows = list[tuple[Any, ...]]()
     for (d, u), s in zip(cases, sims, strict=True):
         star = decorrelation(0.0 * H if angles else H, d.sqrt_Q, np.sqrt(d.R))
         seen, sqrt_R = (s.angles, star.sqrt_R) if angles else (s.z * u, star.sqrt_R * u)
@@ -161,10 +179,8 @@ def fly(
         np.stack(each).astype(precision) for each in zip(*rows, strict=True)
     )
     S, J, sqrt_Q, sqrt_R = (matrix[:, None] for matrix in matrices)
-    spread, stars = (
-        np.broadcast_to(S if form in ROOTS else outer(S), (*x.shape, 6)),
-        sightings.star_directions(c.separation),
-    )
+    spread = np.broadcast_to(S if form in ROOTS else outer(S), (*x.shape, 6))
+    stars = sightings.star_directions(c.separation)
 
     def f(X: Array) -> Array:
         return np.asarray(orbit.step(X / units, c.step_s) * units)
@@ -191,14 +207,13 @@ def fly(
 def compared(cases: Cases, _: Config, rngs: Sequence[np.random.Generator]) -> dict[str, Array]:
     """The filter in every form, in double and in single precision throughout, on the same data.
 
-    Of each, as ``<form>, <precision>/...`` ``(cases, runs)``: lost, 1 where a factorization failed; square, the mean square of the
-    3-D position error, km^2; apart, the largest difference from the array form in double precision, in its deviations.
+    Of each, as ``<form>, <precision>/...`` ``(cases, runs)``: lost, 1 where a factorization failed;
+    square, the mean square of the 3-D position error, km^2; apart, the largest difference from the
+    array form in double precision, in its deviations.
     """
-    sims, out, exact = (
-        [simulate(c, rngs) for c, _ in cases],
-        dict[str, Array](),
-        list[tuple[Array, Array]](),
-    )
+    sims = [simulate(c, rngs) for c, _ in cases]
+    out = dict[str, Array]()
+    exact = list[tuple[Array, Array]]()
     truth = np.stack([s.truth for s in sims], 1)
     for precision, form in product(("double", "single"), reversed(FORMS)):
         square, apart = np.zeros((2, *truth.shape[1:3]))

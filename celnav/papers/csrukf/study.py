@@ -1,4 +1,5 @@
-"""[Sun2015] judged: the runs, what the paper states and prints, what is wrong in it, and what we found beside it."""
+"""[Sun2015] judged: the runs, what the paper states and prints, what is wrong in it, and what we
+found beside it."""
 
 from __future__ import annotations
 
@@ -52,19 +53,39 @@ from celnav.study.numbers import Decided, all_of, consistency, entries, given, o
 from celnav.study.study import Part, Results, Rngs, Study, fly
 
 __all__ = [
-    "BOTH", "COLORS", "HELD", "PHIS", "RATIOS", "STUDY", "SWEEP", "TABLE_1", "TABLE_2", "TABLE_3", "UNITS", "expected", "linear",
-    "parts", "redrawn", "variants",
-]  # fmt: skip
+    "BOTH",
+    "COLORS",
+    "HELD",
+    "PHIS",
+    "RATIOS",
+    "STUDY",
+    "SWEEP",
+    "TABLE_1",
+    "TABLE_2",
+    "TABLE_3",
+    "UNITS",
+    "expected",
+    "linear",
+    "parts",
+    "redrawn",
+    "variants",
+]
 
-UNITS, BOTH, ISOTROPIC = np.repeat([1.0, 1e3], 3), ("position", "velocity"), "csrukf-isotropic"
-PHIS, STEPS = {"0": 0.0, "0.8": 0.8, "I": 1.0}, (0.0, 0.5, 0.8, 0.95, 1.0)
-SWEEP, COLORS = (-0.5, *STEPS[:4], 0.99, 0.999, 1.0), (0.0, 0.25, 0.5, 0.8, 0.9, 0.95, 0.99)
-SMALL, RATIOS = (1e-6, 1e-3, 0.035), np.arange(0.0, 9.1, 0.5)
+UNITS = np.repeat([1.0, 1e3], 3)
+BOTH = ("position", "velocity")
+ISOTROPIC = "csrukf-isotropic"
+PHIS = {"0": 0.0, "0.8": 0.8, "I": 1.0}
+STEPS = (0.0, 0.5, 0.8, 0.95, 1.0)
+SWEEP = (-0.5, *STEPS[:4], 0.99, 0.999, 1.0)
+COLORS = (0.0, 0.25, 0.5, 0.8, 0.9, 0.95, 0.99)
+SMALL = (1e-6, 1e-3, 0.035)
+RATIOS = np.arange(0.0, 9.1, 0.5)
 HELD = {
     "stationary covariance": lambda phi: 1.0 - phi**2,
     "spectral density": lambda phi: (1.0 - phi) ** 2,
 }
-"""What may stay the same instead of the increments while phi grows, and the part of their covariance that this leaves."""
+"""What may stay the same instead of the increments while phi grows, and the part of their
+covariance that this leaves."""
 TABLE_1 = {
     "SRUKF": [0.0355, 0.0321, 0.0356, 0.0338, 0.0343, 0.0384],
     "CSRUKF": [0.0340, 0.0356, 0.0363, 0.0382, 0.0349, 0.0359],
@@ -86,7 +107,7 @@ TABLE_3 = {
 """RMSE of x, y, z (km) and vx, vy, vz (m/s), as printed."""
 
 
-# -- what is flown -----------------------------------------------------------------------------------------------------------
+# -- what is flown ---------------------------------------------------------------------------------
 @dataclass(frozen=True, eq=False, repr=False)
 class Other(Decorrelated):
     """The paper's filter with another decorrelated system than the right one."""
@@ -102,8 +123,9 @@ class Other(Decorrelated):
 def variants(config: Config) -> dict[str, Filter]:
     """Filters that are compared with those of `filters`.
 
-    lagged: csrukf's estimate of the epoch before, which has seen one sample more. printed roots: Q* and R* themselves in the QR of
-    Eqs. 27, 32. without J: whitened, not decorrelated. phi ...: csrukf that assumes that coefficient.
+    lagged: csrukf's estimate of the epoch before, which has seen one sample more. printed roots: Q*
+    and R* themselves in the QR of Eqs. 27, 32. without J: whitened, not decorrelated. phi ...:
+    csrukf that assumes that coefficient.
     """
     csrukf: Any = filters(config)["csrukf"]
     star = decorrelation(H, config.sqrt_Q, np.sqrt(config.R))
@@ -136,31 +158,41 @@ def flown(names: Sequence[str], every: int, config: Config, rngs: Rngs) -> dict[
 
 
 def walk(config: Config, rngs: Rngs) -> dict[str, Array]:
-    """The colored noise itself, as a filter's error that follows it: ``noise/error (T, runs, 6)``."""
+    """The colored noise itself, as a filter's error that follows it: ``noise/error (T, runs,
+    6)``."""
     noise = simulate(config, rngs).noise
     return {"noise/error": np.concatenate([noise, 0.0 * noise], -1)}
 
 
-# -- what needs no runs ------------------------------------------------------------------------------------------------------
+# -- what needs no runs ----------------------------------------------------------------------------
 def expected(config: Config, phis: Sequence[float], held: str = "") -> dict[str, Array]:
-    """Exact deviations ``(T, phis, 6)`` km, m/s along the nominal orbit, by filter; SRUKF takes R for the covariance of its noise.
+    """Exact deviations ``(T, phis, 6)`` km, m/s along the nominal orbit, by filter; SRUKF takes R
+    for the covariance of its noise.
 
     The first noise has covariance R; but with something ``held`` it is stationary.
     """
     phi = np.asarray(phis)[:, None, None]
-    F, Phi, R = orbit.transition(config.nominal()[:-1], config.step_s), phi * np.eye(3), config.R
-    Q, P0 = config.sqrt_Q @ config.sqrt_Q.T, config.sqrt_P0 @ config.sqrt_P0.T
-    gains, first = riccati(F, H, Q, R, P0).gains, R
+    F = orbit.transition(config.nominal()[:-1], config.step_s)
+    Phi = phi * np.eye(3)
+    R = config.R
+    Q = config.sqrt_Q @ config.sqrt_Q.T
+    P0 = config.sqrt_P0 @ config.sqrt_P0.T
+    gains = riccati(F, H, Q, R, P0).gains
+    first = R
     if held:
         R = R * HELD[held](phi)
         first = R / (1.0 - phi**2)
-    covs = {"srukf": actual_covariance(F, H, gains, Q, Phi, R, P0, first),
-            "csrukf": colored_bound(F, H, Phi, Q, R, P0), "csrukf+z0": colored_bound(F, H, Phi, Q, R, P0, first)}  # fmt: skip
+    covs = {
+        "srukf": actual_covariance(F, H, gains, Q, Phi, R, P0, first),
+        "csrukf": colored_bound(F, H, Phi, Q, R, P0),
+        "csrukf+z0": colored_bound(F, H, Phi, Q, R, P0, first),
+    }
     return {name: UNITS * np.sqrt(cov.diagonal(0, -2, -1)) for name, cov in covs.items()}
 
 
 def theory(long_steps: int, config: Config, _: Rngs) -> dict[str, Array]:
-    """`expected` of P and D, with each thing `HELD`, and of a long arc from a poor prior without process noise, Phi = I, 0.8 I."""
+    """`expected` of P and D, with each thing `HELD`, and of a long arc from a poor prior without
+    process noise, Phi = I, 0.8 I."""
     poor = replace(
         D,
         prior_position_km=100.0,
@@ -182,11 +214,13 @@ def theory(long_steps: int, config: Config, _: Rngs) -> dict[str, Array]:
 
 
 def settings(count: int, config: Config, rngs: Rngs) -> dict[str, Array]:
-    """Could other parameters give Table 3? Time-averaged errors over random sigma, P0, Q and Sigma0, each ``(count,)``.
+    """Could other parameters give Table 3? Time-averaged errors over random sigma, P0, Q and
+    Sigma0, each ``(count,)``.
 
-    Drawn log-uniformly: sigma 0.03 to 3 km, the prior 0.1 to 10 sigma and 3 mm/s to 0.3 m/s, process noise 1e-4 to 0.1 sigma
-    and 1e-6 to 1e-4 m/s, Sigma0 0.1 to 10 R: priors with which Table 1 can come out at all. growth: SRUKF's from 0.8 I to I.
-    gain: of any filter over SRUKF at 0.8 I. misfit: largest factor between a setting's 24 errors and the printed ones.
+    Drawn log-uniformly: sigma 0.03 to 3 km, the prior 0.1 to 10 sigma and 3 mm/s to 0.3 m/s,
+    process noise 1e-4 to 0.1 sigma and 1e-6 to 1e-4 m/s, Sigma0 0.1 to 10 R: priors with which
+    Table 1 can come out at all. growth: SRUKF's from 0.8 I to I. gain: of any filter over SRUKF at
+    0.8 I. misfit: largest factor between a setting's 24 errors and the printed ones.
     """
     ends = ((-1.5, 0.5), (-1.0, 1.0), (-5.5, -3.5), (-4.0, -1.0), (-9.0, -7.0), (-0.5, 0.5))
     sigma, p_r, p_v, q_r, q_v, s0 = (10.0 ** rngs[0].uniform(*end, count) for end in ends)
@@ -194,36 +228,34 @@ def settings(count: int, config: Config, rngs: Rngs) -> dict[str, Array]:
         np.eye(6) * np.repeat(np.stack(pair, -1) ** 2, 3, -1)[:, None]
         for pair in ((sigma * p_r, p_v), (sigma * q_r, q_v))
     )
-    F, R = (
-        orbit.transition(config.nominal()[:-1], config.step_s),
-        (sigma**2)[:, None, None] * np.eye(3),
-    )
-    gains, far, size = riccati(F, H, Q, R, P0).gains, [], {}
+    F = orbit.transition(config.nominal()[:-1], config.step_s)
+    R = (sigma**2)[:, None, None] * np.eye(3)
+    gains = riccati(F, H, Q, R, P0).gains
+    far = []
+    size = {}
     for case, Phi in (("0.8", 0.8 * np.eye(3)), ("I", np.eye(3))):
         white = actual_covariance(F, H, gains, Q, Phi, R, P0, R * s0[:, None, None] ** 2)
         for name, cov in (("SRUKF", white), ("CSRUKF", colored_bound(F, H, Phi, Q, R, P0))):
             std = UNITS * np.sqrt(cov.diagonal(0, -2, -1).mean(0))
             far.append(np.abs(np.log(std / TABLE_3[case][name])).max(-1))
             size[case, name] = np.linalg.norm(std[:, :3], axis=-1)
-    gain, growth = (
-        size["0.8", "SRUKF"] / size["0.8", "CSRUKF"],
-        size["I", "SRUKF"] / size["0.8", "SRUKF"],
-    )
+    gain = size["0.8", "SRUKF"] / size["0.8", "CSRUKF"]
+    growth = size["I", "SRUKF"] / size["0.8", "SRUKF"]
     return {"growth": growth, "gain": gain, "misfit": np.exp(np.max(far, axis=0))}
 
 
 def geometry(config: Config, _: Rngs) -> dict[str, Array]:
     """Eqs. 40 to 42 over one revolution of the printed orbit, from angles without noise.
 
-    radius: by Eq. 41 as printed, over the right one. wrong: error (km) of the position by the printed root at each epoch.
-    corrected: the largest once the hemisphere is known. later: error of the printed root 300 s past the equator.
+    radius: by Eq. 41 as printed, over the right one. wrong: error (km) of the position by the
+    printed root at each epoch. corrected: the largest once the hemisphere is known. later: error of
+    the printed root 300 s past the equator.
     """
-    period, separation = (
-        2.0 * np.pi * np.sqrt(config.semi_major_axis_km**3 / orbit.EARTH.mu),
-        config.separation,
-    )
+    period = 2.0 * np.pi * np.sqrt(config.semi_major_axis_km**3 / orbit.EARTH.mu)
+    separation = config.separation
     path = config.nominal(round(period / config.step_s))[:, :3]
-    angles, z = sightings.angles(path, sightings.star_directions(separation)), path[:, 2]
+    angles = sightings.angles(path, sightings.star_directions(separation))
+    z = path[:, 2]
     wrong, right = (
         np.linalg.norm(sightings.position(angles, separation, s) - path, axis=-1)
         for s in (1.0, np.sign(z))
@@ -238,14 +270,14 @@ def geometry(config: Config, _: Rngs) -> dict[str, Array]:
 
 
 def redrawn(_: Config, rngs: Rngs) -> dict[str, Array]:
-    """One linear step with the points of the prediction used again (Eqs. 29-32), and with new ones, against the Kalman filter."""
-    F, z = np.eye(6) + 0.1 * rngs[0].standard_normal((6, 6)), rngs[0].standard_normal(3)
-    eye, sensor, epoch, prior = (
-        np.eye(6),
-        Sensor(H, np.eye(3)),
-        Epoch(1, 1.0, 1.0, None, z),
-        Gaussian(np.zeros(6), np.eye(6)),
-    )
+    """One linear step with the points of the prediction used again (Eqs. 29-32), and with new ones,
+    against the Kalman filter."""
+    F = np.eye(6) + 0.1 * rngs[0].standard_normal((6, 6))
+    z = rngs[0].standard_normal(3)
+    eye = np.eye(6)
+    sensor = Sensor(H, np.eye(3))
+    epoch = Epoch(1, 1.0, 1.0, None, z)
+    prior = Gaussian(np.zeros(6), np.eye(6))
     new, exact = (ukf(Motion(f, eye), sensor) for f in (lambda x, _: x @ F.T, F))
     truth, after = (filter.step(filter.start(prior), epoch)[0].belief for filter in (exact, new))
 
@@ -269,28 +301,27 @@ def redrawn(_: Config, rngs: Rngs) -> dict[str, Array]:
 
 
 def linear(_: Config, rngs: Rngs) -> dict[str, Array]:
-    """A random linear system of colored noise: what is claimed of the whitened one, and estimates against exact conditioning.
+    """A random linear system of colored noise: what is claimed of the whitened one, and estimates
+    against exact conditioning.
 
-    cross: of process and differenced noise after the decorrelation, as part of what it was. corrected, first sample lost:
-    differences in mean and deviation from the filter that carries the noise in its state, in deviations, over 40 epochs.
+    cross: of process and differenced noise after the decorrelation, as part of what it was.
+    corrected, first sample lost: differences in mean and deviation from the filter that carries the
+    noise in its state, in deviations, over 40 epochs.
     """
-    (rng,), n, m = rngs, 6, 3
-    F, A, C = (
-        0.98 * np.eye(n) + 0.1 * rng.standard_normal((n, n)),
-        rng.standard_normal((m, n)),
-        rng.standard_normal((m, m)),
-    )
-    Phi, (q, r) = (
-        0.9 * C / np.abs(np.linalg.eigvals(C)).max(),
-        (rng.uniform(0.1, 1.0, size) for size in (n, m)),
-    )
-    star, QH = decorrelation(A, np.diag(q), np.diag(r)), np.diag(q**2) @ A.T
+    (rng,) = rngs
+    n = 6
+    m = 3
+    F = 0.98 * np.eye(n) + 0.1 * rng.standard_normal((n, n))
+    A = rng.standard_normal((m, n))
+    C = rng.standard_normal((m, m))
+    Phi = 0.9 * C / np.abs(np.linalg.eigvals(C)).max()
+    (q, r) = (rng.uniform(0.1, 1.0, size) for size in (n, m))
+    star = decorrelation(A, np.diag(q), np.diag(r))
+    QH = np.diag(q**2) @ A.T
     out = {"cross": np.abs(QH - star.J @ star.sqrt_R @ star.sqrt_R.T) / np.abs(QH).max()}
-    motion, prior, times = (
-        Motion(F, np.diag(q**2)),
-        Gaussian(np.zeros(n), np.eye(n)),
-        np.arange(41.0),
-    )
+    motion = Motion(F, np.diag(q**2))
+    prior = Gaussian(np.zeros(n), np.eye(n))
+    times = np.arange(41.0)
     sensor = Sensor(A, stationary_covariance(Phi, np.diag(r**2)))
     z = celnav.simulate(
         motion, sensor, prior, times, runs=1, seed=int(rng.integers(2**31)), Phi=Phi
@@ -316,8 +347,8 @@ def linear(_: Config, rngs: Rngs) -> dict[str, Array]:
 
 
 def parts(effort: float = 1.0) -> dict[str, Part]:
-    """All that is computed; the long arc, the random settings and the flights of `compared` grow with the effort, and flights from
-    one coefficient to the next are shorter below `BRIEF`."""
+    """All that is computed; the long arc, the random settings and the flights of `compared` grow
+    with the effort, and flights from one coefficient to the next are shorter below `BRIEF`."""
 
     def flights(names: str, config: Config, number: int, runs: int = P.runs) -> Part:
         every = names.split(", ")
@@ -330,38 +361,51 @@ def parts(effort: float = 1.0) -> dict[str, Part]:
             1e-6 * config.steps * runs * 8.0 * len(every),
         )
 
-    basic, poor, walking = (
-        "srukf, csrukf, csrukf+z0, openloop",
-        replace(D, phi=1.0),
-        replace(P, phi=1.0),
-    )
+    basic = "srukf, csrukf, csrukf+z0, openloop"
+    poor = replace(D, phi=1.0)
+    walking = replace(P, phi=1.0)
     out = {
-        "0.8, many": Part(partial(flown, ("srukf", "csrukf"), 60), replace(P, phi=0.8), 1, 1600, 200, 16.0),
+        "0.8, many": Part(
+            partial(flown, ("srukf", "csrukf"), 60), replace(P, phi=0.8), 1, 1600, 200, 16.0
+        ),
         "0, many": Part(partial(flown, ("srukf", "csrukf"), P.steps), P, 0, 1600, 200, 14.0),
         "I, many": Part(partial(flown, ("csrukf",), P.steps), walking, 2, 400, 200, 2.0),
         "0": flights(f"{basic}, srukf-reff, lagged, printed roots", P, 0),
         "0.8": flights(f"{basic}, srukf-reff, phi 0.9, phi 1", replace(P, phi=0.8), 1),
         "I": flights(f"{basic}, srukf-inflated, phi 0.95, phi 0.99", walking, 2),
-        "D/I": flights(basic, poor, 3), "walk": Part(walk, walking, 2, P.runs, 128, 0.1),
+        "D/I": flights(basic, poor, 3),
+        "walk": Part(walk, walking, 2, P.runs, 128, 0.1),
         "stress/I": flights("csrukf, without J", replace(STRESS, phi=1.0), 6, STRESS.runs),
         "sensor/D/I": flights(f"{ISOTROPIC}, angles", replace(poor, measured="angles"), 11),
         "theory": Part(partial(theory, max(3000, round(18000 * effort))), P, cost=9.0),
         "settings": Part(partial(settings, max(50, round(300 * effort))), P, 20, cost=4.0),
-        "geometry": Part(geometry, P), "redrawn": Part(redrawn, P, 21), "linear": Part(linear, P, 23),
-    }  # fmt: skip
-    starts, exact = (
-        list(product((P, D), PHIS.values())),
-        replace(D, noise_position_km=0.0, noise_velocity_km_per_s=0.0, steps=20),
-    )
+        "geometry": Part(geometry, P),
+        "redrawn": Part(redrawn, P, 21),
+        "linear": Part(linear, P, 23),
+    }
+    starts = list(product((P, D), PHIS.values()))
+    exact = replace(D, noise_position_km=0.0, noise_velocity_km_per_s=0.0, steps=20)
     many, some, day = (max(20, round(steps * effort)) for steps in (600, 200, 360))
     cases = {
-        "paper": [(replace(c, phi=phi, steps=many), unit) for c, phi in starts for unit in (1.0, 1e3)],
-        "small": [(replace(c, phi=phi, sigma_km=s, steps=some), 1.0) for c, phi in starts for s in SMALL],
+        "paper": [
+            (replace(c, phi=phi, steps=many), unit) for c, phi in starts for unit in (1.0, 1e3)
+        ],
+        "small": [
+            (replace(c, phi=phi, sigma_km=s, steps=some), 1.0) for c, phi in starts for s in SMALL
+        ],
         "long": [(replace(c, phi=phi, steps=day, step_s=240.0), 1.0) for c, phi in starts],
-        "angles": [(replace(c, measured="angles", camera_deg=0.005 * s, star_arcsec=3.0 * s, steps=some), 1.0)
-                   for c in (P, D) for s in (1.0, 1e-3)],
+        "angles": [
+            (
+                replace(
+                    c, measured="angles", camera_deg=0.005 * s, star_arcsec=3.0 * s, steps=some
+                ),
+                1.0,
+            )
+            for c in (P, D)
+            for s in (1.0, 1e-3)
+        ],
         "ratios": [(replace(exact, sigma_km=D.prior_position_km * 10.0**-e), 1.0) for e in RATIOS],
-    }  # fmt: skip
+    }
     for number, (name, each) in enumerate(cases.items(), 30):
         out[f"forms/{name}"] = Part(
             partial(compared, each), P, number, 20, 20, 2e-3 * len(each) * each[0][0].steps
@@ -375,12 +419,10 @@ def parts(effort: float = 1.0) -> dict[str, Part]:
     return out
 
 
-# -- numbers of the ledger ---------------------------------------------------------------------------------------------------
-ALL, LATE, FITTED = (
-    slice(1, None),
-    slice(STRESS.steps // 2, None),
-    "reproduced with fitted parameters",
-)
+# -- numbers of the ledger -------------------------------------------------------------------------
+ALL = slice(1, None)
+LATE = slice(STRESS.steps // 2, None)
+FITTED = "reproduced with fitted parameters"
 
 
 def length(printed: Sequence[float], group: str) -> float:
@@ -406,7 +448,8 @@ def better(case: str, position: float, velocity: float) -> list[Decided]:
 
 def changes(r: Results) -> Tiers:
     """By how much more SRUKF grows from 0.8 I to I than CSRUKF does, and by the printed numbers."""
-    out, flown = [], (("I", "srukf"), ("0.8", "srukf"), ("0.8", "csrukf"), ("I", "csrukf"))
+    out = []
+    flown = (("I", "srukf"), ("0.8", "srukf"), ("0.8", "csrukf"), ("I", "csrukf"))
     for group in BOTH:
         a, b, c, d = (length(TABLE_3[case][filter.upper()], group) for case, filter in flown)
         squares = [r.squares(*one, group).sum(-1) for one in flown]
@@ -425,7 +468,8 @@ def changes(r: Results) -> Tiers:
 
 
 def stepwise(r: Results) -> list[Number]:
-    """Every step up in phi, for both filters, priors and groups, on the same noise, the least first."""
+    """Every step up in phi, for both filters, priors and groups, on the same noise, the least
+    first."""
     every = product(("srukf", "csrukf"), ("sweep/P", "sweep/D"), BOTH, pairwise(STEPS))
     steps = {
         f"{f}, {g}, {p}, {a:g} to {b:g}": ((f"{p}/{b:g}", f), (f"{p}/{a:g}", f), g)
@@ -452,9 +496,11 @@ def of_forms(r: Results, what: str, where: Sequence[tuple[str, str]], *forms: st
 
 
 def stable(r: Results) -> Tiers:
-    """Whether covariances fail, or err more, where the printed root does not: in double precision, or only under stress.
+    """Whether covariances fail, or err more, where the printed root does not: in double precision,
+    or only under stress.
 
-    The covariance form is P - K S K', plain or symmetrized, whichever does worse in a run. Under stress all cases count alike.
+    The covariance form is P - K S K', plain or symmetrized, whichever does worse in a run. Under
+    stress all cases count alike.
     """
 
     def more(where: Sequence[tuple[str, str]]) -> Array:
@@ -498,7 +544,8 @@ def stable(r: Results) -> Tiers:
     ]
     told.append(
         estimate(
-            "in single precision, share of the runs of one QR whose state is off by a deviation or more",
+            "in single precision, share of the runs of one QR whose state is off by a deviation or "
+            "more",
             np.mean,
             [of_forms(r, "apart", single, "array") >= 1.0],
         )
@@ -518,10 +565,17 @@ def stable(r: Results) -> Tiers:
 
 
 def held_fixed(r: Results) -> list[Number]:
-    """Factors by which steps up in phi change an RMSE, over both priors, position and velocity, at the end and averaged."""
-    out, (covariance, density) = list[Number](), HELD
-    for held, name, least in ((covariance, "srukf", 1), (covariance, "csrukf", 1), (density, "srukf", 0), (density, "csrukf+z0", 0),
-                              (density, "csrukf", 0)):  # fmt: skip
+    """Factors by which steps up in phi change an RMSE, over both priors, position and velocity, at
+    the end and averaged."""
+    out = list[Number]()
+    (covariance, density) = HELD
+    for held, name, least in (
+        (covariance, "srukf", 1),
+        (covariance, "csrukf", 1),
+        (density, "srukf", 0),
+        (density, "csrukf+z0", 0),
+        (density, "csrukf", 0),
+    ):
         squares = [
             np.square(r.get("theory", f"{held}/{prior}/{name}"))
             .reshape(-1, len(COLORS), 2, 3)
@@ -547,7 +601,8 @@ def held_fixed(r: Results) -> list[Number]:
 
 
 def converges(case: str, prior: str) -> list[Decided]:
-    """Against the start, and against the open loop: an interval that contains 1 shows no convergence."""
+    """Against the start, and against the open loop: an interval that contains 1 shows no
+    convergence."""
     against = (("the start", (case, "csrukf"), 0), ("the open loop", (case, "openloop"), -1))
     return [
         ratio(
@@ -564,7 +619,8 @@ def converges(case: str, prior: str) -> list[Decided]:
 
 
 def over_theory(case: str) -> Decided:
-    """Final 3-D position RMSE of CSRUKF over exact linear theory, which is the posterior Cramer-Rao bound, of many runs."""
+    """Final 3-D position RMSE of CSRUKF over exact linear theory, which is the posterior Cramer-Rao
+    bound, of many runs."""
 
     def number(r: Results) -> Number:
         bound = np.square(r.get("theory", "P/csrukf")[-1, SWEEP.index(PHIS[case]), :3]).sum()
@@ -597,11 +653,9 @@ def right(wrong: Array) -> float:
     return float((wrong < 1e-3).mean())
 
 
-# -- the ledger --------------------------------------------------------------------------------------------------------------
-SAME, PRINTED = (
-    ((-1, -1, "end"), (ALL, ALL, "averaged")),
-    ((-1, -2, "end"), (slice(2, None), slice(1, -1), "averaged")),
-)
+# -- the ledger ------------------------------------------------------------------------------------
+SAME = ((-1, -1, "end"), (ALL, ALL, "averaged"))
+PRINTED = ((-1, -2, "end"), (slice(2, None), slice(1, -1), "averaged"))
 CELLS = [((case, filter.lower()), TABLE_3[case][filter]) for case in TABLE_3 for filter in TABLE_1]
 
 DECISIONS: dict[str, Decision] = {
@@ -796,7 +850,8 @@ STUDY = Study(
     parts,
     ROWS,
     figure="figure_08",
-    says="Differencing whitens colored measurement noise. The square-root UKF made of it is as good "
+    says="Differencing whitens colored measurement noise. The square-root UKF made of it is as "
+    "good "
     "as the ordinary one where noise is white, and converges where that one diverges.",
     found=ANSWER,
 )

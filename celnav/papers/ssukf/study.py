@@ -1,4 +1,5 @@
-"""[Wu2012] judged: the runs, what the paper states and prints, what is wrong in it, and what we found beside it."""
+"""[Wu2012] judged: the runs, what the paper states and prints, what is wrong in it, and what we
+found beside it."""
 
 from __future__ import annotations
 
@@ -72,32 +73,76 @@ from celnav.tape.tape import Number as Recorded
 from celnav.tape.tape import Tape
 
 __all__ = [
-    "AVERAGED_DEG", "AXES", "COARSE", "FIELD", "FIELD_DEG", "ROOTS", "SLOPES", "STUDY", "TIMED", "VECTOR", "apart", "changes",
-    "counted", "field", "flown", "integrated", "means", "points", "propagations", "to_tangent", "total_attitude", "total_filter",
+    "AVERAGED_DEG",
+    "AXES",
+    "COARSE",
+    "FIELD",
+    "FIELD_DEG",
+    "ROOTS",
+    "SLOPES",
+    "STUDY",
+    "TIMED",
+    "VECTOR",
+    "apart",
+    "changes",
+    "counted",
+    "field",
+    "flown",
+    "integrated",
+    "means",
+    "points",
+    "propagations",
+    "to_tangent",
+    "total_attitude",
+    "total_filter",
     "vector",
-]  # fmt: skip
+]
 
 UNITS = np.repeat([ARCSEC, DEG_PER_H], 3)
 """What errors of rotation vector and drift are divided by, ``(6,)``: arcsec and deg/h."""
-AXES, FORMS, TIMED = ("roll", "pitch", "yaw"), ("local", "switched", "unswitched"), (*SIDES, "mekf")
+AXES = ("roll", "pitch", "yaw")
+FORMS = ("local", "switched", "unswitched")
+TIMED = (*SIDES, "mekf")
 SPREADS = {"c = 15": 15.0, "c = 7": 7.0, "c = 0.15": 0.15, "the paper's scaling": None}
 PRINTED_SPREAD = 15.0 - 6.0 + STANDARD.alpha**2 * (6.0 + STANDARD.kappa)
-"""``c = L + lambda`` with the printed ``lambda = alpha^2 (n + kappa) - n``, which should have L where it has n."""
-AVERAGED_DEG, FIELD_DEG = (1.0, 10.0, 30.0, 60.0, 20.0 / 3600.0), (10.0, 30.0, 60.0)
+"""``c = L + lambda`` with the printed ``lambda = alpha^2 (n + kappa) - n``, which should have L
+where it has n."""
+AVERAGED_DEG = (1.0, 10.0, 30.0, 60.0, 20.0 / 3600.0)
+FIELD_DEG = (10.0, 30.0, 60.0)
 FIELD = ("mekf", "mekf transported", "usque", "usque transported", "ssukf", "aukf")
-COARSE = replace(STANDARD, gyro_hz=4.0, preintegrated=False, gyro_deg_per_h=5000.0, star_arcsec=7200.0, duration_s=60.0, alpha=1.0,
-                 beta=0.0, rate_deg_per_s=(10.0, 10.0, 50.0))  # fmt: skip
+COARSE = replace(
+    STANDARD,
+    gyro_hz=4.0,
+    preintegrated=False,
+    gyro_deg_per_h=5000.0,
+    star_arcsec=7200.0,
+    duration_s=60.0,
+    alpha=1.0,
+    beta=0.0,
+    rate_deg_per_s=(10.0, 10.0, 50.0),
+)
 """Chosen: a gyro ten thousand times as rough, stars to 2 deg, a fast turn."""
-ABOUT, HEADS = 8.0, {"one head": (0.0,), "90° apart": (45.0, -45.0)}
-"""Chosen: noise about a head's line of sight over that across it; where heads look, degrees from x to y."""
+ABOUT = 8.0
+HEADS = {"one head": (0.0,), "90° apart": (45.0, -45.0)}
+"""Chosen: noise about a head's line of sight over that across it; where heads look, degrees from x
+to y."""
 RATES_DEG_PER_S = (float(np.linalg.norm(STANDARD.rate_deg_per_s)), 1.0)
 ROOTS = ("whole", "block")
-VECTOR = replace(STANDARD, gyro_hz=1.0, star_hz=1.0, preintegrated=False, gyro_deg_per_h=0.05, star_arcsec=720.0,
-                 prior_deg=(1.0, 1.0, 1.0), alpha=1.0, duration_s=100.0)  # fmt: skip
+VECTOR = replace(
+    STANDARD,
+    gyro_hz=1.0,
+    star_hz=1.0,
+    preintegrated=False,
+    gyro_deg_per_h=0.05,
+    star_arcsec=720.0,
+    prior_deg=(1.0, 1.0, 1.0),
+    alpha=1.0,
+    duration_s=100.0,
+)
 """One vector instead of the attitude, to 0.2 deg; it and a gyro of the same density at 1 Hz."""
 
 
-# -- runs of the paper's scenario --------------------------------------------------------------------------------------------
+# -- runs of the paper's scenario ------------------------------------------------------------------
 def flown(names: Sequence[str], config: Config, rngs: Rngs, **options: Any) -> dict[str, Array]:
     """Filters by name from the paper's initial error; ``options``: see `filters`."""
     return fly(scenario.trial(config, rngs, drawn=False, **options), names, cov=True)
@@ -113,8 +158,10 @@ def isotropic(mean: Array, degrees: float) -> Gaussian:
 def starts(
     degrees: Sequence[float], names: Sequence[str], axis: Array | None, config: Config, rngs: Rngs
 ) -> dict[str, Array]:
-    """Filters from priors of the deviations given; the true error is that of the paper, or of that size about an ``axis``."""
-    sim, found = simulate(config, rngs), {}
+    """Filters from priors of the deviations given; the true error is that of the paper, or of that
+    size about an ``axis``."""
+    sim = simulate(config, rngs)
+    found = {}
     for d in degrees:
         error = (
             None if axis is None else np.concatenate([np.radians(d) * axis, sim.truth[0, 0, 4:]])
@@ -139,28 +186,35 @@ def means(sim: scenario.Scenario, name: str, **options: Any) -> Array:
 
 
 def apart(a: Array, b: Array) -> Array:
-    """Largest differences of each run after the first star sample, ``(2, runs)``: of attitude (arcsec) and of drift (deg/h)."""
+    """Largest differences of each run after the first star sample, ``(2, runs)``: of attitude
+    (arcsec) and of drift (deg/h)."""
     difference = np.abs(errors(a[1:], b[1:])) / UNITS
     return np.stack([difference[..., :3].max((0, 2)), difference[..., 3:].max((0, 2))])
 
 
 def changes(config: Config, rngs: Rngs) -> dict[str, Array]:
-    """Differences ``(2, runs)``, see `apart`: of the SSUKF at 100 and at 4 Hz, of the AUKF with either lambda."""
+    """Differences ``(2, runs)``, see `apart`: of the SSUKF at 100 and at 4 Hz, of the AUKF with
+    either lambda."""
     full, sim = (
         simulate(replace(config, preintegrated=whether), deepcopy(rngs))
         for whether in (False, True)
     )
-    return {"ssukf": apart(means(full, "ssukf"), means(sim, "ssukf")),
-            "as printed": apart(means(sim, "aukf"), means(sim, "aukf", c=PRINTED_SPREAD))}  # fmt: skip
+    return {
+        "ssukf": apart(means(full, "ssukf"), means(sim, "ssukf")),
+        "as printed": apart(means(sim, "aukf"), means(sim, "aukf", c=PRINTED_SPREAD)),
+    }
 
 
 def identities(config: Config, rngs: Rngs) -> dict[str, Array]:
-    """AUKF and SSUKF in square-root form at the gyro's full rate, by `SPREADS`: largest differences ``(1, runs)`` of means,
-    covariances and gains after any step, in the deviations that the filter reports."""
-    sim, out = simulate(config, rngs), dict[str, Array]()
+    """AUKF and SSUKF in square-root form at the gyro's full rate, by `SPREADS`: largest differences
+    ``(1, runs)`` of means, covariances and gains after any step, in the deviations that the filter
+    reports."""
+    sim = simulate(config, rngs)
+    out = dict[str, Array]()
 
     def gains(_epoch: Epoch, state: Any, infos: Any) -> dict[str, Array]:
-        (info,), std = infos, state.belief.std[..., :, None]
+        (info,) = infos
+        std = state.belief.std[..., :, None]
         if info.gain is None:
             return {"gain": np.zeros((*std.shape[:-1], 3))}
         return {"gain": info.gain() * np.linalg.norm(info.sqrt_S, axis=-1)[..., None, :] / std}
@@ -184,19 +238,22 @@ def identities(config: Config, rngs: Rngs) -> dict[str, Array]:
     return out
 
 
-# -- the total attitude in modified Rodrigues parameters: the paper's words taken literally ----------------------------------
+# -- the total attitude in modified Rodrigues parameters: the paper's words taken literally --------
 def to_tangent(q: Array) -> Array:
-    """From deviations of total parameters and drift to those of rotation vector and drift, ``(..., 6, 6)``."""
+    """From deviations of total parameters and drift to those of rotation vector and drift, ``(...,
+    6, 6)``."""
     return block(
         [[4.0 * attitude.transport(q[..., :3] / (1.0 + q[..., 3:]), 1.0, 1.0), 0], [0, np.eye(3)]]
     )
 
 
 def total_attitude() -> Space:
-    """Space of attitudes whose tangents are differences of modified Rodrigues parameters of the attitudes themselves.
+    """Space of attitudes whose tangents are differences of modified Rodrigues parameters of the
+    attitudes themselves.
 
-    The sign of the point decides between its two sets of parameters: a model that hands on `positive` quaternions switches to
-    the shadow set in time, and the covariance follows by itself, since every other point is taken on the side of the center.
+    The sign of the point decides between its two sets of parameters: a model that hands on
+    `positive` quaternions switches to the shadow set in time, and the covariance follows by itself,
+    since every other point is taken on the side of the center.
     """
 
     def parameters(q: Array) -> Array:
@@ -214,8 +271,10 @@ def total_attitude() -> Space:
 
 
 def total_filter(config: Config, *, switched: bool = True, form: str = "covariance") -> Sequential:
-    """SSUKF on the total attitude. Without the switch to the shadow set (``switched``) it meets its singularity."""
-    local, sky = filters(config, form=form)["ssukf"], total_attitude()
+    """SSUKF on the total attitude. Without the switch to the shadow set (``switched``) it meets its
+    singularity."""
+    local = filters(config, form=form)["ssukf"]
+    sky = total_attitude()
 
     def f(x: Array, epoch: Epoch, *noise: Array) -> Array:
         y = np.asarray(local.motion.f(x, epoch, *noise))
@@ -232,11 +291,14 @@ def forms(
     config: Config,
     rngs: Rngs,
 ) -> dict[str, Array]:
-    """The SSUKF in `FORMS`, local and on the total attitude with and without the switch, from drawn initial errors. Beside errors,
-    NEES and NIS: what the norm of a quaternion lacks to 1, and the condition of the attitude's covariance in its parameters."""
-    sim, out = made(config, rngs), {"times": config.times}
+    """The SSUKF in `FORMS`, local and on the total attitude with and without the switch, from drawn
+    initial errors. Beside errors, NEES and NIS: what the norm of a quaternion lacks to 1, and the
+    condition of the attitude's covariance in its parameters."""
+    sim = made(config, rngs)
+    out = {"times": config.times}
     for name in names:
-        filter, prior = filters(config)["ssukf"], sim.drawn
+        filter = filters(config)["ssukf"]
+        prior = sim.drawn
         if name != "local":
             filter = total_filter(config, switched=name == "switched")
             prior = Gaussian(
@@ -245,7 +307,9 @@ def forms(
             )
         with np.errstate(all="ignore"):  # at 360 deg the parameters are infinite
             track = run(filter, prior, sim.epochs(), keep="cov", on_failure="flag")
-            error, root, q = errors(sim.truth, track.mean), track.sqrt_cov, track.mean[..., :4]
+            error = errors(sim.truth, track.mean)
+            root = track.sqrt_cov
+            q = track.mean[..., :4]
             G = np.eye(6) if name == "local" else to_tangent(q)
             out |= {
                 f"{name}/nees": nees(error, tria(G @ root)),
@@ -261,8 +325,10 @@ def forms(
 
 
 def turning(config: Config, rngs: Rngs) -> scenario.Scenario:
-    """The satellite turns by 1 deg/s about an axis, from 350 deg, and is known at first as well as one star sample tells."""
-    c, T = config, len(config.times)
+    """The satellite turns by 1 deg/s about an axis, from 350 deg, and is known at first as well as
+    one star sample tells."""
+    c = config
+    T = len(config.times)
     q = attitude.exp(np.radians(350.0 + c.times)[:, None, None] * np.array([0.6, 0.0, 0.8]))
     white, walk, noise, initial = normals(rngs, (T - 1, 3), (T - 1, 3), (T, 3), (6,))
     drift = c.gyro.drift(np.zeros(3), walk, c.step_s)
@@ -275,17 +341,20 @@ def turning(config: Config, rngs: Rngs) -> scenario.Scenario:
     )
 
 
-# -- one unit vector, of a magnetic field, instead of the whole attitude: a scenario that separates the filters --------------
+# -- one unit vector, of a magnetic field, instead of the whole attitude: a scenario that separates
 def field(u: float) -> Array:
-    """Direction ``(3,)`` of a dipole's field, taken as inertial, ``u`` rad along an orbit that is inclined by 60 deg."""
+    """Direction ``(3,)`` of a dipole's field, taken as inertial, ``u`` rad along an orbit that is
+    inclined by 60 deg."""
     up = np.stack([np.cos(u), np.sin(u) * 0.5, np.sin(u) * np.sqrt(0.75)])
     direction = 3.0 * up * up[2] - np.array([0.0, 0.0, 1.0])
     return np.asanyarray(direction / np.sqrt(np.square(direction).sum()))
 
 
 def vector(config: Config, rngs: Rngs, **options: Any) -> dict[str, Array]:
-    """The filters of `FIELD` from priors of `FIELD_DEG`; "transported": the covariance follows the reference after an update."""
-    sim, rate = simulate(config, rngs), config.orbit_rate_rad_per_s
+    """The filters of `FIELD` from priors of `FIELD_DEG`; "transported": the covariance follows the
+    reference after an update."""
+    sim = simulate(config, rngs)
+    rate = config.orbit_rate_rad_per_s
 
     def h(x: Array, epoch: Epoch, *noise: Array) -> Array:
         seen = attitude.rotate(x[..., :4], field(rate * epoch.t))
@@ -299,10 +368,8 @@ def vector(config: Config, rngs: Rngs, **options: Any) -> dict[str, Array]:
     noise = attitude.log(
         attitude.multiply(sim.stars, attitude.inverse(sim.truth[..., :4]))
     )  # that of the stars
-    seen, error = (
-        np.array([h(epoch.truth, epoch) for epoch in sim.epochs()]) + noise,
-        errors(sim.drawn.mean, sim.truth[0]),
-    )
+    seen = np.array([h(epoch.truth, epoch) for epoch in sim.epochs()]) + noise
+    error = errors(sim.drawn.mean, sim.truth[0])
     sim = sim._replace(stars=seen)
     priors = {
         f"{d:g}": isotropic(scenario.displaced(sim.truth[0], error * [d, d, d, 1.0, 1.0, 1.0]), d)
@@ -312,10 +379,13 @@ def vector(config: Config, rngs: Rngs, **options: Any) -> dict[str, Array]:
     return together(Trial(GROUPS, known, sim.prior, sim.epochs, scenario.compare), priors, FIELD)
 
 
-# -- noise inside a nonlinearity ---------------------------------------------------------------------------------------------
+# -- noise inside a nonlinearity -------------------------------------------------------------------
 def multiplied(_config: Any, rngs: Rngs, runs: int = 6000, steps: int = 60) -> dict[str, Array]:
-    """``x1' = x1 + exp(x2 + w1)``, ``x2' = 0.95 x2 + w2``, ``z = x1 exp(v)``: mean squared error of x1 ``(runs,)``, by filter."""
-    (rng,), W, V = rngs, np.diag([0.4, 0.2]), np.array([[0.15]])
+    """``x1' = x1 + exp(x2 + w1)``, ``x2' = 0.95 x2 + w2``, ``z = x1 exp(v)``: mean squared error of
+    x1 ``(runs,)``, by filter."""
+    (rng,) = rngs
+    W = np.diag([0.4, 0.2])
+    V = np.array([[0.15]])
     prior = Gaussian(np.tile([1.0, 0.0], (runs, 1)), np.diag([0.1**2, 0.2**2]))
 
     def f(x: Array, _epoch: Any, *noise: Array) -> Array:
@@ -327,32 +397,38 @@ def multiplied(_config: Any, rngs: Rngs, runs: int = 6000, steps: int = 60) -> d
     def h(x: Array, _epoch: Any, *noise: Array) -> Array:
         return x[..., :1] * np.exp(noise[-1]) if noise else x[..., :1]
 
-    x, epochs = prior.mean + rng.standard_normal((runs, 2)) @ prior.sqrt_cov, list[Epoch]()
-    w, v = rng.standard_normal((steps, runs, 2)) @ W, rng.standard_normal((steps, runs, 1)) @ V
+    x = prior.mean + rng.standard_normal((runs, 2)) @ prior.sqrt_cov
+    epochs = list[Epoch]()
+    w = rng.standard_normal((steps, runs, 2)) @ W
+    v = rng.standard_normal((steps, runs, 1)) @ V
     for k in range(steps):
         x = f(x, None, w[k])
         epochs.append(Epoch(k + 1, k + 1.0, 1.0, None, h(x, None, v[k]), x))
     options: Any = {"rule": lambda L: unscented(L, kappa=6.0 - L), "form": "covariance"}
-    beside = (Motion(f, sqrt_Q=lambda x, _: np.stack([np.exp(x[..., 1]), np.ones_like(x[..., 1])], -1)[..., None] * W),
-              Sensor(h, sqrt_R=lambda x, _: x[..., :1, None] * V))  # fmt: skip
-    known, truth = (
-        scenario.augmentations(*beside, W, V, **options) | {"ekf": ekf(*beside)},
-        [e.truth for e in epochs],
+    beside = (
+        Motion(
+            f,
+            sqrt_Q=lambda x, _: (
+                np.stack([np.exp(x[..., 1]), np.ones_like(x[..., 1])], -1)[..., None] * W
+            ),
+        ),
+        Sensor(h, sqrt_R=lambda x, _: x[..., :1, None] * V),
     )
+    known = scenario.augmentations(*beside, W, V, **options) | {"ekf": ekf(*beside)}
+    truth = [e.truth for e in epochs]
     return {
         name: np.square(run(k, prior, epochs, keep="mean").mean - truth)[..., 0].mean(0)
         for name, k in known.items()
     }
 
 
-# -- heads of the star sensor, each of which knows least about its own line of sight -----------------------------------------
+# -- heads of the star sensor, each of which knows least about its own line of sight ---------------
 def heads(config: Config, rngs: Rngs) -> dict[str, Array]:
-    """The MEKF with the heads of `HEADS`, whose lines of sight lie in the plane of x and y, alike on both sides of x."""
-    sim, mekf, noise = (
-        simulate(config, rngs),
-        filters(config)["mekf"],
-        normals(rngs, *[(len(config.times), 3)] * 2),
-    )
+    """The MEKF with the heads of `HEADS`, whose lines of sight lie in the plane of x and y, alike
+    on both sides of x."""
+    sim = simulate(config, rngs)
+    mekf = filters(config)["mekf"]
+    noise = normals(rngs, *[(len(config.times), 3)] * 2)
     sights = {
         name: np.array([[np.cos(one), np.sin(one), 0.0] for one in np.radians(each)])
         for name, each in HEADS.items()
@@ -371,26 +447,34 @@ def heads(config: Config, rngs: Rngs) -> dict[str, Array]:
                 z=tuple(attitude.multiply(one, sim.truth[k, :, :4]) for one in seen)
             )
 
-    known = {name: ekf(mekf.motion, *(replace(mekf.sensors[0], sqrt_R=root) for root in each), form="covariance")
-             for name, each in roots.items()}  # fmt: skip
+    known = {
+        name: ekf(
+            mekf.motion,
+            *(replace(mekf.sensors[0], sqrt_R=root) for root in each),
+            form="covariance",
+        )
+        for name, each in roots.items()
+    }
     return fly(Trial(GROUPS, known, sim.drawn, epochs, scenario.compare), tuple(HEADS), 8)
 
 
-# -- what needs no runs, or one ----------------------------------------------------------------------------------------------
+# -- what needs no runs, or one --------------------------------------------------------------------
 def averages(config: Config) -> dict[str, Array]:
-    """Means of the quaternions of the SSUKF's own points, 25 and 19, at the deviations of `AVERAGED_DEG`, each ``(5,)``, the worse
-    of both. norm: by how much that by components departs from 1; turned: how far (deg) it is from the mean of Rodrigues parameters,
-    the median of 100 ways to change signs; aligned, eigen: how far (rad) that by components, or of rotation vectors, is
-    if none is changed, and the eigenvector that knows no signs [Markley2007]; four: the condition of the components' covariance."""
-    rng, rows = np.random.default_rng(0), []
+    """Means of the quaternions of the SSUKF's own points, 25 and 19, at the deviations of
+    `AVERAGED_DEG`, each ``(5,)``, the worse of both. norm: by how much that by components departs
+    from 1; turned: how far (deg) it is from the mean of Rodrigues parameters, the median of 100
+    ways to change signs; aligned, eigen: how far (rad) that by components, or of rotation vectors,
+    is if none is changed, and the eigenvector that knows no signs [Markley2007]; four: the
+    condition of the components' covariance."""
+    rng = np.random.default_rng(0)
+    rows = []
     for degrees in AVERAGED_DEG:
-        prior, each = isotropic(np.append(attitude.IDENTITY, np.zeros(3)), degrees), []
+        prior = isotropic(np.append(attitude.IDENTITY, np.zeros(3)), degrees)
+        each = []
         for noise in (scenario.noise_root(config.gyro, config.step_s), config.sigma_n * np.eye(3)):
             rule = scenario.spread(6 + len(noise), config)
-            q, w = (
-                rule.points(prior.mean, prior.sqrt_cov, scenario.state_space(), (noise,))[0][:, :4],
-                rule.wm,
-            )
+            q = rule.points(prior.mean, prior.sqrt_cov, scenario.state_space(), (noise,))[0][:, :4]
+            w = rule.wm
             best = attitude.inverse(attitude.from_rodrigues(w @ attitude.to_rodrigues(q)))
             others = [
                 w @ q,
@@ -414,9 +498,10 @@ def averages(config: Config) -> dict[str, Array]:
 
 
 def by_components(config: Config, rngs: Rngs) -> dict[str, Array]:
-    """The SSUKF, and with means of quaternions by components, normalized: their signs alike (aligned), or as they come; the
-    latter also with the wider points of c = 15."""
-    sim, rng = simulate(config, rngs), np.random.default_rng(0)
+    """The SSUKF, and with means of quaternions by components, normalized: their signs alike
+    (aligned), or as they come; the latter also with the wider points of c = 15."""
+    sim = simulate(config, rngs)
+    rng = np.random.default_rng(0)
 
     def mean(points: Array, weights: Array) -> Array:
         x = np.tensordot(weights, points, 1)
@@ -444,10 +529,12 @@ def by_components(config: Config, rngs: Rngs) -> dict[str, Array]:
     return fly(Trial(GROUPS, known, sim.prior, sim.epochs, scenario.compare), tuple(known))
 
 
-# -- operations of point-by-point code, counted on a tape: nothing is known beforehand ---------------------------------------
+# -- operations of point-by-point code, counted on a tape: nothing is known beforehand -------------
 def counted(function: Callable[..., Any], *shapes: tuple[int, ...]) -> Array:
-    """Operations of a function of arrays of such shapes ``(2,)``: as one each, and with 20 for what is no sum and no product."""
-    tape, given = Tape(rolled=False), [Numbers(shape[::-1]).T for shape in shapes]
+    """Operations of a function of arrays of such shapes ``(2,)``: as one each, and with 20 for what
+    is no sum and no product."""
+    tape = Tape(rolled=False)
+    given = [Numbers(shape[::-1]).T for shape in shapes]
     for x in given:
         for at in np.ndindex(*x.shape):
             x[at] = tape.input()
@@ -465,14 +552,13 @@ def counted(function: Callable[..., Any], *shapes: tuple[int, ...]) -> Array:
 
 
 def operations(config: Config, _rngs: Rngs) -> dict[str, Array]:
-    """What `counted` gives of an iteration, by filter, predictions to an update, and roots: of all that is augmented (whole), or
-    of the state alone (block), without the sums that add Q and R; and of ways to propagate an attitude, see `propagations`."""
-    f, space, sky, out = (
-        scenario.dynamics(config.gyro),
-        scenario.state_space(),
-        attitude.attitude(),
-        propagations(config.step_s),
-    )
+    """What `counted` gives of an iteration, by filter, predictions to an update, and roots: of all
+    that is augmented (whole), or of the state alone (block), without the sums that add Q and R; and
+    of ways to propagate an attitude, see `propagations`."""
+    f = scenario.dynamics(config.gyro)
+    space = scenario.state_space()
+    sky = attitude.attitude()
+    out = propagations(config.step_s)
     for name, noises in zip(SIDES, ((9, 9), (6, 3), (6, 0), (0, 3), (0, 0)), strict=True):
         rules = [scenario.spread(6 + width, config) for width in noises]
 
@@ -525,11 +611,13 @@ SLOPES = {
     2: ((0.5,), (0.0, 1.0)),
     4: ((0.5, 0.5, 1.0), (1.0 / 6.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0)),
 }
-"""Runge-Kutta methods by order: how far along the slope before each slope is taken, and the weights of all."""
+"""Runge-Kutta methods by order: how far along the slope before each slope is taken, and the weights
+of all."""
 
 
 def integrated(order: int, p: Array, turn: Array) -> Array:
-    """Modified Rodrigues parameters ``(..., 3)`` after a step in which the body turns by ``turn`` rad, by an order of `SLOPES`."""
+    """Modified Rodrigues parameters ``(..., 3)`` after a step in which the body turns by ``turn``
+    rad, by an order of `SLOPES`."""
 
     def slope(p: Array) -> Array:
         half = 0.5 * turn
@@ -538,25 +626,26 @@ def integrated(order: int, p: Array, turn: Array) -> Array:
             (0.5 - 0.5 * square) * half + matvec(attitude.cross(p), half) + along * p
         )
 
-    (ways, weights), slopes = SLOPES[order], [slope(p)]
+    (ways, weights) = SLOPES[order]
+    slopes = [slope(p)]
     for way in ways:
         slopes.append(slope(p + way * slopes[-1]))
     return p + sum(weight * one for weight, one in zip(weights, slopes, strict=True))
 
 
 def propagations(dt: float) -> dict[str, Array]:
-    """One gyro step of an attitude. accuracy ``(rates, orders)``: largest error (rad) of `integrated` over attitudes up to half a
-    turn, at `RATES_DEG_PER_S`. steps ``(5, 2)``: operations of the product of quaternions; of that with the parameters of a point
-    made a quaternion and back; of `integrated`, orders 1, 2 and 4."""
-    to, back = (
-        partial(attitude.from_rodrigues, a=1.0, b=1.0),
-        partial(attitude.to_rodrigues, a=1.0, b=1.0),
-    )
+    """One gyro step of an attitude. accuracy ``(rates, orders)``: largest error (rad) of
+    `integrated` over attitudes up to half a turn, at `RATES_DEG_PER_S`. steps ``(5, 2)``:
+    operations of the product of quaternions; of that with the parameters of a point made a
+    quaternion and back; of `integrated`, orders 1, 2 and 4."""
+    to = partial(attitude.from_rodrigues, a=1.0, b=1.0)
+    back = partial(attitude.to_rodrigues, a=1.0, b=1.0)
     axes, p = (
         x / np.linalg.norm(x, axis=1)[:, None]
         for x in np.random.default_rng(0).standard_normal((2, 2000, 3))
     )
-    p, accuracy = p * np.linspace(0.0, 1.0, len(p))[:, None], []
+    p = p * np.linspace(0.0, 1.0, len(p))[:, None]
+    accuracy = []
     for turn in (np.radians(rate) * dt * axes for rate in RATES_DEG_PER_S):
         exact = attitude.inverse(attitude.multiply(attitude.exp(turn), to(p)))
         accuracy.append(
@@ -565,29 +654,30 @@ def propagations(dt: float) -> dict[str, Array]:
                 for order in SLOPES
             ]
         )
-    ways = [counted(lambda turn, q: attitude.multiply(attitude.exp(turn), q), (3,), (4,)),
-            counted(lambda turn, p: back(attitude.multiply(attitude.exp(turn), to(p))), (3,), (3,)),
-            *(counted(partial(integrated, order), (3,), (3,)) for order in SLOPES)]  # fmt: skip
+    ways = [
+        counted(lambda turn, q: attitude.multiply(attitude.exp(turn), q), (3,), (4,)),
+        counted(lambda turn, p: back(attitude.multiply(attitude.exp(turn), to(p))), (3,), (3,)),
+        *(counted(partial(integrated, order), (3,), (3,)) for order in SLOPES),
+    ]
     return {"accuracy": np.array(accuracy), "steps": np.array(ways)}
 
 
 def facts(config: Config, _: Rngs) -> dict[str, Array]:
-    """exact: posterior deviations ``(T, 2)`` of angle (arcsec) and drift (deg/h) on an axis, widest prior. limits ``(3, 2)``: those
-    that settle, if the drift has a tau of 10 h, if 0.5 deg / sqrt(h) and 0.02 deg/h in an hour are meant, and as we read it."""
-    c, dt, unit, limits, drift = (
-        config,
-        config.step_s,
-        UNITS[[0, 3]],
-        [],
-        config.drift_deg_per_h * DEG_PER_H,
-    )
-    scale, H = (
-        np.array([1.0, 0.01]) * c.sigma_n,
-        np.eye(1, 2),
-    )  # or the solver loses the drift beside the angle
+    """exact: posterior deviations ``(T, 2)`` of angle (arcsec) and drift (deg/h) on an axis, widest
+    prior. limits ``(3, 2)``: those that settle, if the drift has a tau of 10 h, if 0.5 deg /
+    sqrt(h) and 0.02 deg/h in an hour are meant, and as we read it."""
+    c = config
+    dt = config.step_s
+    unit = UNITS[[0, 3]]
+    limits = []
+    drift = config.drift_deg_per_h * DEG_PER_H
+    # or the solver loses the drift beside the angle
+    scale = np.array([1.0, 0.01]) * c.sigma_n
+    H = np.eye(1, 2)
     slow = Gyro(c.gyro.sigma_v, drift * float(np.sqrt(2.0 / 36000.0)), 36000.0)
     for gyro in (slow, Gyro(60.0 * c.gyro_deg_per_h * DEG_PER_H, drift / 60.0), c.gyro):
-        F, Q = np.array([[1.0, -dt], [0.0, gyro.factor(dt)]]), gyro.process_noise(dt)[::3, ::3]
+        F = np.array([[1.0, -dt], [0.0, gyro.factor(dt)]])
+        Q = gyro.process_noise(dt)[::3, ::3]
         P = solve_discrete_are(
             (F * scale / scale[:, None]).T, H.T, Q / np.outer(scale, scale), np.eye(1)
         )
@@ -604,14 +694,14 @@ def facts(config: Config, _: Rngs) -> dict[str, Array]:
 
 
 def costs(_config: Config, _rngs: Rngs) -> dict[str, Array]:
-    """Points through f and h ``(2,)`` from star sample to star sample, by filter and rates, counted in a run by numpy."""
-    out, seen = dict[str, Array](), Counter[str]()
+    """Points through f and h ``(2,)`` from star sample to star sample, by filter and rates, counted
+    in a run by numpy."""
+    out = dict[str, Array]()
+    seen = Counter[str]()
     token = WATCH.set(lambda model, values: seen.update({model: len(values)}))
     for c, stars in ((STANDARD, 20), (FULL_RATE, 1)):
-        sim, known = (
-            simulate(replace(c, duration_s=stars / c.star_hz), [np.random.default_rng(0)]),
-            filters(c),
-        )
+        sim = simulate(replace(c, duration_s=stars / c.star_hz), [np.random.default_rng(0)])
+        known = filters(c)
         for name in TIMED:
             seen.clear()
             run(known[name], sim.prior, sim.epochs(), keep="nothing", engine="numpy")
@@ -621,34 +711,59 @@ def costs(_config: Config, _rngs: Rngs) -> dict[str, Array]:
 
 
 def parts(effort: float = 1.0, duration_s: float | None = None) -> dict[str, Part]:
-    """All that is computed; ``duration_s``: of the runs of the paper's scenario, shorter at an effort below `BRIEF` if left out."""
-    brief, whole = effort < BRIEF, STANDARD.duration_s
+    """All that is computed; ``duration_s``: of the runs of the paper's scenario, shorter at an
+    effort below `BRIEF` if left out."""
+    brief = effort < BRIEF
+    whole = STANDARD.duration_s
     runs_s, heads_s = (450.0, 200.0) if brief and duration_s is None else [duration_s or whole] * 2
-    c, minute, axis = STANDARD, replace(STANDARD, duration_s=60.0), np.array([0.48, 0.6, 0.64])
+    c = STANDARD
+    minute = replace(STANDARD, duration_s=60.0)
+    axis = np.array([0.48, 0.6, 0.64])
     return {
-        "runs": Part(partial(flown, ("aukf", "ssukf", "mekf")), replace(c, duration_s=runs_s), 0, c.runs, 200, 30.0),
-        "identities": Part(identities, replace(FULL_RATE, duration_s=1.0 if brief else 3.0), 1, 20, cost=1.4),
-        "rates": Part(changes, replace(FULL_RATE, duration_s=min(5.0 if brief else 20.0, runs_s)), 2, 20),
-        "priors": Part(partial(starts, (180.0, 10.0, 1.0, 20.0 / 3600.0), ("ssukf",), None), minute, 5, 20),
-        "turns": Part(partial(starts, (10.0, 179.0), ("ssukf", "mekf"), axis), replace(c, duration_s=1.0), 6, 100, cost=0.2),
+        "runs": Part(
+            partial(flown, ("aukf", "ssukf", "mekf")),
+            replace(c, duration_s=runs_s),
+            0,
+            c.runs,
+            200,
+            30.0,
+        ),
+        "identities": Part(
+            identities, replace(FULL_RATE, duration_s=1.0 if brief else 3.0), 1, 20, cost=1.4
+        ),
+        "rates": Part(
+            changes, replace(FULL_RATE, duration_s=min(5.0 if brief else 20.0, runs_s)), 2, 20
+        ),
+        "priors": Part(
+            partial(starts, (180.0, 10.0, 1.0, 20.0 / 3600.0), ("ssukf",), None), minute, 5, 20
+        ),
+        "turns": Part(
+            partial(starts, (10.0, 179.0), ("ssukf", "mekf"), axis),
+            replace(c, duration_s=1.0),
+            6,
+            100,
+            cost=0.2,
+        ),
         "vector": Part(vector, VECTOR, 9, 800, 800, 10.0),
         "augmented": Part(partial(flown, (*SIDES, "mekf"), c=15.0), minute, 10, 200, 200, 2.0),
         "drawn": Part(partial(forms, simulate, FORMS[:2]), minute, 11, 1000, 200, 12.0),
-        "crossing": Part(partial(forms, turning, FORMS), replace(c, duration_s=20.0), 24, 800, 200, 4.0),
+        "crossing": Part(
+            partial(forms, turning, FORMS), replace(c, duration_s=20.0), 24, 800, 200, 4.0
+        ),
         "coarse": Part(partial(flown, tuple(SIDES), c=15.0), COARSE, 25, 200, 200, 4.0),
         "heads": Part(heads, replace(c, duration_s=heads_s), 26, 400, 200, 28.0),
-        "components": Part(by_components, minute, 27, 100), "operations": Part(operations, FULL_RATE),
+        "components": Part(by_components, minute, 27, 100),
+        "operations": Part(operations, FULL_RATE),
         "multiplied": Part(partial(multiplied, runs=600) if brief else multiplied, c, 21),
-        "facts": Part(facts, c), "costs": Part(costs, c),
-    }  # fmt: skip
+        "facts": Part(facts, c),
+        "costs": Part(costs, c),
+    }
 
 
-# -- numbers of the ledger ---------------------------------------------------------------------------------------------------
-NEES, NIS, REGULAR = (
-    chi_square_band(6, 200),
-    chi_square_band(3, 200),
-    float(np.finfo(float).eps ** -0.5),
-)
+# -- numbers of the ledger -------------------------------------------------------------------------
+NEES = chi_square_band(6, 200)
+NIS = chi_square_band(3, 200)
+REGULAR = float(np.finfo(float).eps ** -0.5)
 """95 % bands of 200 runs; up to REGULAR a covariance has a root that keeps half of the digits."""
 COUNTS = [(roots, dear) for dear in (0, 1) for roots in ROOTS]
 """Which roots are factored, and whether one that is no sum or product counts 20 times."""
@@ -683,15 +798,20 @@ def fewer(per: int, roots: str, dear: int, *, bar: bool = True) -> Decided:
 
 
 def cheaper(way: int, beside: str) -> Decided:
-    """Operations of a step with quaternions over those of the cheapest integration, at the paper's rate, that errs by no more than
-    a thousandth of the star sensor's noise in a second, or of the drift that settles; nan if none does."""
+    """Operations of a step with quaternions over those of the cheapest integration, at the paper's
+    rate, that errs by no more than a thousandth of the star sensor's noise in a second, or of the
+    drift that settles; nan if none does."""
 
     def number(r: Results) -> Number:
         rate = (
             STANDARD.sigma_n if beside == "star" else r.value("facts", "limits", 2, 1) * DEG_PER_H
         )
-        most, steps = 1e-3 * rate * FULL_RATE.step_s, r.get("operations", "steps")[:, 0]
-        label = f"{('alone', 'with conversions')[way]}, over the cheapest that errs by {most:.1e} rad at most"
+        most = 1e-3 * rate * FULL_RATE.step_s
+        steps = r.get("operations", "steps")[:, 0]
+        label = (
+            f"{('alone', 'with conversions')[way]}, over the cheapest that errs by {most:.1e} "
+            "rad at most"
+        )
         least = min(steps[2:][r.get("operations", "accuracy")[0] <= most], default=np.nan)
         return Number(label, float(steps[way] / least), (None, 1.0 - 1e-9))
 
@@ -719,7 +839,8 @@ def multiplying(label: str, other: str, most: float | None = None) -> Decided:
 def sooner(
     filter: tuple[str, str], axis: int, level: float, label: str, accept: Any, **more: Any
 ) -> Decided:
-    """When an angle settles below a level (arcsec), in the first three minutes: by their end it is below all levels judged."""
+    """When an angle settles below a level (arcsec), in the first three minutes: by their end it is
+    below all levels judged."""
     return settling(
         label,
         filter,
@@ -735,14 +856,17 @@ def sooner(
 def sound(part: str, form: str) -> list[Decided]:
     """Norms, covariance and consistency of a form."""
     label = f"{form}, {part}"
-    return [of(part, f"{form}/norm", f"norm less 1, {label}", (None, 1e-12)),
-            of(part, f"{form}/condition", f"condition, {label}", (None, REGULAR)),
-            consistency(f"NEES, {label}", (part, form), NEES, at="all"),
-            consistency(f"NIS, {label}", (part, form), NIS, at="all", what="nis")]  # fmt: skip
+    return [
+        of(part, f"{form}/norm", f"norm less 1, {label}", (None, 1e-12)),
+        of(part, f"{form}/condition", f"condition, {label}", (None, REGULAR)),
+        consistency(f"NEES, {label}", (part, form), NEES, at="all"),
+        consistency(f"NIS, {label}", (part, form), NIS, at="all", what="nis"),
+    ]
 
 
 def unswitched(r: Results) -> Number:
-    """Largest attitude error past 360 deg without the switch, over that with it; a lost run errs by half a turn."""
+    """Largest attitude error past 360 deg without the switch, over that with it; a lost run errs by
+    half a turn."""
     sizes = (
         np.linalg.norm(r.error("crossing", form, "attitude")[36:], axis=-1)
         for form in ("unswitched", "switched")
@@ -763,7 +887,7 @@ def at_the_bound(r: Results) -> list[Number]:
     ]
 
 
-# -- the ledger --------------------------------------------------------------------------------------------------------------
+# -- the ledger ------------------------------------------------------------------------------------
 WHEN: dict[str, When] = {"first star sample": 1, "10 s": 40, "last third": "last third"}
 NINE = [
     (f"{name}, {when}", slice(i, i + 1), at)
@@ -1016,7 +1140,8 @@ STUDY = Study(
     parts,
     ROWS,
     figure="figure_03",
-    says="Appending only the noise that acts makes a UKF as accurate as the fully augmented one, in a third less time, and faster "
+    says="Appending only the noise that acts makes a UKF as accurate as the fully augmented one, "
+    "in a third less time, and faster "
     "to converge.",
     windows=lambda _config, times: {
         "all": slice(1, None),

@@ -1,4 +1,5 @@
-"""[Xu2023] judged: the runs, what the paper states, what is wrong or lost in it, and what we found beside it."""
+"""[Xu2023] judged: the runs, what the paper states, what is wrong or lost in it, and what we found
+beside it."""
 
 from __future__ import annotations
 
@@ -43,11 +44,36 @@ from celnav.study.study import Part, Results, Rngs, Study, When
 from celnav.study.trial import Group
 
 __all__ = [
-    "BESIDE", "BOTH", "COMPARED", "COUPLINGS", "LARGER", "NINE", "PAPER", "PRINTED", "STUDY",
-    "SWEEP", "TRENDS", "VARIANTS", "accelerations", "apart", "bodies", "correlation", "days",
-    "difference", "displaced", "ephemerides", "five", "flown", "linear", "nominal_covariances",
-    "operations", "power", "response", "squares", "until_tenth",
-]  # fmt: skip
+    "BESIDE",
+    "BOTH",
+    "COMPARED",
+    "COUPLINGS",
+    "LARGER",
+    "NINE",
+    "PAPER",
+    "PRINTED",
+    "STUDY",
+    "SWEEP",
+    "TRENDS",
+    "VARIANTS",
+    "accelerations",
+    "apart",
+    "bodies",
+    "correlation",
+    "days",
+    "difference",
+    "displaced",
+    "ephemerides",
+    "five",
+    "flown",
+    "linear",
+    "nominal_covariances",
+    "operations",
+    "power",
+    "response",
+    "squares",
+    "until_tenth",
+]
 
 Found = dict[str, Array]
 LENGTHS = (
@@ -59,18 +85,28 @@ LENGTHS = (
 PER_UNIT = (1.0, 1e3, 1.0)
 """Of these units in km and km/s."""
 EXACT_PART = np.r_[0:6, -3:0]
-TRENDS, LARGER = ("sine", "growing", "triangle"), 20.0 / 3.0
+TRENDS = ("sine", "growing", "triangle")
+LARGER = 20.0 / 3.0
 AMPLIFIED = tuple(LARGER * a for a in TABLE_5.amplitude_km)
 Changes = Mapping[str, Mapping[str, Any]]  # configurations by name: what of one is replaced
 FIVE: Changes = {str(i): {"setting": setting} for i, setting in SETTINGS.items()}
 VARIANTS: Changes = {
-    "as it is": {}, "M0 = (0.03 km)²": {"bias_prior_km": 0.03}, "M0 = (1 km)²": {"bias_prior_km": 1.0},
-    "form B": {"factor": "proportional"}, "white, form B": {"setting": SETTINGS[5], "factor": "proportional"},
+    "as it is": {},
+    "M0 = (0.03 km)²": {"bias_prior_km": 0.03},
+    "M0 = (1 km)²": {"bias_prior_km": 1.0},
+    "form B": {"factor": "proportional"},
+    "white, form B": {"setting": SETTINGS[5], "factor": "proportional"},
     f"white, ephemeris error × {LARGER:.3g}": {"setting": SETTINGS[5], "amplitude_km": AMPLIFIED},
     "white, no ephemeris error": {"setting": SETTINGS[5], "amplitude_km": (0.0, 0.0, 0.0)},
-}  # fmt: skip
-STRONG: Changes = {name: {"setting": Setting(*noise), "factor": "proportional"} for name, noise in {
-    "F = 0.8": (0.8,), "F = L = 0.8": (0.8, 0.8, 0.5), "F = 0.9, L = 0.8": (0.9, 0.8, 0.5)}.items()}  # fmt: skip
+}
+STRONG: Changes = {
+    name: {"setting": Setting(*noise), "factor": "proportional"}
+    for name, noise in {
+        "F = 0.8": (0.8,),
+        "F = L = 0.8": (0.8, 0.8, 0.5),
+        "F = 0.9, L = 0.8": (0.9, 0.8, 0.5),
+    }.items()
+}
 COUPLINGS = (
     (0.0, 0.0),
     (0.0, KAPPA),
@@ -84,8 +120,11 @@ COUPLED, TAKEN = (
     {str(i): {"setting": Setting(kappa=pair[k])} for i, pair in enumerate(COUPLINGS)}
     for k in (0, 1)
 )
-ALONE: Changes = {f"{name} = {x} alone": {"setting": Setting(*pair, 0.0)}
-                  for x in (0.3, 0.8) for name, pair in (("F", (x, 0.0)), ("L", (0.0, x)))}  # fmt: skip
+ALONE: Changes = {
+    f"{name} = {x} alone": {"setting": Setting(*pair, 0.0)}
+    for x in (0.3, 0.8)
+    for name, pair in (("F", (x, 0.0)), ("L", (0.0, x)))
+}
 MARS: dict[str, Any] = {
     "center": "mars",
     "elements": (3396.0 + 7136.635 - 6378.137, *TABLE_5.elements[1:]),
@@ -94,18 +133,19 @@ MARS: dict[str, Any] = {
 DE423 = {"Mars": ("de423/mars",)}
 DE440 = {"DE440": ("de440/earth", "de440/sun"), "shifted": ("de440/earth",)}
 """Ephemeris errors, see `reference`: with the barycenters reconciled, and as they are."""
-COLORS, PRIORS = (0.3, 0.5, 0.8, 0.9), {0.03: 50, 0.3: 1600, 1.0: 50}
-"""Of the measurement noise; deviations (km) of the ephemeris error in the filters at the start, and runs of setting 1 with them."""
+COLORS = (0.3, 0.5, 0.8, 0.9)
+PRIORS = {0.03: 50, 0.3: 1600, 1.0: 50}
+"""Of the measurement noise; deviations (km) of the ephemeris error in the filters at the start, and
+runs of setting 1 with them."""
 
 
-# -- filters on runs ---------------------------------------------------------------------------------------------------------
-BESIDE, TAU = np.arange(2.0).reshape(2, 1, 1, 1), TABLE_5.tau
+# -- filters on runs -------------------------------------------------------------------------------
+BESIDE = np.arange(2.0).reshape(2, 1, 1, 1)
+TAU = TABLE_5.tau
 FORM = {"C": (0.0, 0.0), "B": (0.0, 1.0), "A": (1.0, 1.0)}
-RHOS, TAUS, WALKS = (
-    (0.0, 1.0, 3.0, 10.0, 30.0, 50.0),
-    (10.0, 30.0, 300.0, 1000.0, 1e4),
-    (0.0, 1e-5, 3e-5, 1e-4, 3e-4),
-)
+RHOS = (0.0, 1.0, 3.0, 10.0, 30.0, 50.0)
+TAUS = (10.0, 30.0, 300.0, 1000.0, 1e4)
+WALKS = (0.0, 1e-5, 3e-5, 1e-4, 3e-4)
 FORMS = {"tdkf": (*FORM["C"], 0.0, 0.0, 0.0, TAU)} | {
     form: (*how, *TABLE_5.rho, TAU) for form, how in FORM.items()
 }
@@ -113,9 +153,11 @@ SWEEP = FORMS | {
     f"{form}, ρ = {rho:g}": (*FORM[form], rho, rho, rho, TAU) for form in "CB" for rho in RHOS
 }
 SWEEP |= {f"{form}, τ = {tau:g}": (*FORM[form], *TABLE_5.rho, tau) for form in "CB" for tau in TAUS}
-"""Factors by name: whether of the innovations of the first stage (form A), whether in proportion (A and B), ρ by axis, τ."""
+"""Factors by name: whether of the innovations of the first stage (form A), whether in proportion (A
+and B), ρ by axis, τ."""
 NINE = {**{f"aug9 {walk:g}": (walk, 0) for walk in WALKS}, "fair": (1e-4, 1)}
-"""Filters of nine states by name: steps of the bias (km), and which of `Noise.whites` they believe in."""
+"""Filters of nine states by name: steps of the bias (km), and which of `Noise.whites` they believe
+in."""
 LABELS = {
     "tstdkf": ("tdkf", "tstdkf"),
     "tdkf": FORMS,
@@ -189,9 +231,10 @@ def flown(
     every: int = 1,
     judged: bool = False,
 ) -> Found:
-    """Filters ``of`` these names (see `LABELS`) over cases of these: errors ``<case>/<filter>/error (K, runs, 3)``, see `LENGTHS`,
-    RMS over ``every`` epochs, and the estimate ``first (K, 1, 9)`` of the first run; FilterError if one is lost. judged: ``nees``
-    is kept too, for aug of the bias too, and ``nis``."""
+    """Filters ``of`` these names (see `LABELS`) over cases of these: errors ``<case>/<filter>/error
+    (K, runs, 3)``, see `LENGTHS`, RMS over ``every`` epochs, and the estimate ``first (K, 1, 9)``
+    of the first run; FilterError if one is lost. judged: ``nees`` is kept too, for aug of the bias
+    too, and ``nis``."""
     out: Found = {"times": sim.step_s * np.arange(every, len(sim.truth), every)}
     for name in of:
         filter = known[name]
@@ -212,14 +255,16 @@ def followed(
     filter: Any, sim: s.Scenario, every: int, judged: bool, labels: Sequence[str]
 ) -> Found:
     """What `flown` gives of the filters in one, arrays ``(K, filters, cases, runs, ...)``."""
-    K, batch = (len(sim.truth) - 1) // every, (len(labels), *sim.truth.shape[1:-1])
+    K = (len(sim.truth) - 1) // every
+    batch = (len(labels), *sim.truth.shape[1:-1])
     rows: Found = {"error": np.empty((K, *batch, 3)), "first": np.zeros((K, *batch[:-1], 1, 9))}
     rows |= {key: np.empty((K, *batch)) for key in ("nees", "nis") if judged}
     exact = labels == ("aug",)
 
     def take(some: Estimates) -> None:
         count = len(some.mean) // every
-        at, steps = slice(some.start // every, some.start // every + count), count * every
+        at = slice(some.start // every, some.start // every + count)
+        steps = count * every
         here = slice(some.start + 1, some.start + 1 + steps)
         truth, bias = (x[here, None, :, some.runs] for x in (sim.truth, sim.bias))
         mean = some.mean[:steps].reshape(steps, len(labels), *truth.shape[2:-1], -1)
@@ -256,7 +301,8 @@ def apart(
     taken: Changes | None = None,
     judged: bool = False,
 ) -> Found:
-    """Configurations that differ side by side; ``taken``: what the filters take them for, where that is something else."""
+    """Configurations that differ side by side; ``taken``: what the filters take them for, where
+    that is something else."""
     cases, believed = (
         [replace(config, **by.get(name, own)) for name, own in changes.items()]
         for by in (changes, taken or {})
@@ -269,7 +315,9 @@ def apart(
 def five(config: Config, rngs: Rngs) -> Found:
     """The five settings; in the first, EKF and TKF with the stationary covariances too."""
     cases = [replace(config, **changes) for changes in FIVE.values()]
-    sim, known, names = simulate(cases, rngs), filters(cases, on=BESIDE), list(FIVE)
+    sim = simulate(cases, rngs)
+    known = filters(cases, on=BESIDE)
+    names = list(FIVE)
     # The first setting once more, for filters that are given the stationary covariances.
     white = [
         np.concatenate([driving, stationary[:1]])
@@ -287,23 +335,23 @@ def five(config: Config, rngs: Rngs) -> Found:
 
 
 def forces(config: Config, rngs: Rngs) -> Found:
-    """Sun and Moon pull; all other noise is white. Who models them, and who leaves them to AR(1) noise like them."""
+    """Sun and Moon pull; all other noise is white. Who models them, and who leaves them to AR(1)
+    noise like them."""
     c = replace(config, setting=SETTINGS[5], pulled=True)
     total = np.asarray(sum(pull for body, pull in accelerations(c).items() if body in s.PULLING))
-    driven, L = c.process_std**2, np.concatenate([np.zeros(3), correlation(total)])
+    driven = c.process_std**2
+    L = np.concatenate([np.zeros(3), correlation(total)])
     driven[3:] += np.square(total).mean(0) * (1.0 - L[3:] ** 2)
     noise = ar1_noise(
         np.zeros((3, 3)), np.diag(L), np.zeros((6, 3)), np.diag(c.sigma_km**2), np.diag(driven)
     )
-    sim, modeled, colored = (
-        simulate([c], rngs),
-        filters([c], s.models(c, pulled=True)),
-        filters([c], noise=noise, on=BESIDE),
-    )
+    sim = simulate([c], rngs)
+    modeled = filters([c], s.models(c, pulled=True))
+    colored = filters([c], noise=noise, on=BESIDE)
     return flown(["modeled"], sim, modeled, ["tkf"]) | flown(["colored"], sim, colored, ["tstdkf"])
 
 
-# -- filters on errors that are linear about the nominal orbit: all runs share their covariances -------------------------------
+# -- filters on errors that are linear about the nominal orbit: all runs share their covariances ---
 @dataclass(frozen=True, eq=False)
 class Boosts:
     """Factors of several kinds at once, along a first axis.
@@ -330,11 +378,10 @@ def boosts(table: Mapping[str, tuple[float, ...]]) -> Boosts:
 def linear(
     names: Sequence[str], every: int, of: Sequence[str], config: Config, rngs: Rngs
 ) -> Found:
-    """`flown` along trends of the ephemeris error: the paper's, a step, or 1 km along each axis and, in other runs, others."""
-    known, (walks, whose) = (
-        filters(config, s.LINEAR, on=BESIDE),
-        np.array(list(NINE.values())).T[..., None, None, None, None],
-    )
+    """`flown` along trends of the ephemeris error: the paper's, a step, or 1 km along each axis
+    and, in other runs, others."""
+    known = filters(config, s.LINEAR, on=BESIDE)
+    (walks, whose) = np.array(list(NINE.values())).T[..., None, None, None, None]
     known |= {
         name: replace(known["tdkf"], boost=boosts(table))
         for name, table in (("tdkf", FORMS), ("sweep", SWEEP))
@@ -355,7 +402,8 @@ that the filters do not model."""
 
 def response(config: Config, pull: Array) -> Array:
     """What accelerations ``(T, cases, 3)`` km/s^2 do to the nominal orbit, ``(T, cases, 6)``."""
-    (_, Phi, G), x = s.nominal(config), np.zeros((*pull.shape[:2], 6))
+    (_, Phi, G) = s.nominal(config)
+    x = np.zeros((*pull.shape[:2], 6))
     x[1:] = pull[1:] @ G[:, :, 3:].mT
     for now, before, transition in zip(x[1:], x, Phi.mT, strict=False):
         now += before @ transition
@@ -366,10 +414,13 @@ def displaced(
     tracks: Callable[[Config], Tracks], of: Sequence[str], config: Config, rngs: Rngs
 ) -> Found:
     """`flown` by the hour about the nominal orbit, with errors that are given."""
-    cases, silent = tracks(config), replace(config, amplitude_km=(0.0,) * 3)
+    cases = tracks(config)
+    silent = replace(config, amplitude_km=(0.0,) * 3)
     sim = s.linearized([silent], rngs)
     bias, pull = (np.stack(part, 1) for part in zip(*cases.values(), strict=True))
-    moved, seen, Gamma = response(config, pull), np.zeros_like(bias), sim.inputs[2]
+    moved = response(config, pull)
+    seen = np.zeros_like(bias)
+    Gamma = sim.inputs[2]
     assert Gamma is not None
     seen[1:] = (moved[1:, :, :3] + bias[1:]) @ Gamma.mT
     shape = (len(cases), len(rngs))
@@ -386,8 +437,10 @@ def bodies(config: Config) -> Tracks:
     """DE405 less DE421: of nothing; of the Earth's position, in the timing model and in the forces;
     of its velocity, which displaces the middle of an observation from its end; of the positions of
     Sun, Moon and the other planets, in the timing model (the Sun's) and in the forces."""
-    error, still = {body: difference(f"de405/{body}", config) for body in BODIES}, np.zeros(3)
-    (earth, sun, _), timing = sky(config), config.timing
+    error = {body: difference(f"de405/{body}", config) for body in BODIES}
+    still = np.zeros(3)
+    (earth, sun, _) = sky(config)
+    timing = config.timing
     place = earth + s.nominal(config).state[:, :3]
 
     def pulled(errors: Mapping[str, Array]) -> Array:
@@ -414,7 +467,8 @@ def reference(names: Mapping[str, Sequence[str]], config: Config) -> Tracks:
 
 def operations(config: Config, _rngs: Rngs) -> Found:
     """Arithmetic operations of a step of one run about the nominal orbit, by filter."""
-    known, sim = filters(config, s.LINEAR), s.linearized([config], [np.random.default_rng(0)])
+    known = filters(config, s.LINEAR)
+    sim = s.linearized([config], [np.random.default_rng(0)])
     epochs = list(sim.epochs())
     return {
         name: np.array([step_operations(known[name], sim.prior, epochs)])
@@ -423,7 +477,8 @@ def operations(config: Config, _rngs: Rngs) -> Found:
 
 
 def nominal_covariances(cases: Sequence[Config], name: str) -> Array:
-    """Covariances ``(T, cases, 9, 9)`` of orbit and bias along the nominal orbit: for aug, the posterior Cramer-Rao bound."""
+    """Covariances ``(T, cases, 9, 9)`` of orbit and bias along the nominal orbit: for aug, the
+    posterior Cramer-Rao bound."""
     sim = s.linearized([cases[0]], [np.random.default_rng(0)])
     prior = Gaussian(np.zeros((len(cases), 1, 6)), np.diag(cases[0].deviation ** 2))
     cov = run(filters(cases, s.LINEAR)[name], prior, sim.epochs(), keep="cov").cov
@@ -431,8 +486,9 @@ def nominal_covariances(cases: Sequence[Config], name: str) -> Array:
 
 
 def covariances(config: Config, _: Rngs) -> Found:
-    """Covariances of aug in the settings, ``<setting>/aug``, or told the ephemeris error, and of tstdkf; by color, without a
-    bias, trace of the position's covariance of TDKF over the least possible one; condition of aug9's, of unit variances."""
+    """Covariances of aug in the settings, ``<setting>/aug``, or told the ephemeris error, and of
+    tstdkf; by color, without a bias, trace of the position's covariance of TDKF over the least
+    possible one; condition of aug9's, of unit variances."""
     flown = {**FIVE, "told": {"bias_prior_km": 1e-9, "walk_km": 0.0}}
     known = nominal_covariances([replace(config, **changes) for changes in flown.values()], "aug")
     short = replace(config, days=config.days / 3.0, bias_prior_km=1e-9, walk_km=0.0)
@@ -452,9 +508,12 @@ def covariances(config: Config, _: Rngs) -> Found:
 
 
 def alike(config: Config, rngs: Rngs) -> Found:
-    """All noise white: largest differences of both first stages and of TKF and TDKF, in deviations and parts of covariances."""
+    """All noise white: largest differences of both first stages and of TKF and TDKF, in deviations
+    and parts of covariances."""
     c = replace(config, setting=SETTINGS[5])
-    sim, known, worst = simulate(c, rngs), filters(c), np.zeros((2, 2))
+    sim = simulate(c, rngs)
+    known = filters(c)
+    worst = np.zeros((2, 2))
     both = zip(
         *(steps(known[name], sim.prior, sim.epochs()) for name in ("tkf", "tdkf")), strict=True
     )
@@ -470,11 +529,12 @@ def alike(config: Config, rngs: Rngs) -> Found:
     return {"worst": worst.ravel()}
 
 
-# -- what needs no Monte Carlo -------------------------------------------------------------------------------------------------
+# -- what needs no Monte Carlo ---------------------------------------------------------------------
 def accelerations(config: Config, errors: Mapping[str, Array] | None = None) -> Found:
     """Acceleration ``(T, 3)`` km/s^2 of the satellite on its nominal orbit by each body, relative
     to the Earth's; with ``errors (T, 3)`` km of the positions of some."""
-    place, wrong = s.nominal(config).state[:, :3], errors or {}
+    place = s.nominal(config).state[:, :3]
+    wrong = errors or {}
     at = {b: de421().state(b, config.dates).position + wrong.get(b, 0.0) for b in BODIES}
     earth = at.pop("earth")
     return {body: third_body(place, where - earth, GM[body]) for body, where in at.items()}
@@ -487,32 +547,38 @@ def correlation(values: Array) -> Array:
 
 
 def power(values: Array) -> tuple[Array, Array]:
-    """Power by frequency (Hann window) of sequences ``(T, ...)``, and its flatness, geometric to arithmetic mean: white, .56."""
+    """Power by frequency (Hann window) of sequences ``(T, ...)``, and its flatness, geometric to
+    arithmetic mean: white, .56."""
     window = np.hanning(len(values)).reshape(-1, *(1,) * (values.ndim - 1))
     power = np.square(np.abs(np.fft.rfft(window * (values - values.mean(0)), axis=0)))
     return power, np.exp(np.log(power).mean(0)) / power.mean(0)
 
 
 def pulls(config: Config, rngs: Rngs) -> Found:
-    """Of the sum of `accelerations` ``power``, by ``cycles`` a day, flatness and correlation, and those of 500 white sequences. Of
-    Shapiro delays by Earth, Moon and planets, which the timing model omits: RMS about the mean over the timing's (``omitted``),
-    correlation with the ``next`` and with the acceleration along the line of sight (``along``), for each pulsar."""
+    """Of the sum of `accelerations` ``power``, by ``cycles`` a day, flatness and correlation, and
+    those of 500 white sequences. Of Shapiro delays by Earth, Moon and planets, which the timing
+    model omits: RMS about the mean over the timing's (``omitted``), correlation with the ``next``
+    and with the acceleration along the line of sight (``along``), for each pulsar."""
     total = np.asarray(sum(accelerations(config).values()))[:-1]  # a whole month of samples
-    (lines, flat), white = (
-        power(total),
-        np.concatenate([rngs[0].standard_normal((len(total), 50)) for _ in range(10)], 1),
-    )
-    timing, place = config.timing, sky(config)[0] + s.nominal(config).state[:, :3]
+    (lines, flat) = power(total)
+    white = np.concatenate([rngs[0].standard_normal((len(total), 50)) for _ in range(10)], 1)
+    timing = config.timing
+    place = sky(config)[0] + s.nominal(config).state[:, :3]
     at = {body: de421().state(body, config.dates).position for body in BODIES[1:]}
     late = np.asarray(
         sum(GM[body] / GM["sun"] * timing.shapiro_exact(place, where) for body, where in at.items())
     )[:-1]
     return {
-        "omitted": late.std(0) / config.sigma_km, "next": correlation(late),
+        "omitted": late.std(0) / config.sigma_km,
+        "next": correlation(late),
         "along": np.diagonal(np.corrcoef(late, total @ timing.directions.T, rowvar=False)[:3, 3:]),
-        "cycles": np.fft.rfftfreq(len(total), config.step_s) * DAY_S, "power": lines, "flatness": flat,
-        "correlation": correlation(total), "white flatness": power(white)[1], "white correlation": correlation(white),
-    }  # fmt: skip
+        "cycles": np.fft.rfftfreq(len(total), config.step_s) * DAY_S,
+        "power": lines,
+        "flatness": flat,
+        "correlation": correlation(total),
+        "white flatness": power(white)[1],
+        "white correlation": correlation(white),
+    }
 
 
 @cache
@@ -527,7 +593,8 @@ def ephemerides() -> tuple[Tdb, Found]:
     )
     if apart > 1e-6:
         raise ValueError(
-            f"ephemeris_2015.npz: expected the DE421 that is installed, got one that differs by {apart:.3g} km"
+            "ephemeris_2015.npz: expected the DE421 that is installed, got one that differs by "
+            f"{apart:.3g} km"
         )
     pairs = [(name, body) for name in ("de405", "de406", "de423") for body in ("earth", "sun")]
     found = {f"{name}/{body}": stored[f"{name}-de421/{body}"] for name, body in pairs}
@@ -538,16 +605,19 @@ def difference(name: str, config: Config) -> Array:
     """One of `ephemerides` at the epochs of runs within that year, ``(T, 3)`` km: for Mercury to
     some meters, for others to less than one."""
     dates, table = ephemerides()
-    d, t = table[name], config.dates.since(Tdb(dates.day, np.asarray(dates.rest)[0]))
+    d = table[name]
+    t = config.dates.since(Tdb(dates.day, np.asarray(dates.rest)[0]))
     return np.stack([np.interp(t, np.linspace(0.0, 1752.0 * 18000.0, len(d)), x) for x in d.T], 1)
 
 
 def sky_facts(config: Config, _: Rngs) -> Found:
-    """What `ephemerides` has; the Earth's ``speed`` (km/s); over a year the ``shapiro`` term's error and the parts ``solar`` of the
-    parallax term that count distances from the Sun (km, each pulsar)."""
+    """What `ephemerides` has; the Earth's ``speed`` (km/s); over a year the ``shapiro`` term's
+    error and the parts ``solar`` of the parallax term that count distances from the Sun (km, each
+    pulsar)."""
     dates = from_utc(config.start_utc).after(np.arange(0.0, s.YEAR_S, 10800.0))
     (earth, velocity), (sun, _still) = (de421().state(body, dates) for body in ("earth", "sun"))
-    timing, n = config.timing, config.timing.directions
+    timing = config.timing
+    n = config.timing.directions
     solar = ((-sun @ n.T) * (earth @ n.T) + (sun * earth).sum(1)[:, None]) / timing.distances
     wrong = timing.shapiro(earth, sun) - timing.shapiro_exact(earth, sun)
     found = {
@@ -561,63 +631,110 @@ def sky_facts(config: Config, _: Rngs) -> Found:
 
 
 def parts(effort: float = 1.0) -> dict[str, Part]:
-    """All that is computed, the longest first; the effort, below 1, shortens the runs too, and the year once more below `BRIEF`."""
+    """All that is computed, the longest first; the effort, below 1, shortens the runs too, and the
+    year once more below `BRIEF`."""
 
     def days(config: Config, full: float) -> Config:
         return replace(config, days=min(full, max(0.5, round(full * effort * 288.0) / 288.0)))
 
-    month, ten_days, three, pair = (
-        days(TABLE_5, 30.0),
-        days(TABLE_5, 10.0),
-        days(TABLE_5, 3.0),
-        ("tkf", "tstdkf"),
-    )
+    month = days(TABLE_5, 30.0)
+    ten_days = days(TABLE_5, 10.0)
+    three = days(TABLE_5, 3.0)
+    pair = ("tkf", "tstdkf")
     year = days(s.YEAR, 120.0 if effort < BRIEF else 365.0)
     honest = replace(three, trend="constant", initial="drawn", walk_km=0.0)
-    white, around_mars = replace(month, setting=SETTINGS[5]), replace(month, **MARS)
+    white = replace(month, setting=SETTINGS[5])
+    around_mars = replace(month, **MARS)
     sure = replace(ten_days, setting=SETTINGS[5], bias_prior_km=1.0 / np.sqrt(3.0), walk_km=0.0)
     return {
         "month": Part(five, month, 0, 50, 50, 60.0),
-        "year": Part(partial(linear, TRENDS, 12, ("tkf", "tdkf", "aug9", "aug")), year, 7, 24, 24, 45.0),
+        "year": Part(
+            partial(linear, TRENDS, 12, ("tkf", "tdkf", "aug9", "aug")), year, 7, 24, 24, 45.0
+        ),
         "variants": Part(partial(apart, VARIANTS, pair), month, 1, 8, 50, 25.0),
-        "ten days": Part(partial(apart, {**COUPLED, **STRONG, **ALONE}, (*pair, "aug"), taken=TAKEN), ten_days, 4, 12, 50, 20.0),
+        "ten days": Part(
+            partial(apart, {**COUPLED, **STRONG, **ALONE}, (*pair, "aug"), taken=TAKEN),
+            ten_days,
+            4,
+            12,
+            50,
+            20.0,
+        ),
         "forces": Part(forces, ten_days, 6, 20, 50, 10.0),
-        **{f"many {m0:g}": Part(partial(linear, TRENDS[:1], 72, pair), replace(month, bias_prior_km=m0), 9, runs, 400,
-                                8.0 + 0.02 * runs) for m0, runs in PRIORS.items()},
-        "consistency": Part(partial(apart, {i: FIVE[i] for i in "15"}, (*pair, "aug"), judged=True), honest, 5, 40, 50, 6.0),
+        **{
+            f"many {m0:g}": Part(
+                partial(linear, TRENDS[:1], 72, pair),
+                replace(month, bias_prior_km=m0),
+                9,
+                runs,
+                400,
+                8.0 + 0.02 * runs,
+            )
+            for m0, runs in PRIORS.items()
+        },
+        "consistency": Part(
+            partial(apart, {i: FIVE[i] for i in "15"}, (*pair, "aug"), judged=True),
+            honest,
+            5,
+            40,
+            50,
+            6.0,
+        ),
         "constant": Part(partial(linear, ["constant"], 12, ["tkf"]), white, 10, 23, 23),
-        "constant, Mars": Part(partial(linear, ["constant"], 12, ["tkf"]), replace(white, **MARS),
-                               10, 23, 23),
+        "constant, Mars": Part(
+            partial(linear, ["constant"], 12, ["tkf"]), replace(white, **MARS), 10, 23, 23
+        ),
         "constant, nine": Part(partial(linear, ["constant"], 1, ["tkf", "aug9"]), sure, 14, 50, 50),
-        **{f"bodies, {i}": Part(partial(displaced, bodies, ["tkf"]),
-                                replace(month, setting=SETTINGS[i]), 15, 200, 200, 9.0)
-           for i in (1, 5)},
-        **{name: Part(partial(displaced, partial(reference, names), pair), config, number,
-                      100, 100, 10.0)
-           for name, names, config, number in (("DE440", DE440, month, 16),
-                                               ("Mars", DE423, around_mars, 17))},
+        **{
+            f"bodies, {i}": Part(
+                partial(displaced, bodies, ["tkf"]),
+                replace(month, setting=SETTINGS[i]),
+                15,
+                200,
+                200,
+                9.0,
+            )
+            for i in (1, 5)
+        },
+        **{
+            name: Part(
+                partial(displaced, partial(reference, names), pair), config, number, 100, 100, 10.0
+            )
+            for name, names, config, number in (
+                ("DE440", DE440, month, 16),
+                ("Mars", DE423, around_mars, 17),
+            )
+        },
         "operations": Part(operations, replace(TABLE_5, days=0.01)),
         "sweep": Part(partial(linear, ["step"], 12, ["sweep", "nine"]), month, 13, 50, 50, 20.0),
         "covariances": Part(covariances, month, cost=6.0),
-        "alike": Part(alike, replace(TABLE_5, days=1.0), 11), "pulls": Part(pulls, TABLE_5, 12), "sky": Part(sky_facts, TABLE_5),
-    }  # fmt: skip
+        "alike": Part(alike, replace(TABLE_5, days=1.0), 11),
+        "pulls": Part(pulls, TABLE_5, 12),
+        "sky": Part(sky_facts, TABLE_5),
+    }
 
 
-# -- numbers of the ledger ---------------------------------------------------------------------------------------------------
+# -- numbers of the ledger -------------------------------------------------------------------------
 WINDOWS = {  # parts of the whole time, a month or a year, since the effort may shorten it
-    "all": (0, 1), "late": (1 / 2, 1), "soon": (0, 1 / 10), "settled": (1 / 30, 1), "after day 5": (1 / 6, 1),
-    "day 3": (2 / 30, 3 / 30), "steady": (1 / 3, 1 / 2), "last day": (29 / 30, 1), "month": (0, 30 / 365), "later": (30 / 365, 1),
+    "all": (0, 1),
+    "late": (1 / 2, 1),
+    "soon": (0, 1 / 10),
+    "settled": (1 / 30, 1),
+    "after day 5": (1 / 6, 1),
+    "day 3": (2 / 30, 3 / 30),
+    "steady": (1 / 3, 1 / 2),
+    "last day": (29 / 30, 1),
+    "month": (0, 30 / 365),
+    "later": (30 / 365, 1),
     **{f"quarter {i + 1}": (i / 4, (i + 1) / 4) for i in range(4)},
-}  # fmt: skip
+}
 PRINTED = {
     "position": (56.49, 35.18),
     "velocity": (27.66, 17.07),
 }  # % that TSTDKF is below EKF and TKF in setting 1
-PAPER, COMPARED, BOTH = (
-    ("ekf", "tkf", "tstdkf"),
-    ("ekf", "tkf", "tdkf", "tstdkf", "aug"),
-    ("position", "velocity"),
-)
+PAPER = ("ekf", "tkf", "tstdkf")
+COMPARED = ("ekf", "tkf", "tdkf", "tstdkf", "aug")
+BOTH = ("position", "velocity")
 
 
 def windows(_: Config, times: Array) -> dict[str, slice]:
@@ -696,7 +813,8 @@ def planet(body: str, accept: Bounds = (None, None), origin: str = "sun") -> Dec
 
 def per_direction(r: Results) -> Tiers:
     """Position RMSE of the second half per km of error of the Earth, for all directions."""
-    each, same = np.sqrt(squares(r, "constant", "constant/ekf", at="late")), (1.0 / 3.2, 3.2)
+    each = np.sqrt(squares(r, "constant", "constant/ekf", at="late"))
+    same = (1.0 / 3.2, 3.2)
     mean = estimate("mean over directions, km per km", np.mean, [each], same)
     return {
         "reproduced": [
@@ -709,8 +827,10 @@ def per_direction(r: Results) -> Tiers:
 
 
 def slow(r: Results) -> list[Number]:
-    """Change of two differences of ephemerides, in parts of their norm; whether errors of an EKF follow the ephemeris error."""
-    out, days = [], len(r.times("year")) // 24
+    """Change of two differences of ephemerides, in parts of their norm; whether errors of an EKF
+    follow the ephemeris error."""
+    out = []
+    days = len(r.times("year")) // 24
     for name in ("de423", "de405"):
         d = r.get("sky", f"{name}/earth")
         year = max(np.linalg.norm(d - d[k], axis=1).max() for k in range(0, len(d), 5))
@@ -744,7 +864,8 @@ def slow(r: Results) -> list[Number]:
 
 
 def beyond_white(name: str) -> Decided:
-    """Correlation with the next, least of three sequences, against what 99 % of white ones reach."""
+    """Correlation with the next, least of three sequences, against what 99 % of white ones
+    reach."""
     return lambda r: Number(
         name,
         r.get("pulls", name).min(),
@@ -753,9 +874,15 @@ def beyond_white(name: str) -> Decided:
 
 
 def of_runs(
-    label: str, statistic: Callable[..., Any], flown: Sequence[tuple[str, str]], accept: Bounds = (None, None), *,
-    part: str = "month", at: When = "all", **more: Any,
-) -> Decided:  # fmt: skip
+    label: str,
+    statistic: Callable[..., Any],
+    flown: Sequence[tuple[str, str]],
+    accept: Bounds = (None, None),
+    *,
+    part: str = "month",
+    at: When = "all",
+    **more: Any,
+) -> Decided:
     """A statistic of the runs' mean squares, of flown filters and groups."""
     return lambda r: estimate(
         label, statistic, [squares(r, part, *one, at) for one in flown], accept, **more
@@ -786,7 +913,8 @@ def below_both(*errors: Array) -> Any:
 def yearly(
     label: str, a: str, b: str, accept: Bounds = (None, None), group: str = "bias", **more: Any
 ) -> list[Decided]:
-    """Of the three trends, after a month of the year: the error of a filter over that of another."""
+    """Of the three trends, after a month of the year: the error of a filter over that of
+    another."""
     return [
         over(f"{label}, {t}", "year", f"{t}/{a}", f"{t}/{b}", accept, group, "later", **more)
         for t in TRENDS
@@ -794,7 +922,8 @@ def yearly(
 
 
 def days(*errors: Array) -> float:
-    """For how many days the RMSE of an estimate, by the hour, exceeds half of the step; of two: how many more for the second."""
+    """For how many days the RMSE of an estimate, by the hour, exceeds half of the step; of two: how
+    many more for the second."""
     each = [
         float((np.square(error).mean(0) > 0.75 * TABLE_5.bias_prior_km**2).sum() / 24.0)
         for error in errors
@@ -810,7 +939,8 @@ def following(a: str, b: str, accept: Bounds = (None, None)) -> Decided:
 
 
 def before_step(a: str, b: str, accept: Bounds = (None, None), group: str = "bias") -> Decided:
-    """Error of the estimate in the five days before the step, of a factor or nine states over that of another."""
+    """Error of the estimate in the five days before the step, of a factor or nine states over that
+    of another."""
     return over(
         f"{a} over {b}, {group} before the step",
         "sweep",
@@ -884,7 +1014,8 @@ def lead(group: str, f: str) -> Decided:
 
 
 def at_bound(r: Results) -> list[Number]:
-    """Position RMSE of the exact filter over its covariance on the nominal orbit, a mean over a prior wider than the true bias."""
+    """Position RMSE of the exact filter over its covariance on the nominal orbit, a mean over a
+    prior wider than the true bias."""
     sizes = {
         i: r.get("covariances", f"{i}/aug")[:, :3, :3].trace(axis1=1, axis2=2).mean()
         for i in SETTINGS
@@ -895,18 +1026,25 @@ def at_bound(r: Results) -> list[Number]:
     ]
 
 
-# -- the ledger --------------------------------------------------------------------------------------------------------------
+# -- the ledger ------------------------------------------------------------------------------------
 NEAR = (0.91, 1.10)
 judged = partial(consistency, at="all")
-BIAS = {(m0, at): over(f"{at}, prior {m0:g} km", f"many {m0:g}", "sine/tstdkf", "sine/tkf", (None, 1.0), "bias", at)
-        for m0 in PRIORS for at in ("soon", "late")}  # fmt: skip
-"""Setting 1: error of the estimate, TSTDKF over TKF, with a prior of so many km, in the first 3 days or the second half."""
+BIAS = {
+    (m0, at): over(
+        f"{at}, prior {m0:g} km", f"many {m0:g}", "sine/tstdkf", "sine/tkf", (None, 1.0), "bias", at
+    )
+    for m0 in PRIORS
+    for at in ("soon", "late")
+}
+"""Setting 1: error of the estimate, TSTDKF over TKF, with a prior of so many km, in the first 3
+days or the second half."""
 CONSTANT = [together("constant over form C", "tkf", "C", (1.0, None))]
 
 
 def displacing(a: str, b: str, setting: int, accept: Bounds = (None, None)) -> Decided:
     """The EKF's position error with one of `bodies` over that with another."""
-    label, part = f"{a} over {b}, setting {setting}", f"bodies, {setting}"
+    label = f"{a} over {b}, setting {setting}"
+    part = f"bodies, {setting}"
     return over(label, part, f"{a}/ekf", f"{b}/ekf", accept, at="late")
 
 
@@ -949,12 +1087,15 @@ PLANETS = [
     planet("mercury", (1.0, 10.0)),
     *(planet(body, (10.0, 100.0), "barycenter") for body in ("jupiter", "saturn")),
 ]
-QUARTERS, WHITE_B = [f"quarter {i}" for i in range(1, 5)], "white, form B"
+QUARTERS = [f"quarter {i}" for i in range(1, 5)]
+WHITE_B = "white, form B"
 LINEAR_STUDY = {  # position RMSE (km) in the five settings by an independent linear study
-    "ekf": (0.2260, 0.1840, 0.1826, 0.1781, 0.1767), "tkf": (0.1503, 0.0691, 0.0653, 0.0474, 0.0417),
-    "tstdkf": (0.0977, 0.0808, 0.0762, 0.0548, 0.0517), "tdkf": (0.0918, 0.0733, 0.0681, 0.0455, 0.0417),
+    "ekf": (0.2260, 0.1840, 0.1826, 0.1781, 0.1767),
+    "tkf": (0.1503, 0.0691, 0.0653, 0.0474, 0.0417),
+    "tstdkf": (0.0977, 0.0808, 0.0762, 0.0548, 0.0517),
+    "tdkf": (0.0918, 0.0733, 0.0681, 0.0455, 0.0417),
     "aug": (0.0737, 0.0663, 0.0606, 0.0455, 0.0417),
-}  # fmt: skip
+}
 
 
 DECISIONS: dict[str, Decision] = {
@@ -1236,7 +1377,8 @@ DECISIONS |= {
 
 
 def open_if_short(decide: Any, r: Results) -> Any:
-    """What decides a row, but undecided by what has sampling error where the runs were shortened."""
+    """What decides a row, but undecided by what has sampling error where the runs were
+    shortened."""
 
     def wide(found: Any) -> Any:
         if isinstance(found, Number):
@@ -1266,8 +1408,10 @@ STUDY = Study(
     ROWS,
     windows=windows,
     figure="figure_09",
-    says="A two-stage filter that differences colored timings and boosts its estimate of the Earth's ephemeris error has half the "
-    "position error of an EKF, and two thirds of a two-stage filter's. It is best in five settings of the noise, and tracks that "
+    says="A two-stage filter that differences colored timings and boosts its estimate of the "
+    "Earth's ephemeris error has half the "
+    "position error of an EKF, and two thirds of a two-stage filter's. It is best in five settings "
+    "of the noise, and tracks that "
     "error for a year.",
     found=ANSWER,
 )
