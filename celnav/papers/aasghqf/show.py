@@ -62,7 +62,7 @@ def points(weights: tuple[int, int], _: Results) -> Figure:
 
     def dots(sign: float, color: str, label: str) -> Item:
         own = sign * rule.wm > 0.0
-        (x, y) = rule.nodes[own].T
+        x, y = rule.nodes[own].T
         size = 3.0 + 125.0 * np.sqrt(np.abs(rule.wm[own]))
         return lambda ax: ax.scatter(
             x, y, size, color=color, label=label if own.any() else "_none", alpha=0.8
@@ -324,7 +324,7 @@ def record(results: Results, outputs: Outputs) -> list[str]:
 def showcase(results: Results, part: str) -> Showcase:
     """The first run of a part, flown again in full, among the others."""
     c = results.parts[part].config
-    (found, truth, z) = again(results, part, {f: LINES[f] for f in ("sghqf", "ukf", "aasghqf")})
+    found, truth, z = again(results, part, {f: LINES[f] for f in ("sghqf", "ukf", "aasghqf")})
     ground = np.diag(c.meters()) @ np.eye(2, 3)  # from longitude and latitude to east, north, up
     axes = np.zeros((3, 13))
     fix = (z[:, 6:] - truth[:, inertial.POSITION]) @ ground

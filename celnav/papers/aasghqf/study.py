@@ -271,7 +271,7 @@ def along(config: Config, rngs: Rngs) -> dict[str, Array]:
     60, 13)`` by `READINGS`, and degrees along the paper's flight and the turning one, both without
     errors, ``degrees (2, T, 13)``."""
     sim = simulate(config, rngs)
-    (states, outputs) = config.units
+    states, outputs = config.units
     track = run(filters(config)["nonlinear"], sim.prior, sim.epochs(), keep="cov", engine="numpy")
     noise = np.repeat([np.radians(config.star_arcsec / 3600.0), config.sar_m], [6, 2])
     units = (
@@ -714,8 +714,8 @@ def followed(r: Results) -> list[Number]:
 def gentle(r: Results) -> list[Number]:
     """The degree of the heading on the paper's flight, and at what force it becomes large on the
     turning one."""
-    (own, turning) = r.get("along", "degrees")[..., 2]
-    (flight, force) = (f.flight.force[::2] for f in (A, scenario.TURNING))
+    own, turning = r.get("along", "degrees")[..., 2]
+    flight, force = (f.flight.force[::2] for f in (A, scenario.TURNING))
     across = (np.hypot(*force.T[:2]) / force[:, 2])[turning > THRESHOLD]
     return [
         Number("largest degree of φz", own.max(), (None, 2)),

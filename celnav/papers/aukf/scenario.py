@@ -252,7 +252,7 @@ def axes(config: Config) -> Array:
 def circle(config: Config) -> tuple[Array, Array]:
     """Positions and velocities ``(T, 3)`` on the track, Earth-fixed: the circle, left along its
     tangents."""
-    (east, north, _) = axes(config)
+    east, north, _ = axes(config)
     v = config.speed_m_per_s
     a = config.acceleration
     turned = np.clip(config.times, *np.minimum(config.turn_s, config.end_s))
@@ -281,7 +281,7 @@ class Satellites(NamedTuple):
 def visible(config: Config) -> Satellites:
     """The synthetic constellation along the track, those that are above the mask at some time."""
     broadcast = synthetic()
-    (position, velocity) = circle(config)
+    position, velocity = circle(config)
     seen = pseudorange.sources(broadcast, START_S + config.times, position, velocity)
     up = look(seen.q, position, axes(config)).elevation
     chosen = (up >= np.radians(config.mask_deg)).any(0)
@@ -315,7 +315,7 @@ def simulate(config: Config, rngs: Sequence[np.random.Generator]) -> Scenario:
     are its own."""
     c = config
     satellites = visible(config)
-    (position, velocity) = circle(config)
+    position, velocity = circle(config)
     T = len(c.times)
     S = len(satellites.names)
     runs = len(rngs)

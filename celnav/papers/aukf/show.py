@@ -544,7 +544,7 @@ def _burst(results: Results) -> Showcase:
             )
 
     growing = [f"track/{name}/trail" for name in ("truth", *NAMES)]
-    (start, end) = c.burst_s
+    start, end = c.burst_s
     return Showcase(
         "aukf: burst",
         NOTES.format(c),

@@ -60,9 +60,8 @@ def cholesky(P: Array) -> Array:
     for j in range(P.shape[-1]):
         row = L[..., j, :j]
         L[..., j, j] = _sqrt(P[..., j, j] - (row * row).sum(-1))
-        L[..., j + 1 :, j] = (P[..., j + 1 :, j] - matvec(L[..., j + 1 :, :j], row)) / L[
-            ..., j, j, None
-        ]
+        below = P[..., j + 1 :, j] - matvec(L[..., j + 1 :, :j], row)
+        L[..., j + 1 :, j] = below / L[..., j, j, None]
     return L
 
 
@@ -78,8 +77,8 @@ def downdate(L: Array, V: Array) -> Array:
             length = np.sqrt(a * a + p[..., i, None] * p[..., i, None])
             c = a / length
             s = p[..., i, None] / length
-            a = length
             gone, L[..., i] = c * gone + s * L[..., i], c * L[..., i] - s * gone
+            a = length
     return L
 
 
@@ -91,60 +90,59 @@ def _solve(L: Array, B: Array) -> Array:
     """``L^-1 B``."""
     X = np.zeros_like(B)
     for i in range(L.shape[-1]):
-        X[..., i, :] = (B[..., i, :] - (L[..., i, None, :i] @ X[..., :i, :])[..., 0, :]) / L[
-            ..., i, i, None
-        ]
+        above = (L[..., i, None, :i] @ X[..., :i, :])[..., 0, :]
+        X[..., i, :] = (B[..., i, :] - above) / L[..., i, i, None]
     return X
 
 
-def updated(form: str, spread: Array, D: Array, E: Array, sqrt_R: Array) -> tuple[Array, Array]:
+def updated(form: str, factor: Array, D: Array, E: Array, sqrt_R: Array) -> tuple[Array, Array]:
     """Gain ``(..., n, m)``, and the covariance or root given a measurement [Sun2015, Eqs. 32-37].
 
-    ``spread``: what it was. ``D (..., n, q)``, ``E (..., m, q)``: deviations of state and
-    measurement.
+    factor: the covariance or root before it. ``D (..., n, q)``, ``E (..., m, q)``: deviations of
+    the sigma points of state and measurement, so that ``P = D D'`` and ``S = E E' + R``.
     """
     # The deviations stand before the noise, as printed: of a precise measurement they are larger,
-    # and reflections that
-    # begin with what is large keep the digits of what is small.
+    # and reflections that begin with what is large keep the digits of what is small.
+    A = side_by_side([E, sqrt_R])
     m = E.shape[-2]
-    noisy = side_by_side([E, sqrt_R])
     if form == "array":
-        still = np.zeros((D.shape[-2], sqrt_R.shape[-1]), D.dtype)
-        L = tria(np.concatenate([noisy, side_by_side([D, still])], -2))
-        S = L[..., :m, :m]
+        # tria [E sqrt_R; D 0] = [sqrt_S 0; K sqrt_S  sqrt_P]
+        zeros = np.zeros((D.shape[-2], sqrt_R.shape[-1]), D.dtype)
+        L = tria(np.concatenate([A, side_by_side([D, zeros])], -2))
         U = L[..., m:, :m]
-        after = L[..., m:, m:]
-    else:
-        S = tria(noisy) if form == "downdated" else cholesky(outer(noisy))
-        U = _solve(S, E @ D.mT).mT
-    K = _solve(S[..., ::-1, ::-1].mT, U.mT[..., ::-1, :])[..., ::-1, :].mT
+        return _divided(U, L[..., :m, :m]), L[..., m:, m:]
+    sqrt_S = tria(A) if form == "downdated" else cholesky(outer(A))
+    U = _solve(sqrt_S, E @ D.mT).mT
+    K = _divided(U, sqrt_S)
     if form == "downdated":
-        after = downdate(spread, U)
-    elif form == "Joseph":
-        after = outer(side_by_side([D - K @ E, K @ sqrt_R]))
-    elif form != "array":
-        after = spread - K @ outer(noisy) @ K.mT
-        after = after if form == "plain" else (after + after.mT) / 2
-    return K, after
+        return K, downdate(factor, U)
+    if form == "Joseph":
+        return K, outer(side_by_side([D - K @ E, K @ sqrt_R]))
+    P = factor - K @ outer(A) @ K.mT
+    return K, P if form == "plain" else (P + P.mT) / 2
+
+
+def _divided(U: Array, L: Array) -> Array:
+    """``U L^-1``: rows and columns of ``L'`` in reverse order are a lower triangle again."""
+    return _solve(L[..., ::-1, ::-1].mT, U.mT[..., ::-1, :])[..., ::-1, :].mT
 
 
 def step(
-    form: str, x: Array, spread: Array, model: Callable[[Array], Array], noise: Array, z: Any = None
+    form: str, x: Array, factor: Array, model: Callable[[Array], Array], noise: Array, z: Any = None
 ) -> tuple[Array, Array]:
     """Mean, and covariance or root, after a motion [Sun2015, Eqs. 24-27]; or, with ``z``, given a
     measurement."""
-    S = (spread if form in ROOTS else cholesky(spread)).mT
-    X = x[..., None, :] + np.sqrt(S.dtype.type(S.shape[-1])) * np.concatenate(
-        [S, -S], -2
-    )  # no center: its weight is 0
+    S = (factor if form in ROOTS else cholesky(factor)).mT
+    n = S.dtype.type(S.shape[-1])
+    X = x[..., None, :] + np.sqrt(n) * np.concatenate([S, -S], -2)  # the center has weight 0
     Y = model(X)
-    root = np.sqrt(S.dtype.type(X.shape[-2]))
     y = Y[..., 0, :] + (Y - Y[..., :1, :]).mean(-2)
-    D, E = ((points - mean[..., None, :]).mT / root for points, mean in ((X, x), (Y, y)))
+    D = (X - x[..., None, :]).mT / np.sqrt(2 * n)
+    E = (Y - y[..., None, :]).mT / np.sqrt(2 * n)
     if z is None:
         A = side_by_side([E, noise])
         return y, tria(A) if form in ROOTS else outer(A)
-    K, after = updated(form, spread, D, E, noise)
+    K, after = updated(form, factor, D, E, noise)
     return x + matvec(K, z - y), after
 
 
@@ -156,52 +154,43 @@ def fly(
     Yields mean, and covariance or root, at each epoch but the first, ``(cases, runs, ...)`` in km
     and km/s.
     """
-    c = cases[0][0]
-    angles = sims[0].angles is not None
-    one = np.ones((1, 1, 1))
-    rows = list[tuple[Any, ...]]()
-    for (d, u), s in zip(cases, sims, strict=True):
-        star = decorrelation(0.0 * H if angles else H, d.sqrt_Q, np.sqrt(d.R))
-        seen, sqrt_R = (s.angles, star.sqrt_R) if angles else (s.z * u, star.sqrt_R * u)
-        rows.append(
-            (
-                u * one,
-                d.phi * one,
-                s.prior.mean * u,
-                seen,
-                d.sqrt_P0 * u,
-                star.J,
-                star.sqrt_Q * u,
-                sqrt_R,
-            )
-        )
-    units, phi, x, z, *matrices = (
-        np.stack(each).astype(precision) for each in zip(*rows, strict=True)
+    first = cases[0][0]
+    angles = sims[0].angles is not None  # which have no unit of length
+    rows = []
+    for (c, unit), sim in zip(cases, sims, strict=True):
+        star = decorrelation(0.0 * H if angles else H, c.sqrt_Q, np.sqrt(c.R))
+        z, sqrt_R = (sim.angles, star.sqrt_R) if angles else (sim.z * unit, star.sqrt_R * unit)
+        sizes = np.full((1, 1, 1), unit), np.full((1, 1, 1), c.phi)
+        roots = c.sqrt_P0 * unit, star.J, star.sqrt_Q * unit, sqrt_R
+        rows.append((*sizes, sim.prior.mean * unit, z, *(root[None] for root in roots)))
+    columns = zip(*rows, strict=True)
+    units, phi, x, zs, sqrt_P0, J, sqrt_Q, sqrt_R = (
+        np.stack(column).astype(precision) for column in columns
     )
-    S, J, sqrt_Q, sqrt_R = (matrix[:, None] for matrix in matrices)
-    spread = np.broadcast_to(S if form in ROOTS else outer(S), (*x.shape, 6))
-    stars = sightings.star_directions(c.separation)
+    start = sqrt_P0 if form in ROOTS else outer(sqrt_P0)
+    factor = np.broadcast_to(start, (*x.shape, 6))
+    stars = sightings.star_directions(first.separation).astype(precision)
 
     def f(X: Array) -> Array:
-        return np.asarray(orbit.step(X / units, c.step_s) * units)
+        return np.asarray(orbit.step(X / units, first.step_s) * units)
 
     def h(X: Array) -> Array:
-        return (
-            sightings.angles(X[..., :3] / units, stars.astype(precision))
-            if angles
-            else f(X)[..., :3] - phi * X[..., :3]
-        )
+        if angles:
+            return sightings.angles(X[..., :3] / units, stars)
+        return f(X)[..., :3] - phi * X[..., :3]
 
-    def moved(z: Array, X: Array) -> Array:
+    def f_star(z: Array, X: Array) -> Array:
         Y = f(X)
         return np.asarray(Y + (z[..., None, :] - Y[..., :3] + phi * X[..., :3]) @ J.mT)
 
-    for before, now in pairwise(z.swapaxes(0, 1)):
-        what = now if angles else now - phi[..., 0] * before
-        both = (h, sqrt_R, what), (partial(moved, what), sqrt_Q, None)  # of angles J is zero
-        for operation in reversed(both) if angles else both:
-            x, spread = step(form, x, spread, *operation)
-        yield x / units[..., 0], spread / (units if form in ROOTS else units * units)
+    for before, now in pairwise(zs.swapaxes(0, 1)):
+        # A difference is about the state before the motion; angles, where J is zero, are about
+        # that after it.
+        z = now if angles else now - phi[..., 0] * before
+        operations = (h, sqrt_R, z), (partial(f_star, z), sqrt_Q, None)
+        for operation in reversed(operations) if angles else operations:
+            x, factor = step(form, x, factor, *operation)
+        yield x / units[..., 0], factor / (units if form in ROOTS else units * units)
 
 
 def compared(cases: Cases, _: Config, rngs: Sequence[np.random.Generator]) -> dict[str, Array]:
@@ -212,20 +201,21 @@ def compared(cases: Cases, _: Config, rngs: Sequence[np.random.Generator]) -> di
     array form in double precision, in its deviations.
     """
     sims = [simulate(c, rngs) for c, _ in cases]
+    truth = np.stack([sim.truth for sim in sims], 1)
     out = dict[str, Array]()
-    exact = list[tuple[Array, Array]]()
-    truth = np.stack([s.truth for s in sims], 1)
+    exact = list[tuple[Array, Array]]()  # mean and deviations of the array form in double precision
     for precision, form in product(("double", "single"), reversed(FORMS)):
-        square, apart = np.zeros((2, *truth.shape[1:3]))
+        square = np.zeros(truth.shape[1:3])
+        apart = np.zeros(truth.shape[1:3])
         with np.errstate(all="ignore"):
-            for k, (x, spread) in enumerate(fly(form, precision, cases, sims)):
+            for k, (x, factor) in enumerate(fly(form, precision, cases, sims)):
                 if len(exact) == k:
-                    exact.append((x, np.sqrt(np.vecdot(spread, spread))))
+                    exact.append((x, np.sqrt(np.vecdot(factor, factor))))
+                mean, std = exact[k]
                 square += np.square(x - truth[k + 1])[..., :3].sum(-1) / cases[0][0].steps
-                apart = np.maximum(apart, (np.abs(x - exact[k][0]) / exact[k][1]).max(-1))
-            failed = ~np.isfinite(square) | ~np.isfinite(
-                spread if form in ROOTS else cholesky(spread)
-            ).all((-2, -1))
-        found = {"lost": failed.astype(float), "square": square, "apart": apart}
-        out |= {f"{form}, {precision}/{what}": values for what, values in found.items()}
+                apart = np.maximum(apart, (np.abs(x - mean) / std).max(-1))
+            root = factor if form in ROOTS else cholesky(factor)
+        lost = ~np.isfinite(square) | ~np.isfinite(root).all((-2, -1))
+        name = f"{form}, {precision}"
+        out |= {f"{name}/lost": lost * 1.0, f"{name}/square": square, f"{name}/apart": apart}
     return out

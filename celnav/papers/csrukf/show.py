@@ -72,12 +72,12 @@ COLUMNS = ("x_km", "y_km", "z_km", "vx_m_per_s", "vy_m_per_s", "vz_m_per_s")
 # -- figures ---------------------------------------------------------------------------------------
 def geometry(r: Results) -> Figure:
     """Two stars, the Earth's limb, and the three angles."""
-    (fig, ax) = figure(6.0, 5.2, subplot_kw={"projection": "3d"})
+    fig, ax = figure(6.0, 5.2, subplot_kw={"projection": "3d"})
     c = r.parts["0"].config
     path = c.nominal()[:, :3]
     stars = sightings.star_directions(c.separation)
     here = path[0]
-    (u, v) = np.mgrid[0 : 2 * np.pi : 25j, 0 : np.pi : 13j]
+    u, v = np.mgrid[0 : 2 * np.pi : 25j, 0 : np.pi : 13j]
     globe = EARTH.radius_km * np.stack([np.cos(u) * np.sin(v), np.sin(u) * np.sin(v), np.cos(v)])
     ax.plot_wireframe(*globe, color=colors.MEASUREMENT, linewidth=0.4, alpha=0.6)
     ax.plot(*path.T, color=colors.TRUTH, label="orbit, 600 s")

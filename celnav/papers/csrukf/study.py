@@ -315,7 +315,7 @@ def linear(_: Config, rngs: Rngs) -> dict[str, Array]:
     A = rng.standard_normal((m, n))
     C = rng.standard_normal((m, m))
     Phi = 0.9 * C / np.abs(np.linalg.eigvals(C)).max()
-    (q, r) = (rng.uniform(0.1, 1.0, size) for size in (n, m))
+    q, r = (rng.uniform(0.1, 1.0, size) for size in (n, m))
     star = decorrelation(A, np.diag(q), np.diag(r))
     QH = np.diag(q**2) @ A.T
     out = {"cross": np.abs(QH - star.J @ star.sqrt_R @ star.sqrt_R.T) / np.abs(QH).max()}
@@ -568,7 +568,7 @@ def held_fixed(r: Results) -> list[Number]:
     """Factors by which steps up in phi change an RMSE, over both priors, position and velocity, at
     the end and averaged."""
     out = list[Number]()
-    (covariance, density) = HELD
+    covariance, density = HELD
     for held, name, least in (
         (covariance, "srukf", 1),
         (covariance, "csrukf", 1),

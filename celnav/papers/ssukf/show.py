@@ -300,7 +300,7 @@ def record(results: Results, outputs: Outputs) -> list[str]:
     found, truth, _ = again(results, "runs", lines)
     t = results.times("runs")
     c = results.parts["runs"].config
-    (attitude, drift) = GROUPS
+    attitude, drift = GROUPS
     errors = {name: (found[name].errors[:, 0, :3], line.color) for name, line in lines.items()}
     shown = showcase.Showcase(
         "ssukf",

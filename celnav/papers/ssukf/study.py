@@ -626,7 +626,7 @@ def integrated(order: int, p: Array, turn: Array) -> Array:
             (0.5 - 0.5 * square) * half + matvec(attitude.cross(p), half) + along * p
         )
 
-    (ways, weights) = SLOPES[order]
+    ways, weights = SLOPES[order]
     slopes = [slope(p)]
     for way in ways:
         slopes.append(slope(p + way * slopes[-1]))

@@ -76,7 +76,7 @@ class Differenced:
         """State before the first epoch."""
         check_prior(prior)
         belief = Covariance.of(prior)
-        (q, m) = self.noise.J.shape[-2:]
+        q, m = self.noise.J.shape[-2:]
         n = belief.mean.shape[-1]
         return DifferencedState(belief, np.zeros((n, q + m)), None, np.zeros((m, n)))
 
@@ -99,10 +99,10 @@ class Differenced:
     ) -> tuple[DifferencedState, Stage | None, Info]:
         """State at the end of the interval given its measurement, and what was done."""
         assert state.moved is not None
-        (x, Phi, G) = state.moved
-        (F, L, J, Xi, E, V, Q) = self.noise
+        x, Phi, G = state.moved
+        F, L, J, Xi, E, V, Q = self.noise
         n = x.shape[-1]
-        (q, m) = J.shape[-2:]
+        q, m = J.shape[-2:]
         first = state.V is None
         z = numbers("z", epoch.z, () if epoch.z is None else (..., m))
         together(prior=x.shape[:-1], z=z.shape[:-1])

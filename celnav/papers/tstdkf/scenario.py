@@ -399,9 +399,9 @@ def simulate(cases: Cases, rngs: Rngs) -> Scenario:
     """Simulate one run of each case with each generator."""
     c = one_of(cases)
     noise = noises(cases)
-    (V, Q, begun, constant) = drawn(cases, rngs)
+    V, Q, begun, constant = drawn(cases, rngs)
     timing = c.timing
-    (earth, sun, bodies) = sky(c)
+    earth, sun, bodies = sky(c)
     each = [c] if isinstance(cases, Config) else cases
     errors = [
         case.bias_prior_km * constant if case.trend == "constant" else case.bias(c.times)[:, None]
@@ -476,9 +476,9 @@ def linearized(cases: Sequence[Config], rngs: Rngs) -> Scenario:
     covariance for all runs. Cases differ in their ephemeris error alone; a constant one is 1 km
     along an axis in each of the first runs, then along random directions."""
     c = cases[0]
-    (V, Q, _, constant) = drawn(cases[0], rngs)
-    (orbit, Phi, G) = nominal(c)
-    (earth, sun, _) = sky(c)
+    V, Q, _, constant = drawn(cases[0], rngs)
+    orbit, Phi, G = nominal(c)
+    earth, sun, _ = sky(c)
     J = c.noise.J
     x = np.zeros_like(Q)
     Gamma = c.timing.gradient(earth + orbit[:, :3], sun)

@@ -84,8 +84,8 @@ def orbital(results: Results, part: str, filter: str, group: str, line: Line | N
 def principle(results: Results) -> Figure:
     """What a timing measures, in the plane of Earth and pulsar."""
     c = results.parts["month"].config
-    (fig, ax) = figure(6.2, 4.2)
-    (earth, sun) = (part[0] for part in s.sky(c)[:2])
+    fig, ax = figure(6.2, 4.2)
+    earth, sun = (part[0] for part in s.sky(c)[:2])
     n = c.timing.directions[0]
     place = earth + c.orbit[:3]
     across = earth - (earth @ n) * n

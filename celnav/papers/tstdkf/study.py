@@ -381,7 +381,7 @@ def linear(
     """`flown` along trends of the ephemeris error: the paper's, a step, or 1 km along each axis
     and, in other runs, others."""
     known = filters(config, s.LINEAR, on=BESIDE)
-    (walks, whose) = np.array(list(NINE.values())).T[..., None, None, None, None]
+    walks, whose = np.array(list(NINE.values())).T[..., None, None, None, None]
     known |= {
         name: replace(known["tdkf"], boost=boosts(table))
         for name, table in (("tdkf", FORMS), ("sweep", SWEEP))
@@ -402,7 +402,7 @@ that the filters do not model."""
 
 def response(config: Config, pull: Array) -> Array:
     """What accelerations ``(T, cases, 3)`` km/s^2 do to the nominal orbit, ``(T, cases, 6)``."""
-    (_, Phi, G) = s.nominal(config)
+    _, Phi, G = s.nominal(config)
     x = np.zeros((*pull.shape[:2], 6))
     x[1:] = pull[1:] @ G[:, :, 3:].mT
     for now, before, transition in zip(x[1:], x, Phi.mT, strict=False):
@@ -439,7 +439,7 @@ def bodies(config: Config) -> Tracks:
     Sun, Moon and the other planets, in the timing model (the Sun's) and in the forces."""
     error = {body: difference(f"de405/{body}", config) for body in BODIES}
     still = np.zeros(3)
-    (earth, sun, _) = sky(config)
+    earth, sun, _ = sky(config)
     timing = config.timing
     place = earth + s.nominal(config).state[:, :3]
 
@@ -560,7 +560,7 @@ def pulls(config: Config, rngs: Rngs) -> Found:
     model omits: RMS about the mean over the timing's (``omitted``), correlation with the ``next``
     and with the acceleration along the line of sight (``along``), for each pulsar."""
     total = np.asarray(sum(accelerations(config).values()))[:-1]  # a whole month of samples
-    (lines, flat) = power(total)
+    lines, flat = power(total)
     white = np.concatenate([rngs[0].standard_normal((len(total), 50)) for _ in range(10)], 1)
     timing = config.timing
     place = sky(config)[0] + s.nominal(config).state[:, :3]
