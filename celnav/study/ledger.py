@@ -40,6 +40,7 @@ __all__ = [
     "finding",
     "order",
     "read_ledger",
+    "read_printed",
     "reconstruction",
     "remark",
     "statement",
@@ -365,6 +366,17 @@ def read_ledger(
             choice(where, id, rows)
             choice(f"{where} {id!r}", verdict, VERDICTS)
     return list(rows.values()), sentences
+
+
+def read_printed(path: str | Path) -> dict[str, Any]:
+    """What a paper prints, by the ids of the rows of `read_ledger` that say so: numbers stand once.
+
+    Raises
+    ------
+    ValueError, OSError: as `read_ledger`.
+    """
+    rows = _read_tables(path)["row"]
+    return {table["id"]: table["printed"] for table in rows if "printed" in table}
 
 
 def _read_tables(path: str | Path) -> dict[str, list[dict[str, Any]]]:

@@ -15,9 +15,23 @@ from celnav.study.ledger import Bounds, Number, Tiers, estimate
 from celnav.study.study import Results, When
 
 __all__ = [
-    "SAME_ORDER", "Decided", "Flown", "all_of", "consistency", "correlation", "entries", "given", "lagged", "of", "over_time",
-    "ratio", "rmse", "settling", "tiers",
-]  # fmt: skip
+    "SAME_ORDER",
+    "Decided",
+    "Flown",
+    "all_of",
+    "consistency",
+    "correlation",
+    "entries",
+    "given",
+    "lagged",
+    "of",
+    "over",
+    "over_time",
+    "ratio",
+    "rmse",
+    "settling",
+    "tiers",
+]
 
 Decided = Callable[[Results], Number]
 Flown = tuple[str, str]
@@ -42,6 +56,19 @@ def ratio(
         accept,
         **more,
     )
+
+
+def over(
+    label: str,
+    part: str,
+    a: str,
+    b: str,
+    accept: Bounds = (None, None),
+    group: str = "position",
+    **more: Any,
+) -> Decided:
+    """`ratio` of two filters that are flown in the same part."""
+    return ratio(label, (part, a), (part, b), group, accept, **more)
 
 
 def rmse(

@@ -21,6 +21,7 @@ from celnav.study.ledger import (
     estimate,
     order,
     read_ledger,
+    read_printed,
 )
 
 
@@ -419,6 +420,11 @@ def test_rows_are_read_in_the_order_of_the_file_and_decided_by_their_ids(prose):
     assert (sign.kind, sign.decide) == ("erratum", None)
     assert halves.judged(None).verdict == "reproduced"
     assert sentence == Sentence("It does halve it.", {"halves": "reproduced"})
+
+
+def test_what_is_printed_is_read_by_the_rows_that_say_it(tmp_path):
+    (tmp_path / "ledger.toml").write_text(PROSE, encoding="utf-8")
+    assert read_printed(tmp_path / "ledger.toml") == {"halves": [0.5, 1]}
 
 
 def test_a_row_that_nothing_can_decide_needs_no_decision(prose):

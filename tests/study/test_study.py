@@ -17,6 +17,7 @@ from celnav.study.numbers import (
     given,
     lagged,
     of,
+    over,
     over_time,
     ratio,
     rmse,
@@ -153,6 +154,7 @@ def test_ratios_and_levels_are_those_of_the_runs(results):
     at_end = ratio("x", ("good", "kf"), ("good", "blind"), "position")(results)
     assert at_end.value == pytest.approx(np.sqrt(kf[-1].mean() / blind[-1].mean()))
     assert at_end.ci[0] < at_end.value < at_end.ci[1] < 1.0
+    assert over("x", "good", "kf", "blind")(results) == at_end
     late = ratio("x", ("good", "kf"), ("good", "kf"), "position", at=slice(3, None), to=0)(results)
     assert late.value == pytest.approx(np.sqrt(kf[3:].mean() / kf[0].mean()))
     level = rmse("x", ("bad", "kf"), "velocity", (None, 1.0))(results)

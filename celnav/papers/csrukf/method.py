@@ -177,7 +177,7 @@ def fly(
     def h(X: Array) -> Array:
         if angles:
             return sightings.angles(X[..., :3] / units, stars)
-        return f(X)[..., :3] - phi * X[..., :3]
+        return np.asarray(f(X)[..., :3] - phi * X[..., :3])
 
     def f_star(z: Array, X: Array) -> Array:
         Y = f(X)

@@ -134,9 +134,9 @@ def component(
     items = [
         errors(r, part, name, line, *at, absolute=i < 3, **look) for name, line in lines.items()
     ]
-    return (
-        [*items, sigma(r, part, shown, lines[shown].label, *at, absolute=i < 3)] if shown else items
-    )
+    if shown:
+        items.append(sigma(r, part, shown, lines[shown].label, *at, absolute=i < 3))
+    return items
 
 
 def printed(table: dict[str, list[float]], i: int) -> Item:
@@ -283,19 +283,12 @@ def assumed(r: Results) -> Figure:
         mean = [r.nees(part, name, slice(1, None)).mean() for name in names]
         true = names.index("csrukf")
         for items, values in ((error, final), (nees, mean)):
-            items.append(
-                curve(place, values, color=color, marker="o", label=f"true φ = {PHIS[part]:g}")
-            )
-            items.append(
-                curve(
-                    place[true],
-                    values[true],
-                    color=color,
-                    marker="o",
-                    markersize=9,
-                    fillstyle="none",
-                )
-            )
+            look: Any = {"color": color, "marker": "o"}
+            label = f"true φ = {PHIS[part]:g}"
+            items += [
+                curve(place, values, **look, label=label),
+                curve(place[true], values[true], **look, markersize=9, fillstyle="none"),
+            ]
     x = "φ assumed by the filter (circle: the true one)"
     more = {"xticks": range(5), "xticklabels": [f"{phi:g}" for phi in phis]}
     row = ((error, "final 3-D position RMSE (km)"), (nees, "time-mean NEES (-)"))
@@ -305,11 +298,13 @@ def assumed(r: Results) -> Figure:
 def forms(r: Results) -> Figure:
     """Runs that each form of the covariance loses, and what rounding does to the others, by how
     precise a measurement is."""
-    hues = (colors.COMPARISON, colors.TRUTH, colors.OPEN_LOOP, colors.PAPER, colors.ESTIMATE)
-    looks = zip(
-        FORMS, hues, ("-", "-", "-", "--", "-"), (4.0, 2.2, 4.0, 1.1, 1.1), strict=True
-    )  # several lie upon each other
-    lines = {f: Line(FORMS[f], hue, style, width) for f, hue, style, width in looks}
+    lines = {  # several lie upon each other: the lower ones are wider
+        "plain": Line(FORMS["plain"], colors.COMPARISON, width=4.0),
+        "symmetrized": Line(FORMS["symmetrized"], colors.TRUTH, width=2.2),
+        "Joseph": Line(FORMS["Joseph"], colors.OPEN_LOOP, width=4.0),
+        "downdated": Line(FORMS["downdated"], colors.PAPER, "--", 1.1),
+        "array": Line(FORMS["array"], colors.ESTIMATE, width=1.1),
+    }
     rows = list[list[Panel]]()
     for what, y, log in (
         ("lost", "share of runs lost (-)", "x"),
@@ -317,11 +312,11 @@ def forms(r: Results) -> Figure:
     ):
         rows.append([])
         for precision in ("double", "single"):
-            found = {f: r.get("forms/ratios", f"{f}, {precision}/{what}").mean(1) for f in FORMS}
-            items = [
-                curve(10.0**RATIOS, np.where((x > 0.0) | (log == "x"), x, np.nan), lines[f])
-                for f, x in found.items()
-            ]
+            items = []
+            for form, line in lines.items():
+                values = r.get("forms/ratios", f"{form}, {precision}/{what}").mean(1)
+                values = np.where((values > 0.0) | (log == "x"), values, np.nan)
+                items.append(curve(10.0**RATIOS, values, line))
             title = f"{precision} precision" * (what == "lost")
             x = "deviation of the prior over that of a measurement"
             rows[-1].append(Panel(title, items, x, y * (precision == "double"), log))

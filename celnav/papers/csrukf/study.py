@@ -47,9 +47,19 @@ from celnav.papers.csrukf.scenario import (
     simulate,
     trial,
 )
-from celnav.study.ledger import Decision, Number, Tiers, estimate, read_ledger
+from celnav.study.ledger import Bounds, Decision, Number, Tiers, estimate, read_ledger, read_printed
 from celnav.study.montecarlo import BRIEF
-from celnav.study.numbers import Decided, all_of, consistency, entries, given, of, ratio, tiers
+from celnav.study.numbers import (
+    Decided,
+    all_of,
+    consistency,
+    entries,
+    given,
+    of,
+    over,
+    ratio,
+    tiers,
+)
 from celnav.study.study import Part, Results, Rngs, Study, fly
 
 __all__ = [
@@ -80,30 +90,15 @@ SWEEP = (-0.5, *STEPS[:4], 0.99, 0.999, 1.0)
 COLORS = (0.0, 0.25, 0.5, 0.8, 0.9, 0.95, 0.99)
 SMALL = (1e-6, 1e-3, 0.035)
 RATIOS = np.arange(0.0, 9.1, 0.5)
+FORM_PARTS = ("forms/paper", "forms/small", "forms/long", "forms/angles", "forms/ratios")
 HELD = {
     "stationary covariance": lambda phi: 1.0 - phi**2,
     "spectral density": lambda phi: (1.0 - phi) ** 2,
 }
 """What may stay the same instead of the increments while phi grows, and the part of their
 covariance that this leaves."""
-TABLE_1 = {
-    "SRUKF": [0.0355, 0.0321, 0.0356, 0.0338, 0.0343, 0.0384],
-    "CSRUKF": [0.0340, 0.0356, 0.0363, 0.0382, 0.0349, 0.0359],
-}
-TABLE_2 = {
-    "SRUKF": [2.7618, 5.4616, 3.7964, 1.3072, 2.4412, 2.6518],
-    "CSRUKF": [0.4071, 0.1994, 0.1565, 0.2672, 0.2743, 0.1969],
-}
-TABLE_3 = {
-    "0.8": {
-        "SRUKF": [17.346, 19.323, 18.184, 5.6096, 5.2659, 5.0236],
-        "CSRUKF": [0.4218, 0.2694, 0.6928, 0.3623, 0.3979, 0.4783],
-    },
-    "I": {
-        "SRUKF": [40.373, 34.767, 31.659, 10.281, 10.479, 11.694],
-        "CSRUKF": [0.6935, 0.5870, 0.9375, 0.8720, 0.6347, 0.6273],
-    },
-}
+LEDGER = Path(__file__).with_name("ledger.toml")
+TABLE_1, TABLE_2, TABLE_3 = (read_printed(LEDGER)[f"table-{n}-levels"] for n in (1, 2, 3))
 """RMSE of x, y, z (km) and vx, vy, vz (m/s), as printed."""
 
 
@@ -135,26 +130,27 @@ def variants(config: Config) -> dict[str, Filter]:
         after, infos = csrukf.step(state.memory, epoch)
         return State(after.lagged, after), infos
 
-    return {
-        "lagged": FromFunctions(
-            lambda prior: State(csrukf.start(prior).belief, csrukf.start(prior)), step
-        ),
+    def start(prior: Gaussian) -> State:
+        state = csrukf.start(prior)
+        return State(state.belief, state)
+
+    without = star._replace(J=0.0 * star.J, sqrt_Q=config.sqrt_Q)
+    out: dict[str, Filter] = {
+        "lagged": FromFunctions(start, step),
         "printed roots": Other(**vars(csrukf), star=squared),
-        "without J": Other(
-            **vars(csrukf), star=star._replace(J=0.0 * star.J, sqrt_Q=config.sqrt_Q)
-        ),
-        **{
-            f"phi {phi:g}": assuming(config, config.R, phi * np.eye(3))
-            for phi in (0.9, 0.95, 0.99, 1.0)
-        },
+        "without J": Other(**vars(csrukf), star=without),
     }
+    for phi in (0.9, 0.95, 0.99, 1.0):
+        out[f"phi {phi:g}"] = assuming(config, config.R, phi * np.eye(3))
+    return out
 
 
 def flown(names: Sequence[str], every: int, config: Config, rngs: Rngs) -> dict[str, Array]:
     """Filters and variants by name."""
-    one = trial(config, rngs)
-    known = {**one.filters, **(variants(config) if config.measured == "positions" else {})}
-    return fly(one._replace(filters=known), names, every, cov=True)
+    runs = trial(config, rngs)
+    if config.measured == "positions":
+        runs = runs._replace(filters={**runs.filters, **variants(config)})
+    return fly(runs, names, every, cov=True)
 
 
 def walk(config: Config, rngs: Rngs) -> dict[str, Array]:
@@ -205,12 +201,12 @@ def theory(long_steps: int, config: Config, _: Rngs) -> dict[str, Array]:
         "D": (D, SWEEP),
         "long": (replace(poor, steps=long_steps), (1.0, 0.8)),
     }
-    wanted |= {
-        f"{held}/{key}": (c, COLORS, held) for held in HELD for key, c in (("P", config), ("D", D))
-    }
-    return {
-        f"{key}/{name}": std for key, how in wanted.items() for name, std in expected(*how).items()
-    }
+    for held in HELD:
+        wanted |= {f"{held}/P": (config, COLORS, held), f"{held}/D": (D, COLORS, held)}
+    out: dict[str, Array] = {}
+    for key, arguments in wanted.items():
+        out |= {f"{key}/{name}": std for name, std in expected(*arguments).items()}
+    return out
 
 
 def settings(count: int, config: Config, rngs: Rngs) -> dict[str, Array]:
@@ -284,20 +280,15 @@ def redrawn(_: Config, rngs: Rngs) -> dict[str, Array]:
     def both(x: Array, _: Any) -> tuple[Array, Array]:
         return (x @ F.T)[..., :3], x @ F.T
 
-    old = joint(
-        unscented(6),
-        new.start(prior).belief,
-        both,
-        epoch,
-        z=z,
-        process_noise=eye,
-        measurement_noise=np.eye(3),
-    )
-    beliefs = {"reused": condition(SquareRoot, old, EUCLIDEAN)[0], "redrawn": after}
-    return {
-        name: np.abs(np.vstack([b.mean - truth.mean, b.cov - truth.cov]))
-        for name, b in beliefs.items()
-    }
+    belief = new.start(prior).belief
+    noises: Any = {"process_noise": eye, "measurement_noise": np.eye(3)}
+    old = joint(unscented(6), belief, both, epoch, z=z, **noises)
+    reused = condition(SquareRoot, old, EUCLIDEAN)[0]
+
+    def error(belief: Any) -> Array:
+        return np.asarray(np.abs(np.vstack([belief.mean - truth.mean, belief.cov - truth.cov])))
+
+    return {"reused": error(reused), "redrawn": error(after)}
 
 
 def linear(_: Config, rngs: Rngs) -> dict[str, Array]:
@@ -334,15 +325,8 @@ def linear(_: Config, rngs: Rngs) -> dict[str, Array]:
     exact, *others = (run(filter, prior, times, z, keep="cov") for filter in known)
     for name, track in zip(("corrected", "first sample lost"), others, strict=True):
         std = exact.std[..., :n]
-        out[name] = (
-            np.abs(
-                [
-                    track.mean - exact.mean[..., :n],
-                    np.broadcast_to(track.std - std, track.mean.shape),
-                ]
-            )
-            / std
-        )
+        apart = np.broadcast_arrays(track.mean - exact.mean[..., :n], track.std - std)
+        out[name] = np.abs(apart) / std
     return out
 
 
@@ -351,27 +335,21 @@ def parts(effort: float = 1.0) -> dict[str, Part]:
     with the effort, and flights from one coefficient to the next are shorter below `BRIEF`."""
 
     def flights(names: str, config: Config, number: int, runs: int = P.runs) -> Part:
-        every = names.split(", ")
-        return Part(
-            partial(flown, every, 1),
-            config,
-            number,
-            runs,
-            128,
-            1e-6 * config.steps * runs * 8.0 * len(every),
-        )
+        filters = names.split(", ")
+        cost = 8e-6 * config.steps * runs * len(filters)
+        return Part(partial(flown, filters, 1), config, number, runs, 128, cost)
 
     basic = "srukf, csrukf, csrukf+z0, openloop"
-    poor = replace(D, phi=1.0)
+    both = ("srukf", "csrukf")
+    colored = replace(P, phi=0.8)
     walking = replace(P, phi=1.0)
+    poor = replace(D, phi=1.0)
     out = {
-        "0.8, many": Part(
-            partial(flown, ("srukf", "csrukf"), 60), replace(P, phi=0.8), 1, 1600, 200, 16.0
-        ),
-        "0, many": Part(partial(flown, ("srukf", "csrukf"), P.steps), P, 0, 1600, 200, 14.0),
-        "I, many": Part(partial(flown, ("csrukf",), P.steps), walking, 2, 400, 200, 2.0),
+        "0.8, many": Part(partial(flown, both, 60), colored, 1, 1600, 200, 16.0),
+        "0, many": Part(partial(flown, both, P.steps), P, 0, 1600, 200, 14.0),
+        "I, many": Part(partial(flown, both[1:], P.steps), walking, 2, 400, 200, 2.0),
         "0": flights(f"{basic}, srukf-reff, lagged, printed roots", P, 0),
-        "0.8": flights(f"{basic}, srukf-reff, phi 0.9, phi 1", replace(P, phi=0.8), 1),
+        "0.8": flights(f"{basic}, srukf-reff, phi 0.9, phi 1", colored, 1),
         "I": flights(f"{basic}, srukf-inflated, phi 0.95, phi 0.99", walking, 2),
         "D/I": flights(basic, poor, 3),
         "walk": Part(walk, walking, 2, P.runs, 128, 0.1),
@@ -383,39 +361,28 @@ def parts(effort: float = 1.0) -> dict[str, Part]:
         "redrawn": Part(redrawn, P, 21),
         "linear": Part(linear, P, 23),
     }
-    starts = list(product((P, D), PHIS.values()))
-    exact = replace(D, noise_position_km=0.0, noise_velocity_km_per_s=0.0, steps=20)
     many, some, day = (max(20, round(steps * effort)) for steps in (600, 200, 360))
-    cases = {
-        "paper": [
-            (replace(c, phi=phi, steps=many), unit) for c, phi in starts for unit in (1.0, 1e3)
-        ],
-        "small": [
-            (replace(c, phi=phi, sigma_km=s, steps=some), 1.0) for c, phi in starts for s in SMALL
-        ],
-        "long": [(replace(c, phi=phi, steps=day, step_s=240.0), 1.0) for c, phi in starts],
-        "angles": [
-            (
-                replace(
-                    c, measured="angles", camera_deg=0.005 * s, star_arcsec=3.0 * s, steps=some
-                ),
-                1.0,
-            )
-            for c in (P, D)
-            for s in (1.0, 1e-3)
-        ],
-        "ratios": [(replace(exact, sigma_km=D.prior_position_km * 10.0**-e), 1.0) for e in RATIOS],
-    }
-    for number, (name, each) in enumerate(cases.items(), 30):
-        out[f"forms/{name}"] = Part(
-            partial(compared, each), P, number, 20, 20, 2e-3 * len(each) * each[0][0].steps
-        )
-    for number, (name, c) in ((13, ("P", P)), (14, ("D", D))):
+    paper, small, long, angles, ratios = forms = [list[tuple[Config, float]]() for _ in range(5)]
+    for c, phi in product((P, D), PHIS.values()):
+        paper += [(replace(c, phi=phi, steps=many), unit) for unit in (1.0, 1e3)]
+        small += [(replace(c, phi=phi, sigma_km=s, steps=some), 1.0) for s in SMALL]
+        long += [(replace(c, phi=phi, steps=day, step_s=240.0), 1.0)]
+    for c, size in product((P, D), (1.0, 1e-3)):
+        angular = replace(c, measured="angles", steps=some)
+        precise = replace(angular, camera_deg=0.005 * size, star_arcsec=3.0 * size)
+        angles += [(precise, 1.0)]
+    noiseless = replace(D, noise_position_km=0.0, noise_velocity_km_per_s=0.0, steps=20)
+    for exponent in RATIOS:
+        sigma = D.prior_position_km * 10.0**-exponent
+        ratios += [(replace(noiseless, sigma_km=sigma), 1.0)]
+    for number, (name, cases) in enumerate(zip(FORM_PARTS, forms, strict=True), 30):
+        cost = 2e-3 * len(cases) * cases[0][0].steps
+        out[name] = Part(partial(compared, cases), P, number, 20, 20, cost)
+    for number, name, c in ((13, "P", P), (14, "D", D)):
         config = replace(c, steps=200) if effort < BRIEF else c
-        out |= {
-            f"sweep/{name}/{phi:g}": flights("srukf, csrukf", replace(config, phi=phi), number)
-            for phi in STEPS
-        }
+        for phi in STEPS:
+            part = flights("srukf, csrukf", replace(config, phi=phi), number)
+            out[f"sweep/{name}/{phi:g}"] = part
     return out
 
 
@@ -432,60 +399,47 @@ def length(printed: Sequence[float], group: str) -> float:
 
 def better(case: str, position: float, velocity: float) -> list[Decided]:
     """CSRUKF over SRUKF, at the end and averaged."""
-    return [
-        ratio(
-            f"{group}, {case}, {when}",
-            (case, "csrukf"),
-            (case, "srukf"),
-            group,
-            (None, most),
-            at=at,
-        )
-        for group, most in zip(BOTH, (position, velocity), strict=True)
-        for at, when in ((-1, "at the end"), (ALL, "averaged"))
-    ]
+    numbers = []
+    for group, most in zip(BOTH, (position, velocity), strict=True):
+        for at, when in ((-1, "at the end"), (ALL, "averaged")):
+            label = f"{group}, {case}, {when}"
+            numbers.append(over(label, case, "csrukf", "srukf", (None, most), group, at=at))
+    return numbers
 
 
 def changes(r: Results) -> Tiers:
     """By how much more SRUKF grows from 0.8 I to I than CSRUKF does, and by the printed numbers."""
-    out = []
-    flown = (("I", "srukf"), ("0.8", "srukf"), ("0.8", "csrukf"), ("I", "csrukf"))
+    numbers = []
+    cases = (("I", "srukf"), ("0.8", "srukf"), ("0.8", "csrukf"), ("I", "csrukf"))
     for group in BOTH:
-        a, b, c, d = (length(TABLE_3[case][filter.upper()], group) for case, filter in flown)
-        squares = [r.squares(*one, group).sum(-1) for one in flown]
-        out.append(
-            estimate(
-                f"growth of SRUKF over that of CSRUKF, {group}",
-                lambda a, b, c, d: np.sqrt(a.mean() * c.mean() / (b.mean() * d.mean())),
-                squares,
-                (1.0, None),
-                printed=round(a * c / (b * d), 2),
-                printed_runs=100,
-                printed_count=2,
-            )
+        a, b, c, d = (length(TABLE_3[case][filter.upper()], group) for case, filter in cases)
+        number = estimate(
+            f"growth of SRUKF over that of CSRUKF, {group}",
+            lambda a, b, c, d: np.sqrt(a.mean() * c.mean() / (b.mean() * d.mean())),
+            [r.squares(*case, group).sum(-1) for case in cases],
+            (1.0, None),
+            printed=round(a * c / (b * d), 2),
+            printed_runs=100,
+            printed_count=2,
         )
-    return {"reproduced": out, "in part": out}
+        numbers.append(number)
+    return {"reproduced": numbers, "in part": numbers}
 
 
 def stepwise(r: Results) -> list[Number]:
     """Every step up in phi, for both filters, priors and groups, on the same noise, the least
     first."""
-    every = product(("srukf", "csrukf"), ("sweep/P", "sweep/D"), BOTH, pairwise(STEPS))
-    steps = {
-        f"{f}, {g}, {p}, {a:g} to {b:g}": ((f"{p}/{b:g}", f), (f"{p}/{a:g}", f), g)
-        for f, p, g, (a, b) in every
-    }
-    return sorted(
-        (ratio(label, *step, (1.0, None))(r) for label, step in steps.items()),
-        key=lambda n: n.value,
-    )
+    numbers = []
+    parts = ("sweep/P", "sweep/D")
+    for f, part, group, (a, b) in product(("srukf", "csrukf"), parts, BOTH, pairwise(STEPS)):
+        label = f"{f}, {group}, {part}, {a:g} to {b:g}"
+        step = (f"{part}/{b:g}", f), (f"{part}/{a:g}", f)
+        numbers.append(ratio(label, *step, group, (1.0, None))(r))
+    return sorted(numbers, key=lambda number: number.value)
 
 
-PAPER = [("forms/paper", "double")]
-STRESSED = [
-    ("forms/paper", "single"),
-    *product(("forms/small", "forms/long", "forms/angles"), ("double", "single")),
-]
+PAPER = [(FORM_PARTS[0], "double")]
+STRESSED = [(FORM_PARTS[0], "single"), *product(FORM_PARTS[1:4], ("double", "single"))]
 
 
 def of_forms(r: Results, what: str, where: Sequence[tuple[str, str]], *forms: str) -> Array:
@@ -503,119 +457,75 @@ def stable(r: Results) -> Tiers:
     stress all cases count alike.
     """
 
+    lost = partial(of_forms, r, "lost")
+    covariance = ("plain", "symmetrized")
+
     def more(where: Sequence[tuple[str, str]]) -> Array:
-        return of_forms(r, "lost", where, "plain", "symmetrized") - of_forms(
-            r, "lost", where, "downdated"
-        )
+        return lost(where, *covariance) - lost(where, "downdated")
+
+    def share(label: str, which: Array, accept: Bounds = (None, None)) -> Number:
+        return estimate(label, np.mean, [which], accept)
 
     if (gap := more(PAPER)).any():
-        first = estimate(
-            "share of runs lost more, in the worst case",
-            lambda x: x.mean(0).max(),
-            [gap],
-            (1e-9, None),
-        )
+        worst = "share of runs lost more, in the worst case"
+        first = estimate(worst, lambda x: x.mean(0).max(), [gap], (1e-9, None))
     else:
-        squares = (
-            of_forms(r, "square", PAPER, "plain", "symmetrized"),
-            of_forms(r, "square", PAPER, "downdated"),
-        )
-        worst = lambda a, b: np.sqrt((a.mean(0) / b.mean(0)).max())  # noqa: E731
         first = estimate(
             "RMSE over that of the printed root, in the worst case",
-            worst,
-            squares,
+            lambda a, b: np.sqrt((a.mean(0) / b.mean(0)).max()),
+            [of_forms(r, "square", PAPER, *names) for names in (covariance, ("downdated",))],
             (1.0 + 1e-6, None),
         )
-    under = [
-        estimate("under stress, share of runs lost more", np.mean, [more(STRESSED)], (0.05, None))
-    ]
-    single, double = (
-        [where for where in (*PAPER, *STRESSED) if where[1] == kind]
-        for kind in ("single", "double")
-    )
-    told = [
-        estimate(
-            f"in single precision, share lost by {FORMS[f]}",
-            np.mean,
-            [of_forms(r, "lost", single, f)],
-        )
-        for f in FORMS
-    ]
-    told.append(
-        estimate(
-            "in single precision, share of the runs of one QR whose state is off by a deviation or "
-            "more",
-            np.mean,
-            [of_forms(r, "apart", single, "array") >= 1.0],
-        )
-    )
-    told.append(
+    single, double = ([(part, p) for part in FORM_PARTS[:4]] for p in ("single", "double"))
+    said = "in single precision, share"
+    off = f"{said} of the runs of one QR whose state is off by a deviation or more"
+    others = [
+        *(share(f"{said} lost by {FORMS[f]}", lost(single, f)) for f in FORMS),
+        share(off, of_forms(r, "apart", single, "array") >= 1.0),
+        Number("lost in double precision by any form", lost(double, *FORMS).sum()),
         Number(
-            "lost in double precision by any form", float(of_forms(r, "lost", double, *FORMS).sum())
-        )
-    )
-    told.append(
-        Number(
-            "largest difference of two forms, deviations",
-            float(of_forms(r, "apart", PAPER, *FORMS).max()),
-        )
-    )
-    return {"reproduced": [first], "in part": under, "not reproduced": told}
+            "largest difference of two forms, deviations", of_forms(r, "apart", PAPER, *FORMS).max()
+        ),
+    ]
+    under = share("under stress, share of runs lost more", more(STRESSED), (0.05, None))
+    return {"reproduced": [first], "in part": [under], "not reproduced": others}
 
 
 def held_fixed(r: Results) -> list[Number]:
     """Factors by which steps up in phi change an RMSE, over both priors, position and velocity, at
     the end and averaged."""
-    out = list[Number]()
+
+    def step(extreme: Any, held: str, name: str, most: float | None = 1.0) -> Number:
+        steps = []
+        for prior in "PD":
+            square = np.square(r.get("theory", f"{held}/{prior}/{name}"))
+            square = square.reshape(-1, len(COLORS), 2, 3).sum(-1)
+            for rms in (square[-1], square[1:].mean(0)):
+                steps.append(np.sqrt(rms[1:] / rms[:-1]))
+        size = {np.min: "least", np.max: "largest"}[extreme]
+        label = f"{size} step of {name.upper()}, {held} held"
+        return Number(label, float(extreme(steps)), (None, most))
+
     covariance, density = HELD
-    for held, name, least in (
-        (covariance, "srukf", 1),
-        (covariance, "csrukf", 1),
-        (density, "srukf", 0),
-        (density, "csrukf+z0", 0),
-        (density, "csrukf", 0),
-    ):
-        squares = [
-            np.square(r.get("theory", f"{held}/{prior}/{name}"))
-            .reshape(-1, len(COLORS), 2, 3)
-            .sum(-1)
-            for prior in "PD"
-        ]
-        steps = [
-            np.sqrt(rms[1:] / rms[:-1])
-            for square in squares
-            for rms in (square[-1], square[1:].mean(0))
-        ]
-        value, accept = (
-            (np.min(steps), None) if least else (np.max(steps), None if name == "csrukf" else 1.0)
-        )
-        out.append(
-            Number(
-                f"{'least' if least else 'largest'} step of {name.upper()}, {held} held",
-                float(value),
-                (None, accept),
-            )
-        )
-    return out
+    return [
+        step(np.min, covariance, "srukf", None),
+        step(np.min, covariance, "csrukf", None),
+        step(np.max, density, "srukf"),
+        step(np.max, density, "csrukf+z0"),
+        step(np.max, density, "csrukf", None),
+    ]
 
 
 def converges(case: str, prior: str) -> list[Decided]:
     """Against the start, and against the open loop: an interval that contains 1 shows no
     convergence."""
-    against = (("the start", (case, "csrukf"), 0), ("the open loop", (case, "openloop"), -1))
-    return [
-        ratio(
-            f"the end over {label}, {prior}",
-            (case, "csrukf"),
-            other,
-            "position",
-            (None, 1.0),
-            to=to,
-            strict=True,
-        )
-        for label, other, to in against
-    ]
+    start = over(
+        f"the end over the start, {prior}", case, "csrukf", "csrukf", (None, 1.0), to=0, strict=True
+    )
+    loop = over(
+        f"the end over the open loop, {prior}", case, "csrukf", "openloop", (None, 1.0), strict=True
+    )
+    return [start, loop]
 
 
 def over_theory(case: str) -> Decided:
@@ -632,15 +542,10 @@ def over_theory(case: str) -> Decided:
 
 def long_arc(r: Results) -> list[Number]:
     """SRUKF over the bound after 3000 s, 3-D, from a poor prior."""
-    srukf, best = (
-        np.linalg.norm(r.get("theory", f"long/{name}")[3000, :, :3], axis=-1)
-        for name in ("srukf", "csrukf+z0")
-    )
-    ends = (("Φ = I", (1.5, 2.5)), ("Φ = 0.8 I", (1.0, 1.05)))
-    return [
-        Number(label, float(x), accept)
-        for x, (label, accept) in zip(srukf / best, ends, strict=True)
-    ]
+    srukf = r.get("theory", "long/srukf")[3000, :, :3]
+    bound = r.get("theory", "long/csrukf+z0")[3000, :, :3]
+    walk, colored = np.linalg.norm(srukf, axis=-1) / np.linalg.norm(bound, axis=-1)
+    return [Number("Φ = I", walk, (1.5, 2.5)), Number("Φ = 0.8 I", colored, (1.0, 1.05))]
 
 
 def growth(a: Sequence[float], b: Sequence[float]) -> float:
@@ -655,22 +560,23 @@ def right(wrong: Array) -> float:
 
 # -- the ledger ------------------------------------------------------------------------------------
 SAME = ((-1, -1, "end"), (ALL, ALL, "averaged"))
-PRINTED = ((-1, -2, "end"), (slice(2, None), slice(1, -1), "averaged"))
+AHEAD = ((-1, -2, "end"), (slice(2, None), slice(1, -1), "averaged"))
 CELLS = [((case, filter.lower()), TABLE_3[case][filter]) for case in TABLE_3 for filter in TABLE_1]
 
 DECISIONS: dict[str, Decision] = {
     "white-alike": all_of(
         *(
-            ratio(
+            over(
                 f"{name}, {group}, {w}",
-                ("0", f),
-                ("0", "srukf"),
-                group,
+                "0",
+                f,
+                "srukf",
                 (0.885, 1.13),
+                group,
                 at=at,
                 to=to,
             )
-            for f, name, when in (("csrukf", "same data", SAME), ("lagged", "as printed", PRINTED))
+            for f, name, when in (("csrukf", "same data", SAME), ("lagged", "as printed", AHEAD))
             for group in BOTH
             for at, to, w in when
         )
@@ -680,11 +586,11 @@ DECISIONS: dict[str, Decision] = {
     ),
     "srukf-diverges": all_of(
         consistency("final NEES", ("I", "srukf"), (10.0 * chi_square_band(6, 100)[1], None)),
-        ratio(
+        over(
             "position RMSE, 600 s over 300 s",
-            ("I", "srukf"),
-            ("I", "srukf"),
-            "position",
+            "I",
+            "srukf",
+            "srukf",
             (1.0, None),
             to=300,
         ),
@@ -764,12 +670,13 @@ DECISIONS: dict[str, Decision] = {
     "erratum-moments": of("linear", "cross", "cross-covariance by the right ones", (None, 1e-9)),
     "erratum-9-roots-nees": all_of(
         consistency("final NEES, Φ = 0, in km", ("0", "printed roots"), (1e3, None)),
-        ratio(
+        over(
             "velocity RMSE, over the right one",
-            ("0", "printed roots"),
-            ("0", "csrukf"),
-            "velocity",
+            "0",
+            "printed roots",
+            "csrukf",
             (5.0, None),
+            "velocity",
         ),
     ),
     "erratum-11-redraw": all_of(
@@ -786,63 +693,57 @@ DECISIONS: dict[str, Decision] = {
         of("settings", "growth", "least growth of SRUKF over random settings", (5.0, None), np.min),
         of("settings", "gain", "largest gain of any filter at 0.8 I", (None, 5.0)),
     ),
-    "remark-first-sample": ratio(
+    "remark-first-sample": over(
         "with z_0 over without, poor prior, Φ = I",
-        ("D/I", "csrukf+z0"),
-        ("D/I", "csrukf"),
-        "position",
+        "D/I",
+        "csrukf+z0",
+        "csrukf",
         (None, 0.6),
     ),
-    "remark-angle-space": ratio(
+    "remark-angle-space": over(
         "angles whitened, over positions",
-        ("sensor/D/I", "angles"),
-        ("sensor/D/I", ISOTROPIC),
-        "position",
+        "sensor/D/I",
+        "angles",
+        ISOTROPIC,
         (None, 0.95),
     ),
-    "openloop-final": ratio(
-        "3-D position", ("I", "csrukf"), ("I", "openloop"), "position", (0.98, 1.02)
-    ),
+    "openloop-final": over("3-D position", "I", "csrukf", "openloop", (0.98, 1.02)),
     "consistent": all_of(
         *(consistency(f"Φ = {n}", (f"{n}, many", "csrukf"), (5.0, 7.1)) for n in PHIS)
     ),
     "at-the-bound": all_of(*map(over_theory, PHIS)),
     "cheap-remedy": all_of(
-        ratio("3-D position", ("0.8", "srukf-reff"), ("0.8", "csrukf"), "position", (0.9, 1.1)),
+        over("3-D position", "0.8", "srukf-reff", "csrukf", (0.9, 1.1)),
         consistency("final NEES", ("0.8", "srukf-reff"), (4.8, 7.1)),
-        ratio(
-            "3-D position, Φ = I", ("I", "srukf-inflated"), ("I", "csrukf"), "position", (5.0, None)
-        ),
+        over("3-D position, Φ = I", "I", "srukf-inflated", "csrukf", (5.0, None)),
         consistency("final NEES, Φ = I", ("I", "srukf-inflated"), (200.0, None)),
     ),
     "larger-phi-convention": held_fixed,
     "poor-prior": all_of(
-        ratio("without z_0", ("D/I", "csrukf"), ("D/I", "srukf"), "position", (1.3, None)),
-        ratio("with z_0", ("D/I", "csrukf+z0"), ("D/I", "srukf"), "position", (None, 0.85)),
+        over("without z_0", "D/I", "csrukf", "srukf", (1.3, None)),
+        over("with z_0", "D/I", "csrukf+z0", "srukf", (None, 0.85)),
     ),
     "wrong-coefficient": all_of(
         consistency(
             "time-mean NEES, true I, assumed 0.95", ("I", "phi 0.95"), (50.0, None), at=ALL
         ),
         consistency("true 0.8, assumed I", ("0.8", "phi 1"), (4.9, 7.3), at=ALL),
-        ratio(
+        over(
             "what that costs in position",
-            ("0.8", "phi 1"),
-            ("0.8", "csrukf"),
-            "position",
+            "0.8",
+            "phi 1",
+            "csrukf",
             (2.0, 4.0),
         ),
     ),
-    "correlation-matters": ratio(
-        "Φ = I", ("stress/I", "without J"), ("stress/I", "csrukf"), "position", (1.2, None), at=LATE
-    ),
+    "correlation-matters": over("Φ = I", "stress/I", "without J", "csrukf", (1.2, None), at=LATE),
     "long-arc": long_arc,
     "nis-csrukf": all_of(
         *(consistency(f"Φ = {n}", (n, "csrukf"), (2.8, 3.2), at=ALL, what="nis") for n in PHIS)
     ),
 }
 
-ROWS, ANSWER = read_ledger(Path(__file__).with_name("ledger.toml"), DECISIONS)
+ROWS, ANSWER = read_ledger(LEDGER, DECISIONS)
 STUDY = Study(
     "csrukf",
     GROUPS,
