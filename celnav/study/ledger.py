@@ -7,9 +7,11 @@ runs as with many.
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import partial
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,9 +22,29 @@ from celnav.gaussian.checks import choice
 from celnav.gaussian.linalg import Array
 
 __all__ = [
-    "BETWEEN", "KINDS", "OPEN", "VERDICTS", "WORDS", "Bounds", "Claim", "Number", "Row", "Sentence", "Tiers", "check", "erratum",
-    "estimate", "finding", "order", "reconstruction", "remark", "statement",
-]  # fmt: skip
+    "BETWEEN",
+    "KINDS",
+    "OPEN",
+    "VERDICTS",
+    "WORDS",
+    "Bounds",
+    "Claim",
+    "Decision",
+    "Number",
+    "Row",
+    "Sentence",
+    "Tiers",
+    "check",
+    "erratum",
+    "estimate",
+    "finding",
+    "order",
+    "read_ledger",
+    "read_printed",
+    "reconstruction",
+    "remark",
+    "statement",
+]
 
 Bounds = tuple[float | None, float | None]
 WORDS: dict[str, tuple[str, str]] = {
@@ -120,6 +142,8 @@ class Number(NamedTuple):
 
 Tiers = Mapping[str, Sequence[Number]]
 """Verdict -> numbers that must all hold for it, the best one first; it may need numbers of better ones again."""
+Decision = Callable[[Any], Number | Sequence[Number] | Tiers]
+"""What decides a row: a function of the results."""
 
 
 def estimate(
@@ -164,7 +188,7 @@ class Row:
     kind: str
     id: str
     says: str
-    decide: Callable[[Any], Number | Sequence[Number] | Tiers] | None = None
+    decide: Decision | None = None
     place: str = ""
     why: str = ""
     found: str = ""
@@ -178,6 +202,11 @@ class Row:
         choice("kind", self.kind, KINDS)
         choice("expected", self.expected, ("", *VERDICTS))
 
+    @property
+    def needs_no_decision(self) -> bool:
+        """Whether its verdict follows without a number: a defect of the text, or what nothing can decide."""
+        return self.expected in OPEN or self.kind in ("erratum", "reconstruction", "remark")
+
     def judged(self, results: Any, full: bool = True) -> Claim:
         """The verdict: that of the first tier whose numbers all hold; "undecided" if one before it is.
 
@@ -186,8 +215,8 @@ class Row:
         good, bad = WORDS[self.kind]
         expected = self.expected or good
         if self.decide is None:
-            known = expected in OPEN or self.kind in ("erratum", "reconstruction", "remark")
-            return Claim(self, (), expected if known else OPEN[1], expected, full)
+            verdict = expected if self.needs_no_decision else OPEN[1]
+            return Claim(self, (), verdict, expected, full)
         found = self.decide(results)
         if not isinstance(found, Mapping):
             found = {good: [found] if isinstance(found, Number) else found}
@@ -286,6 +315,98 @@ class Sentence(NamedTuple):
 
     text: str
     rests_on: Mapping[str, str]
+
+
+# -- prose in a file ---------------------------------------------------------------------------------
+FIELDS = {
+    "row": [field.name for field in fields(Row) if field.name != "decide"],
+    "sentence": list(Sentence._fields),
+}
+"""Tables of a ledger's file, and the fields that they may have; only ``printed`` and ``rests_on`` may be no text."""
+
+
+def read_ledger(
+    path: str | Path, decisions: Mapping[str, Decision]
+) -> tuple[list[Row], list[Sentence]]:
+    """Rows and sentences of a study whose prose is in a TOML file, in the order of the file.
+
+    Each table ``[[row]]`` has the fields of a `Row` except ``decide``, which ``decisions`` gives by
+    the rows' ids. Each table ``[[sentence]]`` has those of a `Sentence`. A line break in a text is a
+    space.
+
+    >>> row = "[[row]]\\nkind = 'finding'\\nid = 'half'\\nsays = 'It halves the error.'"
+    >>> _ = Path("ledger.toml").write_text(row)
+    >>> half = celnav.study.numbers.ratio("error", "new", "old", "position", (None, 0.5))
+    >>> rows, sentences = read_ledger("ledger.toml", {"half": half})
+
+    Raises
+    ------
+    ValueError: naming the file and the id, if a field is wrong, or if rows, decisions and sentences
+        do not go together. OSError: if the file cannot be read.
+    """
+    tables = _read_tables(path)
+    rows: dict[str, Row] = {}
+    for table in tables["row"]:
+        where = f"{path}, row {table['id']!r}"
+        if table["id"] in rows:
+            raise ValueError(f"{where}: expected different ids, got this one twice; rename a row")
+        try:
+            row = Row(**table, decide=decisions.get(table["id"]))
+        except ValueError as error:
+            raise ValueError(f"{where}: {error}") from None
+        if row.decide is None and not row.needs_no_decision:
+            raise ValueError(f"{where}: expected a decision of this id, got none; add it in Python")
+        rows[row.id] = row
+    for id in decisions:
+        choice(f"{path}, decision {id!r}: add its [[row]], or rename one; id", id, rows)
+    sentences = [Sentence(**table) for table in tables["sentence"]]
+    for sentence in sentences:
+        for id, verdict in sentence.rests_on.items():
+            where = f"{path}, sentence {sentence.text!r:.40}: rests_on"
+            choice(where, id, rows)
+            choice(f"{where} {id!r}", verdict, VERDICTS)
+    return list(rows.values()), sentences
+
+
+def read_printed(path: str | Path) -> dict[str, Any]:
+    """What a paper prints, by the ids of the rows of `read_ledger` that say so: numbers stand once.
+
+    Raises
+    ------
+    ValueError, OSError: as `read_ledger`.
+    """
+    rows = _read_tables(path)["row"]
+    return {table["id"]: table["printed"] for table in rows if "printed" in table}
+
+
+def _read_tables(path: str | Path) -> dict[str, list[dict[str, Any]]]:
+    """Tables by kind, with known fields of the right type and all that they need; texts on one line."""
+    try:
+        content = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+    except tomllib.TOMLDecodeError as error:
+        raise ValueError(f"{path}: expected TOML, got an error: {error}; mend that line") from None
+    for kind in content:
+        choice(f"{path}: table", kind, FIELDS)
+    required = {"row": ("kind", "id", "says"), "sentence": ("text", "rests_on")}
+    tables: dict[str, list[dict[str, Any]]] = {}
+    for kind, names in required.items():
+        tables[kind] = []
+        for table in content.get(kind, []):
+            where = f"{path}, {kind} {table.get(names[1], table.get(names[0], ''))!r:.40}"
+            for name, value in table.items():
+                choice(f"{where}: field", name, FIELDS[kind])
+                expected = {"printed": object, "rests_on": dict}.get(name, str)
+                if not isinstance(value, expected):
+                    raise ValueError(
+                        f"{where}: {name}: expected a {expected.__name__}, got {value!r:.60}"
+                    )
+                if isinstance(value, str):
+                    table[name] = " ".join(value.split())
+            for name in names:
+                if not table.get(name):
+                    raise ValueError(f"{where}: {name}: expected one, got none; add it")
+            tables[kind].append(table)
+    return tables
 
 
 def order(value: float) -> float:

@@ -95,6 +95,17 @@ def test_printed_numbers_are_verbatim():
     assert PAPER_WEIGHTS == (1, 1, 2, 2, 2, 1, 1, 2, 2, 2, 2, 2, 2)
 
 
+def test_the_ledger_prints_the_tables_that_decide_it():
+    printed = {row.id: row.printed for row in aasghqf.STUDY.rows if row.printed is not None}
+    points = {name: list(row) for name, row in study.TABLE_4.items()}
+    assert printed["table-1-counts"] == study.TABLE_1
+    assert printed["saving-grows"] == study.TABLE_1 | points
+    assert printed["degrees-of-observability"] == study.TABLE_2
+    assert printed["threshold-weights"] == list(scenario.PAPER_WEIGHTS)
+    for id in ("better-than-ukf", "alike-sghqf", "table-3-levels"):
+        assert printed[id] == study.TABLE_3
+
+
 def test_what_needs_no_runs_comes_out_as_expected(results):
     claims = {claim.id: claim for claim in results.claims()}
     dumps(claims.values())

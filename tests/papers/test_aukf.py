@@ -32,6 +32,7 @@ from celnav.receiver.sky import dilution
 from celnav.show.claims import dumps
 from celnav.study.ledger import Number
 from celnav.study.montecarlo import generator
+from celnav.study.numbers import count_holding
 from celnav.study.operations import step_operations
 from celnav.study.study import Results
 
@@ -647,8 +648,8 @@ def test_counts_and_times_of_findings():
     numbers = [
         Number("", 0.5, (None, 1.0), ci) for ci in ((0.4, 0.6), (0.4, 1.2), (0.4, 0.6), (1.1, 1.2))
     ]
-    assert study.counted("", numbers, (2, None))[1:4] == (2.0, (2, None), (2.0, 3.0))
-    assert study.counted("", numbers, (2, None), leading=True)[1:4] == (1.0, (2, None), (1.0, 3.0))
+    assert count_holding("", numbers, (2, None))[1:4] == (2.0, (2, None), (2.0, 3.0))
+    assert count_holding("", numbers, (2, None), leading=True)[1:4] == (1.0, (2, None), (1.0, 3.0))
     error = {"ukf": [5, 5, 1, 5, 1, 1], "aukf": [5, 1, 1, 1, 1, 1]}
     fake = SimpleNamespace(
         error=lambda _part, name, _group: np.tile(
@@ -836,6 +837,12 @@ def test_printed_numbers_are_the_papers():
     c = PRESETS["burst"]
     given = (c.speed_m_per_s, c.acceleration_g, c.height_m, *c.burst_s, c.burst_sigma, c.beta)
     assert " ".join(f"{value:g}" for value in given) == "400 4 800 60 70 50 2"
+
+
+def test_checks_of_a_real_receiver_say_what_its_day_judges():
+    rows = {row.id: row for row in aukf.STUDY.rows if row.needs == "real"}
+    says = {f"real-{id}": f"Real receiver: {text}" for id, (text, _) in day.JUDGED.items()}
+    assert {id: row.says for id, row in rows.items()} == says
 
 
 def test_a_run_does_not_depend_on_how_many_there_are():

@@ -74,6 +74,11 @@ def test_tables_hold_the_papers_numbers_verbatim(results):
     assert [len(table(results)) for _, table in csrukf.TABLES.values()] == [6, 6, 12]
 
 
+def test_what_changes_little_is_printed_as_in_the_tables(claims):
+    rows = {"Table 1": study.TABLE_1["CSRUKF"], "Table 2": study.TABLE_2["CSRUKF"]}
+    assert claims["little-change"].row.printed == rows
+
+
 def test_the_ledger_has_every_statement_of_the_paper_and_says_why(claims):
     statements = {id: claim for id, claim in claims.items() if claim.kind == "statement"}
     assert list(statements) == STATEMENTS.split()

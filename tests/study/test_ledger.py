@@ -10,8 +10,19 @@ import pytest
 
 from celnav.analysis.metrics import bootstrap
 from celnav.show import page
-from celnav.show.claims import TYPES, Ledger, answer, dumps, plain, style, written
-from celnav.study.ledger import KINDS, VERDICTS, WORDS, Number, Row, Sentence, estimate, order
+from celnav.show.claims import TYPES, Ledger, answer, dumps, plain, style, table, written
+from celnav.study.ledger import (
+    KINDS,
+    VERDICTS,
+    WORDS,
+    Number,
+    Row,
+    Sentence,
+    estimate,
+    order,
+    read_ledger,
+    read_printed,
+)
 
 
 def table(claims):
@@ -379,3 +390,88 @@ def test_an_estimate_has_the_bootstrap_interval_of_its_blocks(block):
     assert found.value == ratio(*samples)
     assert tuple(found.ci) == bootstrap(ratio, *samples, block=block)
     assert found.runs == (60 if block == 1 else 0)
+
+
+# -- prose in a file ---------------------------------------------------------------------------------
+PROSE = """
+[[row]]
+kind = "statement"
+id = "halves"
+says = '''
+It halves
+the error.'''
+printed = [0.5, 1]
+
+[[row]]
+kind = "erratum"
+id = "sign"
+says = "A minus is missing."
+
+[[sentence]]
+text = "It does halve it."
+rests_on = { halves = "reproduced" }
+"""
+HALF = {"halves": lambda _: Number("error", 0.5, (0.4, 0.6))}
+
+
+@pytest.fixture
+def prose(tmp_path):
+    def read(text=PROSE, decisions=HALF):
+        path = tmp_path / "ledger.toml"
+        path.write_text(text, encoding="utf-8")
+        return read_ledger(path, decisions)
+
+    return read
+
+
+def test_rows_are_read_in_the_order_of_the_file_and_decided_by_their_ids(prose):
+    (halves, sign), (sentence,) = prose()
+    assert halves == Row(
+        "statement", "halves", "It halves the error.", HALF["halves"], printed=[0.5, 1]
+    )
+    assert (sign.kind, sign.decide) == ("erratum", None)
+    assert halves.judged(None).verdict == "reproduced"
+    assert sentence == Sentence("It does halve it.", {"halves": "reproduced"})
+
+
+def test_what_is_printed_is_read_by_the_rows_that_say_it(tmp_path):
+    (tmp_path / "ledger.toml").write_text(PROSE, encoding="utf-8")
+    assert read_printed(tmp_path / "ledger.toml") == {"halves": [0.5, 1]}
+
+
+def test_a_row_that_nothing_can_decide_needs_no_decision(prose):
+    (row, _), _ = prose(PROSE.replace("printed", 'expected = "not decidable"\nprinted'), {})
+    assert row.judged(None).verdict == "not decidable"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("[[row]]", "[[raw]]", "table: expected one of row, sentence, got 'raw'; did you mean row"),
+        ("[[row]]", "[[row", "ledger.toml: expected TOML, got an error: .*; mend that line"),
+        ("says =", "say =", "row 'halves': field: .* got 'say'; did you mean says"),
+        ("halves", "halve", "row 'halve': expected a decision of this id, got none; add it"),
+        (
+            'id = "sign"',
+            'id = "halves"',
+            "row 'halves': expected different ids, got this one twice",
+        ),
+        ("erratum", "eratum", "row 'sign': kind: .* got 'eratum'; did you mean erratum"),
+        ("erratum", "finding", "row 'sign': expected a decision of this id, got none; add it"),
+        ('kind = "erratum"', "", "row 'sign': kind: expected one, got none; add it"),
+        ('"A minus is missing."', "1", "row 'sign': says: expected a str, got 1"),
+        ('= { halves = "reproduced" }', '= "halves"', "rests_on: expected a dict, got 'halves'"),
+        ("{ halves", "{ halve", "sentence 'It does halve it.': rests_on: .* did you mean halves"),
+        ("reproduced", "reprodced", "rests_on 'halves': .* did you mean reproduced"),
+    ],
+)
+def test_prose_that_does_not_go_with_its_decisions_is_refused_by_name(prose, old, new, message):
+    with pytest.raises(ValueError, match=message) as error:
+        prose(PROSE.replace(old, new, 1))
+    assert "ledger.toml" in str(error.value)
+
+
+def test_a_decision_without_a_row_is_refused_by_name(prose):
+    message = "ledger.toml, decision 'halve': add its .* got 'halve'; did you mean halves"
+    with pytest.raises(ValueError, match=message):
+        prose(decisions=HALF | {"halve": HALF["halves"]})

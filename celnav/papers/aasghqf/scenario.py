@@ -1,14 +1,16 @@
-"""[Liang2014]: an aircraft whose inertial system is badly misaligned, and is corrected by two star sensors and by SAR images.
+"""[Liang2014]: an aircraft whose inertial system is badly misaligned, and is corrected by two star
+sensors and by SAR images.
 
-Eqs. 11-14, 16-18, sparse rules: `celnav.gaussian.sparse_grid`. Eqs. 15, 19, degrees of observability and weights by a threshold:
-`celnav.analysis.observability`. Eqs. 20-28, errors of the inertial system, its state, star sensors: `celnav.models.inertial`.
+Eqs. 11-14, 16-18, sparse rules: `celnav.gaussian.sparse_grid`. Eqs. 15, 19, degrees of
+observability and weights by a threshold: `celnav.analysis.observability`. Eqs. 20-28, errors of the
+inertial system, its state, star sensors: `celnav.models.inertial`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -46,40 +48,62 @@ from celnav.study.parameters import Timed, param
 from celnav.study.trial import Group, Trial
 
 __all__ = [
-    "BORESIGHTS", "CITATION", "DEGREE", "FORM", "JUDGED", "MICRO_G", "NONLINEAR_WEIGHTS", "PAPER_WEIGHTS", "PRESETS", "SIX",
-    "T3", "TITLE", "TURNING", "A", "Choose", "Config", "Inputs", "Scenario", "adaptive", "by_nonlinearity",
-    "by_observability", "dynamics", "filters", "groups", "measurement", "model", "mounted", "mounting_filter",
-    "observability", "quadrature_filter", "rules", "simulate", "six_rules", "six_states", "trial", "trial_of", "weighted",
-]  # fmt: skip
+    "BORESIGHTS",
+    "CITATION",
+    "DEGREE",
+    "FORM",
+    "JUDGED",
+    "MICRO_G",
+    "NONLINEAR_WEIGHTS",
+    "PAPER_WEIGHTS",
+    "PRESETS",
+    "SIX",
+    "T3",
+    "TITLE",
+    "TURNING",
+    "A",
+    "Choose",
+    "Config",
+    "Inputs",
+    "Scenario",
+    "adaptive",
+    "by_nonlinearity",
+    "by_observability",
+    "dynamics",
+    "filters",
+    "groups",
+    "measurement",
+    "model",
+    "mounted",
+    "mounting_filter",
+    "observability",
+    "quadrature_filter",
+    "rules",
+    "simulate",
+    "six_rules",
+    "six_states",
+    "trial",
+    "trial_of",
+    "weighted",
+]
 
-TITLE = "Adaptive anisotropic sparse Gauss-Hermite quadrature filter for star, SAR and inertial navigation"
+TITLE = (
+    "Adaptive anisotropic sparse Gauss-Hermite quadrature filter for star, SAR and inertial "
+    "navigation"
+)
 CITATION = citation("Liang2014")
-PAPER_WEIGHTS = (
-    1,
-    1,
-    2,
-    2,
-    2,
-    1,
-    1,
-    2,
-    2,
-    2,
-    2,
-    2,
-    2,
-)  # of the sparse grid [Liang2014, Table 2]: 75 points
-NONLINEAR_WEIGHTS = (1, 1, 1) + (2,) * 10  # by nonlinearity: 57 points
+PAPER_WEIGHTS = (1, 1, 2, 2, 2, 1, 1) + (2,) * 6  # of the sparse grid [Liang2014, Table 2]
+NONLINEAR_WEIGHTS = (1, 1, 1) + (2,) * 10
+"""By nonlinearity: 57 points, where the paper's weights have 75."""
 MICRO_G = 1e-6 * earth.STANDARD_GRAVITY
 DEGREE = float(np.radians(1.0))
-BORESIGHTS = np.sqrt(0.5) * np.array(
-    [[0.0, 1.0, 1.0], [0.0, -1.0, 1.0]]
-)  # of the star sensors on body axes, and of the stars
+BORESIGHTS = np.sqrt(0.5) * np.array([[0.0, 1.0, 1.0], [0.0, -1.0, 1.0]])
+"""Of the star sensors on body axes, and of the stars."""
 FORM = "covariance"  # of all filters here
 UNSAID = "chosen: not printed"
 
 
-# -- parameters --------------------------------------------------------------------------------------------------------------
+# -- parameters ------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Config(Timed):
     """Everything that a run depends on."""
@@ -136,34 +160,41 @@ class Config(Timed):
     @cached_property
     def flight(self) -> earth.Flight:
         """Truth at the epochs and in the middles between them, ``2 steps + 1`` epochs."""
-        angles = {
-            name: float(np.radians(getattr(self, f"{name}_deg")))
-            for name in ("longitude", "latitude", "heading")
-        }
+        degrees = self.longitude_deg, self.latitude_deg, self.heading_deg, self.turn_rate_deg_per_s
+        longitude, latitude, heading, turn_rate = np.radians(degrees).tolist()
         return earth.turning_flight(
-            0.5 * self.step_s * np.arange(2 * self.steps + 1), **angles, height_m=self.height_m, speed=self.speed_m_per_s,
-            acceleration=self.acceleration_m_per_s2, turn_rate=float(np.radians(self.turn_rate_deg_per_s)),
-        )  # fmt: skip
+            0.5 * self.step_s * np.arange(2 * self.steps + 1),
+            longitude=longitude,
+            latitude=latitude,
+            heading=heading,
+            height_m=self.height_m,
+            speed=self.speed_m_per_s,
+            acceleration=self.acceleration_m_per_s2,
+            turn_rate=turn_rate,
+        )
 
     def meters(self, latitude: float | None = None) -> Array:
-        """Meters per radian of longitude and latitude, ``(2,)``, at a latitude, rad, or at the start."""
+        """Meters per radian of longitude and latitude, ``(2,)``, at a latitude, rad, or at the
+        start."""
         at = float(np.radians(self.latitude_deg)) if latitude is None else latitude
         north, east = earth.radii(at, self.height_m)
         return np.array([east * np.cos(at), north])
 
     @property
     def units(self) -> tuple[Array, Array]:
-        """Those in which degrees of observability are nearest to Table 2: rad, m/s, m, deg/h, micro g ``(13,)``; 1, m ``(8,)``."""
+        """Those in which degrees of observability are nearest to Table 2: rad, m/s, m, deg/h, micro
+        g ``(13,)``; 1, m ``(8,)``."""
         rates = np.repeat([DEGREE / 3600.0, MICRO_G], 3)
-        return np.concatenate([np.ones(5), 1.0 / self.meters(), rates]), np.concatenate(
-            [np.ones(6), self.meters()]
-        )
+        states = np.concatenate([np.ones(5), 1.0 / self.meters(), rates])
+        return states, np.concatenate([np.ones(6), self.meters()])
 
     @property
     def sigma0(self) -> Array:
         """Standard deviations ``(13,)`` of the prior."""
-        angles, position = np.radians(self.misalignment_deg), self.position_m / self.meters()
-        drift, bias = np.radians(self.drift_deg_per_h) / 3600.0, self.bias_ug * MICRO_G
+        angles = np.radians(self.misalignment_deg)
+        position = self.position_m / self.meters()
+        drift = np.radians(self.drift_deg_per_h) / 3600.0
+        bias = self.bias_ug * MICRO_G
         return np.concatenate(
             [angles, [self.velocity_m_per_s] * 2, position, [drift] * 3, [bias] * 3]
         )
@@ -173,26 +204,36 @@ class Config(Timed):
         """Columns ``(13, 5)`` of the process noise of one step: misalignment and velocity walk."""
         angle = np.radians(self.angle_walk_deg_per_sqrt_h) / 60.0
         velocity = self.velocity_walk_ug_per_sqrt_hz * MICRO_G
-        return np.asarray(
-            np.eye(13, 5) * (np.repeat([angle, velocity], [3, 2]) * np.sqrt(self.step_s))
-        )
+        walk = np.repeat([angle, velocity], [3, 2]) * np.sqrt(self.step_s)
+        return np.asarray(np.eye(13, 5) * walk)
 
 
 A = Config()
 NOISY = replace(A, angle_walk_deg_per_sqrt_h=1.0, velocity_walk_ug_per_sqrt_hz=50.0)
 T3 = replace(NOISY, misalignment_deg=(25.0, 20.0, 12.0), star_interval=30, sar_interval=25)
 PRESETS = {
-    "T3": T3, "A": A, "A-slow": replace(A, star_interval=10, sar_interval=20),
-    "T3-arcmin": replace(NOISY, misalignment_deg=(20.0, 15.0, 7.0), star_arcsec=1200.0, star_interval=20, sar_interval=10),
-}  # fmt: skip
-"""Fitted so that the levels of Table 3 come out; fixes at every step; slow fixes; star noise misread as arc minutes, fitted too."""
+    "T3": T3,
+    "A": A,
+    "A-slow": replace(A, star_interval=10, sar_interval=20),
+    "T3-arcmin": replace(
+        NOISY,
+        misalignment_deg=(20.0, 15.0, 7.0),
+        star_arcsec=1200.0,
+        star_interval=20,
+        sar_interval=10,
+    ),
+}
+"""Fitted so that the levels of Table 3 come out; fixes at every step; slow fixes; star noise
+misread as arc minutes, fitted too."""
 TURNING = replace(PRESETS["A-slow"], turn_rate_deg_per_s=2.0)
-"""Twenty times the paper's turn rate (chosen): in the middle of the flight the force becomes more horizontal than vertical."""
+"""Twenty times the paper's turn rate (chosen): in the middle of the flight the force becomes more
+horizontal than vertical."""
 
 
-# -- what happens ------------------------------------------------------------------------------------------------------------
+# -- what happens ----------------------------------------------------------------------------------
 class Inputs(NamedTuple):
-    """What filters know: the interval that ends here, C_b^n' ``(runs, 3, 3)``, directions on n ``(2, 3)``, root of R ``(8, 8)``."""
+    """What filters know: the interval that ends here, C_b^n' ``(runs, 3, 3)``, directions on n
+    ``(2, 3)``, root of R ``(8, 8)``."""
 
     interval: Navigation
     attitude: Array
@@ -201,7 +242,8 @@ class Inputs(NamedTuple):
 
 
 class Scenario(NamedTuple):
-    """Simulated runs: ``truth (T, runs, 13)``, ``z (T, runs, 8)``: star residuals and position, nan where there is no fix."""
+    """Simulated runs: ``truth (T, runs, 13)``, ``z (T, runs, 8)``: star residuals and position, nan
+    where there is no fix."""
 
     config: Config
     truth: Array
@@ -209,20 +251,21 @@ class Scenario(NamedTuple):
     prior: Gaussian
 
     def epochs(self) -> Iterator[Epoch]:
-        """Epochs with their `Inputs`: what the system knows follows from its errors, now and an epoch before."""
-        config, flight, truth = self.config, self.config.flight, self.truth
-        star = np.full(6, np.radians(config.star_arcsec / 3600.0))
-        for k, t in enumerate(config.times.tolist()):
-            true, meters = flight.attitude[2 * k], config.meters(float(flight.latitude[2 * k]))
-            before = truth[max(k - 1, 0)]
-            interval = inertial.navigation(
-                flight, max(2 * k - 1, 0), before[:, PHI], before[:, BIAS]
-            )
-            attitude = inertial.misalignment_matrix(truth[k, :, PHI]) @ true
-            u = Inputs(
-                interval, attitude, BORESIGHTS @ true.T, np.diag([*star, *config.sar_m / meters])
-            )
-            yield Epoch(k, t, config.step_s if k else 0.0, u, self.z[k], truth[k])
+        """Epochs with their `Inputs`: what the system knows follows from its errors, now and an
+        epoch before."""
+        c = self.config
+        flight = c.flight
+        star = np.full(6, np.radians(c.star_arcsec / 3600.0))
+        for k, t in enumerate(c.times.tolist()):
+            now = self.truth[k]
+            before = self.truth[max(k - 1, 0)]
+            middle = max(2 * k - 1, 0)
+            interval = inertial.navigation(flight, middle, before[:, PHI], before[:, BIAS])
+            attitude = flight.attitude[2 * k]
+            known = inertial.misalignment_matrix(now[:, PHI]) @ attitude
+            fix = c.sar_m / c.meters(float(flight.latitude[2 * k]))
+            u = Inputs(interval, known, BORESIGHTS @ attitude.T, np.diag([*star, *fix]))
+            yield Epoch(k, t, c.step_s if k else 0.0, u, self.z[k], now)
 
 
 def simulate(
@@ -231,22 +274,23 @@ def simulate(
     advance: Callable[[Array, Navigation, float], Array] = inertial.advance,
     free: Sequence[int] = range(13),
 ) -> Scenario:
-    """One run for each generator: initial errors drawn from the prior, process and measurement noise.
+    """One run for each generator: initial errors drawn from the prior, process and measurement
+    noise.
 
     advance: one step of the errors. free: states that have errors; the others stay zero.
     """
-    T, has_error = config.steps + 1, np.isin(range(13), free)
+    T = config.steps + 1
+    has_error = np.isin(range(13), free)
     initial, walk, z = normals(rngs, (13,), (config.steps, 5), (T, 8))
-    truth, w = np.empty((T, len(rngs), 13)), walk @ config.sqrt_Q.T
+    truth = np.empty((T, len(rngs), 13))
+    w = walk @ config.sqrt_Q.T
     truth[0] = initial * config.sigma0 * has_error
     for k in range(1, T):
-        middle = inertial.navigation(
-            config.flight, 2 * k - 1, truth[k - 1, :, PHI], truth[k - 1, :, BIAS]
-        )
-        truth[k] = (advance(truth[k - 1], middle, config.step_s) + w[k - 1]) * has_error
-    runs = Scenario(
-        config, truth, z, Gaussian(np.zeros(truth.shape[1:]), np.diag(config.sigma0**2))
-    )
+        x = truth[k - 1]
+        middle = inertial.navigation(config.flight, 2 * k - 1, x[:, PHI], x[:, BIAS])
+        truth[k] = (advance(x, middle, config.step_s) + w[k - 1]) * has_error
+    prior = Gaussian(np.zeros(truth.shape[1:]), np.diag(config.sigma0**2))
+    runs = Scenario(config, truth, z, prior)
     for epoch in runs.epochs():
         z[epoch.k] = measurement(epoch.truth, epoch) + epoch.z * epoch.u.sqrt_R.diagonal()
     z[np.arange(T) % config.star_interval != 0, :, :6] = np.nan
@@ -254,9 +298,10 @@ def simulate(
     return runs
 
 
-# -- the filters -------------------------------------------------------------------------------------------------------------
+# -- the filters -----------------------------------------------------------------------------------
 def dynamics(x: Array, epoch: Epoch) -> Array:
-    """One step of the error model; a point beyond 89 degrees of phi_x is lost (nan), and with it its run."""
+    """One step of the error model; a point beyond 89 degrees of phi_x is lost (nan), and with it
+    its run."""
     y = inertial.advance(x, epoch.u.interval, epoch.dt)
     if is_concretely_true(np.abs(x[..., 0]).max() >= inertial.SINGULAR):
         y = np.where(np.abs(x[..., :1]) < inertial.SINGULAR, y, np.nan)
@@ -273,58 +318,61 @@ def measurement(x: Array, epoch: Epoch) -> Array:
 
 def model(config: Config) -> tuple[Motion, Sensor]:
     """What filters believe."""
-    return Motion(dynamics, sqrt_Q=config.sqrt_Q), Sensor(
-        measurement, sqrt_R=lambda _, epoch: epoch.u.sqrt_R
-    )
+    sensor = Sensor(measurement, sqrt_R=lambda _, epoch: epoch.u.sqrt_R)
+    return Motion(dynamics, sqrt_Q=config.sqrt_Q), sensor
 
 
 @cache
 def rules(level: int = 3) -> dict[str, Any]:
-    """Rules of 13 dimensions. ukf: kappa = 3 - n. sghqf: isotropic sparse grid. aasghqf: Table 2's weights. nonlinear: weights 1
-    for the misalignment only. delayed: orders 1, 3, 3. ghqf3, ghqf5: tensor rules marginalized over the ten linear states."""
+    """Rules of 13 dimensions. ukf: kappa = 3 - n. sghqf: isotropic sparse grid. aasghqf: Table 2's
+    weights. nonlinear: weights 1 for the misalignment only. delayed: orders 1, 3, 3. ghqf3, ghqf5:
+    tensor rules marginalized over the ten linear states."""
     return {
-        "ukf": unscented(13, kappa=-10.0), "sghqf": smolyak(13, level), "aasghqf": smolyak(13, level, PAPER_WEIGHTS),
-        "nonlinear": smolyak(13, level, NONLINEAR_WEIGHTS), "delayed": smolyak(13, level, orders=DELAYED), "ckf": cubature(13),
-        "ckf5": cubature(13, 5), "ghqf3": tensor_product(gauss_hermite(3, 3), simplex(10)),
-        "ghqf5": tensor_product(gauss_hermite(3, 5), simplex(10)), "ekf": Taylor(),
-    }  # fmt: skip
-
-
-def quadrature_filter(rule: Any, config: Config) -> Filter:
-    """A filter by any rule. Where negative weights lose definiteness, a run is done again with the positive rule "ghqf3"."""
-    first = sigma_point(*model(config), rule=rule, form=FORM)
-    if not isinstance(rule, Rule) or (rule.wc >= 0.0).all():
-        return first
-    return Fallback(
-        first, sigma_point(*model(config), rule=rules(config.level)["ghqf3"], form=FORM)
-    )
-
-
-def filters(config: Config) -> dict[str, Filter]:
-    """The filters by name: one for each of `rules`; iekf: six Gauss-Newton steps at each of the first five epochs; triad-ekf: the
-    first star fix is linearized about the attitude that it gives by itself (Wahba's problem)."""
-    plain = ekf(*model(config), form=FORM)
-    iterated = Iterated(plain.motion, plain.sensors, rule=plain.rule, form=plain.form)
-    wahba = replace(iterated, iterations=1, first=wahba_start)
-    return {name: quadrature_filter(rule, config) for name, rule in rules(config.level).items()} | {
-        "iekf": switched(plain, lambda epoch: iterated if epoch.k < 5 else plain),
-        "triad-ekf": switched(plain, lambda epoch: plain if epoch.k else wahba),
+        "ukf": unscented(13, kappa=-10.0),
+        "sghqf": smolyak(13, level),
+        "aasghqf": smolyak(13, level, PAPER_WEIGHTS),
+        "nonlinear": smolyak(13, level, NONLINEAR_WEIGHTS),
+        "delayed": smolyak(13, level, orders=DELAYED),
+        "ckf": cubature(13),
+        "ckf5": cubature(13, 5),
+        "ghqf3": tensor_product(gauss_hermite(3, 3), simplex(10)),
+        "ghqf5": tensor_product(gauss_hermite(3, 5), simplex(10)),
+        "ekf": Taylor(),
     }
 
 
-def switched(start: Filter, choose: Callable[[Epoch], Filter]) -> Filter:
-    """Filters of one kind of state, one at a time: that which is chosen for an epoch."""
-    return FromFunctions(start.start, lambda state, epoch: choose(epoch).step(state, epoch))
+def quadrature_filter(rule: Any, config: Config) -> Filter:
+    """A filter by any rule. Where negative weights lose definiteness, a run is done again with the
+    positive rule "ghqf3"."""
+    by_rule = partial(sigma_point, *model(config), form=FORM)
+    if not isinstance(rule, Rule) or (rule.wc >= 0.0).all():
+        return by_rule(rule=rule)
+    return Fallback(by_rule(rule=rule), by_rule(rule=rules(config.level)["ghqf3"]))
+
+
+def filters(config: Config) -> dict[str, Filter]:
+    """The filters by name: one for each of `rules`; triad-ekf: the first star fix is linearized
+    about the attitude that it gives by itself (Wahba's problem)."""
+    plain = ekf(*model(config), form=FORM)
+    options: Any = {"rule": plain.rule, "form": plain.form, "iterations": 1, "first": wahba_start}
+    wahba = Iterated(plain.motion, plain.sensors, **options)
+
+    def step(state: Any, epoch: Epoch) -> Any:
+        return (plain if epoch.k else wahba).step(state, epoch)
+
+    known = {name: quadrature_filter(rule, config) for name, rule in rules(config.level).items()}
+    return known | {"triad-ekf": FromFunctions(plain.start, step)}
 
 
 def wahba_start(belief: Belief, z: Array, epoch: Epoch) -> Array:
-    """The mean, with the misalignment that both star vectors give; beyond 90 deg of phi_x on another branch of the angles."""
+    """The mean, with the misalignment that both star vectors give; beyond 90 deg of phi_x on
+    another branch of the angles."""
     at = np.array(np.broadcast_to(belief.mean, (*z.shape[:-1], 13)))
     at[..., PHI] = inertial.wahba_misalignment(z[..., :6], epoch.u.attitude, epoch.u.stars)
     return at
 
 
-# -- weights that change along the flight ------------------------------------------------------------------------------------
+# -- weights that change along the flight ----------------------------------------------------------
 Choose = Callable[[Any, Epoch, Array | None], Array]
 BITS = 1 << np.arange(13)
 """Weights as a number: the bit of each state of weight 1."""
@@ -336,20 +384,20 @@ def ones(chosen: Array | None) -> Array:
 
 
 def observability(x: Array, epoch: Epoch, units: tuple[Array, Array], order: int = 3) -> Array:
-    """Observability matrix ``(..., 8 (order + 1), 13)`` at states ``(..., 13)``, in units of states and outputs."""
+    """Observability matrix ``(..., 8 (order + 1), 13)`` at states ``(..., 13)``, in units of states
+    and outputs."""
     states, outputs = units
-    rates = (
-        jacobian(lambda x: inertial.derivative(x, epoch.u.interval), x) * states / states[:, None]
-    )
-    return observability_matrix(
-        rates, jacobian(lambda x: measurement(x, epoch), x) * states * outputs[:, None], order
-    )
+    F = jacobian(lambda x: inertial.derivative(x, epoch.u.interval), x) * states / states[:, None]
+    H = jacobian(lambda x: measurement(x, epoch), x) * states * outputs[:, None]
+    return observability_matrix(F, H, order)
 
 
 def by_observability(config: Config, threshold: float = 5.0, *, weigh: bool = False) -> Choose:
-    """Weights by Eqs. 15 and 19 at the estimate, over the degree of the east velocity; ``weigh``: by the belief's covariance.
+    """Weights by Eqs. 15 and 19 at the estimate, over the degree of the east velocity; ``weigh``:
+    by the belief's covariance.
 
-    Where no state is above the threshold, the weights stay: all 2 would be the isotropic rule, which it begins with.
+    Where no state is above the threshold, the weights stay: all 2 would be the isotropic rule,
+    which it begins with.
     """
 
     def choose(belief: Any, epoch: Epoch, chosen: Array | None) -> Array:
@@ -362,18 +410,22 @@ def by_observability(config: Config, threshold: float = 5.0, *, weigh: bool = Fa
 
 
 def by_nonlinearity(threshold: float = 0.1) -> Choose:
-    """Weight 1 where the star residuals bend by more than so many deviations of their noise, or a step by so many of the belief."""
+    """Weight 1 where the star residuals bend by more than so many deviations of their noise, or a
+    step by so many of the belief."""
 
     def choose(belief: Any, epoch: Epoch, chosen: Array | None) -> Array:
-        x, std = belief.mean, belief.std
-        degree = nonlinearity_degree(
-            lambda x: measurement(x, epoch), x, std, epoch.u.sqrt_R.diagonal()
-        )
+        x = belief.mean
+        std = belief.std
+
+        def f(x: Array) -> Array:
+            return inertial.advance(x, epoch.u.interval, epoch.dt)
+
+        def h(x: Array) -> Array:
+            return measurement(x, epoch)
+
+        degree = nonlinearity_degree(h, x, std, epoch.u.sqrt_R.diagonal())
         if epoch.dt:
-            step = nonlinearity_degree(
-                lambda x: inertial.advance(x, epoch.u.interval, epoch.dt), x, std, std
-            )
-            degree = np.maximum(degree, step)
+            degree = np.maximum(degree, nonlinearity_degree(f, x, std, std))
         return np.asarray(hysteresis(degree, threshold, ones(chosen)) @ BITS)
 
     return choose
@@ -381,7 +433,8 @@ def by_nonlinearity(threshold: float = 0.1) -> Choose:
 
 @cache
 def weighted(number: int, level: int = 3) -> Rule:
-    """The rule whose states of weight 1 are the bits of a number; with none it is of level 2, that of the UKF."""
+    """The rule whose states of weight 1 are the bits of a number; with none it is of level 2, that
+    of the UKF."""
     return smolyak(13, level, np.where(number & BITS, 1, 2).tolist()) if number else smolyak(13, 2)
 
 
@@ -392,52 +445,54 @@ def adaptive(choose: Choose, config: Config) -> Switching:
     )
 
 
-# -- the star sensors' mounting ----------------------------------------------------------------------------------------------
+# -- the star sensors' mounting --------------------------------------------------------------------
 def mounted(sim: Scenario, errors: Array) -> Scenario:
-    """The runs with mounting errors ``(runs, 2, 3)`` rad unknown to filters [Liang2014, Eqs. 26-28]: stars are on boresights."""
-    turned = Rotation.from_rotvec(errors.reshape(-1, 3)).apply(
-        np.tile(BORESIGHTS, (len(errors), 1))
-    )
+    """The runs with mounting errors ``(runs, 2, 3)`` rad unknown to filters [Liang2014, Eqs.
+    26-28]: stars are on boresights."""
+    stars = np.tile(BORESIGHTS, (len(errors), 1))
+    turned = Rotation.from_rotvec(errors.reshape(-1, 3)).apply(stars)
     z = sim.z.copy()
     z[..., :6] += turned.reshape(-1, 6) - BORESIGHTS.ravel()
     return sim._replace(z=z)
 
 
 def mounting_filter(config: Config, sigma: float) -> tuple[Filter, Gaussian]:
-    """A filter of 19 states, the last six mounting errors of deviation ``sigma`` rad, and its prior of one run."""
+    """A filter of 19 states, the last six mounting errors of deviation ``sigma`` rad, and its prior
+    of one run."""
 
     def h(x: Array, epoch: Epoch) -> Array:
         z = measurement(x[..., :13], epoch)
-        seen = (
-            z[..., :6].reshape(*z.shape[:-1], 2, 3) + epoch.u.stars @ epoch.u.attitude
-        )  # on body axes
-        z[..., :6] += np.cross(x[..., 13:].reshape(seen.shape), seen).reshape(*z.shape[:-1], 6)
+        on_body = z[..., :6].reshape(*z.shape[:-1], 2, 3) + epoch.u.stars @ epoch.u.attitude
+        turned = np.cross(x[..., 13:].reshape(on_body.shape), on_body)
+        z[..., :6] += turned.reshape(*z.shape[:-1], 6)
         return z
 
-    motion = Motion(lambda x, epoch: np.concatenate([dynamics(x[..., :13], epoch), x[..., 13:]], -1),
-                    sqrt_Q=np.pad(config.sqrt_Q, ((0, 6), (0, 0))))  # fmt: skip
-    filter = sigma_point(
-        motion,
-        replace(model(config)[1], h=h),
-        rule=smolyak(19, config.level, (1,) * 3 + (2,) * 16),
-        form=FORM,
-    )
-    return filter, Gaussian(np.zeros((1, 19)), np.diag(np.square([*config.sigma0, *[sigma] * 6])))
+    def f(x: Array, epoch: Epoch) -> Array:
+        return np.concatenate([dynamics(x[..., :13], epoch), x[..., 13:]], -1)
+
+    motion = Motion(f, sqrt_Q=np.pad(config.sqrt_Q, ((0, 6), (0, 0))))
+    rule = smolyak(19, config.level, (1,) * 3 + (2,) * 16)
+    filter = sigma_point(motion, replace(model(config)[1], h=h), rule=rule, form=FORM)
+    std = [*config.sigma0, *[sigma] * 6]
+    return filter, Gaussian(np.zeros((1, 19)), np.diag(np.square(std)))
 
 
-# -- six states, for which a tensor rule can be run --------------------------------------------------------------------------
+# -- six states, for which a tensor rule can be run ------------------------------------------------
 SIX = (0, 1, 2, 5, 6, 9)
-"""Misalignment and position; the drift of the vertical gyro (chosen) is the sixth, with which a tensor rule has 729 points."""
+"""Misalignment and position; the drift of the vertical gyro (chosen) is the sixth, with which a
+tensor rule has 729 points."""
 
 
 def euler(x: Array, nav: Navigation, dt: float) -> Array:
-    """One step of the error model without velocity errors, so that positions do not move by half a step of acceleration."""
+    """One step of the error model without velocity errors, so that positions do not move by half a
+    step of acceleration."""
     return x + dt * inertial.derivative(x, nav)
 
 
 @cache
 def six_rules() -> dict[str, Rule]:
-    """Rules of six dimensions, as those of 13: UKF with kappa = 3 - n, isotropic sparse grid, tensor rule of three points each."""
+    """Rules of six dimensions, as those of 13: UKF with kappa = 3 - n, isotropic sparse grid,
+    tensor rule of three points each."""
     return {
         "six/ukf": unscented(6, kappa=-3.0),
         "six/sghqf": smolyak(6, 3),
@@ -448,8 +503,10 @@ def six_rules() -> dict[str, Rule]:
 def six_states(
     config: Config, rngs: Sequence[np.random.Generator]
 ) -> tuple[Scenario, dict[str, Any], Gaussian]:
-    """The flight with errors of the states `SIX` only; filters of these states, ekf, ukf, sghqf and ghqf, and their prior."""
-    sim, six = simulate(config, rngs, euler, SIX), list(SIX)
+    """The flight with errors of the states `SIX` only; filters of these states, ekf, ukf, sghqf and
+    ghqf, and their prior."""
+    sim = simulate(config, rngs, euler, SIX)
+    six = list(SIX)
 
     def widened(x: Array) -> Array:
         out = np.zeros_like(x, shape=(*x.shape[:-1], 13))
@@ -463,17 +520,19 @@ def six_states(
 
     motion = Motion(f, sqrt_Q=config.sqrt_Q[six])
     sensor = replace(model(config)[1], h=lambda x, epoch: measurement(widened(x), epoch))
-    by_rule = {
-        name: sigma_point(motion, sensor, rule=rule, form=FORM)
-        for name, rule in six_rules().items()
+    ukf, sghqf, ghqf = (
+        sigma_point(motion, sensor, rule=rule, form=FORM) for rule in six_rules().values()
+    )
+    known = {
+        "ekf": ekf(motion, sensor, form=FORM),
+        "ghqf": ghqf,
+        "ukf": Fallback(ukf, ghqf),
+        "sghqf": Fallback(sghqf, ghqf),
     }
-    ghqf = by_rule["six/ghqf"]
-    known = {name: Fallback(by_rule[f"six/{name}"], ghqf) for name in ("ukf", "sghqf")}
-    prior = Gaussian(sim.prior.mean[:, six], np.diag(config.sigma0[six] ** 2))
-    return sim, {"ekf": ekf(motion, sensor, form=FORM), "ghqf": ghqf, **known}, prior
+    return sim, known, Gaussian(sim.prior.mean[:, six], np.diag(config.sigma0[six] ** 2))
 
 
-# -- how they are judged -----------------------------------------------------------------------------------------------------
+# -- how they are judged ---------------------------------------------------------------------------
 JUDGED = {
     "misalignment": "arcmin",
     "velocity": "m/s",
@@ -486,9 +545,13 @@ JUDGED = {
 def groups(config: Config, angle: float = DEGREE / 60.0, unit: str = "arcmin") -> tuple[Group, ...]:
     """What is judged; the misalignment in a unit of so many radians."""
     east, north = config.meters().tolist()
-    return (Group("misalignment", unit, PHI, 1.0 / angle), Group("velocity", "m/s", VELOCITY),
-            Group("position", "m", POSITION, (east, north)), Group("drift", "deg/h", DRIFT, 3600.0 / DEGREE),
-            Group("bias", "ug", BIAS, 1.0 / MICRO_G))  # fmt: skip
+    return (
+        Group("misalignment", unit, PHI, 1.0 / angle),
+        Group("velocity", "m/s", VELOCITY),
+        Group("position", "m", POSITION, (east, north)),
+        Group("drift", "deg/h", DRIFT, 3600.0 / DEGREE),
+        Group("bias", "ug", BIAS, 1.0 / MICRO_G),
+    )
 
 
 def trial(config: Config, rngs: Sequence[np.random.Generator]) -> Trial:
@@ -498,5 +561,11 @@ def trial(config: Config, rngs: Sequence[np.random.Generator]) -> Trial:
 
 def trial_of(sim: Scenario) -> Trial:
     """The trial of runs that are simulated already."""
-    return Trial(groups(sim.config), filters(sim.config), sim.prior, lambda _name: sim.epochs(),
-                 lambda truth, belief: (belief.mean - truth, belief.sqrt_cov), "ekf")  # fmt: skip
+    return Trial(
+        groups(sim.config),
+        filters(sim.config),
+        sim.prior,
+        lambda _name: sim.epochs(),
+        lambda truth, belief: (belief.mean - truth, belief.sqrt_cov),
+        "ekf",
+    )

@@ -42,22 +42,28 @@ if TYPE_CHECKING:
 __all__ = ["FIGURES", "RECORDINGS", "TABLES", "record", "showcase"]
 
 LINES = {
-    "sghqf": Line("SGHQF, 417", colors.ESTIMATE), "ukf": Line("UKF, 27", colors.COMPARISON),
-    "aasghqf": Line("AASGHQF, 75", colors.OPEN_LOOP, width=2.2), "nonlinear": Line("by nonlinearity, 57", colors.TRUTH, "--", 2.0),
-    "triad-ekf": Line("EKF started by Wahba", "#000000"), "ckf": Line("CKF, 26", "#999999"), "ekf": Line("EKF", "#D55E00"),
-    "delayed": Line("delayed, 339", "#56B4E9", "--"), "ghqf3": Line("GHQF, 3 points", "#8C6BB1"),
+    "sghqf": Line("SGHQF, 417", colors.ESTIMATE),
+    "ukf": Line("UKF, 27", colors.COMPARISON),
+    "aasghqf": Line("AASGHQF, 75", colors.OPEN_LOOP, width=2.2),
+    "nonlinear": Line("by nonlinearity, 57", colors.TRUTH, "--", 2.0),
+    "triad-ekf": Line("EKF started by Wahba", "#000000"),
+    "ckf": Line("CKF, 26", "#999999"),
+    "ekf": Line("EKF", "#D55E00"),
+    "delayed": Line("delayed, 339", "#56B4E9", "--"),
+    "ghqf3": Line("GHQF, 3 points", "#8C6BB1"),
     "ghqf5": Line("GHQF, 5 points", "#B15928"),
-}  # fmt: skip
+}
 
 
-# -- figures -----------------------------------------------------------------------------------------------------------------
+# -- figures ---------------------------------------------------------------------------------------
 def points(weights: tuple[int, int], _: Results) -> Figure:
     """The points of a rule in two dimensions: area by the weight's magnitude, color by its sign."""
     rule = smolyak(2, 3, weights)
 
     def dots(sign: float, color: str, label: str) -> Item:
         own = sign * rule.wm > 0.0
-        (x, y), size = rule.nodes[own].T, 3.0 + 125.0 * np.sqrt(np.abs(rule.wm[own]))
+        x, y = rule.nodes[own].T
+        size = 3.0 + 125.0 * np.sqrt(np.abs(rule.wm[own]))
         return lambda ax: ax.scatter(
             x, y, size, color=color, label=label if own.any() else "_none", alpha=0.8
         )
@@ -72,8 +78,10 @@ def points(weights: tuple[int, int], _: Results) -> Figure:
 
 
 def one_run(group: str, results: Results) -> Figure:
-    """Errors of one run, as the paper has them over the flight; the scale is that of its end. Beside it the start, and A-slow."""
-    states, unit = study.SEVEN[results.group(group).part], results.group(group).unit
+    """Errors of one run, as the paper has them over the flight; the scale is that of its end.
+    Beside it the start, and A-slow."""
+    states = study.SEVEN[results.group(group).part]
+    unit = results.group(group).unit
 
     def panel(part: str, zoom: bool, i: int) -> Panel:
         items = [errors(results, part, f, LINES[f], group, i) for f in ("ukf", "aasghqf", "sghqf")]
@@ -83,17 +91,26 @@ def one_run(group: str, results: Results) -> Figure:
             if zoom
             else ("whole flight", {"ylim": (-late, late)})
         )
-        return Panel(f"{part}, {title}" * (i == 0), [*items, sigma(results, part, "sghqf", "SGHQF", group, i)], "time (s)",
-                     f"{states[i]} error ({unit})", more=view)  # fmt: skip
+        return Panel(
+            f"{part}, {title}" * (i == 0),
+            [*items, sigma(results, part, "sghqf", "SGHQF", group, i)],
+            "time (s)",
+            f"{states[i]} error ({unit})",
+            more=view,
+        )
 
-    rows = [[panel(part, zoom, i) for part, zoom in (("T3", False), ("T3", True), ("A-slow", False))]
-            for i in range(len(states))]  # fmt: skip
+    rows = [
+        [panel(part, zoom, i) for part, zoom in (("T3", False), ("T3", True), ("A-slow", False))]
+        for i in range(len(states))
+    ]
     return panels(*rows, size=(10.0, 0.4 + 2.2 * len(states)))
 
 
 def over_time(results: Results) -> Figure:
-    """RMSE of the misalignment over the runs, with the closed solution that starts an EKF, and consistency."""
-    lines, parts = {f: LINES[f] for f in study.FLOWN}, study.SHOWN
+    """RMSE of the misalignment over the runs, with the closed solution that starts an EKF, and
+    consistency."""
+    lines = {f: LINES[f] for f in study.FLOWN}
+    parts = study.SHOWN
     accuracy = {
         p: [rmse(results, p, f, line, "misalignment") for f, line in lines.items()] for p in parts
     }
@@ -103,28 +120,50 @@ def over_time(results: Results) -> Figure:
     )
     return panels(
         [Panel(p, accuracy[p], "", "misalignment, RMSE (deg)", "y") for p in parts],
-        [Panel("", [consistency(results, p, lines, "nees", 13)], "time (s)", "NEES, mean (-)", "y") for p in parts],
-        size=(9.0, 5.4), sharey="row",
-    )  # fmt: skip
+        [
+            Panel(
+                "", [consistency(results, p, lines, "nees", 13)], "time (s)", "NEES, mean (-)", "y"
+            )
+            for p in parts
+        ],
+        size=(9.0, 5.4),
+        sharey="row",
+    )
 
 
 def first_fix(results: Results) -> Figure:
     """Why filters differ: what rules make of the first star fix, against exact moments."""
-    titles = {"least": "least variance, over the right one", "mean": "mean residuals, relative error",
-              "cov": "their covariance, relative error"}  # fmt: skip
-    x, known = (
-        "misalignment, 1σ of each angle (deg)",
-        [(f, line) for f, line in LINES.items() if f in rules()],
+    titles = {
+        "least": "least variance, over the right one",
+        "mean": "mean residuals, relative error",
+        "cov": "their covariance, relative error",
+    }
+    x = "misalignment, 1σ of each angle (deg)"
+    known = [(f, line) for f, line in LINES.items() if f in rules()]
+    return panels(
+        [
+            Panel(
+                title,
+                [
+                    curve(MISALIGNMENTS_DEG, results.get("fixes", f"{f}/{what}"), line, marker=".")
+                    for f, line in known
+                ],
+                x,
+                log="xy",
+            )
+            for what, title in titles.items()
+        ],
+        size=(10.0, 3.6),
     )
-    return panels([
-        Panel(title, [curve(MISALIGNMENTS_DEG, results.get("fixes", f"{f}/{what}"), line, marker=".") for f, line in known], x,
-              log="xy") for what, title in titles.items()], size=(10.0, 3.6))  # fmt: skip
 
 
 def along(results: Results) -> Figure:
-    """Degrees of the misalignment on both flights, and points and errors of filters whose weights are chosen on line."""
-    slow, shades = "A-slow, on line", ("#000000", "#56B4E9", "#8C6BB1")
-    t, whole = results.times(slow), results.parts["along"].config.times
+    """Degrees of the misalignment on both flights, and points and errors of filters whose weights
+    are chosen on line."""
+    slow = "A-slow, on line"
+    shades = ("#000000", "#56B4E9", "#8C6BB1")
+    t = results.times(slow)
+    whole = results.parts["along"].config.times
     lines = {
         "weighed": Line("by observability", colors.PAPER, "--"),
         "bends": Line("by nonlinearity", colors.TRUTH, "--", 2.0),
@@ -136,13 +175,31 @@ def along(results: Results) -> Figure:
     known = [
         rmse(results, "A-slow", f, LINES[f], "misalignment") for f in ("ukf", "aasghqf", "sghqf")
     ]
-    return panels([
-        *(Panel(title, items, "time (s)", "degree (-)", more={"ylim": (0.0, 20.0)}) for title, items in zip(
-            ("the paper's flight", "turning at 2 deg/s"), degrees)),
-        Panel("points, mean of the runs", [curve(t, results.get(slow, f"{f}/points").mean(1), line) for f, line in lines.items()],
-              "time (s)", "points (-)"),
-        Panel("A-slow", known + [rmse(results, slow, f, line, "misalignment") for f, line in lines.items()], "time (s)",
-              "misalignment, RMSE (deg)", "y")], size=(12.0, 3.2))  # fmt: skip
+    return panels(
+        [
+            *(
+                Panel(title, items, "time (s)", "degree (-)", more={"ylim": (0.0, 20.0)})
+                for title, items in zip(("the paper's flight", "turning at 2 deg/s"), degrees)
+            ),
+            Panel(
+                "points, mean of the runs",
+                [
+                    curve(t, results.get(slow, f"{f}/points").mean(1), line)
+                    for f, line in lines.items()
+                ],
+                "time (s)",
+                "points (-)",
+            ),
+            Panel(
+                "A-slow",
+                known + [rmse(results, slow, f, line, "misalignment") for f, line in lines.items()],
+                "time (s)",
+                "misalignment, RMSE (deg)",
+                "y",
+            ),
+        ],
+        size=(12.0, 3.2),
+    )
 
 
 FIGURES = {
@@ -163,13 +220,14 @@ FIGURES = {
         first_fix,
     ),
     "figure_08": (
-        "Beyond the paper: degrees of observability along the flight, and weights that change with them.",
+        "Beyond the paper: degrees of observability along the flight, and weights that change with "
+        "them.",
         along,
     ),
 }
 
 
-# -- tables ------------------------------------------------------------------------------------------------------------------
+# -- tables ----------------------------------------------------------------------------------------
 COLUMNS = (
     "phi_x_deg",
     "phi_y_deg",
@@ -180,35 +238,82 @@ COLUMNS = (
     "latitude_m",
 )
 TABLES = {
-    "table_1": ("Table 1: points of the sparse grids, n = 1 to 6, level 3.", lambda _: [
-        {"n": n, "filter": f, "weights": "".join(map(str, g)), "paper": TABLE_1[f][n - 1], "ours": point_count(n, 3, g)}
-        for n, own in enumerate(study.WEIGHTS, 1) for f, g in (("SGHQF", (1,) * n), ("AASGHQF", own))]),
-    "table_2": ("Table 2: degree of observability and weight of each state.", lambda r: [
-        {"state": state, "degree, paper": TABLE_2[i], "weight, paper": PAPER_WEIGHTS[i]}
-        | {f"{what} (phi in {unit})": float(values[i])
-           for unit, found in zip(("rad", "deg"), r.get("observability", "every")[:2, 0])
-           for what, values in (("degree", found), ("weight", threshold_weights(found, study.THRESHOLD)))}
-        | {"weight by nonlinearity": NONLINEAR_WEIGHTS[i]} for i, state in enumerate(inertial.STATES)]),
-    "table_3": ("Table 3: RMSE over the runs, averaged over the epochs, of the first seven states.", lambda r: [
-        {"filter": f, "source": source, **dict(zip(COLUMNS, map(float, values)))} for f, printed in TABLE_3.items()
-        for source, values in (("paper", printed), *(
-            (f"ours, {p}", np.sqrt(np.square(r.get(p, f"{f.lower()}/error")[..., :7]).mean(1)).mean(0)) for p in PRESETS))]),
-    "table_4": ("Table 4: points, and arithmetic operations of a cycle (of SGHQF at least).", lambda r: [
-        {"filter": f, "points, paper": TABLE_4[f][0], "points, ours": point_count(13, n, g), "cycle, paper (s)": TABLE_4[f][1],
-         "operations": int(r.get("operations", f.lower())[0])} for f, n, g in study.POINTS]),
-}  # fmt: skip
+    "table_1": (
+        "Table 1: points of the sparse grids, n = 1 to 6, level 3.",
+        lambda _: [
+            {
+                "n": n,
+                "filter": f,
+                "weights": "".join(map(str, g)),
+                "paper": TABLE_1[f][n - 1],
+                "ours": point_count(n, 3, g),
+            }
+            for n, own in enumerate(study.WEIGHTS, 1)
+            for f, g in (("SGHQF", (1,) * n), ("AASGHQF", own))
+        ],
+    ),
+    "table_2": (
+        "Table 2: degree of observability and weight of each state.",
+        lambda r: [
+            {"state": state, "degree, paper": TABLE_2[i], "weight, paper": PAPER_WEIGHTS[i]}
+            | {
+                f"{what} (phi in {unit})": float(values[i])
+                for unit, found in zip(("rad", "deg"), r.get("observability", "every")[:2, 0])
+                for what, values in (
+                    ("degree", found),
+                    ("weight", threshold_weights(found, study.THRESHOLD)),
+                )
+            }
+            | {"weight by nonlinearity": NONLINEAR_WEIGHTS[i]}
+            for i, state in enumerate(inertial.STATES)
+        ],
+    ),
+    "table_3": (
+        "Table 3: RMSE over the runs, averaged over the epochs, of the first seven states.",
+        lambda r: [
+            {"filter": f, "source": source, **dict(zip(COLUMNS, map(float, values)))}
+            for f, printed in TABLE_3.items()
+            for source, values in (
+                ("paper", printed),
+                *(
+                    (
+                        f"ours, {p}",
+                        np.sqrt(np.square(r.get(p, f"{f.lower()}/error")[..., :7]).mean(1)).mean(0),
+                    )
+                    for p in PRESETS
+                ),
+            )
+        ],
+    ),
+    "table_4": (
+        "Table 4: points, and arithmetic operations of a cycle (of SGHQF at least).",
+        lambda r: [
+            {
+                "filter": f,
+                "points, paper": TABLE_4[f][0],
+                "points, ours": point_count(13, n, g),
+                "cycle, paper (s)": TABLE_4[f][1],
+                "operations": int(r.get("operations", f.lower())[0]),
+            }
+            for f, n, g in study.POINTS
+        ],
+    ),
+}
 
 
-# -- recordings --------------------------------------------------------------------------------------------------------------
+# -- recordings ------------------------------------------------------------------------------------
 CASES = {"A-slow": "aasghqf_A_slow.rrd", "T3": "aasghqf_T3.rrd"}
 RECORDINGS = list(CASES.values())
 AXES = {"misalignment": "xyz", "velocity": ("east", "north"), "position": ("longitude", "latitude")}
 NOTES = """# Liang et al. (2014), preset {}
 
-**The UKF's first star fix leaves it overconfident, and it takes minutes to forget; 57 points are as good as 417.**
+**The UKF's first star fix leaves it overconfident, and it takes minutes to forget; 57 points are \
+as good as 417.**
 
-An aircraft turns; its inertial system starts with a large misalignment and drifts away while star sensors and SAR fixes let filters
-estimate its error. Left above: the flight, and the sigma points of the misalignment about the truth."""
+An aircraft turns; its inertial system starts with a large misalignment and drifts away while \
+star sensors and SAR fixes let filters
+estimate its error. Left above: the flight, and the sigma points of the misalignment about the \
+truth."""
 
 
 def record(results: Results, outputs: Outputs) -> list[str]:
@@ -218,25 +323,34 @@ def record(results: Results, outputs: Outputs) -> list[str]:
 
 def showcase(results: Results, part: str) -> Showcase:
     """The first run of a part, flown again in full, among the others."""
-    c, (found, truth, z) = (
-        results.parts[part].config,
-        again(results, part, {f: LINES[f] for f in ("sghqf", "ukf", "aasghqf")}),
-    )
+    c = results.parts[part].config
+    found, truth, z = again(results, part, {f: LINES[f] for f in ("sghqf", "ukf", "aasghqf")})
     ground = np.diag(c.meters()) @ np.eye(2, 3)  # from longitude and latitude to east, north, up
-    axes, fix = np.zeros((3, 13)), (z[:, 6:] - truth[:, inertial.POSITION]) @ ground
+    axes = np.zeros((3, 13))
+    fix = (z[:, 6:] - truth[:, inertial.POSITION]) @ ground
     axes[:, inertial.POSITION] = ground.T
 
     def scene(out: Recorder) -> None:
-        flight, at, phi = c.flight, slice(None, None, 2), truth[:, inertial.PHI]
+        flight = c.flight
+        at = slice(None, None, 2)
+        phi = truth[:, inertial.PHI]
         way = np.stack(
             [flight.longitude - flight.longitude[0], flight.latitude - flight.latitude[0]], -1
         )[at]
         stars = 25000.0 * flight.attitude[at] @ BORESIGHTS.T
-        scenes.flight(out, "world", way @ ground, (way + truth[:, inertial.POSITION]) @ ground, np.isfinite(fix[:, 0]), stars,
-                      inertial.misalignment_matrix(phi) @ stars)  # fmt: skip
+        scenes.flight(
+            out,
+            "world",
+            way @ ground,
+            (way + truth[:, inertial.POSITION]) @ ground,
+            np.isfinite(fix[:, 0]),
+            stars,
+            inertial.misalignment_matrix(phi) @ stars,
+        )
         std = np.sqrt(np.asarray(found["sghqf"].cov).diagonal(0, -2, -1))[:, None, :3]
         for name, e in found.items():
-            rule, moved = rules()[name], rules()[name].nodes[:, :3].any(-1)
+            rule = rules()[name]
+            moved = rules()[name].nodes[:, :3].any(-1)
             places = e.errors[:, 0, None] + matvec(
                 semidefinite_root(np.asarray(e.cov))[:, None], rule.nodes[moved]
             )
@@ -250,12 +364,44 @@ def showcase(results: Results, part: str) -> Showcase:
         if g.name in AXES
     ]
     trails = "world/aircraft/trail", "world/inertial/trail"
-    spaces = [Space("world", "flight, m (east, north, up)", (60e3, -70e3, 70e3), (90e3, 20e3, 0.0), growing=trails),
-              *(Space(f"points/{f}", f"sigma points of {LINES[f].label}, σ of SGHQF", (9, -9, 6)) for f in COMPARED)]  # fmt: skip
-    legend = {colors.MEASUREMENT: "fixes by radar, stars where the system expects them", colors.STAR: "stars where they are",
-              colors.SIGMA: "inertial system", colors.NEGATIVE: "points of negative weight"}  # fmt: skip
+    spaces = [
+        Space(
+            "world",
+            "flight, m (east, north, up)",
+            (60e3, -70e3, 70e3),
+            (90e3, 20e3, 0.0),
+            growing=trails,
+        ),
+        *(
+            Space(f"points/{f}", f"sigma points of {LINES[f].label}, σ of SGHQF", (9, -9, 6))
+            for f in COMPARED
+        ),
+    ]
+    legend = {
+        colors.MEASUREMENT: "fixes by radar, stars where the system expects them",
+        colors.STAR: "stars where they are",
+        colors.SIGMA: "inertial system",
+        colors.NEGATIVE: "points of negative weight",
+    }
     return Showcase(
-        f"aasghqf: {part}", NOTES.format(part), results.times(part), found, groups, truth, axes, "m", fix, scene=scene,
-        spaces=spaces, legend=legend, bars={"degree of observability by state": results.get("observability", "every")[0, 0]},
-        parameters=vars(c), facts={"paper": "aasghqf", "preset": part, "seed": results.seed, "runs": found["ukf"].errors.shape[1]},
-    )  # fmt: skip
+        f"aasghqf: {part}",
+        NOTES.format(part),
+        results.times(part),
+        found,
+        groups,
+        truth,
+        axes,
+        "m",
+        fix,
+        scene=scene,
+        spaces=spaces,
+        legend=legend,
+        bars={"degree of observability by state": results.get("observability", "every")[0, 0]},
+        parameters=vars(c),
+        facts={
+            "paper": "aasghqf",
+            "preset": part,
+            "seed": results.seed,
+            "runs": found["ukf"].errors.shape[1],
+        },
+    )

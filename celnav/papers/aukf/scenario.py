@@ -1,8 +1,9 @@
 """[Fan]: a receiver that circles with 4 g finds its place by BeiDou's pseudoranges and their rates.
 
-The display equations and Table 1 of the text at hand are lost. What stands for them: `celnav.models.pseudorange` and
-`celnav.models.gnss` (measurements, orbits), `celnav.receiver.filters.transition` (constant velocity),
-`celnav.receiver.least_squares` (each epoch by itself) and `celnav.filters.adaptive.innovation_window` (the adaptive filter).
+The display equations and Table 1 of the text at hand are lost. What stands for them:
+`celnav.models.pseudorange` and `celnav.models.gnss` (measurements, orbits),
+`celnav.receiver.filters.transition` (constant velocity), `celnav.receiver.least_squares` (each
+epoch by itself) and `celnav.filters.adaptive.innovation_window` (the adaptive filter).
 """
 
 from __future__ import annotations
@@ -35,9 +36,25 @@ from celnav.study.parameters import Timed, param
 from celnav.study.trial import Group, Trial
 
 __all__ = [
-    "CITATION", "GROUPS", "JUDGED", "PRESETS", "STANDARD", "START_S", "TITLE", "Config", "adapted", "axes", "burst", "circle",
-    "filters", "noise_factors", "simulate", "trial", "ukf", "visible",
-]  # fmt: skip
+    "CITATION",
+    "GROUPS",
+    "JUDGED",
+    "PRESETS",
+    "STANDARD",
+    "START_S",
+    "TITLE",
+    "Config",
+    "adapted",
+    "axes",
+    "burst",
+    "circle",
+    "filters",
+    "noise_factors",
+    "simulate",
+    "trial",
+    "ukf",
+    "visible",
+]
 
 TITLE = "Adaptive unscented Kalman filter for BeiDou positioning"
 CITATION = citation("Fan")
@@ -79,11 +96,19 @@ class Config(Timed):
     true_sigma_range_m: float = param(
         3.0, "chosen", "noise of a range, standard deviation: what it is", above=0.0
     )
-    burst: str = param("ranges", "chosen: the paper does not say which channels",
-                       "which measurements a burst disturbs: none, all ranges, both ranges and rates, the range of one satellite",
-                       one_of=("none", "ranges", "both", "one"))  # fmt: skip
-    motion: str = param("circle", "paper", "how the receiver moves: on the circle, or at random, as the filters think",
-                        one_of=("circle", "model"))  # fmt: skip
+    burst: str = param(
+        "ranges",
+        "chosen: the paper does not say which channels",
+        "which measurements a burst disturbs: none, all ranges, both ranges and rates, the range "
+        "of one satellite",
+        one_of=("none", "ranges", "both", "one"),
+    )
+    motion: str = param(
+        "circle",
+        "paper",
+        "how the receiver moves: on the circle, or at random, as the filters think",
+        one_of=("circle", "model"),
+    )
     turn_s: tuple[float, float] = param(
         (0.0, 1e6), "paper: always", "start and end of the turn; straight before and after"
     )
@@ -100,11 +125,18 @@ class Config(Timed):
         "how many satellites it is, evenly spread from there on, where it is not all",
         least=1,
     )
-    burst_shape: str = param("noise", "paper", "what a burst adds: white noise of its size, or its size itself",
-                             one_of=("noise", "constant"))  # fmt: skip
+    burst_shape: str = param(
+        "noise",
+        "paper",
+        "what a burst adds: white noise of its size, or its size itself",
+        one_of=("noise", "constant"),
+    )
     acceleration_noise_m2_per_s3: float | None = param(
-        None, "inferred: makes up for a constant acceleration",
-        "density of the white acceleration in the filters; left out: the square of the true one, times interval_s")  # fmt: skip
+        None,
+        "inferred: makes up for a constant acceleration",
+        "density of the white acceleration in the filters; left out: the square of the true one, "
+        "times interval_s",
+    )
     clock_white_m2_per_s: float = param(
         CRYSTAL[0], "chosen", "density of the white noise of the clock's frequency", least=0.0
     )
@@ -116,8 +148,11 @@ class Config(Timed):
     )
     drift_m_per_s: float = param(30.0, "chosen", "true rate of that error at the start")
     deviation: tuple[float, float, float, float] = param(
-        (10.0, 1.0, 10.0, 1.0), "chosen",
-        "standard deviations at the start: position (m), velocity (m/s), clock (m), its rate (m/s)", above=0.0)  # fmt: skip
+        (10.0, 1.0, 10.0, 1.0),
+        "chosen",
+        "standard deviations at the start: position (m), velocity (m/s), clock (m), its rate (m/s)",
+        above=0.0,
+    )
     assumed_m: float | None = param(
         None, "chosen", "what filters take the position's deviation for; left out: as it is"
     )
@@ -137,7 +172,8 @@ class Config(Timed):
     runs: int = param(100, "chosen: the paper shows one", "of a Monte Carlo", least=1)
 
     def check(self) -> None:
-        """A density that can be, a turn and a burst that begin before they end, a run of some epochs."""
+        """A density that can be, a turn and a burst that begin before they end, a run of some
+        epochs."""
         number("acceleration_noise_m2_per_s3", self.acceleration_noise, 0.0)
         if self.assumed_m is not None:
             number("assumed_m", self.assumed_m, above=0.0)
@@ -177,7 +213,8 @@ class Config(Timed):
 
     @property
     def acceleration_noise(self) -> float:
-        """Density of the white acceleration, m^2/s^3: ``a^2 T``, if it is not given, makes up for a constant one."""
+        """Density of the white acceleration, m^2/s^3: ``a^2 T``, if it is not given, makes up for a
+        constant one."""
         given = self.acceleration_noise_m2_per_s3
         return self.acceleration**2 * self.interval_s if given is None else given
 
@@ -213,10 +250,14 @@ def axes(config: Config) -> Array:
 
 
 def circle(config: Config) -> tuple[Array, Array]:
-    """Positions and velocities ``(T, 3)`` on the track, Earth-fixed: the circle, left along its tangents."""
-    (east, north, _), v, a = axes(config), config.speed_m_per_s, config.acceleration
+    """Positions and velocities ``(T, 3)`` on the track, Earth-fixed: the circle, left along its
+    tangents."""
+    east, north, _ = axes(config)
+    v = config.speed_m_per_s
+    a = config.acceleration
     turned = np.clip(config.times, *np.minimum(config.turn_s, config.end_s))
-    angle, straight = (a / v * turned)[:, None], (config.times - turned)[:, None]
+    angle = (a / v * turned)[:, None]
+    straight = (config.times - turned)[:, None]
     middle = np.array(
         geodetic2ecef(config.latitude_deg, config.longitude_deg, config.height_m, ell=ELLIPSOID)
     )
@@ -227,7 +268,8 @@ def circle(config: Config) -> tuple[Array, Array]:
 
 
 class Satellites(NamedTuple):
-    """The visible satellites along the track: names, ``q, w (T, S, 3)``, elevations ``(T, S)`` rad; see `pseudorange.Sources`."""
+    """The visible satellites along the track: names, ``q, w (T, S, 3)``, elevations ``(T, S)`` rad;
+    see `pseudorange.Sources`."""
 
     names: list[str]
     q: Array
@@ -238,7 +280,8 @@ class Satellites(NamedTuple):
 @lru_cache(maxsize=32)
 def visible(config: Config) -> Satellites:
     """The synthetic constellation along the track, those that are above the mask at some time."""
-    broadcast, (position, velocity) = synthetic(), circle(config)
+    broadcast = synthetic()
+    position, velocity = circle(config)
     seen = pseudorange.sources(broadcast, START_S + config.times, position, velocity)
     up = look(seen.q, position, axes(config)).elevation
     chosen = (up >= np.radians(config.mask_deg)).any(0)
@@ -248,7 +291,8 @@ def visible(config: Config) -> Satellites:
 
 
 class Scenario(NamedTuple):
-    """Simulated runs: ``truth (T, runs, 8)``, and ``z (T, runs, 2 S)``, ranges then rates, nan below the mask."""
+    """Simulated runs: ``truth (T, runs, 8)``, and ``z (T, runs, 2 S)``, ranges then rates, nan
+    below the mask."""
 
     config: Config
     truth: Array
@@ -258,7 +302,8 @@ class Scenario(NamedTuple):
 
     def epochs(self) -> Iterator[Epoch]:
         """Epochs; ``u`` is ``(q, w)`` at the epoch's time."""
-        times, dt = self.config.times.tolist(), self.config.interval_s
+        times = self.config.times.tolist()
+        dt = self.config.interval_s
         for k, (t, z, truth) in enumerate(zip(times, self.z, self.truth, strict=True)):
             yield Epoch(
                 k, t, dt if k else 0.0, (self.satellites.q[k], self.satellites.w[k]), z, truth
@@ -266,11 +311,17 @@ class Scenario(NamedTuple):
 
 
 def simulate(config: Config, rngs: Sequence[np.random.Generator]) -> Scenario:
-    """Simulate one run with each generator: the track is the same, clock, noise and initial error are its own."""
-    c, satellites, (position, velocity) = config, visible(config), circle(config)
-    T, S, runs = len(c.times), len(satellites.names), len(rngs)
+    """Simulate one run with each generator: the track is the same, clock, noise and initial error
+    are its own."""
+    c = config
+    satellites = visible(config)
+    position, velocity = circle(config)
+    T = len(c.times)
+    S = len(satellites.names)
+    runs = len(rngs)
     first, walk, noise, extra = normals(rngs, (8,), (T, 2), (T, 2 * S), (T, 2 * S))
-    truth, moved = np.empty((T, runs, 8)), slice(6, 8)
+    truth = np.empty((T, runs, 8))
+    moved = slice(6, 8)
     truth[..., :3], truth[..., 3:6], truth[0, :, 6:] = (
         position[:, None],
         velocity[:, None],
@@ -279,7 +330,8 @@ def simulate(config: Config, rngs: Sequence[np.random.Generator]) -> Scenario:
     if c.motion == "model":  # satellites are where they would be for the circle
         first, walk, noise = normals(rngs, (8,), (T, 8), (T, 2 * S))
         moved = slice(0, 8)
-    F, root = c.F[moved, moved], np.linalg.cholesky(c.Q[moved, moved])
+    F = c.F[moved, moved]
+    root = np.linalg.cholesky(c.Q[moved, moved])
     for k in range(1, T):
         truth[k, :, moved] = truth[k - 1, :, moved] @ F.T + walk[k] @ root.T
     z = pseudorange.measure(truth, satellites.q[:, None], satellites.w[:, None])
@@ -300,7 +352,8 @@ def burst(config: Config, S: int) -> Array:
     if config.burst == "one":
         if config.burst_satellite >= S:
             raise ValueError(
-                f"burst_satellite: expected a place below {S}, the number of satellites, got {config.burst_satellite}"
+                f"burst_satellite: expected a place below {S}, the number of satellites, got "
+                f"{config.burst_satellite}"
             )
         hit[
             (config.burst_satellite + S * np.arange(config.burst_count) // config.burst_count) % S
@@ -316,9 +369,11 @@ def ukf(config: Config) -> Rule:
 
 
 def adapted(config: Config, S: int, rule: Any, *hook: Hook, Q: Array | None = None) -> Sequential:
-    """A filter of the paper's model for S satellites: constant velocity, which all rules move alike, and the measurement by a rule.
+    """A filter of the paper's model for S satellites: constant velocity, which all rules move
+    alike, and the measurement by a rule.
 
-    ``Q``: process noise ``(..., 8, 8)`` instead of the configuration's, with one for each run if it has that axis.
+    ``Q``: process noise ``(..., 8, 8)`` instead of the configuration's, with one for each run if it
+    has that axis.
     """
     sensor = Sensor(
         lambda x, epoch: pseudorange.measure(x, *epoch.u),
@@ -335,12 +390,15 @@ def adapted(config: Config, S: int, rule: Any, *hook: Hook, Q: Array | None = No
 
 
 def filters(config: Config, S: int | None = None, Q: Array | None = None) -> dict[str, Filter]:
-    """The filters by name, for ``S`` satellites, those that are visible in this configuration; ``Q``: see `adapted`.
+    """The filters by name, for ``S`` satellites, those that are visible in this configuration;
+    ``Q``: see `adapted`.
 
-    ls: every epoch by itself. ekf, ukf. aukf: the paper's, adapted by a window of innovations. group, channel: adapted by what no
-    state explains. gate, huber, student, sage-husa: baselines. Those after ukf are unscented too.
+    ls: every epoch by itself. ekf, ukf. aukf: the paper's, adapted by a window of innovations.
+    group, channel: adapted by what no state explains. gate, huber, student, sage-husa: baselines.
+    Those after ukf are unscented too.
     """
-    S, rule = len(visible(config).names) if S is None else S, ukf(config)
+    S = len(visible(config).names) if S is None else S
+    rule = ukf(config)
     ekf = adapted(config, S, Taylor(), Q=Q)
     known = {
         name: adapted(config, S, rule, *hook, Q=Q) for name, hook in hooks(S, config.window).items()
@@ -359,7 +417,8 @@ JUDGED = {group.name: group.unit for group in GROUPS}
 
 
 def trial(config: Config, rngs: Sequence[np.random.Generator]) -> Trial:
-    """One run with each generator. There is no bound: the turns of the track are not drawn from the filters' model."""
+    """One run with each generator. There is no bound: the turns of the track are not drawn from the
+    filters' model."""
     sim = simulate(config, rngs)
     return Trial(
         GROUPS,

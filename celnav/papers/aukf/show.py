@@ -63,21 +63,29 @@ if TYPE_CHECKING:
 __all__ = ["FIGURES", "RECORDINGS", "TABLES", "record"]
 
 LINES = {
-    "ls": Line("LS", colors.MEASUREMENT), "ekf": Line("EKF", colors.SIGMA, width=2.4),
-    "ukf": Line("UKF", colors.COMPARISON, width=0.9), "aukf": Line("AUKF", colors.ESTIMATE),
-    "group": Line("group parity", colors.TRUTH, "--"), "channel": Line("channel parity", colors.OPEN_LOOP),
-    "sage-husa": Line("Sage–Husa", "#332288"), "student": Line("Student", "#8C564B"), "huber": Line("Huber", colors.PAPER),
+    "ls": Line("LS", colors.MEASUREMENT),
+    "ekf": Line("EKF", colors.SIGMA, width=2.4),
+    "ukf": Line("UKF", colors.COMPARISON, width=0.9),
+    "aukf": Line("AUKF", colors.ESTIMATE),
+    "group": Line("group parity", colors.TRUTH, "--"),
+    "channel": Line("channel parity", colors.OPEN_LOOP),
+    "sage-husa": Line("Sage–Husa", "#332288"),
+    "student": Line("Student", "#8C564B"),
+    "huber": Line("Huber", colors.PAPER),
     "gate": Line("gate", colors.FAINT, ":"),
-}  # fmt: skip
+}
 
 
-# -- figures -------------------------------------------------------------------------------------------------------------------
+# -- figures ---------------------------------------------------------------------------------------
 def receiver(_: Results) -> Figure:
     """From the antenna to a position."""
     fig, ax = figure(9.0, 2.0)
     arrow: dict[str, Any] = {"arrowstyle": "->", "color": colors.SIGMA}
     look: dict[str, Any] = {"ha": "center", "va": "center"}
-    blocks = "antenna, radio\nfrequency, intermediate\nfrequency, carrier and code\nwipe-off, navigation\nmessage, positioning"
+    blocks = (
+        "antenna, radio\nfrequency, intermediate\nfrequency, carrier and code\nwipe-off, "
+        "navigation\nmessage, positioning"
+    )
     for i, text in enumerate(blocks.split(", ")):
         ax.text(
             i,
@@ -107,19 +115,15 @@ def receiver(_: Results) -> Figure:
 
 def planes(r: Results) -> Figure:
     """Orbits' planes against the equator, and how well their nodes are known."""
-    angle, dots = (
-        np.linspace(0.0, 2.0 * np.pi, 181),
-        dict[str, Any](linestyle="", color=colors.PAPER),
-    )
+    angle = np.linspace(0.0, 2.0 * np.pi, 181)
+    dots = dict[str, Any](linestyle="", color=colors.PAPER)
 
     def orbit(degrees: float, line: Line) -> Item:
         i = np.radians(degrees)
         return curve(np.cos(angle), np.sin(angle) * (0.35 * np.cos(i) + 0.9 * np.sin(i)), line)
 
-    equator, nodes = (
-        orbit(0.0, Line("equator", colors.SIGMA)),
-        curve([-1.0, 1.0], [0.0, 0.0], marker="o", label="nodes", **dots),
-    )
+    equator = orbit(0.0, Line("equator", colors.SIGMA))
+    nodes = curve([-1.0, 1.0], [0.0, 0.0], marker="o", label="nodes", **dots)
     bare: dict[str, Any] = {"ylim": (-1.1, 1.1), "aspect": "equal", "xticks": [], "yticks": []}
     dense = np.geomspace(min(TILTS_DEG), max(TILTS_DEG), 60)
     formula = curve(
@@ -128,16 +132,33 @@ def planes(r: Results) -> Figure:
         Line("δn / sin i", colors.COMPARISON, "--"),
     )
     drawn = curve(TILTS_DEG, r.get("nodes", "node"), marker="s", label="drawn", **dots)
-    return panels([
-        *(Panel(f"({title} inclination, {i:g}°", [equator, orbit(i, Line("orbit", colors.COMPARISON)), nodes], more=bare)
-          for title, i in (("a) large", 55.0), ("b) small", 5.0))),
-        Panel(f"δn = {NORMAL_ERROR:g} rad", [formula, drawn], "inclination (deg)", "deviation of the node (deg)", "xy"),
-    ], size=(9.0, 3.2))  # fmt: skip
+    return panels(
+        [
+            *(
+                Panel(
+                    f"({title} inclination, {i:g}°",
+                    [equator, orbit(i, Line("orbit", colors.COMPARISON)), nodes],
+                    more=bare,
+                )
+                for title, i in (("a) large", 55.0), ("b) small", 5.0))
+            ),
+            Panel(
+                f"δn = {NORMAL_ERROR:g} rad",
+                [formula, drawn],
+                "inclination (deg)",
+                "deviation of the node (deg)",
+                "xy",
+            ),
+        ],
+        size=(9.0, 3.2),
+    )
 
 
 def polar(r: Results) -> Figure:
-    """The unscented transform, from polar to Cartesian coordinates: points, their images, what is made of those."""
-    angle, ellipses = np.linspace(0.0, 2.0 * np.pi, 121), list[Item]()
+    """The unscented transform, from polar to Cartesian coordinates: points, their images, what is
+    made of those."""
+    angle = np.linspace(0.0, 2.0 * np.pi, 121)
+    ellipses = list[Item]()
     methods = (
         ("linearized", colors.OPEN_LOOP, "-"),
         ("exact", colors.TRUTH, "-"),
@@ -160,21 +181,38 @@ def polar(r: Results) -> Figure:
         for (x, y), dot, size in clouds
     ]
     moved = [curve(x, y, dot, marker=".", ms=size) for (x, y), dot, size in clouds]
-    return panels([Panel("Figure 3: r = 1 ± 0.02, θ = 90° ± 15°", given, "θ (deg)", "r (-)", more={"xlim": (150.0, 30.0)}),
-                   Panel("x = r cos θ, y = r sin θ", [*moved, *ellipses], "x (-)", "y (-)"),
-                   Panel("means and deviations", ellipses, "x (-)")], size=(10.0, 3.3))  # fmt: skip
+    return panels(
+        [
+            Panel(
+                "Figure 3: r = 1 ± 0.02, θ = 90° ± 15°",
+                given,
+                "θ (deg)",
+                "r (-)",
+                more={"xlim": (150.0, 30.0)},
+            ),
+            Panel("x = r cos θ, y = r sin θ", [*moved, *ellipses], "x (-)", "y (-)"),
+            Panel("means and deviations", ellipses, "x (-)"),
+        ],
+        size=(10.0, 3.3),
+    )
 
 
 def run_of(r: Results, i: int, part: str, title: str, at: str, limit: float, **more: Any) -> Panel:
-    """The first run of EKF, UKF and AUKF, and the quantiles of all of the last; how much better that is."""
+    """The first run of EKF, UKF and AUKF, and the quantiles of all of the last; how much better
+    that is."""
     ratio = rms(r, part, "aukf", at, AXES[i].name) / rms(r, part, "ukf", at, AXES[i].name)
     flown = [name for name in ("ekf", "ukf", "aukf") if f"{name}/error" in r.data[part]]
     shown = [
         errors(r, part, name, LINES[name], "position", i, spread=name == "aukf") for name in flown
     ]
     burst = [interval(*r.parts[part].config.burst_s)] if at == "burst" else []
-    return Panel(f"{title}: AUKF / UKF {ratio:.2f}", [*burst, *shown], "time (s)", f"error of {AXES[i].name} (m)",
-                 more={"ylim": (-limit, limit), **more})  # fmt: skip
+    return Panel(
+        f"{title}: AUKF / UKF {ratio:.2f}",
+        [*burst, *shown],
+        "time (s)",
+        f"error of {AXES[i].name} (m)",
+        more={"ylim": (-limit, limit), **more},
+    )
 
 
 def quiet(i: int, r: Results) -> Figure:
@@ -201,9 +239,22 @@ def factors(r: Results) -> Figure:
         interval(*r.parts["ranges, 10 Hz"].config.burst_s),
         level(right, label=f"right for ranges in the burst: {right:.0f}", color=colors.PAPER),
     ]
-    A, t = Line("mean over satellites", colors.ESTIMATE), r.times("ranges, 10 Hz")
-    return panels([Panel(f"A of the {half}", [*known, quantiles(t, r.get("ranges, 10 Hz", f"aukf/{half}"), A)], "time (s)",
-                         "factor (-)", "y") for half in HALVES], size=(9.0, 3.2), sharey=True)  # fmt: skip
+    A = Line("mean over satellites", colors.ESTIMATE)
+    t = r.times("ranges, 10 Hz")
+    return panels(
+        [
+            Panel(
+                f"A of the {half}",
+                [*known, quantiles(t, r.get("ranges, 10 Hz", f"aukf/{half}"), A)],
+                "time (s)",
+                "factor (-)",
+                "y",
+            )
+            for half in HALVES
+        ],
+        size=(9.0, 3.2),
+        sharey=True,
+    )
 
 
 def baselines(r: Results) -> Figure:
@@ -238,7 +289,8 @@ def baselines(r: Results) -> Figure:
 
 
 def densities(r: Results) -> Figure:
-    """Where the filter breaks: little process noise, and the turn is taken for noise of the rates."""
+    """Where the filter breaks: little process noise, and the turn is taken for noise of the
+    rates."""
     lines = {
         "ekf": LINES["ekf"]._replace(label="EKF, UKF"),
         "aukf": LINES["aukf"],
@@ -273,8 +325,11 @@ def densities(r: Results) -> Figure:
 def starts(r: Results) -> Figure:
     """The initial error that a UKF helps with."""
     styles = dict(zip(INITIAL_KM[::-1], ("-", "--", "-.", ":"), strict=True))
-    shown = [curve(r.times(f"{km:g} km"), medians(r, km, name), LINES[name], linestyle=styles[km])
-             for name in ("ls", "ekf", "ukf", "aukf") for km in styles]  # fmt: skip
+    shown = [
+        curve(r.times(f"{km:g} km"), medians(r, km, name), LINES[name], linestyle=styles[km])
+        for name in ("ls", "ekf", "ukf", "aukf")
+        for km in styles
+    ]
     title = f"initial error {', '.join(f'{km:g}' for km in INITIAL_KM[::-1])} km"
     return panels(
         Panel(title, shown, "time (s)", "median position error (m)", "y"), size=(7.0, 3.6)
@@ -287,8 +342,15 @@ def sizes(r: Results) -> Figure:
 
     def panel(rate: str) -> Panel:
         size = partial(rms, r, part := f"windows, {rate}")
-        drawn = [curve(study.WINDOWS, [size(f"M {m}", at) / size("ukf", at) for m in study.WINDOWS], Line(at, color), marker=".")
-                 for at, color in spans.items()]  # fmt: skip
+        drawn = [
+            curve(
+                study.WINDOWS,
+                [size(f"M {m}", at) / size("ukf", at) for m in study.WINDOWS],
+                Line(at, color),
+                marker=".",
+            )
+            for at, color in spans.items()
+        ]
         return Panel(
             part,
             [level(1.0, label="UKF"), *drawn],
@@ -306,8 +368,15 @@ def outliers(r: Results) -> Figure:
     twice = level(2.0 * size("noise 1/aukf", "before"), label="twice the AUKF's without")
 
     def panel(shape: str, title: str) -> Panel:
-        drawn = [curve(study.STRUCK, [size(f"{shape} {k}/{name}", "burst") for k in study.STRUCK], LINES[name], marker=".")
-                 for name in study.ROBUST]  # fmt: skip
+        drawn = [
+            curve(
+                study.STRUCK,
+                [size(f"{shape} {k}/{name}", "burst") for k in study.STRUCK],
+                LINES[name],
+                marker=".",
+            )
+            for name in study.ROBUST
+        ]
         return Panel(title, [twice, *drawn], "bad ranges of 12", "position RMSE (m)", "y")
 
     return panels(
@@ -317,39 +386,79 @@ def outliers(r: Results) -> Figure:
     )
 
 
-# -- tables --------------------------------------------------------------------------------------------------------------------
+# -- tables ----------------------------------------------------------------------------------------
 def table_1(r: Results) -> Rows:
     """RMSE by axis; the paper's numbers are lost."""
     flown = [("as tuned", "none", name) for name in ("ls", "ekf", "ukf", "aukf")]
     flown += [("noise of ranges mistuned", "mistuned", name) for name in ("ukf", "aukf")]
-    return [{"case": text, "filter": LINES[name].label, "paper": "lost",
-             **{f"{g.name} (m)": rms(r, part, name, "all", g.name) for g in AXES}} for text, part, name in flown]  # fmt: skip
+    return [
+        {
+            "case": text,
+            "filter": LINES[name].label,
+            "paper": "lost",
+            **{f"{g.name} (m)": rms(r, part, name, "all", g.name) for g in AXES},
+        }
+        for text, part, name in flown
+    ]
 
 
 def table_2(r: Results) -> Rows:
     """A real receiver; no rows if its files were not given."""
     found = r.data.get("real", {})
-    return [{"filter": line.label, "RMS (m)": day.rms(found, name), "RMS with an added burst (m)": day.rms(found, f"burst/{name}")}
-            for name, line in LINES.items() if name in found]  # fmt: skip
+    return [
+        {
+            "filter": line.label,
+            "RMS (m)": day.rms(found, name),
+            "RMS with an added burst (m)": day.rms(found, f"burst/{name}"),
+        }
+        for name, line in LINES.items()
+        if name in found
+    ]
 
 
 FIGURES = {
     "figure_01": ("Fig. 1: the receiver, from the antenna to a position.", receiver),
-    "figure_02": ("Fig. 2: an orbit's plane against the equator: the flatter it lies, the less is its node known.", planes),
+    "figure_02": (
+        "Fig. 2: an orbit's plane against the equator: the flatter it lies, the less is its node "
+        "known.",
+        planes,
+    ),
     "figure_03": ("Fig. 3: the unscented transform, from polar to Cartesian coordinates.", polar),
-    **{f"figure_{i + 4:02d}": (f"Fig. {i + 4}: error of {axis.name}, without a burst; and where the noise is larger than the "
-                               f"filters think.", partial(quiet, i)) for i, axis in enumerate(AXES)},
-    **{f"figure_{i + 7:02d}": (f"Fig. {i + 7}: error of {axis.name} with the burst on all ranges.", partial(struck, i))
-       for i, axis in enumerate(AXES)},
+    **{
+        f"figure_{i + 4:02d}": (
+            f"Fig. {i + 4}: error of {axis.name}, without a burst; and where the noise is larger "
+            "than the "
+            f"filters think.",
+            partial(quiet, i),
+        )
+        for i, axis in enumerate(AXES)
+    },
+    **{
+        f"figure_{i + 7:02d}": (
+            f"Fig. {i + 7}: error of {axis.name} with the burst on all ranges.",
+            partial(struck, i),
+        )
+        for i, axis in enumerate(AXES)
+    },
     "figure_10": ("Beyond the paper: what the filter multiplies the noise by.", factors),
     "figure_11": ("Beyond the paper: stronger baselines, by where the disturbance is.", baselines),
-    "figure_12": ("Beyond the paper: with little process noise the turn is taken for noise of the rates.", densities),
+    "figure_12": (
+        "Beyond the paper: with little process noise the turn is taken for noise of the rates.",
+        densities,
+    ),
     "figure_13": ("Beyond the paper: the initial error that a UKF helps with.", starts),
-    "figure_14": ("Beyond the paper: half a day of a real receiver, and a burst that is added to it.",
-                  lambda r: day.drawn(r.data["real"], LINES, STANDARD.burst_sigma) if "real" in r.data else None),
+    "figure_14": (
+        "Beyond the paper: half a day of a real receiver, and a burst that is added to it.",
+        lambda r: (
+            day.drawn(r.data["real"], LINES, STANDARD.burst_sigma) if "real" in r.data else None
+        ),
+    ),
     "figure_15": ("Beyond the paper: how long the window may be.", sizes),
-    "figure_16": ("Beyond the paper: several bad ranges at once, by noise and by a constant.", outliers),
-}  # fmt: skip
+    "figure_16": (
+        "Beyond the paper: several bad ranges at once, by noise and by a constant.",
+        outliers,
+    ),
+}
 """A drawing of what was not given is None, a table of it has no rows."""
 TABLES = {
     "table_1": ("Table 1: RMSE of X, Y and Z by filter; the paper's numbers are lost.", table_1),
@@ -360,10 +469,14 @@ TABLES = {
 }
 
 
-# -- recordings ----------------------------------------------------------------------------------------------------------------
+# -- recordings ------------------------------------------------------------------------------------
 RECORDINGS = ["aukf_burst.rrd", "aukf_real.rrd"]
-NAMES = {"aukf": ("AUKF", colors.ESTIMATE), "ekf": ("EKF, as UKF", colors.COMPARISON), "group": ("group parity", colors.TRUTH),
-         "ls": ("each epoch by itself", colors.MEASUREMENT)}  # fmt: skip
+NAMES = {
+    "aukf": ("AUKF", colors.ESTIMATE),
+    "ekf": ("EKF, as UKF", colors.COMPARISON),
+    "group": ("group parity", colors.TRUTH),
+    "ls": ("each epoch by itself", colors.MEASUREMENT),
+}
 SHOWN = 8
 """Runs that are flown again: the first in full, the others as points."""
 
@@ -382,17 +495,14 @@ def record(results: Results, outputs: Outputs) -> list[str]:
 
 def _burst(results: Results) -> Showcase:
     """Runs of "baselines" with the burst on all ranges, which come first there."""
-    c, number = results.parts["baselines"].config, results.parts["baselines"].number
-    sim, local = (
-        simulate(c, [generator(results.seed, number, run) for run in range(SHOWN)]),
-        axes(c),
-    )
-    found, names, S, factor = (
-        dict[str, Estimate](),
-        list(sim.satellites.names),
-        len(sim.satellites.names),
-        np.zeros(0),
-    )
+    c = results.parts["baselines"].config
+    number = results.parts["baselines"].number
+    sim = simulate(c, [generator(results.seed, number, run) for run in range(SHOWN)])
+    local = axes(c)
+    found = dict[str, Estimate]()
+    names = list(sim.satellites.names)
+    S = len(sim.satellites.names)
+    factor = np.zeros(0)
     known = filters(c, S)
     for name in NAMES:
         track = run(known[name], sim.prior, sim.epochs(), keep="cov", on_failure="flag")
@@ -405,11 +515,18 @@ def _burst(results: Results) -> Showcase:
         if name == "aukf":
             factor = noise_factors(track, c, S)[:, 0]
     shades = [KIND_COLORS[kind] for kind in kinds(names)]
-    adapt = {half: Plot(f"log10 A of the {half}", {a[2]: Curve(*a) for a in zip(A, shades, names, strict=True)}, log=True)
-             for half, A in zip(HALVES, factor.T.reshape(2, S, -1), strict=True)}  # fmt: skip
+    adapt = {
+        half: Plot(
+            f"log10 A of the {half}",
+            {a[2]: Curve(*a) for a in zip(A, shades, names, strict=True)},
+            log=True,
+        )
+        for half, A in zip(HALVES, factor.T.reshape(2, S, -1), strict=True)
+    }
 
     def scene(out: Recorder) -> None:
-        broadcast, position = synthetic(), circle(c)[0]
+        broadcast = synthetic()
+        position = circle(c)[0]
         seen = broadcast.chosen(np.isin(broadcast.names, names))
         paths = (
             satellites(seen, START_S + np.linspace(0.0, 86400.0, 145)[:, None]).position / 1e6
@@ -426,22 +543,45 @@ def _burst(results: Results) -> Showcase:
                 out, f"track/{key}", truth + e.errors[:, 0, :3] @ local.T, e.color, e.label, cov=cov
             )
 
-    growing, (start, end) = [f"track/{name}/trail" for name in ("truth", *NAMES)], c.burst_s
+    growing = [f"track/{name}/trail" for name in ("truth", *NAMES)]
+    start, end = c.burst_s
     return Showcase(
-        "aukf: burst", NOTES.format(c), c.times, found,
-        [Group("position", "m", slice(0, 3), axes="XYZ"), Group("velocity", "m/s", slice(3, 6), axes="XYZ")],
-        axes=np.concatenate([local, np.zeros((3, 5))], 1), unit="m, east, north, up", nis_dof=2 * S, scene=scene,
-        spaces=(Space("world", "satellites, 1000 km (Earth-fixed)", (-50.0, 75.0, 45.0)),
-                Space("track", "track, m (east, north, up)", (-4e3, -9e3, 9e3), (-4e3, 0.0, 0.0), growing=growing)),
-        plots={"adaptation": adapt}, events=[(start, f"{c.burst_sigma:g} m of noise on all ranges begin"), (end, "they end")],
-        parameters=vars(c), facts={"paper": "aukf", "preset": "burst", "seed": results.seed, "runs": SHOWN},
-    )  # fmt: skip
+        "aukf: burst",
+        NOTES.format(c),
+        c.times,
+        found,
+        [
+            Group("position", "m", slice(0, 3), axes="XYZ"),
+            Group("velocity", "m/s", slice(3, 6), axes="XYZ"),
+        ],
+        axes=np.concatenate([local, np.zeros((3, 5))], 1),
+        unit="m, east, north, up",
+        nis_dof=2 * S,
+        scene=scene,
+        spaces=(
+            Space("world", "satellites, 1000 km (Earth-fixed)", (-50.0, 75.0, 45.0)),
+            Space(
+                "track",
+                "track, m (east, north, up)",
+                (-4e3, -9e3, 9e3),
+                (-4e3, 0.0, 0.0),
+                growing=growing,
+            ),
+        ),
+        plots={"adaptation": adapt},
+        events=[(start, f"{c.burst_sigma:g} m of noise on all ranges begin"), (end, "they end")],
+        parameters=vars(c),
+        facts={"paper": "aukf", "preset": "burst", "seed": results.seed, "runs": SHOWN},
+    )
 
 
-NOTES = """# Fan et al., {0.burst_sigma:g} m of noise on all ranges from {0.burst_s[0]:g} to {0.burst_s[1]:g} s
+NOTES = """# Fan et al., {0.burst_sigma:g} m of noise on all ranges from {0.burst_s[0]:g} to \
+{0.burst_s[1]:g} s
 
-**Adapting the noise of the measurement shrugs the burst off; the EKF, which equals the UKF, takes it for position.**
+**Adapting the noise of the measurement shrugs the burst off; the EKF, which equals the UKF, \
+takes it for position.**
 
-A receiver circles with {0.acceleration_g:g} g at {0.speed_m_per_s:g} m/s. Group parity knows the noise from what no position
+A receiver circles with {0.acceleration_g:g} g at {0.speed_m_per_s:g} m/s. Group parity knows the \
+noise from what no position
 explains, and needs no window. Satellites: GEO red, IGSO orange, MEO blue.
 """

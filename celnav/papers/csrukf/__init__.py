@@ -1,8 +1,10 @@
-"""[Sun2015]: a square-root unscented Kalman filter for colored measurement noise, satellite navigation by star sensor and camera.
+"""[Sun2015]: a square-root unscented Kalman filter for colored measurement noise, satellite
+navigation by star sensor and camera.
 
-`scenario`: parameters with their source, truth and measurements, filters. `method`: its covariance in five forms. `study`: what is
-flown, what the paper states and what we find. `show`: figures, tables, recordings. But for `method` their names are found here as
-well: ``celnav.papers.csrukf.STUDY``.
+`scenario`: parameters with their source, truth and measurements, filters. `method`: its covariance
+in five forms. `study`: what is flown, what the paper states and what we find. `show`: figures,
+tables, recordings. But for `method` their names are found here as well:
+``celnav.papers.csrukf.STUDY``.
 """
 
 from celnav.lazy import modules

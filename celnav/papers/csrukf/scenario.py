@@ -1,15 +1,16 @@
-"""[Sun2015]: a satellite that finds its place by two stars and the Earth's limb, through colored noise.
+"""[Sun2015]: a satellite that finds its place by two stars and the Earth's limb, through colored
+noise.
 
-=============  ======================================================  ===========================================
-equation       content                                                 here
-=============  ======================================================  ===========================================
-38             acceleration with J2                                    `celnav.models.orbit.acceleration`
-40-43          angles and position                                     `celnav.models.sightings`
-1-2            colored measurement noise                               `simulate`, `celnav.models.noise.ar1`
-4-8            differenced measurement                                 `celnav.filters.colored.difference`
-10-20          decorrelation, J, Q*, R*                                `celnav.filters.colored.decorrelation`
-21-37          the filter                                              `celnav.filters.colored.decorrelated`
-=============  ======================================================  ===========================================
+========  =========================  ======================================
+equation  content                    here
+========  =========================  ======================================
+38        acceleration with J2       `celnav.models.orbit.acceleration`
+40-43     angles and position        `celnav.models.sightings`
+1-2       colored measurement noise  `simulate`, `celnav.models.noise.ar1`
+4-8       differenced measurement    `celnav.filters.colored.difference`
+10-20     decorrelation, J, Q*, R*   `celnav.filters.colored.decorrelation`
+21-37     the filter                 `celnav.filters.colored.decorrelated`
+========  =========================  ======================================
 """
 
 from __future__ import annotations
@@ -35,9 +36,23 @@ from celnav.study.parameters import Timed, param
 from celnav.study.trial import Group, Trial
 
 __all__ = [
-    "CITATION", "GROUPS", "JUDGED", "MISSION", "PRESETS", "STRESS", "TITLE", "Config", "D", "H", "P", "Scenario", "assuming",
-    "filters", "simulate", "trial",
-]  # fmt: skip
+    "CITATION",
+    "GROUPS",
+    "JUDGED",
+    "MISSION",
+    "PRESETS",
+    "STRESS",
+    "TITLE",
+    "Config",
+    "D",
+    "H",
+    "P",
+    "Scenario",
+    "assuming",
+    "filters",
+    "simulate",
+    "trial",
+]
 
 TITLE = "Square-root unscented Kalman filter for colored measurement noise"
 CITATION = citation("Sun2015")
@@ -45,7 +60,7 @@ H = np.eye(3, 6)
 FIT = "inferred: by a fit to Tables 1 and 2"
 
 
-# -- parameters --------------------------------------------------------------------------------------------------------------
+# -- parameters ------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Config(Timed):
     """Everything that a run depends on; angles in degrees, as the paper prints them."""
@@ -84,10 +99,13 @@ class Config(Timed):
         above=0.0,
     )
     noise_level: str = param(
-        "increments", "inferred: the paper's R",
-        "what sigma_km, or camera_deg and star_arcsec, are the deviation of: the colored noise V itself (stationary), or the white "
-        "increments that drive it", one_of=("stationary", "increments"),
-    )  # fmt: skip
+        "increments",
+        "inferred: the paper's R",
+        "what sigma_km, or camera_deg and star_arcsec, are the deviation of: the colored noise V "
+        "itself (stationary), or the white "
+        "increments that drive it",
+        one_of=("stationary", "increments"),
+    )
     prior_position_km: float = param(
         0.15, FIT, "standard deviation of the estimate at the start, on each axis", least=0.0
     )
@@ -114,9 +132,13 @@ class Config(Timed):
         one_of=("positions", "angles"),
     )
     first_noise: str | None = param(
-        None, "chosen", "covariance of the first noise: that of the increments (R), of the stationary noise, or zero; left out: as "
-        "noise_level", one_of=("R", "stationary", "zero", None),
-    )  # fmt: skip
+        None,
+        "chosen",
+        "covariance of the first noise: that of the increments (R), of the stationary noise, or "
+        "zero; left out: as "
+        "noise_level",
+        one_of=("R", "stationary", "zero", None),
+    )
     alpha: float = param(1.0, "chosen: no negative weight", "spread of the sigma points")
     beta: float = param(
         0.0,
@@ -131,11 +153,16 @@ class Config(Timed):
             least := orbit.EARTH.radius_km / (1.0 - self.eccentricity)
         ):
             raise ValueError(
-                f"semi_major_axis_km: expected an orbit above the Earth, from {least:.6g} km, got {a!r}"
+                f"semi_major_axis_km: expected an orbit above the Earth, from {least:.6g} km, got "
+                f"{a!r}"
             )
         for name, other in (("noise_level", "'increments'"), ("first_noise", "R or zero")):
             if getattr(self, name) == "stationary" and abs(self.phi) == 1.0:
-                why = f"where phi is {self.phi:g}: a random walk has no stationary deviation, only its increments have one"
+                why = (
+                    f"where phi is {self.phi:g}: a random walk has no stationary deviation, "
+                    "only "
+                    "its increments have one"
+                )
                 raise ValueError(f"{name}: expected {other} {why}")
         unscented(6, self.alpha, self.beta, self.kappa)
         with np.errstate(over="raise"):
@@ -168,10 +195,12 @@ class Config(Timed):
 
     @property
     def sigma(self) -> Array:
-        """Deviations ``(3,)``, as given, of what is measured: km, or rad of the angles to the stars and of the Earth's diameter."""
+        """Deviations ``(3,)``, as given, of what is measured: km, or rad of the angles to the stars
+        and of the Earth's diameter."""
         if self.measured == "positions":
             return np.full(3, self.sigma_km)
-        camera, star = np.radians(self.camera_deg), np.radians(self.star_arcsec / 3600.0)
+        camera = np.radians(self.camera_deg)
+        star = np.radians(self.star_arcsec / 3600.0)
         return np.array([np.hypot(camera, star)] * 2 + [camera]) / self.accuracy_sigmas
 
     @property
@@ -243,12 +272,13 @@ MISSION = {"noise_level": "stationary"}
 """What a mission begins with instead: how large the noise is then does not depend on its color."""
 
 
-# -- what happens ------------------------------------------------------------------------------------------------------------
+# -- what happens ----------------------------------------------------------------------------------
 class Scenario(NamedTuple):
     """Simulated runs, time-major.
 
-    ``truth (T, runs, 6)`` km, km/s; ``z (T, runs, 3)`` km, pseudo-positions; ``noise (T, runs, 3)``, the colored noise V in the
-    units of what was measured; ``angles (T, runs, 3)`` rad where angles were measured, else None.
+    ``truth (T, runs, 6)`` km, km/s; ``z (T, runs, 3)`` km, pseudo-positions; ``noise (T, runs,
+    3)``, the colored noise V in the units of what was measured; ``angles (T, runs, 3)`` rad where
+    angles were measured, else None.
     """
 
     config: Config
@@ -259,10 +289,14 @@ class Scenario(NamedTuple):
     angles: Array | None = None
 
     def epochs(self, filter: str = "") -> Epochs:
-        """What a filter of `filters` is given: positions or angles; those that take the noise for white, not the first sample."""
-        z, truth, first = self.z, self.truth, not filter.startswith("srukf")
+        """What a filter of `filters` is given: positions or angles; those that take the noise for
+        white, not the first sample."""
+        z = self.z
+        truth = self.truth
+        first = not filter.startswith("srukf")
         if filter.startswith("angles"):
-            z, first = np.asarray(self.angles), filter == "angles+z0" or self.config.phi != 0.0
+            z = np.asarray(self.angles)
+            first = filter == "angles+z0" or self.config.phi != 0.0
         if filter == "lagged":
             truth = np.concatenate([truth[:1], truth[:-1]])  # its estimate is of the epoch before
         return epochs(
@@ -273,9 +307,11 @@ class Scenario(NamedTuple):
 
 
 def simulate(config: Config, rngs: Sequence[np.random.Generator]) -> Scenario:
-    """One run for each generator: orbit with process noise, colored noise (Eqs. 1, 2), an initial estimate drawn from the prior.
+    """One run for each generator: orbit with process noise, colored noise (Eqs. 1, 2), an initial
+    estimate drawn from the prior.
 
-    Where angles are measured, the noise lives on the three of them, and the pseudo-positions are computed from them.
+    Where angles are measured, the noise lives on the three of them, and the pseudo-positions are
+    computed from them.
     """
     c = config
     initial, w, first, zeta = normals(rngs, (6,), (c.steps, 6), (3,), (c.steps, 3))
@@ -284,7 +320,8 @@ def simulate(config: Config, rngs: Sequence[np.random.Generator]) -> Scenario:
     for k in range(c.steps):
         truth[k + 1] = orbit.step(truth[k], c.step_s) + w[k] * c.sqrt_Q.diagonal()
     noise = ar1(c.Phi, zeta * c.increment * c.sigma, first * semidefinite_root(c.Sigma0).diagonal())
-    angles, z = None, truth[..., :3] + noise
+    angles = None
+    z = truth[..., :3] + noise
     if c.measured == "angles":
         angles = sightings.angles(truth[..., :3], sightings.star_directions(c.separation)) + noise
         z = sightings.position(angles, c.separation, np.sign(truth[..., 2]), strict=False)
@@ -298,19 +335,25 @@ def simulate(config: Config, rngs: Sequence[np.random.Generator]) -> Scenario:
     )
 
 
-# -- the filters -------------------------------------------------------------------------------------------------------------
+# -- the filters -----------------------------------------------------------------------------------
 def orbital(config: Config) -> Motion:
     """What filters believe of the orbit."""
-    return Motion(lambda x, epoch: orbit.step(x, config.step_s), sqrt_Q=config.sqrt_Q)  # noqa: ARG005
+
+    def f(x: Array, _epoch: object) -> Array:
+        return orbit.step(x, config.step_s)
+
+    return Motion(f, sqrt_Q=config.sqrt_Q)
 
 
 def white(config: Config, R: Any) -> Filter:
-    """SRUKF that takes the noise for white, of covariance ``R (3, 3)`` or a function of state and epoch."""
+    """SRUKF that takes the noise for white, of covariance ``R (3, 3)`` or a function of state and
+    epoch."""
     return sigma_point(orbital(config), Sensor(H, R), rule=config.rule)
 
 
 def assuming(config: Config, R: Any, Phi: Array | None = None) -> Filter:
-    """CSRUKF in one transform that assumes increments of covariance ``R``, and a coefficient, for pseudo-positions."""
+    """CSRUKF in one transform that assumes increments of covariance ``R``, and a coefficient, for
+    pseudo-positions."""
     sensor = Sensor(H, np.eye(3))  # the first sample is not used
     return colored(
         orbital(config),
@@ -325,18 +368,22 @@ def assuming(config: Config, R: Any, Phi: Array | None = None) -> Filter:
 def filters(config: Config) -> dict[str, Filter]:
     """The filters, by the names that figures and tables use; openloop: no measurement at all.
 
-    Of positions: srukf: white noise assumed. csrukf: the paper's structure, corrected. csrukf+z0: uses the first sample, in one
-    transform. augmented: the exact reference. srukf-reff: white noise of the same spectrum at zero frequency, where there is one,
-    else srukf-inflated: of half the walk's final variance.
+    Of positions: srukf: white noise assumed. csrukf: the paper's structure, corrected. csrukf+z0:
+    uses the first sample, in one transform. augmented: the exact reference. srukf-reff: white noise
+    of the same spectrum at zero frequency, where there is one, else srukf-inflated: of half the
+    walk's final variance.
 
-    Where angles are measured: srukf-isotropic, csrukf-isotropic: on pseudo-positions, all components taken for equally good.
-    csrukf-jacobian: with the covariance that the angles give them. angles: on the angles themselves; their noise is whitened if it
-    has a color. angles+z0: uses the first sample too, the exact reference.
+    Where angles are measured: srukf-isotropic, csrukf-isotropic: on pseudo-positions, all
+    components taken for equally good. csrukf-jacobian: with the covariance that the angles give
+    them. angles: on the angles themselves; their noise is whitened if it has a color. angles+z0:
+    uses the first sample too, the exact reference.
     """
-    c, motion = config, orbital(config)
+    c = config
+    motion = orbital(config)
     openloop = sigma_point(motion, rule=c.rule)
     if c.measured == "positions":
-        sensor, options = Sensor(H, c.Sigma0), dict[str, Any](increments=c.R, rule=c.rule)
+        sensor = Sensor(H, c.Sigma0)
+        options = dict[str, Any](increments=c.R, rule=c.rule)
         other = "srukf-inflated" if abs(c.phi) == 1.0 else "srukf-reff"
         return {
             "srukf": white(c, np.diag(c.sigma**2)),
@@ -372,17 +419,15 @@ def filters(config: Config) -> dict[str, Filter]:
     }
 
 
-# -- how they are judged -----------------------------------------------------------------------------------------------------
+# -- how they are judged ---------------------------------------------------------------------------
 GROUPS = (Group("position", "km", slice(0, 3)), Group("velocity", "m/s", slice(3, 6), 1e3))
 JUDGED = {group.name: group.unit for group in GROUPS}
 
 
 def trial(config: Config, rngs: Sequence[np.random.Generator]) -> Trial:
     """One run with each generator, for missions, campaigns and the study."""
-    sim, exact = (
-        simulate(config, rngs),
-        {"positions": "csrukf+z0", "angles": "angles+z0"}[config.measured],
-    )
+    sim = simulate(config, rngs)
+    exact = {"positions": "csrukf+z0", "angles": "angles+z0"}[config.measured]
     return Trial(
         GROUPS, filters(config), sim.prior, sim.epochs, _compare, exact, lambda x: x[..., :3]
     )

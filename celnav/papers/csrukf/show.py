@@ -52,27 +52,32 @@ if TYPE_CHECKING:
 
 __all__ = ["FIGURES", "RECORDINGS", "TABLES", "record"]
 
-SRUKF, CSRUKF, OPEN = (
-    Line("SRUKF", colors.COMPARISON),
-    Line("CSRUKF", colors.ESTIMATE),
-    Line("open loop", colors.OPEN_LOOP, "--"),
-)
+SRUKF = Line("SRUKF", colors.COMPARISON)
+CSRUKF = Line("CSRUKF", colors.ESTIMATE)
+OPEN = Line("open loop", colors.OPEN_LOOP, "--")
 LINES = {"srukf": SRUKF, "csrukf": CSRUKF}
-WHITE = {"srukf": SRUKF._replace(width=2.2), "csrukf": CSRUKF._replace(style="--"),
-         "lagged": Line("CSRUKF lagged (has seen the next sample)", colors.TRUTH, width=0.7)}  # fmt: skip
-AXES, TIME = ("x", "y", "z", "v_x", "v_y", "v_z"), "time (s)"
+WHITE = {
+    "srukf": SRUKF._replace(width=2.2),
+    "csrukf": CSRUKF._replace(style="--"),
+    "lagged": Line("CSRUKF lagged (has seen the next sample)", colors.TRUTH, width=0.7),
+}
+AXES = ("x", "y", "z", "v_x", "v_y", "v_z")
+TIME = "time (s)"
 QUANTITIES = [f"absolute position error ${a}$ (km)" for a in AXES[:3]] + [
     f"velocity error ${a}$ (m/s)" for a in AXES[3:]
 ]
 COLUMNS = ("x_km", "y_km", "z_km", "vx_m_per_s", "vy_m_per_s", "vz_m_per_s")
 
 
-# -- figures -----------------------------------------------------------------------------------------------------------------
+# -- figures ---------------------------------------------------------------------------------------
 def geometry(r: Results) -> Figure:
     """Two stars, the Earth's limb, and the three angles."""
-    (fig, ax), c = figure(6.0, 5.2, subplot_kw={"projection": "3d"}), r.parts["0"].config
-    path, stars = c.nominal()[:, :3], sightings.star_directions(c.separation)
-    here, (u, v) = path[0], np.mgrid[0 : 2 * np.pi : 25j, 0 : np.pi : 13j]
+    fig, ax = figure(6.0, 5.2, subplot_kw={"projection": "3d"})
+    c = r.parts["0"].config
+    path = c.nominal()[:, :3]
+    stars = sightings.star_directions(c.separation)
+    here = path[0]
+    u, v = np.mgrid[0 : 2 * np.pi : 25j, 0 : np.pi : 13j]
     globe = EARTH.radius_km * np.stack([np.cos(u) * np.sin(v), np.sin(u) * np.sin(v), np.cos(v)])
     ax.plot_wireframe(*globe, color=colors.MEASUREMENT, linewidth=0.4, alpha=0.6)
     ax.plot(*path.T, color=colors.TRUTH, label="orbit, 600 s")
@@ -90,7 +95,8 @@ def geometry(r: Results) -> Figure:
             color=colors.ESTIMATE,
             label=None if i else "sight lines to the limb",
         )
-    rays, s = [*stars, *(edges - here), here], np.linspace(0.0, 1.0, 31)[:, None]
+    rays = [*stars, *(edges - here), here]
+    s = np.linspace(0.0, 1.0, 31)[:, None]
     A = np.degrees(sightings.angles(here, stars))
     for i, (a, b) in enumerate(((0, 4), (1, 4), (2, 3))):  # the angles as arcs
         arc = (1.0 - s) * rays[a] / np.linalg.norm(rays[a]) + s * rays[b] / np.linalg.norm(rays[b])
@@ -122,14 +128,15 @@ def geometry(r: Results) -> Figure:
 def component(
     r: Results, part: str, i: int, lines: dict[str, Line], shown: str = "", **look: Any
 ) -> list[Item]:
-    """Errors of one of the six components, of positions without sign as the paper has them; 3 sigma of the filter ``shown``."""
+    """Errors of one of the six components, of positions without sign as the paper has them; 3 sigma
+    of the filter ``shown``."""
     at: Any = (BOTH[i // 3], i % 3)
     items = [
         errors(r, part, name, line, *at, absolute=i < 3, **look) for name, line in lines.items()
     ]
-    return (
-        [*items, sigma(r, part, shown, lines[shown].label, *at, absolute=i < 3)] if shown else items
-    )
+    if shown:
+        items.append(sigma(r, part, shown, lines[shown].label, *at, absolute=i < 3))
+    return items
 
 
 def printed(table: dict[str, list[float]], i: int) -> Item:
@@ -144,20 +151,16 @@ def printed(table: dict[str, list[float]], i: int) -> Item:
 
 def white(i: int, r: Results) -> Figure:
     """An error under white noise."""
-    title, items = (
-        f"Figure {i + 2}: ${AXES[i]}$, $\\Phi = 0$",
-        [*component(r, "0", i, WHITE, "csrukf"), printed(TABLE_1, i)],
-    )
+    title = f"Figure {i + 2}: ${AXES[i]}$, $\\Phi = 0$"
+    items = [*component(r, "0", i, WHITE, "csrukf"), printed(TABLE_1, i)]
     top = {"ylim": (0.0 if i < 3 else -0.15, 0.2 if i < 3 else 0.15)}
     return panels(Panel(title, items, TIME, QUANTITIES[i], more=top), size=(7.0, 3.6))
 
 
 def walk(i: int, r: Results) -> Figure:
     """An error under random-walk noise."""
-    four, loop = (
-        component(r, "I", i, LINES, "srukf", runs=4, spread=True),
-        component(r, "I", i, {"openloop": OPEN}),
-    )
+    four = component(r, "I", i, LINES, "srukf", runs=4, spread=True)
+    loop = component(r, "I", i, {"openloop": OPEN})
     right = [*component(r, "I", i, {"csrukf": CSRUKF}, "csrukf", runs=4, spread=True), *loop]
     left = Panel(
         f"Figure {i + 8}: ${AXES[i]}$, $\\Phi = I$",
@@ -214,7 +217,8 @@ def against_theory(r: Results) -> Figure:
 
 
 def over_phi(r: Results) -> Figure:
-    """Final position error over Phi, for the fitted prior and a poor one, by linear theory and what is held fixed."""
+    """Final position error over Phi, for the fitted prior and a poor one, by linear theory and what
+    is held fixed."""
     lines = {
         "srukf": (SRUKF, "o"),
         "csrukf": (CSRUKF, "s"),
@@ -266,7 +270,9 @@ def long_arcs(r: Results) -> Figure:
 
 def assumed(r: Results) -> Figure:
     """A wrong coefficient in the filter: error and consistency."""
-    phis, error, nees = (0.8, 0.9, 0.95, 0.99, 1.0), list[Item](), [level(6.0, label="consistent")]
+    phis = (0.8, 0.9, 0.95, 0.99, 1.0)
+    error = list[Item]()
+    nees = [level(6.0, label="consistent")]
     flown = {
         "I": (SRUKF.color, ("phi 0.95", "phi 0.99", "csrukf")),
         "0.8": (CSRUKF.color, ("csrukf", "phi 0.9", "phi 1")),
@@ -274,114 +280,153 @@ def assumed(r: Results) -> Figure:
     for part, (color, names) in flown.items():
         place = [phis.index(PHIS[part] if name == "csrukf" else float(name[4:])) for name in names]
         final = [np.sqrt(r.squares(part, name, "position").sum(-1).mean()) for name in names]
-        mean, true = (
-            [r.nees(part, name, slice(1, None)).mean() for name in names],
-            names.index("csrukf"),
-        )
+        mean = [r.nees(part, name, slice(1, None)).mean() for name in names]
+        true = names.index("csrukf")
         for items, values in ((error, final), (nees, mean)):
-            items.append(
-                curve(place, values, color=color, marker="o", label=f"true φ = {PHIS[part]:g}")
-            )
-            items.append(
-                curve(
-                    place[true],
-                    values[true],
-                    color=color,
-                    marker="o",
-                    markersize=9,
-                    fillstyle="none",
-                )
-            )
-    x, more = (
-        "φ assumed by the filter (circle: the true one)",
-        {"xticks": range(5), "xticklabels": [f"{phi:g}" for phi in phis]},
-    )
+            look: Any = {"color": color, "marker": "o"}
+            label = f"true φ = {PHIS[part]:g}"
+            items += [
+                curve(place, values, **look, label=label),
+                curve(place[true], values[true], **look, markersize=9, fillstyle="none"),
+            ]
+    x = "φ assumed by the filter (circle: the true one)"
+    more = {"xticks": range(5), "xticklabels": [f"{phi:g}" for phi in phis]}
     row = ((error, "final 3-D position RMSE (km)"), (nees, "time-mean NEES (-)"))
     return panels([Panel("", items, x, y, "y", more) for items, y in row], size=(7.0, 3.3))
 
 
 def forms(r: Results) -> Figure:
-    """Runs that each form of the covariance loses, and what rounding does to the others, by how precise a measurement is."""
-    hues = (colors.COMPARISON, colors.TRUTH, colors.OPEN_LOOP, colors.PAPER, colors.ESTIMATE)
-    looks = zip(
-        FORMS, hues, ("-", "-", "-", "--", "-"), (4.0, 2.2, 4.0, 1.1, 1.1), strict=True
-    )  # several lie upon each other
-    lines, rows = (
-        {f: Line(FORMS[f], hue, style, width) for f, hue, style, width in looks},
-        list[list[Panel]](),
-    )
+    """Runs that each form of the covariance loses, and what rounding does to the others, by how
+    precise a measurement is."""
+    lines = {  # several lie upon each other: the lower ones are wider
+        "plain": Line(FORMS["plain"], colors.COMPARISON, width=4.0),
+        "symmetrized": Line(FORMS["symmetrized"], colors.TRUTH, width=2.2),
+        "Joseph": Line(FORMS["Joseph"], colors.OPEN_LOOP, width=4.0),
+        "downdated": Line(FORMS["downdated"], colors.PAPER, "--", 1.1),
+        "array": Line(FORMS["array"], colors.ESTIMATE, width=1.1),
+    }
+    rows = list[list[Panel]]()
     for what, y, log in (
         ("lost", "share of runs lost (-)", "x"),
         ("apart", "largest error by rounding (deviations)", "xy"),
     ):
         rows.append([])
         for precision in ("double", "single"):
-            found = {f: r.get("forms/ratios", f"{f}, {precision}/{what}").mean(1) for f in FORMS}
-            items = [
-                curve(10.0**RATIOS, np.where((x > 0.0) | (log == "x"), x, np.nan), lines[f])
-                for f, x in found.items()
-            ]
-            title, x = (
-                f"{precision} precision" * (what == "lost"),
-                "deviation of the prior over that of a measurement",
-            )
+            items = []
+            for form, line in lines.items():
+                values = r.get("forms/ratios", f"{form}, {precision}/{what}").mean(1)
+                values = np.where((values > 0.0) | (log == "x"), values, np.nan)
+                items.append(curve(10.0**RATIOS, values, line))
+            title = f"{precision} precision" * (what == "lost")
+            x = "deviation of the prior over that of a measurement"
             rows[-1].append(Panel(title, items, x, y * (precision == "double"), log))
     return panels(*rows, size=(7.0, 5.0), sharex="col")
 
 
 FIGURES = {
-    "figure_01": ("Fig. 1: geometry of the measurement: two stars, the Earth's limb, and the three angles.", geometry),
-    **{f"figure_{i + 2:02d}": (f"Fig. {i + 2}: error of {AXES[i]}, white noise: both filters are one filter.", partial(white, i))
-       for i in range(6)},
-    **{f"figure_{i + 8:02d}": (f"Fig. {i + 8}: error of {AXES[i]}, random walk: SRUKF follows the noise, CSRUKF is the open loop.",
-                               partial(walk, i)) for i in range(6)},
-    "figure_14": ("Beyond the paper: consistency, NEES and NIS averaged over the runs with their 95 % bands.", consistent),
-    "figure_15": ("Beyond the paper: RMSE of the runs against linear theory, for CSRUKF the Cramér-Rao bound.", against_theory),
-    "figure_16": ("Beyond the paper: final position error over Φ, for the fitted prior and a poor one (linear theory).", over_phi),
-    "figure_17": ("Beyond the paper: long arcs from a poor prior, SRUKF against the bound.", long_arcs),
+    "figure_01": (
+        "Fig. 1: geometry of the measurement: two stars, the Earth's limb, and the three angles.",
+        geometry,
+    ),
+    **{
+        f"figure_{i + 2:02d}": (
+            f"Fig. {i + 2}: error of {AXES[i]}, white noise: both filters are one filter.",
+            partial(white, i),
+        )
+        for i in range(6)
+    },
+    **{
+        f"figure_{i + 8:02d}": (
+            f"Fig. {i + 8}: error of {AXES[i]}, random walk: SRUKF follows the noise, CSRUKF is "
+            "the open loop.",
+            partial(walk, i),
+        )
+        for i in range(6)
+    },
+    "figure_14": (
+        "Beyond the paper: consistency, NEES and NIS averaged over the runs with their 95 % bands.",
+        consistent,
+    ),
+    "figure_15": (
+        "Beyond the paper: RMSE of the runs against linear theory, for CSRUKF the Cramér-Rao "
+        "bound.",
+        against_theory,
+    ),
+    "figure_16": (
+        "Beyond the paper: final position error over Φ, for the fitted prior and a poor one "
+        "(linear theory).",
+        over_phi,
+    ),
+    "figure_17": (
+        "Beyond the paper: long arcs from a poor prior, SRUKF against the bound.",
+        long_arcs,
+    ),
     "figure_18": ("Beyond the paper: a wrong coefficient in the filter.", assumed),
-    "figure_19": ("Beyond the paper: the covariance in five forms and two precisions, twenty steps from a prior of 10 km.", forms),
-}  # fmt: skip
+    "figure_19": (
+        "Beyond the paper: the covariance in five forms and two precisions, twenty steps from a "
+        "prior of 10 km.",
+        forms,
+    ),
+}
 TABLES = {
-    "table_1": ("Table 1: RMSE under white noise, Φ = 0.", lambda r: rmse_table(r, "0, many", TABLE_1, BOTH, COLUMNS)),
-    "table_2": ("Table 2: RMSE under random-walk noise, Φ = I.", lambda r: rmse_table(r, "I", TABLE_2, BOTH, COLUMNS)),
-    "table_3": ("Table 3: RMSE under Φ = 0.8 I and Φ = I.",
-                lambda r: [row for name, rows in TABLE_3.items() for row in rmse_table(r, name, rows, BOTH, COLUMNS, Phi=name)]),
-}  # fmt: skip
+    "table_1": (
+        "Table 1: RMSE under white noise, Φ = 0.",
+        lambda r: rmse_table(r, "0, many", TABLE_1, BOTH, COLUMNS),
+    ),
+    "table_2": (
+        "Table 2: RMSE under random-walk noise, Φ = I.",
+        lambda r: rmse_table(r, "I", TABLE_2, BOTH, COLUMNS),
+    ),
+    "table_3": (
+        "Table 3: RMSE under Φ = 0.8 I and Φ = I.",
+        lambda r: [
+            row
+            for name, rows in TABLE_3.items()
+            for row in rmse_table(r, name, rows, BOTH, COLUMNS, Phi=name)
+        ],
+    ),
+}
 
 
-# -- recordings --------------------------------------------------------------------------------------------------------------
+# -- recordings ------------------------------------------------------------------------------------
 CASES = {
-    "0.8": "SRUKF looks well but its covariance is far too small; CSRUKF is consistent and a third better in position.",
+    "0.8": "SRUKF looks well but its covariance is far too small; CSRUKF is consistent and a third "
+    "better in position.",
     "0": "White noise: both filters are the same filter; 3σ holds.",
-    "I": "SRUKF follows the wandering noise. CSRUKF stays near the truth because it ignores the sensors, as the open loop does.",
-    "D/I": "With a poor prior the paper's filter is worse than SRUKF: differences throw the first sample's position away.",
+    "I": "SRUKF follows the wandering noise. CSRUKF stays near the truth because it ignores the "
+    "sensors, as the open loop does.",
+    "D/I": "With a poor prior the paper's filter is worse than SRUKF: differences throw the first "
+    "sample's position away.",
 }
 RECORDINGS = ["csrukf_P_08.rrd", "csrukf_P_0.rrd", "csrukf_P_I.rrd", "csrukf_D_I.rrd"]
 NOTES = """
-One satellite, two stars and the Earth's limb give a pseudo-position each second; its noise is colored, V' = Φ V + ζ.
-Left above: the directions i1, i2 of the stars, their angles A1, A2 to the position vector, and the sight lines to the limb, A3
+One satellite, two stars and the Earth's limb give a pseudo-position each second; its noise is \
+colored, V' = Φ V + ζ.
+Left above: the directions i1, i2 of the stars, their angles A1, A2 to the position vector, and \
+the sight lines to the limb, A3
 apart. Estimates and truth differ by less than a line's width; hence the view of errors below."""
 
 
 def record(results: Results, outputs: Outputs) -> list[str]:
-    """Write the recordings among ``outputs``: the first run of four cases in full; returns their names. Needs rerun."""
+    """Write the recordings among ``outputs``: the first run of four cases in full; returns their
+    names. Needs rerun."""
     return showcase.write(
         {name: _case(results, case) for case, name in zip(CASES, RECORDINGS, strict=True)}, outputs
     )
 
 
 def _case(results: Results, case: str) -> showcase.Showcase:
-    c, number, phi = results.parts[case].config, results.parts[case].number, case.rpartition("/")[2]
+    c = results.parts[case].config
+    number = results.parts[case].number
+    phi = case.rpartition("/")[2]
     sim = simulate(c, [generator(results.seed, number, 0)])
     found, truth, z = again(results, case, {"csrukf": CSRUKF, "srukf": SRUKF, "openloop": OPEN})
-    track, V, noise = (
-        run(filters(c)["augmented"], sim.prior, sim.epochs(), keep="std"),
-        sim.noise[:, 0],
-        {},
-    )
+    track = run(filters(c)["augmented"], sim.prior, sim.epochs(), keep="std")
+    V = sim.noise[:, 0]
+    noise = {}
     for i, axis in enumerate("xyz"):
-        mean, std = np.asarray(track.mean)[:, 0, 6 + i], np.asarray(track.std)[:, 0, 6 + i]
+        mean = np.asarray(track.mean)[:, 0, 6 + i]
+        std = np.asarray(track.std)[:, 0, 6 + i]
         augmented = Curve(mean, colors.REFERENCE, "augmented filter", std, mean)
         noise[axis] = Plot(
             f"colored noise V {axis}, km",
@@ -405,10 +450,26 @@ def _case(results: Results, case: str) -> showcase.Showcase:
     )
     growing = ["world/z", *(f"world/{key}/trail" for key in ("truth", *found))]
     return showcase.Showcase(
-        f"csrukf: {case}", f"# Sun, Zhuang & Xu (2015), Φ = {phi}\n\n**{CASES[case]}**\n{NOTES}",
-        results.times(case), found, [Group(*group) for group in results.study.groups], truth, np.eye(3, 6), "km",
-        z - truth[:, :3], 3, {"position": bound}, scene,
-        [scenes.beside("world", "scene, km", truth[len(truth) // 2], EARTH.radius_km, growing)], {"V": noise},
-        legend={colors.MEASUREMENT: "pseudo-positions", colors.STAR: "stars"}, parameters=vars(c),
-        facts={"paper": "csrukf", "case": case, "seed": results.seed, "runs": results.parts[case].runs},
-    )  # fmt: skip
+        f"csrukf: {case}",
+        f"# Sun, Zhuang & Xu (2015), Φ = {phi}\n\n**{CASES[case]}**\n{NOTES}",
+        results.times(case),
+        found,
+        [Group(*group) for group in results.study.groups],
+        truth,
+        np.eye(3, 6),
+        "km",
+        z - truth[:, :3],
+        3,
+        {"position": bound},
+        scene,
+        [scenes.beside("world", "scene, km", truth[len(truth) // 2], EARTH.radius_km, growing)],
+        {"V": noise},
+        legend={colors.MEASUREMENT: "pseudo-positions", colors.STAR: "stars"},
+        parameters=vars(c),
+        facts={
+            "paper": "csrukf",
+            "case": case,
+            "seed": results.seed,
+            "runs": results.parts[case].runs,
+        },
+    )

@@ -1,4 +1,5 @@
-"""[Wu2012]: a satellite whose gyros and star sensor give its attitude. The equations of the text at hand are lost."""
+"""[Wu2012]: a satellite whose gyros and star sensor give its attitude. The equations of the text at
+hand are lost."""
 
 from __future__ import annotations
 
@@ -25,10 +26,33 @@ from celnav.study.parameters import Timed, param
 from celnav.study.trial import Group, Trial
 
 __all__ = [
-    "ARCSEC", "CITATION", "DEG_PER_H", "FULL_RATE", "GROUPS", "JUDGED", "PRESETS", "RADIUS_KM", "SIDES", "STANDARD", "TITLE",
-    "Config", "Scenario", "augmentations", "compare", "displaced", "dynamics", "errors", "filters", "noise_root", "path",
-    "simulate", "spread", "star", "state_space", "trial",
-]  # fmt: skip
+    "ARCSEC",
+    "CITATION",
+    "DEG_PER_H",
+    "FULL_RATE",
+    "GROUPS",
+    "JUDGED",
+    "PRESETS",
+    "RADIUS_KM",
+    "SIDES",
+    "STANDARD",
+    "TITLE",
+    "Config",
+    "Scenario",
+    "augmentations",
+    "compare",
+    "displaced",
+    "dynamics",
+    "errors",
+    "filters",
+    "noise_root",
+    "path",
+    "simulate",
+    "spread",
+    "star",
+    "state_space",
+    "trial",
+]
 
 TITLE = "State-switching unscented Kalman filter for attitude"
 CITATION = citation("Wu2012")
@@ -37,7 +61,7 @@ ARCSEC = DEG_PER_H = np.pi / 648000.0
 RADIUS_KM = 6378.137 + 800.0
 
 
-# -- parameters --------------------------------------------------------------------------------------------------------------
+# -- parameters ------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Config(Timed):
     """Everything that a run depends on; angles in degrees, as the paper prints them."""
@@ -52,7 +76,10 @@ class Config(Timed):
         (0.01, 0.01, 0.05), "paper", "true inertial rate at the start, body axes"
     )
     inertia: tuple[tuple[float, float, float], ...] = param(
-        ((52.0, 1.2, -0.8), (1.2, 47.0, 0.6), (-0.8, 0.6, 61.0)), "chosen: lost", "inertia, body axes, kg m^2")  # fmt: skip
+        ((52.0, 1.2, -0.8), (1.2, 47.0, 0.6), (-0.8, 0.6, 61.0)),
+        "chosen: lost",
+        "inertia, body axes, kg m^2",
+    )
     wheels: tuple[float, float, float] = param(
         (0.0, -2.0, 0.0), "chosen", "angular momentum of the wheels, body axes, N m s"
     )
@@ -160,16 +187,14 @@ FULL_RATE = replace(STANDARD, preintegrated=False)
 PRESETS = {"standard": STANDARD, "100 Hz": FULL_RATE}
 
 
-# -- what happens ------------------------------------------------------------------------------------------------------------
+# -- what happens ----------------------------------------------------------------------------------
 class Scenario(NamedTuple):
     """Simulated runs, time-major.
 
-    Attributes
-    ----------
-    truth: ``(T, runs, 7)`` at the star epochs: quaternion and drift (rad/s).
-    gyro: ``(time updates, runs, 3)`` rad/s, samples of the gyro or what they are integrated to from star to star.
-    stars: ``(T, runs, 4)``, of random sign; nan at the start.
-    prior: with the paper's initial error. drawn: with one that is drawn from the prior, as consistency asks for.
+    Attributes ---------- truth: ``(T, runs, 7)`` at the star epochs: quaternion and drift (rad/s).
+    gyro: ``(time updates, runs, 3)`` rad/s, samples of the gyro or what they are integrated to from
+    star to star. stars: ``(T, runs, 4)``, of random sign; nan at the start. prior: with the paper's
+    initial error. drawn: with one that is drawn from the prior, as consistency asks for.
     """
 
     config: Config
@@ -180,8 +205,10 @@ class Scenario(NamedTuple):
     drawn: Gaussian
 
     def epochs(self, _filter: str = "") -> Iterator[Epoch]:
-        """Epochs of the filters: a time update for each row of ``gyro``, a star sample after every so many of them."""
-        c, nothing = self.config, np.full_like(self.stars[0], np.nan)
+        """Epochs of the filters: a time update for each row of ``gyro``, a star sample after every
+        so many of them."""
+        c = self.config
+        nothing = np.full_like(self.stars[0], np.nan)
         yield Epoch(0, 0.0, 0.0, None, nothing, self.truth[0])
         for n, sample in enumerate(self.gyro, start=1):
             k, rest = divmod(n, c.updates)
@@ -191,7 +218,10 @@ class Scenario(NamedTuple):
 
 def simulate(config: Config, rngs: Sequence[np.random.Generator]) -> Scenario:
     """One run for each generator."""
-    c, T, dt, q = config, len(config.times), 1.0 / config.gyro_hz, path(config)[:, None]
+    c = config
+    T = len(config.times)
+    dt = 1.0 / config.gyro_hz
+    q = path(config)[:, None]
 
     def sampled(rngs: Sequence[np.random.Generator]) -> tuple[Array, ...]:
         initial, white, walk, star, sign = normals(
@@ -199,7 +229,9 @@ def simulate(config: Config, rngs: Sequence[np.random.Generator]) -> Scenario:
         )
         drift = c.gyro.drift(np.asarray(c.bias_deg_per_h) * DEG_PER_H, walk, dt)
         gyro = c.gyro.measure(q, drift, white, dt)
-        if c.preintegrated:  # about a drift of zero: by one of 1 deg/h the order of such small turns matters less than 1e-12 rad
+        # About a drift of zero: with a drift of 1 deg/h the order of such small turns matters less
+        # than 1e-12 rad.
+        if c.preintegrated:
             gyro = preintegrate(
                 gyro.reshape(-1, c.ratio, *gyro.shape[1:]).swapaxes(0, 1), np.zeros(3), dt
             )
@@ -211,7 +243,8 @@ def simulate(config: Config, rngs: Sequence[np.random.Generator]) -> Scenario:
     (initial,), gyro, drift, star, sign = (
         np.concatenate(part, 1) for part in zip(*few, strict=True)
     )
-    q, P = q[:: c.ratio], np.diag(c.sigma0**2)
+    q = q[:: c.ratio]
+    P = np.diag(c.sigma0**2)
     stars = np.where(sign < 0.0, -1.0, 1.0) * attitude.multiply(attitude.exp(c.sigma_n * star), q)
     stars[0] = np.nan
     truth = np.concatenate([np.broadcast_to(q, stars.shape), drift], -1)
@@ -227,7 +260,8 @@ def simulate(config: Config, rngs: Sequence[np.random.Generator]) -> Scenario:
 
 
 def displaced(truth: Array, error: Array) -> Array:
-    """States ``(..., 7)`` that have to be turned and moved by ``error (..., 6)`` to be the truth."""
+    """States ``(..., 7)`` that have to be turned and moved by ``error (..., 6)`` to be the
+    truth."""
     turned = attitude.multiply(attitude.inverse(attitude.exp(error[..., :3])), truth[..., :4])
     return np.concatenate([turned, truth[..., 4:] - error[..., 3:]], -1)
 
@@ -244,9 +278,10 @@ def path(config: Config) -> Array:
     return found
 
 
-# -- the filters -------------------------------------------------------------------------------------------------------------
+# -- the filters -----------------------------------------------------------------------------------
 def spread(dimension: int, config: Config, *, c: float | None = None) -> Rule:
-    """Scaled unscented rule; ``c``: with the spread ``alpha^2 (L + kappa)`` given, the same for every dimension."""
+    """Scaled unscented rule; ``c``: with the spread ``alpha^2 (L + kappa)`` given, the same for
+    every dimension."""
     kappa = config.kappa if c is None else c / config.alpha**2 - dimension
     return unscented(dimension, config.alpha, config.beta, kappa)
 
@@ -257,7 +292,8 @@ def state_space(*, transported: bool = False, a: float = 1.0, b: float = 4.0) ->
 
 
 def dynamics(gyro: Gyro) -> Model:
-    """Model function; the first noise that goes through the points, if any, begins with that of gyro and drift (6)."""
+    """Model function; the first noise that goes through the points, if any, begins with that of
+    gyro and drift (6)."""
 
     def f(x: Array, epoch: Epoch, *noise: Array) -> Array:
         if not noise:
@@ -288,22 +324,32 @@ def filters(
     form: str = "covariance",
     vector: Sensor | None = None,
 ) -> dict[str, Sequential]:
-    """The paper's filters and those it is compared with, by name; warns if points of the prior wrap at 180 deg.
+    """The paper's filters and those it is compared with, by name; warns if points of the prior wrap
+    at 180 deg.
 
-    aukf: process and measurement noise through the points of both parts (15 dimensions, 31 points). aukf-1: the same, drawn
-    once for both parts, which keeps what noise they have in common. ssukf: each noise where it acts (12 and 9 dimensions, 25 and
-    19 points). pa, ma: only process noise, only measurement noise [Merwe2004]. additive: neither (6 dimensions, 13 points).
-    usque: half of the process noise before the prediction, half after it. mekf: linearized, in the Gibbs vector.
+    aukf: process and measurement noise through the points of both parts (15 dimensions, 31 points).
+    aukf-1: the same, drawn once for both parts, which keeps what noise they have in common. ssukf:
+    each noise where it acts (12 and 9 dimensions, 25 and 19 points). pa, ma: only process noise,
+    only measurement noise [Merwe2004]. additive: neither (6 dimensions, 13 points). usque: half of
+    the process noise before the prediction, half after it. mekf: linearized, in the Gibbs vector.
 
-    ``c``: one spread for all rules instead of ``alpha^2 (L + kappa)``. ``transported``: the covariance follows the reference after
-    an update. ``vector``: a sensor instead of that of stars.
+    ``c``: one spread for all rules instead of ``alpha^2 (L + kappa)``. ``transported``: the
+    covariance follows the reference after an update. ``vector``: a sensor instead of that of stars.
     """
     reach = np.degrees(np.abs(spread(15, config, c=c).nodes).max() * config.sigma0[:3].max())
     if reach > 180.0:  # points would be shorter rotations
-        text = f"sigma points reach {reach:.0f} deg from the mean, and wrap at 180: take a smaller spread (alpha, kappa)"
+        text = (
+            f"sigma points reach {reach:.0f} deg from the mean, and wrap at 180: take a "
+            "smaller "
+            "spread (alpha, kappa)"
+        )
         warnings.warn(text, RuntimeWarning, stacklevel=2)
-    gyro, dt, f = config.gyro, config.step_s, dynamics(config.gyro)
-    W, V, Q = noise_root(gyro, dt), config.sigma_n * np.eye(3), gyro.process_noise(dt)
+    gyro = config.gyro
+    dt = config.step_s
+    f = dynamics(config.gyro)
+    W = noise_root(gyro, dt)
+    V = config.sigma_n * np.eye(3)
+    Q = gyro.process_noise(dt)
     half = 0.5 * np.diag(
         np.repeat([gyro.sigma_v**2 * dt - gyro.sigma_u**2 * dt**3 / 6.0, gyro.sigma_u**2 * dt], 3)
     )
@@ -322,9 +368,10 @@ def filters(
         Motion(f, Q, space=space), seen, W, V, rule=lambda L: spread(L, config, c=c), form=form
     )
     return known | {
-        "aukf-1": SingleDraw.of(known["ssukf"]), "mekf": ekf(mekf, linear, form=form),
+        "aukf-1": SingleDraw.of(known["ssukf"]),
+        "mekf": ekf(mekf, linear, form=form),
         "usque": Halved(**vars(ukf(Motion(f, half, space=space), seen, kappa=1.0, form=form))),
-    }  # fmt: skip
+    }
 
 
 SIDES = {
@@ -334,13 +381,15 @@ SIDES = {
     "ma": ("", "v"),
     "additive": ("", ""),
 }
-"""Filter -> noises that go through the points of the prediction and of the update; the others are added."""
+"""Filter -> noises that go through the points of the prediction and of the update; the others are
+added."""
 
 
 def augmentations(
     motion: Motion, sensor: Sensor, W: Array, V: Array, **options: Any
 ) -> dict[str, Sequential]:
-    """The filters of `SIDES`, from models that add their noise; ``W``, ``V``: roots of what goes through the points instead."""
+    """The filters of `SIDES`, from models that add their noise; ``W``, ``V``: roots of what goes
+    through the points instead."""
     roots = {"wv": (W, V), "w": (W,), "v": (V,)}
     motions = {"": motion} | {
         key: replace(motion, Q=None, sqrt_Q=None, augment=roots[key]) for key in roots
@@ -360,14 +409,15 @@ class Halved(Sequential):
 
     def predict(self, state: State, epoch: Epoch) -> State:
         """State at the end of the interval."""
-        columns, belief = self.motion.noise, state.belief
+        columns = self.motion.noise
+        belief = state.belief
         if not np.any(epoch.dt) or not isinstance(columns, np.ndarray):
             return state
         noisier = self.form(belief.mean, self.form.sum(belief[1], columns))
         return super().predict(state._replace(belief=noisier), epoch)
 
 
-# -- how they are judged -----------------------------------------------------------------------------------------------------
+# -- how they are judged ---------------------------------------------------------------------------
 GROUPS = (
     Group("attitude", "arcsec", slice(0, 3), 1.0 / ARCSEC),
     Group("drift", "deg/h", slice(3, 6), 1.0 / DEG_PER_H),
@@ -378,7 +428,8 @@ JUDGED = {group.name: group.unit for group in GROUPS}
 def trial(
     config: Config, rngs: Sequence[np.random.Generator], *, drawn: bool = True, **options: Any
 ) -> Trial:
-    """One run with each generator; the initial errors are drawn from the prior, or those of the paper; options of `filters`."""
+    """One run with each generator; the initial errors are drawn from the prior, or those of the
+    paper; options of `filters`."""
     sim = simulate(config, rngs)
     return Trial(
         GROUPS,
@@ -391,7 +442,8 @@ def trial(
 
 
 def errors(truth: Array, mean: Array) -> Array:
-    """Rotation vector (rad, body axes) and drift (rad/s) of estimates, less those of the truth, ``(..., 6)``."""
+    """Rotation vector (rad, body axes) and drift (rad/s) of estimates, less those of the truth,
+    ``(..., 6)``."""
     turned = attitude.log(attitude.multiply(mean[..., :4], attitude.inverse(truth[..., :4])))
     return np.concatenate([turned, mean[..., 4:] - truth[..., 4:]], -1)
 

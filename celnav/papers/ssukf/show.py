@@ -27,14 +27,18 @@ if TYPE_CHECKING:
 __all__ = ["FIGURES", "RECORDINGS", "TABLES", "euler", "record"]
 
 LINES = {
-    "ssukf": Line("SSUKF", colors.ESTIMATE, "--", 1.8), "aukf": Line("AUKF", colors.COMPARISON, width=1.2),
-    "mekf": Line("MEKF", colors.OPEN_LOOP), "usque": Line("USQUE", colors.TRUTH),
-}  # fmt: skip
+    "ssukf": Line("SSUKF", colors.ESTIMATE, "--", 1.8),
+    "aukf": Line("AUKF", colors.COMPARISON, width=1.2),
+    "mekf": Line("MEKF", colors.OPEN_LOOP),
+    "usque": Line("USQUE", colors.TRUTH),
+}
 FORMS = {
-    "unswitched": Line("total form, never switched", colors.PAPER), "switched": Line("total form", colors.COMPARISON, width=3.0),
+    "unswitched": Line("total form, never switched", colors.PAPER),
+    "switched": Line("total form", colors.COMPARISON, width=3.0),
     "local": Line("local form", colors.ESTIMATE, "--"),
-}  # fmt: skip
-EXACT, SIZE = Line("exact deviation", colors.BOUND, width=4.0), "RMSE (arcsec)"
+}
+EXACT = Line("exact deviation", colors.BOUND, width=4.0)
+SIZE = "RMSE (arcsec)"
 
 
 def euler(results: Results, filter: str) -> Array:
@@ -46,12 +50,11 @@ def euler(results: Results, filter: str) -> Array:
 
 
 def angle(axis: int, results: Results) -> Figure:
-    """An Euler angle's error: of the first run, as the paper draws it; RMSE over time, and over operations."""
-    names, t, exact = (
-        ("aukf", "ssukf"),
-        results.times("runs")[1:],
-        results.get("facts", "exact")[1:, 0],
-    )
+    """An Euler angle's error: of the first run, as the paper draws it; RMSE over time, and over
+    operations."""
+    names = ("aukf", "ssukf")
+    t = results.times("runs")[1:]
+    exact = results.get("facts", "exact")[1:, 0]
     errors = {name: euler(results, name)[1:, ..., axis] for name in names}
     size = {name: np.sqrt(np.square(errors[name]).mean(1)) for name in names}
     spent = {
@@ -65,21 +68,39 @@ def angle(axis: int, results: Results) -> Figure:
         *(curve(t, size[name], LINES[name]) for name in names),
     ]
     start = f"Figure {axis + 1}: one run, from {STANDARD.attitude_deg[axis]:g}°"
-    return panels([
-        Panel(start, first, "time (s)", f"{AXES[axis]} error (arcsec)", more={"ylim": (-30.0, 30.0)}),
-        Panel(f"{errors['aukf'].shape[1]} runs", [*sizes, level(10.0, 5.0, 2.0, label="10, 5, 2")], "time (s)", SIZE, "xy"),
-        Panel("the same over operations", [curve(spent[name], size[name], LINES[name]) for name in names],
-              f"operations of one run at 100 Hz, {ROOTS[0]} roots", SIZE, "xy"),
-    ], size=(10.0, 3.4))  # fmt: skip
+    return panels(
+        [
+            Panel(
+                start,
+                first,
+                "time (s)",
+                f"{AXES[axis]} error (arcsec)",
+                more={"ylim": (-30.0, 30.0)},
+            ),
+            Panel(
+                f"{errors['aukf'].shape[1]} runs",
+                [*sizes, level(10.0, 5.0, 2.0, label="10, 5, 2")],
+                "time (s)",
+                SIZE,
+                "xy",
+            ),
+            Panel(
+                "the same over operations",
+                [curve(spent[name], size[name], LINES[name]) for name in names],
+                f"operations of one run at 100 Hz, {ROOTS[0]} roots",
+                SIZE,
+                "xy",
+            ),
+        ],
+        size=(10.0, 3.4),
+    )
 
 
 def accuracy(results: Results) -> Figure:
     """What the model allows, and what is reached: attitude and drift."""
-    t, exact, limits = (
-        results.times("runs")[1:],
-        results.get("facts", "exact")[1:],
-        results.get("facts", "limits")[-1],
-    )
+    t = results.times("runs")[1:]
+    exact = results.get("facts", "exact")[1:]
+    limits = results.get("facts", "limits")[-1]
 
     def items(i: int, group: str) -> list[Item]:
         reached = [
@@ -92,15 +113,36 @@ def accuracy(results: Results) -> Figure:
             level(limits[i], label="limit (Riccati)"),
         ]
 
-    return panels([Panel(group.name, items(i, group.name), "time (s)", f"RMSE on an axis ({group.unit})", "xy")
-                   for i, group in enumerate(GROUPS)], size=(9.0, 3.5))  # fmt: skip
+    return panels(
+        [
+            Panel(
+                group.name,
+                items(i, group.name),
+                "time (s)",
+                f"RMSE on an axis ({group.unit})",
+                "xy",
+            )
+            for i, group in enumerate(GROUPS)
+        ],
+        size=(9.0, 3.5),
+    )
 
 
 def consistent(results: Results) -> Figure:
     """NEES and NIS of the SSUKF in two forms, initial errors drawn from the prior."""
     both = {name: FORMS[name] for name in ("switched", "local")}
-    return panels([Panel(what.upper(), [consistency(results, "drawn", both, what, dof)], "time (s)", "mean over the runs (-)")
-                   for what, dof in (("nees", 6), ("nis", 3))], size=(9.0, 3.3))  # fmt: skip
+    return panels(
+        [
+            Panel(
+                what.upper(),
+                [consistency(results, "drawn", both, what, dof)],
+                "time (s)",
+                "mean over the runs (-)",
+            )
+            for what, dof in (("nees", 6), ("nis", 3))
+        ],
+        size=(9.0, 3.3),
+    )
 
 
 def one_vector(results: Results) -> Figure:
@@ -114,30 +156,51 @@ def one_vector(results: Results) -> Figure:
         )
         return curve(results.times("vector")[1:], np.sqrt(np.square(error).sum(-1).mean(1)), line)
 
-    return panels([Panel(f"prior {d:g}° on each axis", [item(name, d) for name in FIELD], "time (s)", "attitude, RMS (deg)", "xy")
-                   for d in FIELD_DEG], size=(10.0, 3.5))  # fmt: skip
+    return panels(
+        [
+            Panel(
+                f"prior {d:g}° on each axis",
+                [item(name, d) for name in FIELD],
+                "time (s)",
+                "attitude, RMS (deg)",
+                "xy",
+            )
+            for d in FIELD_DEG
+        ],
+        size=(10.0, 3.5),
+    )
 
 
 def differences(results: Results) -> Figure:
     """How far apart filters are that are the same: SSUKF and MEKF from AUKF."""
-    t, error = (
-        results.times("runs")[1:],
-        {name: results.error("runs", name, "attitude")[1:] for name in ("aukf", "ssukf", "mekf")},
-    )
+    t = results.times("runs")[1:]
+    error = {
+        name: results.error("runs", name, "attitude")[1:] for name in ("aukf", "ssukf", "mekf")
+    }
     apart = {
         LINES[name].label: np.abs(error[name] - error["aukf"]).max(2) for name in ("ssukf", "mekf")
     }
     looks = Line("largest of the runs", colors.ESTIMATE), Line("median", colors.SIGMA)
-    return panels([Panel(f"{label} and AUKF", [curve(t, each.max(1), looks[0]), curve(t, np.median(each, 1), looks[1])], "time (s)",
-                         "difference (arcsec)", "y") for label, each in apart.items()], size=(9.0, 3.3), sharey=True)  # fmt: skip
+    return panels(
+        [
+            Panel(
+                f"{label} and AUKF",
+                [curve(t, each.max(1), looks[0]), curve(t, np.median(each, 1), looks[1])],
+                "time (s)",
+                "difference (arcsec)",
+                "y",
+            )
+            for label, each in apart.items()
+        ],
+        size=(9.0, 3.3),
+        sharey=True,
+    )
 
 
 def spinning(results: Results) -> Figure:
     """The total attitude as the state, in a spin past 360 deg, with and without the switch."""
-    t, errors = (
-        results.times("crossing"),
-        {name: results.error("crossing", name, "attitude") for name in FORMS},
-    )
+    t = results.times("crossing")
+    errors = {name: results.error("crossing", name, "attitude") for name in FORMS}
     items = [
         curve(t, np.linalg.norm(errors[name], axis=-1).max(1), line) for name, line in FORMS.items()
     ]
@@ -148,17 +211,19 @@ def spinning(results: Results) -> Figure:
 
 
 def table(results: Results) -> Rows:
-    """Points, and operations point by point, from star sample to star sample; with roots of all that is augmented (whole), or of
-    the state alone (block)."""
+    """Points, and operations point by point, from star sample to star sample; with roots of all
+    that is augmented (whole), or of the state alone (block)."""
     rows: Rows = []
     for per in (1, STANDARD.ratio):
         for name in TIMED:
-            label, count = (
-                "MEKF (and Jacobians)" if name == "mekf" else name.upper(),
-                points(results, name, per),
-            )
-            row: dict[str, str | float] = {"updates of time to measurement": f"{per}:1", "filter": label, "points": int(count),
-                   "points to AUKF": count / points(results, "aukf", per)}  # fmt: skip
+            label = "MEKF (and Jacobians)" if name == "mekf" else name.upper()
+            count = points(results, name, per)
+            row: dict[str, str | float] = {
+                "updates of time to measurement": f"{per}:1",
+                "filter": label,
+                "points": int(count),
+                "points to AUKF": count / points(results, "aukf", per),
+            }
             for roots in ROOTS if name != "mekf" else ():
                 row[f"operations, {roots} roots"] = int(
                     results.value("operations", f"{name}, {per}:1, {roots}", 0)
@@ -168,25 +233,42 @@ def table(results: Results) -> Rows:
 
 
 FIGURES = {
-    **{f"figure_{i + 1:02d}": (f"Fig. {i + 1}: error of {axis}: AUKF and SSUKF lie on each other; right, over counted operations.",
-                               partial(angle, i)) for i, axis in enumerate(AXES)},
+    **{
+        f"figure_{i + 1:02d}": (
+            f"Fig. {i + 1}: error of {axis}: AUKF and SSUKF lie on each other; right, over counted "
+            "operations.",
+            partial(angle, i),
+        )
+        for i, axis in enumerate(AXES)
+    },
     "figure_04": ("Beyond the paper: what the model allows, and what is reached.", accuracy),
-    "figure_05": ("Beyond the paper: consistency, initial errors drawn from the prior.", consistent),
-    "figure_06": ("Beyond the paper: one measured vector; dotted, the covariance follows the reference.", one_vector),
+    "figure_05": (
+        "Beyond the paper: consistency, initial errors drawn from the prior.",
+        consistent,
+    ),
+    "figure_06": (
+        "Beyond the paper: one measured vector; dotted, the covariance follows the reference.",
+        one_vector,
+    ),
     "figure_07": ("Beyond the paper: how far apart filters are that are the same.", differences),
-    "figure_08": ("Beyond the paper: the total attitude as the state, in a spin past 360°.", spinning),
-}  # fmt: skip
+    "figure_08": (
+        "Beyond the paper: the total attitude as the state, in a spin past 360°.",
+        spinning,
+    ),
+}
 TABLES = {
     "table_1": (
-        "Table 1: cost from star sample to star sample; the paper's numbers are lost: about 1/3 less.",
+        "Table 1: cost from star sample to star sample; the paper's numbers are lost: about 1/3 "
+        "less.",
         table,
     )
 }
 
 
-# -- the recording: the first run, satellite and sensors as they turn, the errors as if under a microscope -------------------
+# -- the recording: the first run, satellite and sensors as they turn, the errors as if under a micr
 RECORDINGS = ["ssukf.rrd"]
-ARM_KM, EXAGGERATION = 1500.0, 1000.0
+ARM_KM = 1500.0
+EXAGGERATION = 1000.0
 SPACES = (
     showcase.Space(
         "world",
@@ -206,7 +288,8 @@ NOTES = f"""# Wu et al. (2012): state-switching UKF for attitude
 
 {STUDY.says}
 
-A satellite turns freely at 800 km. Gyros and a star sensor give attitude; axes red, green, blue: roll, pitch, yaw. The first star
+A satellite turns freely at 800 km. Gyros and a star sensor give attitude; axes red, green, blue: \
+roll, pitch, yaw. The first star
 sample takes an error of degrees to 20 arcsec: what follows is shown under a microscope.
 """
 
@@ -215,22 +298,40 @@ def record(results: Results, outputs: Outputs) -> list[str]:
     """Write the recording among ``outputs``; returns its name. Needs rerun."""
     lines = {name: LINES[name] for name in ("ssukf", "aukf", "mekf")}
     found, truth, _ = again(results, "runs", lines)
-    t, c, (attitude, drift) = results.times("runs"), results.parts["runs"].config, GROUPS
+    t = results.times("runs")
+    c = results.parts["runs"].config
+    attitude, drift = GROUPS
     errors = {name: (found[name].errors[:, 0, :3], line.color) for name, line in lines.items()}
     shown = showcase.Showcase(
-        "ssukf", NOTES, t, found, (Group(*attitude, AXES), Group(*drift, truth=truth[:, 4:] / DEG_PER_H)), truth,
-        np.eye(3, 6) / ARCSEC, "arcsec", nis_dof=3, spaces=SPACES, counter="star_epoch", parameters=vars(c),
+        "ssukf",
+        NOTES,
+        t,
+        found,
+        (Group(*attitude, AXES), Group(*drift, truth=truth[:, 4:] / DEG_PER_H)),
+        truth,
+        np.eye(3, 6) / ARCSEC,
+        "arcsec",
+        nis_dof=3,
+        spaces=SPACES,
+        counter="star_epoch",
+        parameters=vars(c),
         scene=lambda out: scene(out, c.orbit_rate_rad_per_s * t, truth[:, :4], errors),
         legend={colors.MEASUREMENT: "nadir", colors.STAR: "sight lines of the star sensor"},
-        facts={"paper": "ssukf", "seed": results.seed, "runs": found["ssukf"].errors.shape[1], "exaggeration": EXAGGERATION},
-    )  # fmt: skip
+        facts={
+            "paper": "ssukf",
+            "seed": results.seed,
+            "runs": found["ssukf"].errors.shape[1],
+            "exaggeration": EXAGGERATION,
+        },
+    )
     return showcase.write({RECORDINGS[0]: shown}, outputs)
 
 
 def scene(
     out: Recorder, angles: Array, truth: Array, errors: Mapping[str, tuple[Array, str]]
 ) -> None:
-    """The satellite at ``angles (T,)`` along its orbit, its attitudes ``(T, 4)``, and their errors ``(T, 3)`` with their colors."""
+    """The satellite at ``angles (T,)`` along its orbit, its attitudes ``(T, 4)``, and their errors
+    ``(T, 3)`` with their colors."""
     turn = np.linspace(0.0, 2.0 * np.pi, 181)
     place, orbit = (
         RADIUS_KM * np.stack([np.sin(at), 0.0 * at, -np.cos(at)], -1) for at in (angles, turn)

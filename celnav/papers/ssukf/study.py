@@ -1,4 +1,5 @@
-"""[Wu2012] judged: the runs, what the paper states and prints, what is wrong in it, and what we found beside it."""
+"""[Wu2012] judged: the runs, what the paper states and prints, what is wrong in it, and what we
+found beside it."""
 
 from __future__ import annotations
 
@@ -8,6 +9,7 @@ from copy import deepcopy
 from dataclasses import replace
 from functools import partial
 from operator import itemgetter
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -51,18 +53,7 @@ from celnav.papers.ssukf.scenario import (
     filters,
     simulate,
 )
-from celnav.study.ledger import (
-    Number,
-    Sentence,
-    check,
-    erratum,
-    estimate,
-    finding,
-    order,
-    reconstruction,
-    remark,
-    statement,
-)
+from celnav.study.ledger import Decision, Number, estimate, order, read_ledger
 from celnav.study.montecarlo import BRIEF, normals
 from celnav.study.numbers import (
     Decided,
@@ -73,6 +64,7 @@ from celnav.study.numbers import (
     ratio,
     rmse,
     settling,
+    some,
     tiers,
 )
 from celnav.study.study import Part, Results, Rngs, Study, When, fly, together
@@ -82,32 +74,76 @@ from celnav.tape.tape import Tape
 from celnav.tape.tape import TracedScalar as Recorded
 
 __all__ = [
-    "AVERAGED_DEG", "AXES", "COARSE", "FIELD", "FIELD_DEG", "ROOTS", "SLOPES", "STUDY", "TIMED", "VECTOR", "apart", "changes",
-    "counted", "field", "flown", "integrated", "means", "points", "propagations", "to_tangent", "total_attitude", "total_filter",
+    "AVERAGED_DEG",
+    "AXES",
+    "COARSE",
+    "FIELD",
+    "FIELD_DEG",
+    "ROOTS",
+    "SLOPES",
+    "STUDY",
+    "TIMED",
+    "VECTOR",
+    "apart",
+    "changes",
+    "counted",
+    "field",
+    "flown",
+    "integrated",
+    "means",
+    "points",
+    "propagations",
+    "to_tangent",
+    "total_attitude",
+    "total_filter",
     "vector",
-]  # fmt: skip
+]
 
 UNITS = np.repeat([ARCSEC, DEG_PER_H], 3)
 """What errors of rotation vector and drift are divided by, ``(6,)``: arcsec and deg/h."""
-AXES, FORMS, TIMED = ("roll", "pitch", "yaw"), ("local", "switched", "unswitched"), (*SIDES, "mekf")
+AXES = ("roll", "pitch", "yaw")
+FORMS = ("local", "switched", "unswitched")
+TIMED = (*SIDES, "mekf")
 SPREADS = {"c = 15": 15.0, "c = 7": 7.0, "c = 0.15": 0.15, "the paper's scaling": None}
 PRINTED_SPREAD = 15.0 - 6.0 + STANDARD.alpha**2 * (6.0 + STANDARD.kappa)
-"""``c = L + lambda`` with the printed ``lambda = alpha^2 (n + kappa) - n``, which should have L where it has n."""
-AVERAGED_DEG, FIELD_DEG = (1.0, 10.0, 30.0, 60.0, 20.0 / 3600.0), (10.0, 30.0, 60.0)
+"""``c = L + lambda`` with the printed ``lambda = alpha^2 (n + kappa) - n``, which should have L
+where it has n."""
+AVERAGED_DEG = (1.0, 10.0, 30.0, 60.0, 20.0 / 3600.0)
+FIELD_DEG = (10.0, 30.0, 60.0)
 FIELD = ("mekf", "mekf transported", "usque", "usque transported", "ssukf", "aukf")
-COARSE = replace(STANDARD, gyro_hz=4.0, preintegrated=False, gyro_deg_per_h=5000.0, star_arcsec=7200.0, duration_s=60.0, alpha=1.0,
-                 beta=0.0, rate_deg_per_s=(10.0, 10.0, 50.0))  # fmt: skip
+COARSE = replace(
+    STANDARD,
+    gyro_hz=4.0,
+    preintegrated=False,
+    gyro_deg_per_h=5000.0,
+    star_arcsec=7200.0,
+    duration_s=60.0,
+    alpha=1.0,
+    beta=0.0,
+    rate_deg_per_s=(10.0, 10.0, 50.0),
+)
 """Chosen: a gyro ten thousand times as rough, stars to 2 deg, a fast turn."""
-ABOUT, HEADS = 8.0, {"one head": (0.0,), "90° apart": (45.0, -45.0)}
-"""Chosen: noise about a head's line of sight over that across it; where heads look, degrees from x to y."""
+ABOUT = 8.0
+HEADS = {"one head": (0.0,), "90° apart": (45.0, -45.0)}
+"""Chosen: noise about a head's line of sight over that across it; where heads look, degrees from x
+to y."""
 RATES_DEG_PER_S = (float(np.linalg.norm(STANDARD.rate_deg_per_s)), 1.0)
 ROOTS = ("whole", "block")
-VECTOR = replace(STANDARD, gyro_hz=1.0, star_hz=1.0, preintegrated=False, gyro_deg_per_h=0.05, star_arcsec=720.0,
-                 prior_deg=(1.0, 1.0, 1.0), alpha=1.0, duration_s=100.0)  # fmt: skip
+VECTOR = replace(
+    STANDARD,
+    gyro_hz=1.0,
+    star_hz=1.0,
+    preintegrated=False,
+    gyro_deg_per_h=0.05,
+    star_arcsec=720.0,
+    prior_deg=(1.0, 1.0, 1.0),
+    alpha=1.0,
+    duration_s=100.0,
+)
 """One vector instead of the attitude, to 0.2 deg; it and a gyro of the same density at 1 Hz."""
 
 
-# -- runs of the paper's scenario --------------------------------------------------------------------------------------------
+# -- runs of the paper's scenario ------------------------------------------------------------------
 def flown(names: Sequence[str], config: Config, rngs: Rngs, **options: Any) -> dict[str, Array]:
     """Filters by name from the paper's initial error; ``options``: see `filters`."""
     return fly(scenario.trial(config, rngs, drawn=False, **options), names, cov=True)
@@ -123,8 +159,10 @@ def isotropic(mean: Array, degrees: float) -> Gaussian:
 def starts(
     degrees: Sequence[float], names: Sequence[str], axis: Array | None, config: Config, rngs: Rngs
 ) -> dict[str, Array]:
-    """Filters from priors of the deviations given; the true error is that of the paper, or of that size about an ``axis``."""
-    sim, found = simulate(config, rngs), {}
+    """Filters from priors of the deviations given; the true error is that of the paper, or of that
+    size about an ``axis``."""
+    sim = simulate(config, rngs)
+    found = {}
     for d in degrees:
         error = (
             None if axis is None else np.concatenate([np.radians(d) * axis, sim.truth[0, 0, 4:]])
@@ -149,28 +187,35 @@ def means(sim: scenario.Scenario, name: str, **options: Any) -> Array:
 
 
 def apart(a: Array, b: Array) -> Array:
-    """Largest differences of each run after the first star sample, ``(2, runs)``: of attitude (arcsec) and of drift (deg/h)."""
+    """Largest differences of each run after the first star sample, ``(2, runs)``: of attitude
+    (arcsec) and of drift (deg/h)."""
     difference = np.abs(errors(a[1:], b[1:])) / UNITS
     return np.stack([difference[..., :3].max((0, 2)), difference[..., 3:].max((0, 2))])
 
 
 def changes(config: Config, rngs: Rngs) -> dict[str, Array]:
-    """Differences ``(2, runs)``, see `apart`: of the SSUKF at 100 and at 4 Hz, of the AUKF with either lambda."""
+    """Differences ``(2, runs)``, see `apart`: of the SSUKF at 100 and at 4 Hz, of the AUKF with
+    either lambda."""
     full, sim = (
         simulate(replace(config, preintegrated=whether), deepcopy(rngs))
         for whether in (False, True)
     )
-    return {"ssukf": apart(means(full, "ssukf"), means(sim, "ssukf")),
-            "as printed": apart(means(sim, "aukf"), means(sim, "aukf", c=PRINTED_SPREAD))}  # fmt: skip
+    return {
+        "ssukf": apart(means(full, "ssukf"), means(sim, "ssukf")),
+        "as printed": apart(means(sim, "aukf"), means(sim, "aukf", c=PRINTED_SPREAD)),
+    }
 
 
 def identities(config: Config, rngs: Rngs) -> dict[str, Array]:
-    """AUKF and SSUKF in square-root form at the gyro's full rate, by `SPREADS`: largest differences ``(1, runs)`` of means,
-    covariances and gains after any step, in the deviations that the filter reports."""
-    sim, out = simulate(config, rngs), dict[str, Array]()
+    """AUKF and SSUKF in square-root form at the gyro's full rate, by `SPREADS`: largest differences
+    ``(1, runs)`` of means, covariances and gains after any step, in the deviations that the filter
+    reports."""
+    sim = simulate(config, rngs)
+    out = dict[str, Array]()
 
     def gains(_epoch: Epoch, state: Any, infos: Any) -> dict[str, Array]:
-        (info,), std = infos, state.belief.std[..., :, None]
+        (info,) = infos
+        std = state.belief.std[..., :, None]
         if info.gain is None:
             return {"gain": np.zeros((*std.shape[:-1], 3))}
         return {"gain": info.gain() * np.linalg.norm(info.sqrt_S, axis=-1)[..., None, :] / std}
@@ -194,19 +239,22 @@ def identities(config: Config, rngs: Rngs) -> dict[str, Array]:
     return out
 
 
-# -- the total attitude in modified Rodrigues parameters: the paper's words taken literally ----------------------------------
+# -- the total attitude in modified Rodrigues parameters: the paper's words taken literally --------
 def to_tangent(q: Array) -> Array:
-    """From deviations of total parameters and drift to those of rotation vector and drift, ``(..., 6, 6)``."""
+    """From deviations of total parameters and drift to those of rotation vector and drift, ``(...,
+    6, 6)``."""
     return block(
         [[4.0 * attitude.transport(q[..., :3] / (1.0 + q[..., 3:]), 1.0, 1.0), 0], [0, np.eye(3)]]
     )
 
 
 def total_attitude() -> Space:
-    """Space of attitudes whose tangents are differences of modified Rodrigues parameters of the attitudes themselves.
+    """Space of attitudes whose tangents are differences of modified Rodrigues parameters of the
+    attitudes themselves.
 
-    The sign of the point decides between its two sets of parameters: a model that hands on `positive` quaternions switches to
-    the shadow set in time, and the covariance follows by itself, since every other point is taken on the side of the center.
+    The sign of the point decides between its two sets of parameters: a model that hands on
+    `positive` quaternions switches to the shadow set in time, and the covariance follows by itself,
+    since every other point is taken on the side of the center.
     """
 
     def parameters(q: Array) -> Array:
@@ -224,8 +272,10 @@ def total_attitude() -> Space:
 
 
 def total_filter(config: Config, *, switched: bool = True, form: str = "covariance") -> Sequential:
-    """SSUKF on the total attitude. Without the switch to the shadow set (``switched``) it meets its singularity."""
-    local, sky = filters(config, form=form)["ssukf"], total_attitude()
+    """SSUKF on the total attitude. Without the switch to the shadow set (``switched``) it meets its
+    singularity."""
+    local = filters(config, form=form)["ssukf"]
+    sky = total_attitude()
 
     def f(x: Array, epoch: Epoch, *noise: Array) -> Array:
         y = np.asarray(local.motion.f(x, epoch, *noise))
@@ -242,11 +292,14 @@ def forms(
     config: Config,
     rngs: Rngs,
 ) -> dict[str, Array]:
-    """The SSUKF in `FORMS`, local and on the total attitude with and without the switch, from drawn initial errors. Beside errors,
-    NEES and NIS: what the norm of a quaternion lacks to 1, and the condition of the attitude's covariance in its parameters."""
-    sim, out = made(config, rngs), {"times": config.times}
+    """The SSUKF in `FORMS`, local and on the total attitude with and without the switch, from drawn
+    initial errors. Beside errors, NEES and NIS: what the norm of a quaternion lacks to 1, and the
+    condition of the attitude's covariance in its parameters."""
+    sim = made(config, rngs)
+    out = {"times": config.times}
     for name in names:
-        filter, prior = filters(config)["ssukf"], sim.drawn
+        filter = filters(config)["ssukf"]
+        prior = sim.drawn
         if name != "local":
             filter = total_filter(config, switched=name == "switched")
             prior = Gaussian(
@@ -255,7 +308,9 @@ def forms(
             )
         with np.errstate(all="ignore"):  # at 360 deg the parameters are infinite
             track = run(filter, prior, sim.epochs(), keep="cov", on_failure="flag")
-            error, root, q = errors(sim.truth, track.mean), track.sqrt_cov, track.mean[..., :4]
+            error = errors(sim.truth, track.mean)
+            root = track.sqrt_cov
+            q = track.mean[..., :4]
             G = np.eye(6) if name == "local" else to_tangent(q)
             out |= {
                 f"{name}/nees": nees(error, tria(G @ root)),
@@ -271,8 +326,10 @@ def forms(
 
 
 def turning(config: Config, rngs: Rngs) -> scenario.Scenario:
-    """The satellite turns by 1 deg/s about an axis, from 350 deg, and is known at first as well as one star sample tells."""
-    c, T = config, len(config.times)
+    """The satellite turns by 1 deg/s about an axis, from 350 deg, and is known at first as well as
+    one star sample tells."""
+    c = config
+    T = len(config.times)
     q = attitude.exp(np.radians(350.0 + c.times)[:, None, None] * np.array([0.6, 0.0, 0.8]))
     white, walk, noise, initial = normals(rngs, (T - 1, 3), (T - 1, 3), (T, 3), (6,))
     drift = c.gyro.drift(np.zeros(3), walk, c.step_s)
@@ -285,17 +342,20 @@ def turning(config: Config, rngs: Rngs) -> scenario.Scenario:
     )
 
 
-# -- one unit vector, of a magnetic field, instead of the whole attitude: a scenario that separates the filters --------------
+# -- one unit vector, of a magnetic field, instead of the whole attitude: a scenario that separates
 def field(u: float) -> Array:
-    """Direction ``(3,)`` of a dipole's field, taken as inertial, ``u`` rad along an orbit that is inclined by 60 deg."""
+    """Direction ``(3,)`` of a dipole's field, taken as inertial, ``u`` rad along an orbit that is
+    inclined by 60 deg."""
     up = np.stack([np.cos(u), np.sin(u) * 0.5, np.sin(u) * np.sqrt(0.75)])
     direction = 3.0 * up * up[2] - np.array([0.0, 0.0, 1.0])
     return np.asanyarray(direction / np.sqrt(np.square(direction).sum()))
 
 
 def vector(config: Config, rngs: Rngs, **options: Any) -> dict[str, Array]:
-    """The filters of `FIELD` from priors of `FIELD_DEG`; "transported": the covariance follows the reference after an update."""
-    sim, rate = simulate(config, rngs), config.orbit_rate_rad_per_s
+    """The filters of `FIELD` from priors of `FIELD_DEG`; "transported": the covariance follows the
+    reference after an update."""
+    sim = simulate(config, rngs)
+    rate = config.orbit_rate_rad_per_s
 
     def h(x: Array, epoch: Epoch, *noise: Array) -> Array:
         seen = attitude.rotate(x[..., :4], field(rate * epoch.t))
@@ -309,10 +369,8 @@ def vector(config: Config, rngs: Rngs, **options: Any) -> dict[str, Array]:
     noise = attitude.log(
         attitude.multiply(sim.stars, attitude.inverse(sim.truth[..., :4]))
     )  # that of the stars
-    seen, error = (
-        np.array([h(epoch.truth, epoch) for epoch in sim.epochs()]) + noise,
-        errors(sim.drawn.mean, sim.truth[0]),
-    )
+    seen = np.array([h(epoch.truth, epoch) for epoch in sim.epochs()]) + noise
+    error = errors(sim.drawn.mean, sim.truth[0])
     sim = sim._replace(stars=seen)
     priors = {
         f"{d:g}": isotropic(scenario.displaced(sim.truth[0], error * [d, d, d, 1.0, 1.0, 1.0]), d)
@@ -322,10 +380,13 @@ def vector(config: Config, rngs: Rngs, **options: Any) -> dict[str, Array]:
     return together(Trial(GROUPS, known, sim.prior, sim.epochs, scenario.compare), priors, FIELD)
 
 
-# -- noise inside a nonlinearity ---------------------------------------------------------------------------------------------
+# -- noise inside a nonlinearity -------------------------------------------------------------------
 def multiplied(_config: Any, rngs: Rngs, runs: int = 6000, steps: int = 60) -> dict[str, Array]:
-    """``x1' = x1 + exp(x2 + w1)``, ``x2' = 0.95 x2 + w2``, ``z = x1 exp(v)``: mean squared error of x1 ``(runs,)``, by filter."""
-    (rng,), W, V = rngs, np.diag([0.4, 0.2]), np.array([[0.15]])
+    """``x1' = x1 + exp(x2 + w1)``, ``x2' = 0.95 x2 + w2``, ``z = x1 exp(v)``: mean squared error of
+    x1 ``(runs,)``, by filter."""
+    (rng,) = rngs
+    W = np.diag([0.4, 0.2])
+    V = np.array([[0.15]])
     prior = Gaussian(np.tile([1.0, 0.0], (runs, 1)), np.diag([0.1**2, 0.2**2]))
 
     def f(x: Array, _epoch: Any, *noise: Array) -> Array:
@@ -337,32 +398,38 @@ def multiplied(_config: Any, rngs: Rngs, runs: int = 6000, steps: int = 60) -> d
     def h(x: Array, _epoch: Any, *noise: Array) -> Array:
         return x[..., :1] * np.exp(noise[-1]) if noise else x[..., :1]
 
-    x, epochs = prior.mean + rng.standard_normal((runs, 2)) @ prior.sqrt_cov, list[Epoch]()
-    w, v = rng.standard_normal((steps, runs, 2)) @ W, rng.standard_normal((steps, runs, 1)) @ V
+    x = prior.mean + rng.standard_normal((runs, 2)) @ prior.sqrt_cov
+    epochs = list[Epoch]()
+    w = rng.standard_normal((steps, runs, 2)) @ W
+    v = rng.standard_normal((steps, runs, 1)) @ V
     for k in range(steps):
         x = f(x, None, w[k])
         epochs.append(Epoch(k + 1, k + 1.0, 1.0, None, h(x, None, v[k]), x))
     options: Any = {"rule": lambda L: unscented(L, kappa=6.0 - L), "form": "covariance"}
-    beside = (Motion(f, sqrt_Q=lambda x, _: np.stack([np.exp(x[..., 1]), np.ones_like(x[..., 1])], -1)[..., None] * W),
-              Sensor(h, sqrt_R=lambda x, _: x[..., :1, None] * V))  # fmt: skip
-    known, truth = (
-        scenario.augmentations(*beside, W, V, **options) | {"ekf": ekf(*beside)},
-        [e.truth for e in epochs],
+    beside = (
+        Motion(
+            f,
+            sqrt_Q=lambda x, _: (
+                np.stack([np.exp(x[..., 1]), np.ones_like(x[..., 1])], -1)[..., None] * W
+            ),
+        ),
+        Sensor(h, sqrt_R=lambda x, _: x[..., :1, None] * V),
     )
+    known = scenario.augmentations(*beside, W, V, **options) | {"ekf": ekf(*beside)}
+    truth = [e.truth for e in epochs]
     return {
         name: np.square(run(k, prior, epochs, keep="mean").mean - truth)[..., 0].mean(0)
         for name, k in known.items()
     }
 
 
-# -- heads of the star sensor, each of which knows least about its own line of sight -----------------------------------------
+# -- heads of the star sensor, each of which knows least about its own line of sight ---------------
 def heads(config: Config, rngs: Rngs) -> dict[str, Array]:
-    """The MEKF with the heads of `HEADS`, whose lines of sight lie in the plane of x and y, alike on both sides of x."""
-    sim, mekf, noise = (
-        simulate(config, rngs),
-        filters(config)["mekf"],
-        normals(rngs, *[(len(config.times), 3)] * 2),
-    )
+    """The MEKF with the heads of `HEADS`, whose lines of sight lie in the plane of x and y, alike
+    on both sides of x."""
+    sim = simulate(config, rngs)
+    mekf = filters(config)["mekf"]
+    noise = normals(rngs, *[(len(config.times), 3)] * 2)
     sights = {
         name: np.array([[np.cos(one), np.sin(one), 0.0] for one in np.radians(each)])
         for name, each in HEADS.items()
@@ -381,26 +448,34 @@ def heads(config: Config, rngs: Rngs) -> dict[str, Array]:
                 z=tuple(attitude.multiply(one, sim.truth[k, :, :4]) for one in seen)
             )
 
-    known = {name: ekf(mekf.motion, *(replace(mekf.sensors[0], sqrt_R=root) for root in each), form="covariance")
-             for name, each in roots.items()}  # fmt: skip
+    known = {
+        name: ekf(
+            mekf.motion,
+            *(replace(mekf.sensors[0], sqrt_R=root) for root in each),
+            form="covariance",
+        )
+        for name, each in roots.items()
+    }
     return fly(Trial(GROUPS, known, sim.drawn, epochs, scenario.compare), tuple(HEADS), 8)
 
 
-# -- what needs no runs, or one ----------------------------------------------------------------------------------------------
+# -- what needs no runs, or one --------------------------------------------------------------------
 def averages(config: Config) -> dict[str, Array]:
-    """Means of the quaternions of the SSUKF's own points, 25 and 19, at the deviations of `AVERAGED_DEG`, each ``(5,)``, the worse
-    of both. norm: by how much that by components departs from 1; turned: how far (deg) it is from the mean of Rodrigues parameters,
-    the median of 100 ways to change signs; aligned, eigen: how far (rad) that by components, or of rotation vectors, is
-    if none is changed, and the eigenvector that knows no signs [Markley2007]; four: the condition of the components' covariance."""
-    rng, rows = np.random.default_rng(0), []
+    """Means of the quaternions of the SSUKF's own points, 25 and 19, at the deviations of
+    `AVERAGED_DEG`, each ``(5,)``, the worse of both. norm: by how much that by components departs
+    from 1; turned: how far (deg) it is from the mean of Rodrigues parameters, the median of 100
+    ways to change signs; aligned, eigen: how far (rad) that by components, or of rotation vectors,
+    is if none is changed, and the eigenvector that knows no signs [Markley2007]; four: the
+    condition of the components' covariance."""
+    rng = np.random.default_rng(0)
+    rows = []
     for degrees in AVERAGED_DEG:
-        prior, each = isotropic(np.append(attitude.IDENTITY, np.zeros(3)), degrees), []
+        prior = isotropic(np.append(attitude.IDENTITY, np.zeros(3)), degrees)
+        each = []
         for noise in (scenario.noise_root(config.gyro, config.step_s), config.sigma_n * np.eye(3)):
             rule = scenario.spread(6 + len(noise), config)
-            q, w = (
-                rule.points(prior.mean, prior.sqrt_cov, scenario.state_space(), (noise,))[0][:, :4],
-                rule.wm,
-            )
+            q = rule.points(prior.mean, prior.sqrt_cov, scenario.state_space(), (noise,))[0][:, :4]
+            w = rule.wm
             best = attitude.inverse(attitude.from_rodrigues(w @ attitude.to_rodrigues(q)))
             others = [
                 w @ q,
@@ -424,9 +499,10 @@ def averages(config: Config) -> dict[str, Array]:
 
 
 def by_components(config: Config, rngs: Rngs) -> dict[str, Array]:
-    """The SSUKF, and with means of quaternions by components, normalized: their signs alike (aligned), or as they come; the
-    latter also with the wider points of c = 15."""
-    sim, rng = simulate(config, rngs), np.random.default_rng(0)
+    """The SSUKF, and with means of quaternions by components, normalized: their signs alike
+    (aligned), or as they come; the latter also with the wider points of c = 15."""
+    sim = simulate(config, rngs)
+    rng = np.random.default_rng(0)
 
     def mean(points: Array, weights: Array) -> Array:
         x = np.tensordot(weights, points, 1)
@@ -454,10 +530,12 @@ def by_components(config: Config, rngs: Rngs) -> dict[str, Array]:
     return fly(Trial(GROUPS, known, sim.prior, sim.epochs, scenario.compare), tuple(known))
 
 
-# -- operations of point-by-point code, counted on a tape: nothing is known beforehand ---------------------------------------
+# -- operations of point-by-point code, counted on a tape: nothing is known beforehand -------------
 def counted(function: Callable[..., Any], *shapes: tuple[int, ...]) -> Array:
-    """Operations of a function of arrays of such shapes ``(2,)``: as one each, and with 20 for what is no sum and no product."""
-    tape, given = Tape(rolled=False), [TracedArray(shape[::-1]).T for shape in shapes]
+    """Operations of a function of arrays of such shapes ``(2,)``: as one each, and with 20 for what
+    is no sum and no product."""
+    tape = Tape(rolled=False)
+    given = [Numbers(shape[::-1]).T for shape in shapes]
     for x in given:
         for at in np.ndindex(*x.shape):
             x[at] = tape.input()
@@ -475,14 +553,13 @@ def counted(function: Callable[..., Any], *shapes: tuple[int, ...]) -> Array:
 
 
 def operations(config: Config, _rngs: Rngs) -> dict[str, Array]:
-    """What `counted` gives of an iteration, by filter, predictions to an update, and roots: of all that is augmented (whole), or
-    of the state alone (block), without the sums that add Q and R; and of ways to propagate an attitude, see `propagations`."""
-    f, space, sky, out = (
-        scenario.dynamics(config.gyro),
-        scenario.state_space(),
-        attitude.attitude(),
-        propagations(config.step_s),
-    )
+    """What `counted` gives of an iteration, by filter, predictions to an update, and roots: of all
+    that is augmented (whole), or of the state alone (block), without the sums that add Q and R; and
+    of ways to propagate an attitude, see `propagations`."""
+    f = scenario.dynamics(config.gyro)
+    space = scenario.state_space()
+    sky = attitude.attitude()
+    out = propagations(config.step_s)
     for name, noises in zip(SIDES, ((9, 9), (6, 3), (6, 0), (0, 3), (0, 0)), strict=True):
         rules = [scenario.spread(6 + width, config) for width in noises]
 
@@ -535,11 +612,13 @@ SLOPES = {
     2: ((0.5,), (0.0, 1.0)),
     4: ((0.5, 0.5, 1.0), (1.0 / 6.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0)),
 }
-"""Runge-Kutta methods by order: how far along the slope before each slope is taken, and the weights of all."""
+"""Runge-Kutta methods by order: how far along the slope before each slope is taken, and the weights
+of all."""
 
 
 def integrated(order: int, p: Array, turn: Array) -> Array:
-    """Modified Rodrigues parameters ``(..., 3)`` after a step in which the body turns by ``turn`` rad, by an order of `SLOPES`."""
+    """Modified Rodrigues parameters ``(..., 3)`` after a step in which the body turns by ``turn``
+    rad, by an order of `SLOPES`."""
 
     def slope(p: Array) -> Array:
         half = 0.5 * turn
@@ -548,25 +627,26 @@ def integrated(order: int, p: Array, turn: Array) -> Array:
             (0.5 - 0.5 * square) * half + matvec(attitude.cross(p), half) + along * p
         )
 
-    (ways, weights), slopes = SLOPES[order], [slope(p)]
+    ways, weights = SLOPES[order]
+    slopes = [slope(p)]
     for way in ways:
         slopes.append(slope(p + way * slopes[-1]))
     return p + sum(weight * one for weight, one in zip(weights, slopes, strict=True))
 
 
 def propagations(dt: float) -> dict[str, Array]:
-    """One gyro step of an attitude. accuracy ``(rates, orders)``: largest error (rad) of `integrated` over attitudes up to half a
-    turn, at `RATES_DEG_PER_S`. steps ``(5, 2)``: operations of the product of quaternions; of that with the parameters of a point
-    made a quaternion and back; of `integrated`, orders 1, 2 and 4."""
-    to, back = (
-        partial(attitude.from_rodrigues, a=1.0, b=1.0),
-        partial(attitude.to_rodrigues, a=1.0, b=1.0),
-    )
+    """One gyro step of an attitude. accuracy ``(rates, orders)``: largest error (rad) of
+    `integrated` over attitudes up to half a turn, at `RATES_DEG_PER_S`. steps ``(5, 2)``:
+    operations of the product of quaternions; of that with the parameters of a point made a
+    quaternion and back; of `integrated`, orders 1, 2 and 4."""
+    to = partial(attitude.from_rodrigues, a=1.0, b=1.0)
+    back = partial(attitude.to_rodrigues, a=1.0, b=1.0)
     axes, p = (
         x / np.linalg.norm(x, axis=1)[:, None]
         for x in np.random.default_rng(0).standard_normal((2, 2000, 3))
     )
-    p, accuracy = p * np.linspace(0.0, 1.0, len(p))[:, None], []
+    p = p * np.linspace(0.0, 1.0, len(p))[:, None]
+    accuracy = []
     for turn in (np.radians(rate) * dt * axes for rate in RATES_DEG_PER_S):
         exact = attitude.inverse(attitude.multiply(attitude.exp(turn), to(p)))
         accuracy.append(
@@ -575,29 +655,30 @@ def propagations(dt: float) -> dict[str, Array]:
                 for order in SLOPES
             ]
         )
-    ways = [counted(lambda turn, q: attitude.multiply(attitude.exp(turn), q), (3,), (4,)),
-            counted(lambda turn, p: back(attitude.multiply(attitude.exp(turn), to(p))), (3,), (3,)),
-            *(counted(partial(integrated, order), (3,), (3,)) for order in SLOPES)]  # fmt: skip
+    ways = [
+        counted(lambda turn, q: attitude.multiply(attitude.exp(turn), q), (3,), (4,)),
+        counted(lambda turn, p: back(attitude.multiply(attitude.exp(turn), to(p))), (3,), (3,)),
+        *(counted(partial(integrated, order), (3,), (3,)) for order in SLOPES),
+    ]
     return {"accuracy": np.array(accuracy), "steps": np.array(ways)}
 
 
 def facts(config: Config, _: Rngs) -> dict[str, Array]:
-    """exact: posterior deviations ``(T, 2)`` of angle (arcsec) and drift (deg/h) on an axis, widest prior. limits ``(3, 2)``: those
-    that settle, if the drift has a tau of 10 h, if 0.5 deg / sqrt(h) and 0.02 deg/h in an hour are meant, and as we read it."""
-    c, dt, unit, limits, drift = (
-        config,
-        config.step_s,
-        UNITS[[0, 3]],
-        [],
-        config.drift_deg_per_h * DEG_PER_H,
-    )
-    scale, H = (
-        np.array([1.0, 0.01]) * c.sigma_n,
-        np.eye(1, 2),
-    )  # or the solver loses the drift beside the angle
+    """exact: posterior deviations ``(T, 2)`` of angle (arcsec) and drift (deg/h) on an axis, widest
+    prior. limits ``(3, 2)``: those that settle, if the drift has a tau of 10 h, if 0.5 deg /
+    sqrt(h) and 0.02 deg/h in an hour are meant, and as we read it."""
+    c = config
+    dt = config.step_s
+    unit = UNITS[[0, 3]]
+    limits = []
+    drift = config.drift_deg_per_h * DEG_PER_H
+    # or the solver loses the drift beside the angle
+    scale = np.array([1.0, 0.01]) * c.sigma_n
+    H = np.eye(1, 2)
     slow = Gyro(c.gyro.sigma_v, drift * float(np.sqrt(2.0 / 36000.0)), 36000.0)
     for gyro in (slow, Gyro(60.0 * c.gyro_deg_per_h * DEG_PER_H, drift / 60.0), c.gyro):
-        F, Q = np.array([[1.0, -dt], [0.0, gyro.factor(dt)]]), gyro.process_noise(dt)[::3, ::3]
+        F = np.array([[1.0, -dt], [0.0, gyro.factor(dt)]])
+        Q = gyro.process_noise(dt)[::3, ::3]
         P = solve_discrete_are(
             (F * scale / scale[:, None]).T, H.T, Q / np.outer(scale, scale), np.eye(1)
         )
@@ -614,14 +695,14 @@ def facts(config: Config, _: Rngs) -> dict[str, Array]:
 
 
 def costs(_config: Config, _rngs: Rngs) -> dict[str, Array]:
-    """Points through f and h ``(2,)`` from star sample to star sample, by filter and rates, counted in a run by numpy."""
-    out, seen = dict[str, Array](), Counter[str]()
+    """Points through f and h ``(2,)`` from star sample to star sample, by filter and rates, counted
+    in a run by numpy."""
+    out = dict[str, Array]()
+    seen = Counter[str]()
     token = WATCH.set(lambda model, values: seen.update({model: len(values)}))
     for c, stars in ((STANDARD, 20), (FULL_RATE, 1)):
-        sim, known = (
-            simulate(replace(c, duration_s=stars / c.star_hz), [np.random.default_rng(0)]),
-            filters(c),
-        )
+        sim = simulate(replace(c, duration_s=stars / c.star_hz), [np.random.default_rng(0)])
+        known = filters(c)
         for name in TIMED:
             seen.clear()
             run(known[name], sim.prior, sim.epochs(), keep="nothing", engine="numpy")
@@ -631,43 +712,65 @@ def costs(_config: Config, _rngs: Rngs) -> dict[str, Array]:
 
 
 def parts(effort: float = 1.0, duration_s: float | None = None) -> dict[str, Part]:
-    """All that is computed; ``duration_s``: of the runs of the paper's scenario, shorter at an effort below `BRIEF` if left out."""
-    brief, whole = effort < BRIEF, STANDARD.duration_s
+    """All that is computed; ``duration_s``: of the runs of the paper's scenario, shorter at an
+    effort below `BRIEF` if left out."""
+    brief = effort < BRIEF
+    whole = STANDARD.duration_s
     runs_s, heads_s = (450.0, 200.0) if brief and duration_s is None else [duration_s or whole] * 2
-    c, minute, axis = STANDARD, replace(STANDARD, duration_s=60.0), np.array([0.48, 0.6, 0.64])
+    c = STANDARD
+    minute = replace(STANDARD, duration_s=60.0)
+    axis = np.array([0.48, 0.6, 0.64])
     return {
-        "runs": Part(partial(flown, ("aukf", "ssukf", "mekf")), replace(c, duration_s=runs_s), 0, c.runs, 200, 30.0),
-        "identities": Part(identities, replace(FULL_RATE, duration_s=1.0 if brief else 3.0), 1, 20, cost=1.4),
-        "rates": Part(changes, replace(FULL_RATE, duration_s=min(5.0 if brief else 20.0, runs_s)), 2, 20),
-        "priors": Part(partial(starts, (180.0, 10.0, 1.0, 20.0 / 3600.0), ("ssukf",), None), minute, 5, 20),
-        "turns": Part(partial(starts, (10.0, 179.0), ("ssukf", "mekf"), axis), replace(c, duration_s=1.0), 6, 100, cost=0.2),
+        "runs": Part(
+            partial(flown, ("aukf", "ssukf", "mekf")),
+            replace(c, duration_s=runs_s),
+            0,
+            c.runs,
+            200,
+            30.0,
+        ),
+        "identities": Part(
+            identities, replace(FULL_RATE, duration_s=1.0 if brief else 3.0), 1, 20, cost=1.4
+        ),
+        "rates": Part(
+            changes, replace(FULL_RATE, duration_s=min(5.0 if brief else 20.0, runs_s)), 2, 20
+        ),
+        "priors": Part(
+            partial(starts, (180.0, 10.0, 1.0, 20.0 / 3600.0), ("ssukf",), None), minute, 5, 20
+        ),
+        "turns": Part(
+            partial(starts, (10.0, 179.0), ("ssukf", "mekf"), axis),
+            replace(c, duration_s=1.0),
+            6,
+            100,
+            cost=0.2,
+        ),
         "vector": Part(vector, VECTOR, 9, 800, 800, 10.0),
         "augmented": Part(partial(flown, (*SIDES, "mekf"), c=15.0), minute, 10, 200, 200, 2.0),
         "drawn": Part(partial(forms, simulate, FORMS[:2]), minute, 11, 1000, 200, 12.0),
-        "crossing": Part(partial(forms, turning, FORMS), replace(c, duration_s=20.0), 24, 800, 200, 4.0),
+        "crossing": Part(
+            partial(forms, turning, FORMS), replace(c, duration_s=20.0), 24, 800, 200, 4.0
+        ),
         "coarse": Part(partial(flown, tuple(SIDES), c=15.0), COARSE, 25, 200, 200, 4.0),
         "heads": Part(heads, replace(c, duration_s=heads_s), 26, 400, 200, 28.0),
-        "components": Part(by_components, minute, 27, 100), "operations": Part(operations, FULL_RATE),
+        "components": Part(by_components, minute, 27, 100),
+        "operations": Part(operations, FULL_RATE),
         "multiplied": Part(partial(multiplied, runs=600) if brief else multiplied, c, 21),
-        "facts": Part(facts, c), "costs": Part(costs, c),
-    }  # fmt: skip
+        "facts": Part(facts, c),
+        "costs": Part(costs, c),
+    }
 
 
-# -- numbers of the ledger ---------------------------------------------------------------------------------------------------
-NEES, NIS, REGULAR = (
-    chi_square_band(6, 200),
-    chi_square_band(3, 200),
-    float(np.finfo(float).eps ** -0.5),
-)
+# -- numbers of the ledger -------------------------------------------------------------------------
+NEES = chi_square_band(6, 200)
+NIS = chi_square_band(3, 200)
+REGULAR = float(np.finfo(float).eps ** -0.5)
 """95 % bands of 200 runs; up to REGULAR a covariance has a root that keeps half of the digits."""
 COUNTS = [(roots, dear) for dear in (0, 1) for roots in ROOTS]
 """Which roots are factored, and whether one that is no sum or product counts 20 times."""
-AUKF, SSUKF, MEKF, MORE = (
-    ("runs", "aukf"),
-    ("runs", "ssukf"),
-    ("runs", "mekf"),
-    "2026-11-23: more runs; 200 left it undecided",
-)
+AUKF = ("runs", "aukf")
+SSUKF = ("runs", "ssukf")
+MEKF = ("runs", "mekf")
 
 
 def points(r: Results, name: str, per: int = 1) -> float:
@@ -696,15 +799,20 @@ def fewer(per: int, roots: str, dear: int, *, bar: bool = True) -> Decided:
 
 
 def cheaper(way: int, beside: str) -> Decided:
-    """Operations of a step with quaternions over those of the cheapest integration, at the paper's rate, that errs by no more than
-    a thousandth of the star sensor's noise in a second, or of the drift that settles; nan if none does."""
+    """Operations of a step with quaternions over those of the cheapest integration, at the paper's
+    rate, that errs by no more than a thousandth of the star sensor's noise in a second, or of the
+    drift that settles; nan if none does."""
 
     def number(r: Results) -> Number:
         rate = (
             STANDARD.sigma_n if beside == "star" else r.value("facts", "limits", 2, 1) * DEG_PER_H
         )
-        most, steps = 1e-3 * rate * FULL_RATE.step_s, r.get("operations", "steps")[:, 0]
-        label = f"{('alone', 'with conversions')[way]}, over the cheapest that errs by {most:.1e} rad at most"
+        most = 1e-3 * rate * FULL_RATE.step_s
+        steps = r.get("operations", "steps")[:, 0]
+        label = (
+            f"{('alone', 'with conversions')[way]}, over the cheapest that errs by {most:.1e} "
+            "rad at most"
+        )
         least = min(steps[2:][r.get("operations", "accuracy")[0] <= most], default=np.nan)
         return Number(label, float(steps[way] / least), (None, 1.0 - 1e-9))
 
@@ -732,7 +840,8 @@ def multiplying(label: str, other: str, most: float | None = None) -> Decided:
 def sooner(
     filter: tuple[str, str], axis: int, level: float, label: str, accept: Any, **more: Any
 ) -> Decided:
-    """When an angle settles below a level (arcsec), in the first three minutes: by their end it is below all levels judged."""
+    """When an angle settles below a level (arcsec), in the first three minutes: by their end it is
+    below all levels judged."""
     return settling(
         label,
         filter,
@@ -748,14 +857,17 @@ def sooner(
 def sound(part: str, form: str) -> list[Decided]:
     """Norms, covariance and consistency of a form."""
     label = f"{form}, {part}"
-    return [of(part, f"{form}/norm", f"norm less 1, {label}", (None, 1e-12)),
-            of(part, f"{form}/condition", f"condition, {label}", (None, REGULAR)),
-            consistency(f"NEES, {label}", (part, form), NEES, at="all"),
-            consistency(f"NIS, {label}", (part, form), NIS, at="all", what="nis")]  # fmt: skip
+    return [
+        of(part, f"{form}/norm", f"norm less 1, {label}", (None, 1e-12)),
+        of(part, f"{form}/condition", f"condition, {label}", (None, REGULAR)),
+        consistency(f"NEES, {label}", (part, form), NEES, at="all"),
+        consistency(f"NIS, {label}", (part, form), NIS, at="all", what="nis"),
+    ]
 
 
 def unswitched(r: Results) -> Number:
-    """Largest attitude error past 360 deg without the switch, over that with it; a lost run errs by half a turn."""
+    """Largest attitude error past 360 deg without the switch, over that with it; a lost run errs by
+    half a turn."""
     sizes = (
         np.linalg.norm(r.error("crossing", form, "attitude")[36:], axis=-1)
         for form in ("unswitched", "switched")
@@ -776,7 +888,7 @@ def at_the_bound(r: Results) -> list[Number]:
     ]
 
 
-# -- the ledger --------------------------------------------------------------------------------------------------------------
+# -- the ledger ------------------------------------------------------------------------------------
 WHEN: dict[str, When] = {"first star sample": 1, "10 s": 40, "last third": "last third"}
 NINE = [
     (f"{name}, {when}", slice(i, i + 1), at)
@@ -787,169 +899,254 @@ SWITCHED = [
     one for part in ("drawn", "crossing") for form in FORMS[:2] for one in sound(part, form)
 ]
 
-STATEMENTS = [
-    statement("equal-accuracy",
-        "The state-switching UKF is as accurate as the fully augmented one, for small and large initial errors.",
-        all_of(*(ratio(label, SSUKF, AUKF, "attitude", (0.95, 1.05), at=at, axes=axes) for label, axes, at in NINE),
-               *(ratio(f"{label}, MEKF", MEKF, AUKF, "attitude", at=at, axes=axes) for label, axes, at in NINE),
-               of("rates", "ssukf", "arcsec between 100 Hz and integrated samples", reduce=lambda x: x[0].max())),
-        place="introduction, last sentence; text on Figs 1-3", why="a drawn curve shows no less than 5 %", figure="figure_01",
-        found="For roll at the first sample the ratio is {0:.7f}, that of an MEKF {9:.7f}. Gyro samples integrated from star to "
-        "star move the estimate by {18:.1g} arcsec."),
-    statement("third-less-time",
-        "An iteration of the state-switching filter takes a third less time than one of the augmented filter.",
-        tiers(reproduced=[fewer(25, *case) for case in COUNTS], in_part=[
-            lambda r: Number("of eight counts in 0.333 ± 0.05", sum(fewer(per, *case)(r).holds is True for per in (1, 25)
-                                                                    for case in COUNTS), (1, None)),
-            *(fewer(1, *case, bar=False) for case in COUNTS), saved(1), saved(25)]),
-        place="introduction, last sentence; Table 1", printed="1/3", expected="in part",
-        why="operations of point-by-point code at the paper's 25 predictions to an update, 0.333 ± 0.05 saved with roots of all "
-        "that is augmented and of the state alone, whatever a root or a division costs; in part if it is so in any of these "
-        "counts, at 1:1 too. Time itself differs between machines: python -m benchmarks.attitude, benchmarks/README.md",
-        found="With one prediction to an update it saves {5:.3f} of the operations with a root of all that is augmented, {6:.3f} "
-        "with one of the state alone, and {9:.3f} of the points; with the paper's 25 predictions {0:.3f}, {1:.3f} and {10:.3f}."),
-    statement("small-errors-fast", "From initial errors of 1° and 2° both filters converge quickly.",
-        all_of(*(sooner(f, i, 20.0, f"{AXES[i]}, {f[1].upper()}, s", (None, 1.0)) for f in (AUKF, SSUKF) for i in range(2))),
-        place="text on Figs 1 and 2", printed=[1, 2], why="below the noise of a star reading, 20 arcsec, within four samples",
-        found="AUKF: roll stays below 20 arcsec from {0} s, pitch from {1} s; SSUKF: from {2} and {3} s.", figure="figure_01"),
-    statement("large-error-faster",
-        "From 10° of yaw the switching filter converges faster at the same accuracy, for it computes less.",
-        all_of(*(sooner(AUKF, 2, level, f"earlier below {level:g} arcsec by s", (0.25, None), sooner=SSUKF)
-                 for level in (20.0, 10.0, 5.0)), saved(25)),
-        place="text on Fig. 3", printed=10, why="at least one star sample earlier, in filter time", expected="not reproduced",
-        figure="figure_03", found="Earlier by {0:.2f}, {1:.2f} and {2:.2f} s below 20, 10, 5 arcsec; {3:.3f} of the points saved."),
-    statement("numbers-of-points", "Augmentation by both noises needs 4n + 2m + 1 points; switching 4n + 1, then 2n + 2m + 1.",
-        all_of(*(of("costs", f"{name}, 1:1", f"{'fh'[i]}, {name.upper()}", (count, count), itemgetter(i))
-                 for name, counts in (("aukf", (31, 31)), ("ssukf", (25, 19))) for i, count in enumerate(counts))),
-        place="text after either filter", printed="4n + 2m + 1, 4n + 1, 2n + 2m + 1", why="integers, for n = 6, m = 3",
-        found="Evaluations of f and h counted in the running filters: {0:.0f} and {1:.0f}, {2:.0f} and {3:.0f}."),
-    statement("measurement-noise-idle",
-        "In the prediction augmented measurement noise adds next to nothing; noise needs no estimate.",
-        all_of(*(of("identities", f"{what}, {label}", f"{what}, {label}", (None, 1e-9 if c else None))
-                 for label, c in SPREADS.items() for what in ("mean", "cov", "gain"))),
-        place="text after the fully augmented filter", why="at one spread c equal to 1e-9 of the deviations", figure="figure_07",
-        found="At the one spread c = 15 means are {0:.0e} apart, covariances {1:.0e}, gains {2:.0e}; with the paper's scaling "
-        "{9:.0e}, {10:.0e} and {11:.0e}. Points along a noise that a function ignores are the center over again."),
-    statement("augmentation-more-accurate", "A UKF that sends no noise through the functions is less accurate: augmentation helps.",
-        tiers(reproduced=[ratio(f"over {name.upper()}, last third", ("augmented", "aukf"), ("augmented", name), "attitude",
-                                (None, 1.0 - 1e-6), at="last third", strict=True) for name in ("additive", "mekf")],
-              in_part=[multiplying("over the additive UKF, noise in an exponential", "additive", 1.0),
-                       multiplying("over an EKF there", "ekf")]),
-        place="introduction", why="a ratio below 1 by more than rounding (1e-6)", expected="in part",
-        found="In the paper's scenario {0:.8f} of the error of a UKF that adds Q and R, {1:.8f} of an MEKF's; with noise inside "
-        "an exponential {2:.4f}, and {3:.4f} of an EKF's."),
-    statement("component-mean-fails",
-        "The mean of quaternions by components is no unit quaternion, and depends on arbitrary signs.",
-        all_of(*(of("facts", what, f"{what}, {d:g} deg", (1e-12, None), itemgetter(i))
-                 for what in ("norm", "turned") for i, d in enumerate(AVERAGED_DEG))),
-        place="text on the simple mean of quaternions", why="more than rounding, at every deviation",
-        found="The norm departs from 1 by {0:.1g}, {1:.2g}, {2:.2g} and {3:.2g} at 1, 10, 30 and 60° an axis, by {4:.0e} at the "
-        "20 arcsec that one star sample leaves; other signs turn the mean by {5:.2f} to {8:.2f}°."),
-    statement("mrp-switch-cures", "Means and covariances in modified Rodrigues parameters cure norm, mean and singular covariance.",
-        tiers(reproduced=[*SWITCHED, unswitched, of("facts", "four", "condition of four components")], in_part=SWITCHED),
-        place="introduction; conclusion", expected="in part", figure="figure_08",
-        why="norms to 1e-12, a covariance whose root keeps half of the digits, NEES and NIS in the 95 % bands of 200 runs",
-        found="In local form the norm holds to {0:.0e} and the condition is {1:.0f} (of four components {17:.0e}). NEES over a "
-        "minute is {2:.2f} in local and {6:.2f} in total form, past 360° {10:.2f} and {14:.2f}. Without the shadow set the total "
-        "form errs {16:.3g} times as much."),
-    statement("quaternions-cheaper-to-propagate", "Propagating quaternions avoids the costly integration of Rodrigues parameters.",
-        tiers(reproduced=[cheaper(way, "star") for way in (0, 1)], in_part=[
-            *(cheaper(way, "drift") for way in (0, 1)), *(of("operations", "accuracy", f"rad of Euler's step at {rate:.2g} deg/s",
-                                                          reduce=itemgetter((i, 0))) for i, rate in enumerate(RATES_DEG_PER_S))]),
-        place="introduction", expected="in part",
-        why="fewer operations of a gyro step than the cheapest Runge-Kutta method that errs in it by no more than a thousandth of "
-        "the star sensor's noise in a second; and with each point's parameters made a quaternion and back; in part if that is so "
-        "only against the cheapest that errs by no more than a thousandth of the drift that settles: errors that repeat are drift",
-        revised="2026-11-23: in part was against the cheapest that errs by no more than 1e-15 rad, which is round-off",
-        found="Of the operations of the cheapest method that the stars allow they take {0:.2f}, {1:.2f} with conversions; that the "
-        "drift allows, {2:.2f} and {3:.2f}. Euler's step errs by {4:.0e} rad at the paper's slow turn, by {5:.0e} at 1 deg/s."),
-]  # fmt: skip
-ERRATA = [
-    erratum("erratum-lambda", "λ = α²(n + κ) - n where the points have L = 2n + m dimensions. Right: α²(L + κ) - L.",
-        all_of(given("spread c over right", PRINTED_SPREAD / (15.0 * STANDARD.alpha**2), (2.0, None)),
-               of("rates", "as printed", "largest change of the AUKF, arcsec", (None, 1e-6), lambda x: order(float(x[0].max())))),
-        place="text on the unscented transform", found="c is {0:.1f} times as large, which moves the AUKF by {1:.0e} arcsec."),
-    erratum("erratum-editorial", "References 6 and 7 change places in the text; reference 1 is in volume 26, not 63; 5, on a "
-        "super-iterated EKF, is cited for the second-order one; the text on Table 1 says UKF for the augmented one.",
-        place="throughout"),
-    reconstruction("formulas", "All formulas of models and filters are lost, and the inertia matrix; the Rodrigues parameters have "
-        "scalars a and b of unknown value: we take a = 1, b = 4.", place="throughout"),
-    reconstruction("gyro-numbers", "0.5°/h white and 0.02°/h driving noise have no bandwidth: a sample's, and the stationary one.",
-        all_of(of("facts", "limits", "largest to smallest that settles", (10.0, None), lambda x: x[:, 0].max() / x[:, 0].min()),
-               *(of("facts", "limits", f"{name}, arcsec", reduce=itemgetter((i, 0))) for i, name in enumerate(("least", "most")))),
-        place="simulation section", found="The attitude settles at {1:.2f} arcsec if the drift has a tau of 10 h, at {2:.1f} if "
-        "0.5°/√h is meant: readings differ {0:.1f} times."),
-    remark("remark-large-error", "10° of yaw is no large error where a star sensor gives the whole attitude.",
-        all_of(*(ratio(f"179° over 10°, {name.upper()}", ("turns", f"{name}, 179"), ("turns", f"{name}, 10"), "attitude",
-                       (None, 1.001), at=1) for name in ("ssukf", "mekf")),
-               rmse("SSUKF from 179°, arcsec", ("turns", "ssukf, 179"), "attitude", at=1, each=True)), place="text on Fig. 3",
-        found="From 179° one star sample leaves {2:.1f} arcsec, {0.value:.4f} of that from 10°; in an MEKF {1.value:.4f} of it."),
-    remark("remark-unsaid", "The total attitude in modified Rodrigues parameters is singular at 360°. Unsaid: whether initial "
-        "errors are Euler angles or a rotation vector; what an iteration is; two heads at right angles with isotropic noise. 6 of "
-        "the 31 points in the prediction and 12 in the update are copies of the center.", place="simulation section"),
-]  # fmt: skip
-FINDINGS = [
-    finding("ordinary-cheaper", "An ordinary UKF that adds Q and R needs fewer points than the switching one for the same.",
-        lambda r: Number("to SSUKF", points(r, "additive") / points(r, "ssukf"), (None, 0.6)), found="{0:.2f} of them."),
-    finding("one-sided", "Neither half of the augmentation matters for attitude, not even with ten thousand times the noise.",
-        all_of(*(ratio(f"{name.upper()} to SSUKF, {part}", (part, name), (part, "ssukf"), "attitude", bar, at="last third")
-                 for part, bar in (("augmented", (0.999, 1.001)), ("coarse", (0.99, 1.01))) for name in ("pa", "ma", "additive")),
-               *(multiplying(f"to {name.upper()}, noise in an exponential", name) for name in ("pa", "ma"))),
-        found="Process noise alone: {3:.5f} of the SSUKF's error, measurement noise alone {4:.5f}, neither {5:.5f}. With noise in "
-        "an exponential the AUKF has {6:.4f} of the error with process noise alone, {7:.4f} of that with measurement noise alone."),
-    finding("sign-not-norm", "The fault of a mean by components is the sign, not the norm, and more so the wider the points.",
-        all_of(*(ratio(name, ("components", name), ("components", "rodrigues"), "attitude", bar, at="last third")
-                 for name, bar in (("aligned", (0.999, 1.001)), ("wide", (1.1, None)), ("signs", (None, None)))),
-               of("facts", "aligned", "rad between means", (None, 1e-9)), of("facts", "eigen", "rad, eigenvector, 60°")),
-        found="With signs alike, and the norm restored, the filter errs {0:.6f} times as much as the other; with signs as "
-        "they come {2} times at alpha = 0.1, where the center's weight is -99, and {1:.0f} times at c = 15. The eigenvector, "
-        "which knows no signs, is {4:.2f} rad off at 60° an axis, with negative weights.",
-        revised="2026-11-23: 1.1 times the error was first asked at alpha = 0.1, and the eigenvector to agree with other means"),
-    finding("two-heads", "Two heads at right angles have no weak axis, as the paper takes it.",
-        all_of(weak_axis("90° apart", (None, 1.5)), weak_axis("one head", (3.0, None))),
-        found="With noise 8 times as large about a line of sight as across it the RMSE on the worst axis is {0} times that on the "
-        "best, with one head {1} times.", revised=MORE),
-    finding("at-the-bound", "Every filter here is as good as any can be: the error is that of the exact covariance.",
-        at_the_bound, found="RMSE over it after 10 and 60 s: {0} and {1}.", figure="figure_04"),
-    finding("one-vector-transport", "Where one vector is measured filters differ; a covariance that follows the reference helps.",
-        all_of(*(ratio(f"{name.upper()}, prior {d}°", ("vector", f"{name} transported, {d}"), ("vector", f"{name}, {d}"),
-                       "attitude", (None, 1.0), median=True) for name in ("usque", "mekf") for d in (10, 30))), figure="figure_06",
-        found="Median error after 100 s: {0} and {1} of USQUE's, {2} and {3} of the MEKF's; priors of 10, 30°.", revised=MORE),
-    finding("one-vector-linearized", "There a linearized filter pays.",
-        all_of(*(ratio(f"prior {d}°", ("vector", f"mekf, {d}"), ("vector", f"usque, {d}"), "attitude", (1.0, None), median=True)
-                 for d in (10, 30))),
-        found="{0} and {1} times the median error of USQUE, from 10 and 30°.", figure="figure_06"),
-    finding("overconfident-prior", "A prior of 20 arcsec for an error of 10° is not made good in a minute.",
-        all_of(ratio("over 10°", ("priors", "ssukf, 0.00555556"), ("priors", "ssukf, 10"), "attitude", (20.0, None)),
-               ratio("180° over 1°", ("priors", "ssukf, 180"), ("priors", "ssukf, 1"), "attitude", (0.999, 1.001))),
-        found="{0} times the error; from a prior of 180° {1:.4f} times that from one of 1°."),
-]  # fmt: skip
-CHECKS = [
-    check(f"steady-{group}-ssukf", f"RMSE of the SSUKF's {group} on an axis, last third",
-          rmse(unit, SSUKF, group, accept, at="last third", each=True), revised="2026-11-23: 12 % about theory; less left it open")
-    for group, unit, accept in (("attitude", "arcsec", (0.93, 1.18)), ("drift", "deg/h", (0.0062, 0.0079)))
-]  # fmt: skip
-STUDY = Study(
-    "ssukf", GROUPS, partial(scenario.trial, drawn=False), parts, [*STATEMENTS, *ERRATA, *FINDINGS, *CHECKS],
-    figure="figure_03",
-    says="Appending only the noise that acts makes a UKF as accurate as the fully augmented one, in a third less time, and faster "
-    "to converge.",
-    found=(
-        Sentence("It is as accurate.", {"equal-accuracy": "reproduced"}),
-        Sentence(
-            "With the same spread of the points both are one filter, so neither converges faster.",
-            {"measurement-noise-idle": "reproduced", "large-error-faster": "not reproduced"},
+DECISIONS: dict[str, Decision] = {
+    "equal-accuracy": all_of(
+        *(
+            ratio(label, SSUKF, AUKF, "attitude", (0.95, 1.05), at=at, axes=axes)
+            for label, axes, at in NINE
         ),
-        Sentence(
-            "If one iteration is one prediction and one update, and the whole augmented covariance is factored,"
-            " it saves a third of the operations; with the paper's own 25 predictions for each star sample it "
-            "saves a fifth to a quarter.",
-            {"third-less-time": "in part"},
+        *(
+            ratio(f"{label}, MEKF", MEKF, AUKF, "attitude", at=at, axes=axes)
+            for label, axes, at in NINE
         ),
-        Sentence(
-            "Here an MEKF, or a UKF that adds Q and R, gives the same estimate with fewer.",
-            {"augmentation-more-accurate": "in part", "ordinary-cheaper": "shown"},
+        of(
+            "rates",
+            "ssukf",
+            "arcsec between 100 Hz and integrated samples",
+            reduce=lambda x: x[0].max(),
         ),
     ),
-    windows=lambda _config, times: {"all": slice(1, None), "last third": slice(2 * len(times) // 3, None)},
-)  # fmt: skip
+    "third-less-time": tiers(
+        reproduced=[fewer(25, *case) for case in COUNTS],
+        in_part=[
+            some(
+                "of eight counts in 0.333 ± 0.05",
+                1,
+                [fewer(per, *case) for per in (1, 25) for case in COUNTS],
+            ),
+            *(fewer(1, *case, bar=False) for case in COUNTS),
+            saved(1),
+            saved(25),
+        ],
+    ),
+    "small-errors-fast": all_of(
+        *(
+            sooner(f, i, 20.0, f"{AXES[i]}, {f[1].upper()}, s", (None, 1.0))
+            for f in (AUKF, SSUKF)
+            for i in range(2)
+        )
+    ),
+    "large-error-faster": all_of(
+        *(
+            sooner(
+                AUKF, 2, level, f"earlier below {level:g} arcsec by s", (0.25, None), sooner=SSUKF
+            )
+            for level in (20.0, 10.0, 5.0)
+        ),
+        saved(25),
+    ),
+    "numbers-of-points": all_of(
+        *(
+            of("costs", f"{name}, 1:1", f"{'fh'[i]}, {name.upper()}", (count, count), itemgetter(i))
+            for name, counts in (("aukf", (31, 31)), ("ssukf", (25, 19)))
+            for i, count in enumerate(counts)
+        )
+    ),
+    "measurement-noise-idle": all_of(
+        *(
+            of("identities", f"{what}, {label}", f"{what}, {label}", (None, 1e-9 if c else None))
+            for label, c in SPREADS.items()
+            for what in ("mean", "cov", "gain")
+        )
+    ),
+    "augmentation-more-accurate": tiers(
+        reproduced=[
+            ratio(
+                f"over {name.upper()}, last third",
+                ("augmented", "aukf"),
+                ("augmented", name),
+                "attitude",
+                (None, 1.0 - 1e-6),
+                at="last third",
+                strict=True,
+            )
+            for name in ("additive", "mekf")
+        ],
+        in_part=[
+            multiplying("over the additive UKF, noise in an exponential", "additive", 1.0),
+            multiplying("over an EKF there", "ekf"),
+        ],
+    ),
+    "component-mean-fails": all_of(
+        *(
+            of("facts", what, f"{what}, {d:g} deg", (1e-12, None), itemgetter(i))
+            for what in ("norm", "turned")
+            for i, d in enumerate(AVERAGED_DEG)
+        )
+    ),
+    "mrp-switch-cures": tiers(
+        reproduced=[*SWITCHED, unswitched, of("facts", "four", "condition of four components")],
+        in_part=SWITCHED,
+    ),
+    "quaternions-cheaper-to-propagate": tiers(
+        reproduced=[cheaper(way, "star") for way in (0, 1)],
+        in_part=[
+            *(cheaper(way, "drift") for way in (0, 1)),
+            *(
+                of(
+                    "operations",
+                    "accuracy",
+                    f"rad of Euler's step at {rate:.2g} deg/s",
+                    reduce=itemgetter((i, 0)),
+                )
+                for i, rate in enumerate(RATES_DEG_PER_S)
+            ),
+        ],
+    ),
+    "erratum-lambda": all_of(
+        given("spread c over right", PRINTED_SPREAD / (15.0 * STANDARD.alpha**2), (2.0, None)),
+        of(
+            "rates",
+            "as printed",
+            "largest change of the AUKF, arcsec",
+            (None, 1e-6),
+            lambda x: order(float(x[0].max())),
+        ),
+    ),
+    "gyro-numbers": all_of(
+        of(
+            "facts",
+            "limits",
+            "largest to smallest that settles",
+            (10.0, None),
+            lambda x: x[:, 0].max() / x[:, 0].min(),
+        ),
+        *(
+            of("facts", "limits", f"{name}, arcsec", reduce=itemgetter((i, 0)))
+            for i, name in enumerate(("least", "most"))
+        ),
+    ),
+    "remark-large-error": all_of(
+        *(
+            ratio(
+                f"179° over 10°, {name.upper()}",
+                ("turns", f"{name}, 179"),
+                ("turns", f"{name}, 10"),
+                "attitude",
+                (None, 1.001),
+                at=1,
+            )
+            for name in ("ssukf", "mekf")
+        ),
+        rmse("SSUKF from 179°, arcsec", ("turns", "ssukf, 179"), "attitude", at=1, each=True),
+    ),
+    "ordinary-cheaper": lambda r: Number(
+        "to SSUKF", points(r, "additive") / points(r, "ssukf"), (None, 0.6)
+    ),
+    "one-sided": all_of(
+        *(
+            ratio(
+                f"{name.upper()} to SSUKF, {part}",
+                (part, name),
+                (part, "ssukf"),
+                "attitude",
+                bar,
+                at="last third",
+            )
+            for part, bar in (("augmented", (0.999, 1.001)), ("coarse", (0.99, 1.01)))
+            for name in ("pa", "ma", "additive")
+        ),
+        *(
+            multiplying(f"to {name.upper()}, noise in an exponential", name)
+            for name in ("pa", "ma")
+        ),
+    ),
+    "sign-not-norm": all_of(
+        *(
+            ratio(
+                name,
+                ("components", name),
+                ("components", "rodrigues"),
+                "attitude",
+                bar,
+                at="last third",
+            )
+            for name, bar in (
+                ("aligned", (0.999, 1.001)),
+                ("wide", (1.1, None)),
+                ("signs", (None, None)),
+            )
+        ),
+        of("facts", "aligned", "rad between means", (None, 1e-9)),
+        of("facts", "eigen", "rad, eigenvector, 60°"),
+    ),
+    "two-heads": all_of(weak_axis("90° apart", (None, 1.5)), weak_axis("one head", (3.0, None))),
+    "at-the-bound": at_the_bound,
+    "one-vector-transport": all_of(
+        *(
+            ratio(
+                f"{name.upper()}, prior {d}°",
+                ("vector", f"{name} transported, {d}"),
+                ("vector", f"{name}, {d}"),
+                "attitude",
+                (None, 1.0),
+                median=True,
+            )
+            for name in ("usque", "mekf")
+            for d in (10, 30)
+        )
+    ),
+    "one-vector-linearized": all_of(
+        *(
+            ratio(
+                f"prior {d}°",
+                ("vector", f"mekf, {d}"),
+                ("vector", f"usque, {d}"),
+                "attitude",
+                (1.0, None),
+                median=True,
+            )
+            for d in (10, 30)
+        )
+    ),
+    "overconfident-prior": all_of(
+        ratio(
+            "over 10°",
+            ("priors", "ssukf, 0.00555556"),
+            ("priors", "ssukf, 10"),
+            "attitude",
+            (20.0, None),
+        ),
+        ratio(
+            "180° over 1°",
+            ("priors", "ssukf, 180"),
+            ("priors", "ssukf, 1"),
+            "attitude",
+            (0.999, 1.001),
+        ),
+    ),
+    "steady-attitude-ssukf": rmse(
+        "arcsec", SSUKF, "attitude", (0.93, 1.18), at="last third", each=True
+    ),
+    "steady-drift-ssukf": rmse(
+        "deg/h", SSUKF, "drift", (0.0062, 0.0079), at="last third", each=True
+    ),
+}
+
+ROWS, ANSWER = read_ledger(Path(__file__).with_name("ledger.toml"), DECISIONS)
+STUDY = Study(
+    "ssukf",
+    GROUPS,
+    partial(scenario.trial, drawn=False),
+    parts,
+    ROWS,
+    figure="figure_03",
+    says="Appending only the noise that acts makes a UKF as accurate as the fully augmented one, "
+    "in a third less time, and faster "
+    "to converge.",
+    windows=lambda _config, times: {
+        "all": slice(1, None),
+        "last third": slice(2 * len(times) // 3, None),
+    },
+    found=ANSWER,
+)

@@ -1,16 +1,20 @@
-"""What the paper adds to two stages: a first stage on differenced measurements, and factors that boost the gain of the second.
+"""What the paper adds to two stages: a first stage on differenced measurements, and factors that
+boost the gain of the second.
 
 Differencing (Eqs. 21-56) is for AR(1) noise of measurement and process that are correlated::
 
-    V_k = F V_k-1 + xi_k,   Q_k = L Q_k-1 + e_k,   x_k = f(x_k-1) + G_k (J V_k + Q_k),   z_k = h(x_k) + V_k
+    V_k = F V_k-1 + xi_k,   Q_k = L Q_k-1 + e_k,
+    x_k = f(x_k-1) + G_k (J V_k + Q_k),   z_k = h(x_k) + V_k
 
-The colored part of the last measurement's noise is taken off this one, ``Z' = z_k - F (z_k-1 - h(x_k-1))``, with the last
-*estimate* in place of the state; what then correlates process and measurement goes into the prediction, ``x + Omega (Z' - h(x))``,
-and the estimate's correlations with V and Q are carried along. Exact for ``F = L = 0``, whatever J. With ``F`` the error of the
+The colored part of the last measurement's noise is taken off this one, ``Z' = z_k - F (z_k-1 -
+h(x_k-1))``, with the last *estimate* in place of the state; what then correlates process and
+measurement goes into the prediction, ``x + Omega (Z' - h(x))``, and the estimate's correlations
+with V and Q are carried along. Exact for ``F = L = 0``, whatever J. With ``F`` the error of the
 last estimate is overlooked: the filter is then overconfident, the more the nearer ``F`` is to 1.
 
-Strong tracking (Eqs. 57-61) keeps an average of squared residuals over the last ``tau`` measurements and compares it with what
-it should be. Component i of the residual acts on component i of the bias; nothing else connects the two.
+Strong tracking (Eqs. 57-61) keeps an average of squared residuals over the last ``tau``
+measurements and compares it with what it should be. Component i of the residual acts on component i
+of the bias; nothing else connects the two.
 """
 
 from __future__ import annotations
@@ -44,8 +48,9 @@ __all__ = ["LARGEST", "Differenced", "StrongTracking", "strong_tracking"]
 
 
 class DifferencedState(NamedTuple):
-    """Belief about x in covariance form; covariance ``cross (..., n, q + m)`` of its error with Q and V; ``V (..., m)``, the last
-    measurement's noise as estimated, None before the first; its Jacobian ``H (..., m, n)``; and what `Differenced.move` gave."""
+    """Belief about x in covariance form; covariance ``cross (..., n, q + m)`` of its error with Q
+    and V; ``V (..., m)``, the last measurement's noise as estimated, None before the first; its
+    Jacobian ``H (..., m, n)``; and what `Differenced.move` gave."""
 
     belief: Covariance
     cross: Array
@@ -56,11 +61,13 @@ class DifferencedState(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Differenced:
-    """The stage, for `celnav.filters.two_stage.TwoStage`. Each epoch moves and is measured in full, or not at all.
+    """The stage, for `celnav.filters.two_stage.TwoStage`. Each epoch moves and is measured in full,
+    or not at all.
 
-    move: ``(mean, epoch) ->`` state ``(..., n)`` after the interval, its Jacobian ``Phi``, effect ``G (..., n, q)`` of the noise.
-    h, slope: ``(mean, epoch) ->`` measurement ``(..., m)`` and its Jacobian ``(..., m, n)``. noise: see `ar1_noise`.
-    ValueError for a measurement that is missing in part, or where ``I + H G J`` is singular (determinant below 1e-12).
+    move: ``(mean, epoch) ->`` state ``(..., n)`` after the interval, its Jacobian ``Phi``, effect
+    ``G (..., n, q)`` of the noise. h, slope: ``(mean, epoch) ->`` measurement ``(..., m)`` and its
+    Jacobian ``(..., m, n)``. noise: see `ar1_noise`. ValueError for a measurement that is missing
+    in part, or where ``I + H G J`` is singular (determinant below 1e-12).
     """
 
     move: Callable[[Array, Epoch], tuple[Array, Array, Array]]
@@ -76,7 +83,8 @@ class Differenced:
     def start(self, prior: Gaussian) -> DifferencedState:
         """State before the first epoch."""
         check_prior(prior)
-        belief, (q, m) = Covariance.of(prior), self.noise.J.shape[-2:]
+        belief = Covariance.of(prior)
+        q, m = self.noise.J.shape[-2:]
         n = belief.mean.shape[-1]
         return DifferencedState(belief, np.zeros((n, q + m)), None, np.zeros((m, n)))
 
@@ -84,8 +92,9 @@ class Differenced:
         self, state: DifferencedState, epoch: Epoch
     ) -> tuple[DifferencedState, Array | None]:
         """State that knows what the model says of the interval, and the transition matrix."""
-        n, q = state.belief.mean.shape[-1], self.noise.L.shape[-1]
-        found = check_return("move", self.move(state.belief.mean, epoch), "state, Phi, G")
+        n = state.belief.mean.shape[-1]
+        q = self.noise.L.shape[-1]
+        found = given_back("move", self.move(state.belief.mean, epoch), "state, Phi, G")
         shapes = (..., n), (..., n, n), (..., n, q)
         x, Phi, G = (
             numbers("move", unmasked("move", a), shape)
@@ -98,16 +107,21 @@ class Differenced:
     ) -> tuple[DifferencedState, Stage | None, Info]:
         """State at the end of the interval given its measurement, and what was done."""
         assert state.moved is not None
-        (x, Phi, G), (F, L, J, Xi, E, V, Q) = state.moved, self.noise
-        n, (q, m), first = x.shape[-1], J.shape[-2:], state.V is None
+        x, Phi, G = state.moved
+        F, L, J, Xi, E, V, Q = self.noise
+        n = x.shape[-1]
+        q, m = J.shape[-2:]
+        first = state.V is None
         z = numbers("z", epoch.z, () if epoch.z is None else (..., m))
         together(prior=x.shape[:-1], z=z.shape[:-1])
         if is_concretely_true(np.isnan(z).any()):
             raise ValueError(
-                "z: expected a whole measurement at every epoch: what was missed cannot be differenced"
+                "z: expected a whole measurement at every epoch: what was missed cannot be "
+                "differenced"
             )
         if first:  # nothing to difference with: all of V is new
-            F, Xi = np.zeros_like(F), V
+            F = np.zeros_like(F)
+            Xi = V
         y = z - self._seen(x, epoch) - (0.0 if state.V is None else matvec(F, state.V))
 
         # What correlates process and measurement goes into the prediction, by Omega.
@@ -116,26 +130,22 @@ class Differenced:
         if not coupled.dtype.hasobject and np.abs(np.linalg.det(coupled)).min() < 1e-12:
             raise ValueError("J: expected I + H G J to have an inverse, got a singular matrix")
         Omega = np.linalg.solve(coupled.mT, (G @ J).mT).mT
-        into, Phi1, G1 = matvec(Omega, y), Phi - Omega @ (H @ Phi), G - Omega @ (H @ G)
+        into = matvec(Omega, y)
+        Phi1 = Phi - Omega @ (H @ Phi)
+        G1 = G - Omega @ (H @ G)
 
-        # The joint of (x, Q, V): x = Phi1 x + G1 (J F V + L Q + e), Q = L Q + e, and V waits for xi, which is measured with H x.
-        moves, marginals = (
-            side_by_side([Phi1, G1 @ side_by_side([L, J @ F])]),
-            block([[Q, 0], [0, V]]),
-        )
-        ahead, driven = (
-            moves @ block([[state.belief.cov, state.cross], [state.cross.mT, marginals]]),
-            G1 @ E,
-        )
-        P, cross = (
-            ahead @ moves.mT + driven @ G1.mT,
-            side_by_side([ahead[..., n : n + q] @ L + driven, ahead[..., n + q :]]),
-        )
-        cov, nothing = block([[0.5 * (P + P.mT), cross], [cross.mT, marginals]]), np.zeros(q + m)
-        moved, sensor = (
-            Covariance(side_by_side([x + into, nothing]), cov),
-            (nothing[:m], side_by_side([H, np.zeros((m, q + m))])),
-        )
+        # The joint of (x, Q, V): x = Phi1 x + G1 (J F V + L Q + e), Q = L Q + e, and V waits for
+        # xi, which is measured with H x.
+        moves = side_by_side([Phi1, G1 @ side_by_side([L, J @ F])])
+        marginals = block([[Q, 0], [0, V]])
+        ahead = moves @ block([[state.belief.cov, state.cross], [state.cross.mT, marginals]])
+        driven = G1 @ E
+        P = ahead @ moves.mT + driven @ G1.mT
+        cross = side_by_side([ahead[..., n : n + q] @ L + driven, ahead[..., n + q :]])
+        cov = block([[0.5 * (P + P.mT), cross], [cross.mT, marginals]])
+        nothing = np.zeros(q + m)
+        moved = Covariance(side_by_side([x + into, nothing]), cov)
+        sensor = (nothing[:m], side_by_side([H, np.zeros((m, q + m))]))
         seen = joint(
             LINEAR,
             moved,
@@ -148,8 +158,10 @@ class Differenced:
         assert info.sqrt_S is not None
         assert info.gain is not None
 
-        # Kept is what concerns x; Q and V have their stationary marginals again. V = F V + xi, and xi is what H x leaves over of z.
-        belief, cross = Covariance(both.mean[..., :n], both[1][..., :n, :n]), both[1][..., :n, n:]
+        # Kept is what concerns x; Q and V have their stationary marginals again. V = F V + xi, and
+        # xi is what H x leaves over of z.
+        belief = Covariance(both.mean[..., :n], both[1][..., :n, :n])
+        cross = both[1][..., :n, n:]
         cross = side_by_side([cross[..., :q], cross[..., q:] @ F - belief.cov @ H.mT])
         after = DifferencedState(belief, cross, z - self._seen(belief.mean, epoch), H)
         lag = (None, None) if first else (F, state.H)
@@ -176,7 +188,8 @@ LARGEST = 1e6
 
 
 class Window(NamedTuple):
-    """Memory: how many residuals were seen, mean of their squares ``(..., m)``, and the factors last used."""
+    """Memory: how many residuals were seen, mean of their squares ``(..., m)``, and the factors
+    last used."""
 
     length: float
     squares: Array
@@ -214,14 +227,18 @@ class StrongTracking:
 def strong_tracking(
     rho: ArrayLike, tau: ArrayLike, *, proportional: ArrayLike = False
 ) -> StrongTracking:
-    """A boost for `celnav.filters.two_stage.two_stage`: factors ``1 + rho (ratio - 1)``, of squared residuals over variances.
+    """A boost for `celnav.filters.two_stage.two_stage`: factors ``1 + rho (ratio - 1)``, of squared
+    residuals over variances.
 
-    rho: ``(..., m)``, not negative; 0 switches a component off. tau: ``(..., 1)``, length of the window in measurements.
-    proportional: where factors are ``rho ratio`` instead, closest to the prose: near ``rho`` even while the filter is consistent.
+    rho: ``(..., m)``, not negative; 0 switches a component off. tau: ``(..., 1)``, length of the
+    window in measurements. proportional: where factors are ``rho ratio`` instead, closest to the
+    prose: near ``rho`` even while the filter is consistent.
 
-    >>> filter = celnav.two_stage(motion, sensor, Gamma, bias, boost=strong_tracking([8.0, 15.0, 9.0], 100.0))
+    >>> boost = strong_tracking([8.0, 15.0, 9.0], 100.0)
+    >>> filter = celnav.two_stage(motion, sensor, Gamma, bias, boost=boost)
     """
-    weights, length = finite("rho", rho), finite("tau", tau)
+    weights = finite("rho", rho)
+    length = finite("tau", tau)
     if (length < 1.0).any():
         raise ValueError(f"tau: expected numbers of at least 1, got {tau!r}")
     if weights.ndim == 0 or (weights < 0.0).any():

@@ -1,10 +1,13 @@
-"""[Xu2023]: a satellite of the Earth that times three pulsars, with colored noise and an error of the Earth's ephemeris.
+"""[Xu2023]: a satellite of the Earth that times three pulsars, with colored noise and an error of
+the Earth's ephemeris.
 
-The display equations of the text at hand are lost. Inferred are Eq. 2, delay of a pulse (`celnav.models.pulsar.Timing`); 3-4,
-orbit (`celnav.models.orbit`); 17, 69, 70, ephemeris error (`Config.bias`); 19, deviation of a timing (`Pulsar.timing_std`); 21-56
-and 57-61, differencing and strong tracking (`celnav.papers.tstdkf.method`), on two stages (`celnav.filters.two_stage`).
+The display equations of the text at hand are lost. Inferred are Eq. 2, delay of a pulse
+(`celnav.models.pulsar.Timing`); 3-4, orbit (`celnav.models.orbit`); 17, 69, 70, ephemeris error
+(`Config.bias`); 19, deviation of a timing (`Pulsar.timing_std`); 21-56 and 57-61, differencing and
+strong tracking (`celnav.papers.tstdkf.method`), on two stages (`celnav.filters.two_stage`).
 
-Several configurations may be flown together, as *cases* along an axis before the runs', on the same random numbers, orbit, times.
+Several configurations may be flown together, as *cases* along an axis before the runs', on the same
+random numbers, orbit, times.
 """
 
 from __future__ import annotations
@@ -12,7 +15,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
-from importlib.util import find_spec
 from operator import attrgetter
 from typing import Any, NamedTuple
 
@@ -21,7 +23,7 @@ from numpy.typing import ArrayLike
 
 from celnav.filters.model import Linear, Motion, Sensor
 from celnav.filters.records import Epoch, Epochs, Info, State, epochs
-from celnav.filters.run import ENGINE, run
+from celnav.filters.run import run
 from celnav.filters.sequential import Sequential, ekf
 from celnav.filters.two_stage import Plain, TwoStage
 from celnav.gaussian.belief import Gaussian
@@ -39,15 +41,39 @@ from celnav.study.study import Rngs
 from celnav.study.trial import Group, Trial
 
 __all__ = [
-    "CITATION", "DAY_S", "GRAVITY", "GROUPS", "JUDGED", "KAPPA", "LINEAR", "PRESETS", "PULLING",
-    "SETTINGS", "TABLE_5", "TITLE", "YEAR", "YEAR_S", "Config", "Scenario", "Setting", "compiles",
-    "filters", "kalman", "linearized", "models", "nine_states", "noises", "nominal", "simulate", "sky",
+    "CITATION",
+    "DAY_S",
+    "GRAVITY",
+    "GROUPS",
+    "JUDGED",
+    "KAPPA",
+    "LINEAR",
+    "PRESETS",
+    "PULLING",
+    "SETTINGS",
+    "TABLE_5",
+    "TITLE",
+    "YEAR",
+    "YEAR_S",
+    "Config",
+    "Scenario",
+    "Setting",
+    "filters",
+    "kalman",
+    "linearized",
+    "models",
+    "nine_states",
+    "noises",
+    "nominal",
+    "simulate",
+    "sky",
     "trial",
-]  # fmt: skip
+]
 
 TITLE = "Two-stage strong-tracking differential Kalman filter for X-ray pulsars"
 CITATION = citation("Xu2023")
-YEAR_S, DAY_S = 365.25 * 86400.0, 86400.0
+YEAR_S = 365.25 * 86400.0
+DAY_S = 86400.0
 KAPPA = 4.8
 GRAVITY = {"earth": EARTH, "mars": Earth(GM["mars"], 3396.0, 1.9566e-3)}
 """Of bodies that a satellite may orbit; Mars: radius and J2 of the field GMM-3."""
@@ -56,7 +82,7 @@ TUNED = (
 )
 
 
-# -- parameters --------------------------------------------------------------------------------------------------------------
+# -- parameters ------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Setting(Parameters):
     """One row of Table 4."""
@@ -64,7 +90,8 @@ class Setting(Parameters):
     F: float = param(
         0.5,
         "chosen",
-        "color of the measurement noise, V' = F V + increment, which is as large as pulsars are timed",
+        "color of the measurement noise, V' = F V + increment, which is as large as pulsars are "
+        "timed",
     )
     L: float = param(0.5, "chosen", "color of the process noise, likewise")
     kappa: float = param(KAPPA, TUNED, "how strongly the increments of both are correlated")
@@ -95,9 +122,11 @@ class Config(Timed):
     )
     center: str = param("earth", "paper", "body that the satellite orbits", one_of=tuple(GRAVITY))
     elements: tuple[float, ...] = param(
-        (7136.635, 1.809e-3, 65.0, 30.0, 30.0, 0.0), "chosen: common in this literature",
-        "of the orbit: semi-major axis (km), eccentricity, inclination, node, perigee and true anomaly (deg)",
-    )  # fmt: skip
+        (7136.635, 1.809e-3, 65.0, 30.0, 30.0, 0.0),
+        "chosen: common in this literature",
+        "of the orbit: semi-major axis (km), eccentricity, inclination, node, perigee and true "
+        "anomaly (deg)",
+    )
     error_km: tuple[float, ...] = param(
         (1.0,) * 3, "paper", "of the position at the start, each axis, and in the prior", above=0.0
     )
@@ -118,9 +147,12 @@ class Config(Timed):
         (0.0, 0.5 * np.pi, 0.25 * np.pi), "chosen", "of that error's year, each axis, rad"
     )
     trend: str = param(
-        "sine", "inferred: Eqs 17, 69, 70", "how it goes on: a year's sine, growing, a triangle; constant, drawn from its prior; "
-        "or none until half time, then its prior's deviation", one_of=("sine", "growing", "triangle", "constant", "step"),
-    )  # fmt: skip
+        "sine",
+        "inferred: Eqs 17, 69, 70",
+        "how it goes on: a year's sine, growing, a triangle; constant, drawn from its prior; "
+        "or none until half time, then its prior's deviation",
+        one_of=("sine", "growing", "triangle", "constant", "step"),
+    )
     initial: str = param(
         "paper",
         "inferred",
@@ -142,9 +174,11 @@ class Config(Timed):
     )
     tau: float = param(100.0, "paper", "window of the fading factors, in measurements")
     factor: str = param(
-        "excess", "chosen: form C, after setting 5; B is the other", "fading factors of what residuals exceed, or in proportion",
+        "excess",
+        "chosen: form C, after setting 5; B is the other",
+        "fading factors of what residuals exceed, or in proportion",
         one_of=("excess", "proportional"),
-    )  # fmt: skip
+    )
 
     def check(self) -> None:
         """Three pulsars, a length of some steps."""
@@ -191,15 +225,18 @@ class Config(Timed):
 
     @property
     def noise(self) -> Noise:
-        """Noises of the setting; ``J (6, 3)`` is two diagonal blocks, in deviations of the driving noises."""
-        s, std = self.setting, self.process_std
+        """Noises of the setting; ``J (6, 3)`` is two diagonal blocks, in deviations of the driving
+        noises."""
+        s = self.setting
+        std = self.process_std
         J = s.kappa * std[:, None] * np.vstack([np.diag(1.0 / self.sigma_km)] * 2)
         return ar1_noise(
             s.F * np.eye(3), s.L * np.eye(6), J, np.diag(self.sigma_km**2), np.diag(std**2)
         )
 
     def bias(self, t: Array) -> Array:
-        """Error ``(..., 3)`` km of the ephemeris, ``t`` s after the start [Xu2023, Eqs 17, 69, 70; inferred], if not constant."""
+        """Error ``(..., 3)`` km of the ephemeris, ``t`` s after the start [Xu2023, Eqs 17, 69, 70;
+        inferred], if not constant."""
         if self.trend == "step":
             return (
                 self.bias_prior_km
@@ -207,7 +244,8 @@ class Config(Timed):
                 * (np.asarray(t)[..., None] > 0.5 * self.days * DAY_S)
             )
         angle = 2.0 * np.pi / YEAR_S * np.asarray(t)[..., None]
-        A, phase = np.asarray(self.amplitude_km), np.asarray(self.phase)
+        A = np.asarray(self.amplitude_km)
+        phase = np.asarray(self.phase)
         growing = 1.5 * angle / (2.0 * np.pi) - 0.75 + 0.5 * np.sin(2.0 * angle + phase)
         triangle = (2.0 / np.pi) * np.arcsin(np.cos(angle + phase))
         return np.asarray(
@@ -221,14 +259,15 @@ YEAR = replace(TABLE_5, days=365.0, runs=3, setting=Setting(kappa=4.5), walk_km=
 PRESETS = {"table5": TABLE_5, "white": WHITE, "year": YEAR}
 
 
-# -- what happens ------------------------------------------------------------------------------------------------------------
+# -- what happens ----------------------------------------------------------------------------------
 Cases = Config | Sequence[Config]
 """One configuration, or several that are flown together."""
 PULLING = ("sun", "moon")
 
 
 def stacked(cases: Cases, of: Callable[[Config], Any]) -> Array:
-    """A parameter: of one configuration as it is, of several ``(cases, 1, ...)``, which broadcasts over the runs."""
+    """A parameter: of one configuration as it is, of several ``(cases, 1, ...)``, which broadcasts
+    over the runs."""
     return (
         np.asarray(of(cases))
         if isinstance(cases, Config)
@@ -275,13 +314,15 @@ def pull(bodies: Array | None) -> Extra | None:
 
 
 def nominal(config: Config) -> Flow:
-    """The undisturbed orbit ``(T, 6)``, and ``Phi`` and ``G`` of each step, ``(T - 1, 6, 6)``; not to be written to."""
+    """The undisturbed orbit ``(T, 6)``, and ``Phi`` and ``G`` of each step, ``(T - 1, 6, 6)``; not
+    to be written to."""
     return _coasted(tuple(config.orbit.tolist()), config.step_s, config.samples, config.center)
 
 
 @lru_cache(maxsize=4)
 def _coasted(start: tuple[float, ...], step_s: float, steps: int, center: str) -> Flow:
-    gravity, when = GRAVITY[center], epochs(step_s * np.arange(steps + 1))
+    gravity = GRAVITY[center]
+    when = epochs(step_s * np.arange(steps + 1))
     prior = Gaussian(start, np.zeros((6, 6)))
     x = carried(lambda x, epoch: advance(x, epoch.dt, gravity), prior, when)
     pieces = [
@@ -291,8 +332,9 @@ def _coasted(start: tuple[float, ...], step_s: float, steps: int, center: str) -
 
 
 class Scenario(NamedTuple):
-    """Simulated runs, time-major, of one configuration or of several ``(cases, runs)``: ``truth (T, ..., 6)`` km, km/s; ``bias (T,
-    ..., 3)`` km; ``z (T, ..., m)`` km, of which the first is not used; ``inputs``: arrays ``(T - 1, ...)`` for the models."""
+    """Simulated runs, time-major, of one configuration or of several ``(cases, runs)``: ``truth (T,
+    ..., 6)`` km, km/s; ``bias (T, ..., 3)`` km; ``z (T, ..., m)`` km, of which the first is not
+    used; ``inputs``: arrays ``(T - 1, ...)`` for the models."""
 
     truth: Array
     bias: Array
@@ -315,7 +357,8 @@ class Scenario(NamedTuple):
         return self._part(cases, slice(None))
 
     def _part(self, *at: Any) -> Scenario:
-        mean, cov = self.prior.mean, self.prior.cov
+        mean = self.prior.mean
+        cov = self.prior.cov
         if cov.ndim > 2:  # not one of all runs
             cov = np.broadcast_to(cov, (*mean.shape, mean.shape[-1]))[at]
         truth, bias, z = (part[:, *at] for part in (self.truth, self.bias, self.z))
@@ -334,8 +377,10 @@ class Scenario(NamedTuple):
 
 
 def drawn(cases: Cases, rngs: Rngs) -> tuple[Array, Array, Array, Array]:
-    """AR(1) noises V ``(T, ..., runs, 3)`` km and Q ``(T, ..., runs, 6)``; drawn for each run ``(runs, 6)``, and for its bias."""
-    c, noise = one_of(cases), noises(cases)
+    """AR(1) noises V ``(T, ..., runs, 3)`` km and Q ``(T, ..., runs, 6)``; drawn for each run
+    ``(runs, 6)``, and for its bias."""
+    c = one_of(cases)
+    noise = noises(cases)
     xi, e, first, rest = normals(rngs, (c.samples + 1, 3), (c.samples + 1, 6), (9,), (9,))
     both = (
         (noise.F, xi * c.sigma_km, first[:, :3], noise.V),
@@ -350,12 +395,12 @@ def drawn(cases: Cases, rngs: Rngs) -> tuple[Array, Array, Array, Array]:
 
 def simulate(cases: Cases, rngs: Rngs) -> Scenario:
     """Simulate one run of each case with each generator."""
-    c, noise, (V, Q, begun, constant) = one_of(cases), noises(cases), drawn(cases, rngs)
-    timing, (earth, sun, bodies), each = (
-        c.timing,
-        sky(c),
-        [c] if isinstance(cases, Config) else cases,
-    )
+    c = one_of(cases)
+    noise = noises(cases)
+    V, Q, begun, constant = drawn(cases, rngs)
+    timing = c.timing
+    earth, sun, bodies = sky(c)
+    each = [c] if isinstance(cases, Config) else cases
     errors = [
         case.bias_prior_km * constant if case.trend == "constant" else case.bias(c.times)[:, None]
         for case in each
@@ -363,11 +408,13 @@ def simulate(cases: Cases, rngs: Rngs) -> Scenario:
     bias = np.stack(
         [np.broadcast_to(error, (len(V), len(rngs), 3)) for error in errors], 1
     ).reshape(V.shape)
-    # The disturbance is mapped by the nominal orbit's G, from which that of a run differs by 1e-4 of itself.
+    # The disturbance is mapped by the nominal orbit's G, from which that of a run differs by 1e-4
+    # of itself.
     pushes = Q[1:]
     pushes += matvec(noise.J, V[1:])
     pushes = (pushes.reshape(len(pushes), -1, 6) @ nominal(c).G.mT).reshape(pushes.shape)
-    truth, z = pushed(c, pushes, None if bodies is None else bodies[1:]), V
+    truth = pushed(c, pushes, None if bodies is None else bodies[1:])
+    z = V
     z[0] = np.nan
     for some in np.array_split(np.arange(1, len(z)), 1 + len(z) // 256):
         there = (some, *(None,) * (z.ndim - 2))
@@ -386,11 +433,6 @@ def simulate(cases: Cases, rngs: Rngs) -> Scenario:
     )
 
 
-def compiles() -> bool:
-    """Whether machine code can be had, which is taken where it repays."""
-    return ENGINE.get() != "numpy" and find_spec("llvmlite") is not None
-
-
 def carried(f: Callable[[Array, Epoch], Array], prior: Gaussian, when: Epochs) -> Array:
     """States ``(T, ..., 6)`` that follow from one another: the means of an open loop."""
     motion = Motion(f, np.zeros((6, 6)), jacobian=lambda _x, _epoch: np.eye(6))
@@ -402,53 +444,51 @@ def pushed(config: Config, pushes: Array, bodies: Array | None) -> Array:
 
     pushes: ``(T - 1, ..., 6)`` km, km/s at the end of each step. bodies: see `pull`.
     """
-    gravity, shape = GRAVITY[config.center], () if bodies is None else bodies.shape[1:]
-    start, x = np.broadcast_to(config.orbit, pushes.shape[1:]), list[Array]()
-    flat = None if bodies is None else bodies.reshape(len(bodies), -1)
+    gravity = GRAVITY[config.center]
+    start = np.broadcast_to(config.orbit, pushes.shape[1:])
 
     def f(x: Array, epoch: Epoch) -> Array:
         push, seen = epoch.u
-        extra = pull(None if seen is None else seen.reshape(shape))
-        return np.asanyarray(advance(x, epoch.dt, gravity, extra) + push)
+        return np.asanyarray(advance(x, epoch.dt, gravity, pull(seen)) + push)
 
-    if compiles():
-        when = epochs(config.times, u=(pushes, flat))
-        return carried(f, Gaussian(start, np.zeros((6, 6))), when)
-    for k, push in enumerate(pushes):
-        u = push, None if flat is None else flat[k]
-        x.append(f(x[-1] if x else start, Epoch(k + 1, 0.0, config.step_s, u)))
-    return np.stack([start, *x])
+    when = epochs(config.times, u=(pushes, bodies))
+    return carried(f, Gaussian(start, np.zeros((6, 6))), when)
 
 
 def linearized(cases: Sequence[Config], rngs: Rngs) -> Scenario:
-    """Runs of errors about the nominal orbit, for `LINEAR` models, whose filters have one covariance for all runs. Cases differ in
-    their ephemeris error alone; a constant one is 1 km along an axis in each of the first runs, then along random directions."""
-    c, (V, Q, _, constant) = cases[0], drawn(cases[0], rngs)
-    (orbit, Phi, G), (earth, sun, _), J = nominal(c), sky(c), c.noise.J
-    x, Gamma = np.zeros_like(Q), c.timing.gradient(earth + orbit[:, :3], sun)
+    """Runs of errors about the nominal orbit, for `LINEAR` models, whose filters have one
+    covariance for all runs. Cases differ in their ephemeris error alone; a constant one is 1 km
+    along an axis in each of the first runs, then along random directions."""
+    c = cases[0]
+    V, Q, _, constant = drawn(cases[0], rngs)
+    orbit, Phi, G = nominal(c)
+    earth, sun, _ = sky(c)
+    J = c.noise.J
+    x = np.zeros_like(Q)
+    Gamma = c.timing.gradient(earth + orbit[:, :3], sun)
     x[1:] = (V[1:] @ J.T + Q[1:]) @ G.mT
     for now, before, transition in zip(x[1:], x, Phi.mT, strict=False):
         now += before @ transition
-    unit, batch = (
-        constant / np.linalg.norm(constant, axis=1, keepdims=True),
-        (len(x), len(cases), len(rngs)),
-    )
+    unit = constant / np.linalg.norm(constant, axis=1, keepdims=True)
+    batch = (len(x), len(cases), len(rngs))
     unit[:3] = np.eye(3)[: len(unit)]
     errors = [
         unit[None] if case.trend == "constant" else case.bias(c.times)[:, None] for case in cases
     ]
     bias = np.stack([np.broadcast_to(error, (len(x), *error.shape[1:])) for error in errors], 1)
-    truth, bias = np.broadcast_to(x[:, None], (*batch, 6)), np.broadcast_to(bias, (*batch, 3))
+    truth = np.broadcast_to(x[:, None], (*batch, 6))
+    bias = np.broadcast_to(bias, (*batch, 3))
     z = (truth[..., :3] + bias) @ Gamma[:, None].mT + V[:, None]
     prior = Gaussian(np.broadcast_to(c.deviation, (*batch[1:], 6)), np.diag(c.deviation**2))
     return Scenario(truth, bias, z, (Phi, G, Gamma[1:]), prior, c.step_s)
 
 
-# -- models ------------------------------------------------------------------------------------------------------------------
+# -- models ----------------------------------------------------------------------------------------
 class Models(NamedTuple):
-    """Orbit and timings (km, with the Earth where it is believed to be) as filters see them, of ``(mean (..., 6 or more), epoch)``.
-    ``Gamma (..., m, 3)``: slope with respect to the position, and to an error of the Earth's. ``linear``: whether they are products
-    with their derivatives, the same for every mean."""
+    """Orbit and timings (km, with the Earth where it is believed to be) as filters see them, of
+    ``(mean (..., 6 or more), epoch)``. ``Gamma (..., m, 3)``: slope with respect to the position,
+    and to an error of the Earth's. ``linear``: whether they are products with their derivatives,
+    the same for every mean."""
 
     move: Callable[[Array, Epoch], Flow]
     measure: Callable[[Array, Epoch], Array]
@@ -460,7 +500,8 @@ class Models(NamedTuple):
         return block([[self.Gamma(mean, epoch), np.zeros((3, 3))]])
 
     def believed(self, kind: Any, function: Any, jacobian: Any, **noise: Any) -> Any:
-        """A `Motion` or `Sensor` of a function and its Jacobian, which is all of it where it is linear."""
+        """A `Motion` or `Sensor` of a function and its Jacobian, which is all of it where it is
+        linear."""
         return (
             kind(Linear(partial(jacobian, np.zeros(6))), **noise)
             if self.linear
@@ -512,18 +553,22 @@ LINEAR = Models(  # of errors about the nominal orbit; epoch.u is (Phi, G, Gamma
 )
 
 
-# -- the filters -------------------------------------------------------------------------------------------------------------
+# -- the filters -----------------------------------------------------------------------------------
 def filters(
     cases: Cases, seen: Models | None = None, noise: Noise | None = None, *, on: ArrayLike = 1.0
 ) -> dict[str, Any]:
-    """The filters by name. ``seen``, ``noise``: other models and noises than those of the cases. ``on``: factor of rho.
+    """The filters by name. ``seen``, ``noise``: other models and noises than those of the cases.
+    ``on``: factor of rho.
 
-    ekf, tkf: ignorance and two stages, with the covariances of the driving noise, the paper's (inferred) choice; the first stage of
-    tkf is ekf. ekf-fair, tkf-fair: with those that the noises really have. tdkf, tstdkf: two stages on differenced measurements,
-    without and with strong tracking. aug9: ekf with the bias appended, a walk. aug: all noises and the bias as states, exact.
-    Beliefs of ekf are about ``(r, v)``, of aug about ``(r, v, V, Q, b)``, of the others about ``(r, v, b)``.
+    ekf, tkf: ignorance and two stages, with the covariances of the driving noise, the paper's
+    (inferred) choice; the first stage of tkf is ekf. ekf-fair, tkf-fair: with those that the noises
+    really have. tdkf, tstdkf: two stages on differenced measurements, without and with strong
+    tracking. aug9: ekf with the bias appended, a walk. aug: all noises and the bias as states,
+    exact. Beliefs of ekf are about ``(r, v)``, of aug about ``(r, v, V, Q, b)``, of the others
+    about ``(r, v, b)``.
     """
-    seen, n = seen or models(one_of(cases)), noise or noises(cases)
+    seen = seen or models(one_of(cases))
+    n = noise or noises(cases)
     bias = Gaussian(np.zeros(3), stacked(cases, lambda case: case.bias_prior_km**2 * np.eye(3)))
     out: dict[str, Any] = {}
     for name, (Q, R) in zip(("", "-fair"), n.whites, strict=True):
@@ -532,10 +577,8 @@ def filters(
     tdkf = TwoStage.of(Differenced(seen.move, seen.measure, seen.H, n), seen.Gamma, bias)
     walk = stacked(cases, lambda case: case.walk_km * np.eye(3))
     out["aug9"] = nine_states(seen, n.E, n.Xi, bias, walk)
-    rho, form = (
-        stacked(cases, lambda case: case.rho),
-        stacked(cases, lambda case: [case.factor == "proportional"]),
-    )
+    rho = stacked(cases, lambda case: case.rho)
+    form = stacked(cases, lambda case: [case.factor == "proportional"])
     boost = strong_tracking(on * rho, one_of(cases).tau, proportional=form)
     return out | {
         "tdkf": tdkf,
@@ -547,7 +590,8 @@ def filters(
 # Matrices that runs may have of their own are arguments of a `partial`: the compiled engine finds
 # them there.
 def kalman(seen: Models, Q: Array, R: Array) -> Sequential:
-    """An EKF that takes all noise for white, of covariances Q ``(..., 6, 6)`` of the rates and R ``(..., m, m)``."""
+    """An EKF that takes all noise for white, of covariances Q ``(..., 6, 6)`` of the rates and R
+    ``(..., m, m)``."""
     functions = partial(_follows, seen), partial(_transition, seen)
     motion = seen.believed(Motion, *functions, sqrt_Q=partial(_driven, seen, np.linalg.cholesky(Q)))
     return ekf(motion, seen.believed(Sensor, seen.measure, seen.H, R=R), form="covariance")
@@ -566,9 +610,12 @@ def _driven(seen: Models, root: Array, x: Array, epoch: Epoch) -> Array:
 
 
 def augmented(seen: Models, n: Noise, bias: Gaussian, walk: Array) -> Appended:
-    """The exact filter: 18 states ``(x, V, Q, b)``, the bias a random walk, and no noise left in the measurement. In square-root
-    form: after an update V is known from the rest, so the covariance is singular."""
-    xi, e, eye = np.sqrt(n.Xi), np.sqrt(n.E), np.eye(3)
+    """The exact filter: 18 states ``(x, V, Q, b)``, the bias a random walk, and no noise left in
+    the measurement. In square-root form: after an update V is known from the rest, so the
+    covariance is singular."""
+    xi = np.sqrt(n.Xi)
+    e = np.sqrt(n.E)
+    eye = np.eye(3)
     color, cov = (
         block([[V, 0, 0], [0, Q, 0], [0, 0, b]])
         for V, Q, b in ((n.F, n.L, eye), (n.V, n.Q, bias.cov))
@@ -586,7 +633,8 @@ def augmented(seen: Models, n: Noise, bias: Gaussian, walk: Array) -> Appended:
 
 
 def nine_states(seen: Models, Q: Array, R: Array, bias: Gaussian, walk: Array) -> Appended:
-    """`kalman` with the bias appended, ``(x, b)``; ``walk (..., 3, 3)``: root of the covariance of its steps."""
+    """`kalman` with the bias appended, ``(x, b)``; ``walk (..., 3, 3)``: root of the covariance of
+    its steps."""
     drives = block([[np.linalg.cholesky(Q), 0], [0, walk]])
     return appended(seen, bias.cov, np.eye(3), np.zeros((6, 3)), drives, "covariance", R=R)
 
@@ -611,8 +659,9 @@ class Appended:
 def appended(
     seen: Models, cov: Array, color: Array, into: Array, drives: Array, form: str, **R: Array
 ) -> Appended:
-    """An EKF of orbit and ``s (..., q)``, first a timing's noise if q > 3, last a bias: ``s' = color s + w``, N(0, cov) at first,
-    noise of the orbit ``into s + w``; ``drives (..., 6 + q, r)``: root of the covariance of w. Others: as of `ekf`."""
+    """An EKF of orbit and ``s (..., q)``, first a timing's noise if q > 3, last a bias: ``s' =
+    color s + w``, N(0, cov) at first, noise of the orbit ``into s + w``; ``drives (..., 6 + q,
+    r)``: root of the covariance of w. Others: as of `ekf`."""
     slope = partial(_slope_with, seen, cov.shape[-1] - 3)
     motion = seen.believed(
         Motion,
@@ -625,7 +674,8 @@ def appended(
 
 
 def _follows_with(seen: Models, color: Array, into: Array, x: Array, epoch: Epoch) -> Array:
-    moved, s = seen.move(x[0], epoch), x[0][..., 6:]
+    moved = seen.move(x[0], epoch)
+    s = x[0][..., 6:]
     orbit = moved.state + matvec(moved.G, matvec(into, s))
     return np.concatenate([orbit, matvec(color, s)], -1)[None]
 
@@ -648,15 +698,17 @@ def _measured_with(seen: Models, slope: Any, x: Array, epoch: Epoch) -> Array:
     return np.asanyarray(seen.measure(x, epoch) + matvec(slope(x, epoch)[..., 6:], x[..., 6:]))
 
 
-# -- how they are judged -----------------------------------------------------------------------------------------------------
+# -- how they are judged ---------------------------------------------------------------------------
 GROUPS = (Group("position", "km", slice(0, 3)), Group("velocity", "m/s", slice(3, 6), 1e3))
 JUDGED = {group.name: group.unit for group in GROUPS}
 
 
 def trial(config: Config, rngs: Rngs) -> Trial:
-    """One run with each generator, for missions, campaigns and the study. The orbit is judged, which all filters estimate. There is
-    a bound where initial errors and a constant ephemeris error are drawn from their priors, as the exact filter believes."""
-    sim, known = simulate(config, rngs), filters(config)
+    """One run with each generator, for missions, campaigns and the study. The orbit is judged,
+    which all filters estimate. There is a bound where initial errors and a constant ephemeris error
+    are drawn from their priors, as the exact filter believes."""
+    sim = simulate(config, rngs)
+    known = filters(config)
     reference = "aug" if config.initial == "drawn" and config.trend == "constant" else ""
 
     def compare(truth: Array, belief: Belief) -> tuple[Array, Array]:

@@ -53,45 +53,57 @@ if TYPE_CHECKING:
 
 __all__ = ["FIGURES", "RECORDINGS", "TABLES", "record"]
 
-AXES, SHADES, DAYS = (
-    ("x", "y", "z"),
-    (colors.COMPARISON, colors.ESTIMATE, colors.TRUTH),
-    "time (days)",
-)
-ERROR, TRACKED = "ephemeris error (km)", ("tkf", "C", "B", "aug")
+AXES = ("x", "y", "z")
+SHADES = (colors.COMPARISON, colors.ESTIMATE, colors.TRUTH)
+DAYS = "time (days)"
+ERROR = "ephemeris error (km)"
+TRACKED = ("tkf", "C", "B", "aug")
 LINES = {
-    "ekf": Line("EKF", colors.OPEN_LOOP), "tkf": Line("TKF", colors.COMPARISON), "tdkf": Line("TDKF", colors.FAINT, "--", 0.9),
-    "tstdkf": Line("TSTDKF", colors.ESTIMATE, width=1.9), "aug": Line("AUG (exact)", colors.REFERENCE),
+    "ekf": Line("EKF", colors.OPEN_LOOP),
+    "tkf": Line("TKF", colors.COMPARISON),
+    "tdkf": Line("TDKF", colors.FAINT, "--", 0.9),
+    "tstdkf": Line("TSTDKF", colors.ESTIMATE, width=1.9),
+    "aug": Line("AUG (exact)", colors.REFERENCE),
     "fair": Line("TKF, stationary covariances", colors.MEASUREMENT, "--"),
-    "C": Line("TSTDKF, form C", colors.ESTIMATE), "B": Line("TSTDKF, form B", colors.PAPER),
-}  # fmt: skip
+    "C": Line("TSTDKF, form C", colors.ESTIMATE),
+    "B": Line("TSTDKF, form B", colors.PAPER),
+}
 SWEPT = (colors.ESTIMATE, colors.PAPER, colors.ESTIMATE, colors.PAPER, colors.REFERENCE)
 
 
-# -- figures -----------------------------------------------------------------------------------------------------------------
+# -- figures ---------------------------------------------------------------------------------------
 def orbital(results: Results, part: str, filter: str, group: str, line: Line | None = None) -> Item:
     """RMSE over the runs and an orbit, in which it swings."""
     square = np.square(results.error(part, filter, group)[..., 0]).mean(1)
-    width, name = min(20, len(square)), filter.split("/")[-1]
+    width = min(20, len(square))
+    name = filter.split("/")[-1]
     values = np.sqrt(np.convolve(square, np.full(width, 1.0 / width), "valid"))
     return curve(results.times(part)[width - 1 :] / DAY_S, values, line or LINES[name])
 
 
 def principle(results: Results) -> Figure:
     """What a timing measures, in the plane of Earth and pulsar."""
-    c, (fig, ax) = results.parts["month"].config, figure(6.2, 4.2)
-    (earth, sun), n = (part[0] for part in s.sky(c)[:2]), c.timing.directions[0]
-    place, across = earth + c.orbit[:3], earth - (earth @ n) * n
+    c = results.parts["month"].config
+    fig, ax = figure(6.2, 4.2)
+    earth, sun = (part[0] for part in s.sky(c)[:2])
+    n = c.timing.directions[0]
+    place = earth + c.orbit[:3]
+    across = earth - (earth @ n) * n
     delay, shapiro = (
         float(x[0]) / LIGHT_KM_S for x in (c.timing.delay(place, sun), c.timing.shapiro(place, sun))
     )
-    roemer, plane = float(n @ place) / LIGHT_KM_S, np.stack([n, across / np.linalg.norm(across)])
-    zero, ahead, at = np.zeros(2), np.array([0.45, 0.0]), plane @ earth / np.linalg.norm(earth)
+    roemer = float(n @ place) / LIGHT_KM_S
+    plane = np.stack([n, across / np.linalg.norm(across)])
+    zero = np.zeros(2)
+    ahead = np.array([0.45, 0.0])
+    at = plane @ earth / np.linalg.norm(earth)
     satellite = at + 0.35 * (plane @ c.orbit[:3]) / np.linalg.norm(c.orbit[:3])
     for start, end, label, color in (
-        (zero, at, "Earth (ephemeris)", colors.COMPARISON), (at, satellite, "orbit", colors.ESTIMATE),
-        (zero, ahead, "", colors.SIGMA), (satellite, satellite + ahead, f"to {c.pulsars[0]}", colors.SIGMA),
-    ):  # fmt: skip
+        (zero, at, "Earth (ephemeris)", colors.COMPARISON),
+        (at, satellite, "orbit", colors.ESTIMATE),
+        (zero, ahead, "", colors.SIGMA),
+        (satellite, satellite + ahead, f"to {c.pulsars[0]}", colors.SIGMA),
+    ):
         ax.annotate("", end, start, arrowprops={"arrowstyle": "->", "color": color, "lw": 1.6})
         ax.annotate(
             label, 0.5 * (start + end), color=color, xytext=(6, -13), textcoords="offset points"
@@ -103,7 +115,10 @@ def principle(results: Results) -> Figure:
         [satellite[0]] * 2, [satellite[1], 0.0], color=colors.SIGMA, linestyle=":", linewidth=1.0
     )
     ax.plot([0.0, satellite[0]], [-0.06, -0.06], color=colors.PAPER, linewidth=2.0)
-    terms = f"n·r {roemer:.6f} s, parallax {1e6 * (delay - roemer - shapiro):.3f} µs, Shapiro {1e6 * shapiro:.2f} µs"
+    terms = (
+        f"n·r {roemer:.6f} s, parallax {1e6 * (delay - roemer - shapiro):.3f} µs, Shapiro "
+        f"{1e6 * shapiro:.2f} µs"
+    )
     ax.text(0.0, -0.11, f"Δt = {delay:.6f} s\n{terms}", color=colors.PAPER, va="top")
     ax.set(
         xlim=(-0.45, satellite[0] + 0.7),
@@ -117,7 +132,8 @@ def principle(results: Results) -> Figure:
 def difference(results: Results, title: str, name: str, less: str = "") -> Panel:
     """A difference of ephemerides from DE421, every 5 hours, and its norm."""
     values = results.get("sky", name) - (results.get("sky", less) if less else 0.0)
-    t, norm = np.arange(len(values)) * 5.0 / 24.0, np.linalg.norm(values, axis=1)
+    t = np.arange(len(values)) * 5.0 / 24.0
+    norm = np.linalg.norm(values, axis=1)
     items = [
         *components(t, values, AXES, SHADES),
         curve(t, norm, color="black", linewidth=0.8, linestyle="--", label="norm"),
@@ -163,7 +179,8 @@ def ignorant(number: int, group: str, unit: str, results: Results) -> Figure:
 
 def three_trends(results: Results) -> Figure:
     """The ephemeris error."""
-    c, t = results.parts["year"].config, np.arange(0.0, 366.0 * DAY_S, 0.5 * DAY_S)
+    c = results.parts["year"].config
+    t = np.arange(0.0, 366.0 * DAY_S, 0.5 * DAY_S)
     heads = zip(
         ("Figure 5, Eq. 17", "of Figure 10, Eq. 69", "of Figure 10, Eq. 70"), TRENDS, strict=True
     )
@@ -176,8 +193,10 @@ def three_trends(results: Results) -> Figure:
 
 
 def model_error(results: Results) -> Figure:
-    """What the ephemeris error makes of the timings in a year, from the Earth's center: an orbit changes nothing of it."""
-    c, t = results.parts["month"].config, np.arange(0.0, 366.0 * DAY_S, 0.5 * DAY_S)
+    """What the ephemeris error makes of the timings in a year, from the Earth's center: an orbit
+    changes nothing of it."""
+    c = results.parts["month"].config
+    t = np.arange(0.0, 366.0 * DAY_S, 0.5 * DAY_S)
     earth, sun = (
         de421().state(body, from_utc(c.start_utc).after(t)).position for body in ("earth", "sun")
     )
@@ -193,10 +212,17 @@ def model_error(results: Results) -> Figure:
 def third_bodies(results: Results) -> Figure:
     """Acceleration by Sun, Moon and planets on a day, and of each body its largest of the month."""
     c = results.parts["pulls"].config
-    each, day = accelerations(c), slice(0, round(DAY_S / c.step_s) + 1)
+    each = accelerations(c)
+    day = slice(0, round(DAY_S / c.step_s) + 1)
     total = 1e9 * np.asarray(sum(each.values()))[day]
-    row = [Panel(f"Figure 7: third bodies, {axis}", [curve(c.times[day] / 3600.0, total[:, i], color=SHADES[i])], "time (h)")
-           for i, axis in enumerate(AXES)]  # fmt: skip
+    row = [
+        Panel(
+            f"Figure 7: third bodies, {axis}",
+            [curve(c.times[day] / 3600.0, total[:, i], color=SHADES[i])],
+            "time (h)",
+        )
+        for i, axis in enumerate(AXES)
+    ]
     row[0] = row[0]._replace(y="acceleration (10⁻⁹ km/s²)")
     sizes = sorted((float(np.linalg.norm(a, axis=1).max()), body) for body, a in each.items())
     largest = curve(
@@ -214,9 +240,11 @@ def third_bodies(results: Results) -> Figure:
 
 def spectrum(results: Results) -> Figure:
     """Two groups of lines."""
-    power, cycles = results.get("pulls", "power")[1:], results.get("pulls", "cycles")[1:]
+    power = results.get("pulls", "power")[1:]
+    cycles = results.get("pulls", "cycles")[1:]
     items = components(cycles, power / power.max(), AXES, SHADES, linewidth=0.7)
-    title, more = "Figure 8: spectrum of the acceleration", {"xlim": (0.0, 60.0)}
+    title = "Figure 8: spectrum of the acceleration"
+    more = {"xlim": (0.0, 60.0)}
     return panels(
         Panel(title, items, "frequency (cycles/day)", "power, to the largest (-)", "y", more),
         size=(6.5, 3.6),
@@ -224,12 +252,11 @@ def spectrum(results: Results) -> Figure:
 
 
 def one_month(results: Results) -> Figure:
-    """Setting 1: position, velocity and bias. The true bias is no draw from its prior: its error has no bound."""
-    t, told, row = (
-        results.times("month") / DAY_S,
-        results.get("covariances", "told/aug"),
-        list[Panel](),
-    )
+    """Setting 1: position, velocity and bias. The true bias is no draw from its prior: its error
+    has no bound."""
+    t = results.times("month") / DAY_S
+    told = results.get("covariances", "told/aug")
+    row = list[Panel]()
     for i, (group, unit, scale) in enumerate(
         (("position", "km", 1.0), ("velocity", "m/s", 1e3), ("bias", "km", 1.0))
     ):
@@ -240,14 +267,11 @@ def one_month(results: Results) -> Figure:
         ]
         items += [orbital(results, "month", "fair/tkf", group, LINES["fair"])]
         if group != "bias":
-            P, n = (
-                told[:, 3 * i : 3 * i + 3, 3 * i : 3 * i + 3],
-                results.error("month", "1/aug", group).shape[1],
-            )
-            size, far = (
-                P.trace(axis1=1, axis2=2),
-                1.96 * np.sqrt(2.0 / n * np.square(P).sum((1, 2))),
-            )  # mean square of n runs
+            P = told[:, 3 * i : 3 * i + 3, 3 * i : 3 * i + 3]
+            n = results.error("month", "1/aug", group).shape[1]
+            # mean square of n runs
+            size = P.trace(axis1=1, axis2=2)
+            far = 1.96 * np.sqrt(2.0 / n * np.square(P).sum((1, 2)))
             low, high = (scale * np.sqrt(np.maximum(size + d, 0.1 * size)) for d in (-far, far))
             items += [
                 partial(
@@ -269,7 +293,8 @@ def one_month(results: Results) -> Figure:
 
 def one_year(results: Results) -> Figure:
     """The bias of the first run along three trends."""
-    t, rows = results.times("year")[::24], []
+    t = results.times("year")[::24]
+    rows = []
     for trend in TRENDS:
         first = {LINES[f]: results.get("year", f"{trend}/{f}/first")[::24, 0, 6:] for f in TRACKED}
         first[Line("truth", "black")] = replace(results.parts["year"].config, trend=trend).bias(t)
@@ -297,7 +322,8 @@ def in_settings(results: Results) -> Figure:
 
 def consistent(results: Results) -> Figure:
     """NEES of errors and biases drawn from their priors."""
-    t, row = results.times("consistency") / DAY_S, list[Panel]()
+    t = results.times("consistency") / DAY_S
+    row = list[Panel]()
     for case, title in (("1", "setting 1"), ("5", "white noise")):
         nees = {f: results.get("consistency", f"{case}/{f}/nees").mean(1) for f in COMPARED}
         items = [
@@ -320,10 +346,8 @@ def depends(results: Results) -> Figure:
         }
         return {LINES[f].label: (values, LINES[f].color) for f, values in sizes.items()}
 
-    sizes, names = (
-        heights("variants", VARIANTS, "all", ("ekf", "tkf", "tstdkf")),
-        list(VARIANTS)[::-1],
-    )
+    sizes = heights("variants", VARIANTS, "all", ("ekf", "tkf", "tstdkf"))
+    names = list(VARIANTS)[::-1]
     left = [
         curve(v[::-1], names, color=c, marker="o", linestyle="", label=label)
         for label, (v, c) in sizes.items()
@@ -341,13 +365,15 @@ def depends(results: Results) -> Figure:
 
 
 def trade_off(results: Results) -> Figure:
-    """A step of the ephemeris error: how soon it is followed and how noisy the estimate is before it."""
+    """A step of the ephemeris error: how soon it is followed and how noisy the estimate is before
+    it."""
     keys = {
         f"by {what}, form {f}": [x for x in study.SWEEP if x.startswith(f"{f}, {what}")]
         for what in "ρτ"
         for f in "CB"
     }
-    left, after = list[Item](), results.at("sweep", "late")
+    left = list[Item]()
+    after = results.at("sweep", "late")
     for (label, names), color in zip(
         (keys | {"by walk, nine states": [*study.NINE][:-1]}).items(), SWEPT, strict=True
     ):
@@ -378,26 +404,70 @@ def trade_off(results: Results) -> Figure:
 
 
 FIGURES = {
-    "figure_01": ("Fig. 1: principle: what a timing measures, drawn from the vectors of the start (not to scale).", principle),
-    "figure_02": ("Fig. 2: position of the Earth, DE405 - DE421: not tens of kilometers but less than two.",
-                  lambda r: panels(difference(r, "Figure 2: Earth, DE405 − DE421", "de405/earth"), size=(6.5, 3.6))),
-    "figure_02b": ("Beyond the paper: other ephemerides, the Sun, and the Earth seen from the Sun.", others),
-    "figure_03": ("Fig. 3: position RMSE of the EKF under an ephemeris error.", partial(ignorant, 3, "position", "km")),
-    "figure_04": ("Fig. 4: velocity RMSE of the EKF under an ephemeris error.", partial(ignorant, 4, "velocity", "m/s")),
-    "figure_05": ("Fig. 5: the ephemeris error, and the two other trends of Fig. 10.", three_trends),
+    "figure_01": (
+        "Fig. 1: principle: what a timing measures, drawn from the vectors of the start (not to "
+        "scale).",
+        principle,
+    ),
+    "figure_02": (
+        "Fig. 2: position of the Earth, DE405 - DE421: not tens of kilometers but less than two.",
+        lambda r: panels(
+            difference(r, "Figure 2: Earth, DE405 − DE421", "de405/earth"), size=(6.5, 3.6)
+        ),
+    ),
+    "figure_02b": (
+        "Beyond the paper: other ephemerides, the Sun, and the Earth seen from the Sun.",
+        others,
+    ),
+    "figure_03": (
+        "Fig. 3: position RMSE of the EKF under an ephemeris error.",
+        partial(ignorant, 3, "position", "km"),
+    ),
+    "figure_04": (
+        "Fig. 4: velocity RMSE of the EKF under an ephemeris error.",
+        partial(ignorant, 4, "velocity", "m/s"),
+    ),
+    "figure_05": (
+        "Fig. 5: the ephemeris error, and the two other trends of Fig. 10.",
+        three_trends,
+    ),
     "figure_06": ("Fig. 6: what the ephemeris error makes of the timings.", model_error),
-    "figure_07": ("Fig. 7: acceleration by Sun, Moon and planets, and of each body its largest.", third_bodies),
+    "figure_07": (
+        "Fig. 7: acceleration by Sun, Moon and planets, and of each body its largest.",
+        third_bodies,
+    ),
     "figure_08": ("Fig. 8: its spectrum: two groups of lines, not colored noise.", spectrum),
-    "figure_09": ("Fig. 9: setting 1 over the month: position, velocity and bias; the exact filter, the fair TKF.", one_month),
-    "figure_10": ("Fig. 10: a year of three trends: the bias as TKF, TSTDKF (forms B and C) and AUG see it.", one_year),
-    "figure_11": ("Beyond the paper: Table 5 as bars: position RMSE of the month in the five settings.", in_settings),
-    "figure_12": ("Beyond the paper: consistency: NEES of errors and biases drawn from their priors.", consistent),
-    "figure_14": ("Beyond the paper: a step of the ephemeris error: how soon it is followed, and at what noise.", trade_off),
-    "figure_13": ("Beyond the paper: setting 1 with one thing changed, and a coupling that is taken for another.", depends),
-}  # fmt: skip
+    "figure_09": (
+        "Fig. 9: setting 1 over the month: position, velocity and bias; the exact filter, the fair "
+        "TKF.",
+        one_month,
+    ),
+    "figure_10": (
+        "Fig. 10: a year of three trends: the bias as TKF, TSTDKF (forms B and C) and AUG see it.",
+        one_year,
+    ),
+    "figure_11": (
+        "Beyond the paper: Table 5 as bars: position RMSE of the month in the five settings.",
+        in_settings,
+    ),
+    "figure_12": (
+        "Beyond the paper: consistency: NEES of errors and biases drawn from their priors.",
+        consistent,
+    ),
+    "figure_14": (
+        "Beyond the paper: a step of the ephemeris error: how soon it is followed, and at what "
+        "noise.",
+        trade_off,
+    ),
+    "figure_13": (
+        "Beyond the paper: setting 1 with one thing changed, and a coupling that is taken for "
+        "another.",
+        depends,
+    ),
+}
 
 
-# -- tables ------------------------------------------------------------------------------------------------------------------
+# -- tables ----------------------------------------------------------------------------------------
 def parameters(_: Results) -> Rows:
     """The other parameters, with their sources."""
     names = (
@@ -413,8 +483,14 @@ def parameters(_: Results) -> Rows:
         name: Config.__dataclass_fields__[name].metadata
         for name in (*names, "amplitude_km", "bias_prior_km", "walk_km")
     }
-    rows = [{"parameter": name, "value": str(getattr(s.TABLE_5, name)), **{key: about[key] for key in ("meaning", "source")}}
-            for name, about in known.items()]  # fmt: skip
+    rows = [
+        {
+            "parameter": name,
+            "value": str(getattr(s.TABLE_5, name)),
+            **{key: about[key] for key in ("meaning", "source")},
+        }
+        for name, about in known.items()
+    ]
 
     def timed(**detector: float) -> str:
         return ", ".join(
@@ -426,7 +502,10 @@ def parameters(_: Results) -> Rows:
         ("area_cm2", AREA_CM2, "of the detector"),
         ("background", BACKGROUND, "X-rays, photons / cm^2 / s"),
     ):
-        errs = f"; a tenth of it: timings to {timed(**{name: 0.1 * x})} m, ten times: {timed(**{name: 10.0 * x})} m"
+        errs = (
+            f"; a tenth of it: timings to {timed(**{name: 0.1 * x})} m, ten times: "
+            f"{timed(**{name: 10.0 * x})} m"
+        )
         rows.append(
             {
                 "parameter": name,
@@ -439,7 +518,8 @@ def parameters(_: Results) -> Rows:
 
 
 def compared(beyond: bool, results: Results) -> Rows:
-    """RMSE of the paper's filters, and by how much TSTDKF is below the others; ``beyond``: of others, and in the second half."""
+    """RMSE of the paper's filters, and by how much TSTDKF is below the others; ``beyond``: of
+    others, and in the second half."""
     rows: Rows = []
     for i, (g, unit) in product(SETTINGS, zip(BOTH, ("km", "m/s"), strict=True)):
         size, late = (
@@ -460,19 +540,37 @@ def compared(beyond: bool, results: Results) -> Rows:
 
 ELEMENTS = ("a (km)", "e (-)", "i (deg)", "Ω (deg)", "ω (deg)", "ν (deg)", "source")
 TABLES = {
-    "table_1": ("Table 1: elements of the orbit.", lambda _: [dict(zip(ELEMENTS, (*s.TABLE_5.elements, "chosen"), strict=True))]),
-    "table_2": ("Table 2: parameters of the pulsars, and the deviation of a timing.",
-                lambda _: [{**vars(p), "deviation_km": float(d), "source": "paper: name; catalog: values"}
-                           for p, d in zip(pulsars(s.TABLE_5.pulsars), s.TABLE_5.sigma_km)]),
+    "table_1": (
+        "Table 1: elements of the orbit.",
+        lambda _: [dict(zip(ELEMENTS, (*s.TABLE_5.elements, "chosen"), strict=True))],
+    ),
+    "table_2": (
+        "Table 2: parameters of the pulsars, and the deviation of a timing.",
+        lambda _: [
+            {**vars(p), "deviation_km": float(d), "source": "paper: name; catalog: values"}
+            for p, d in zip(pulsars(s.TABLE_5.pulsars), s.TABLE_5.sigma_km)
+        ],
+    ),
     "table_3": ("Table 3: the other parameters.", parameters),
-    "table_4": ("Table 4: the five settings of the noise.",
-                lambda _: [{"setting": i, **vars(c), "source": "0: inferred; else chosen, tuned"} for i, c in SETTINGS.items()]),
-    "table_5": ("Table 5: RMSE of the month in the five settings, and how far TSTDKF is below.", partial(compared, False)),
-    "table_5b": ("Beyond the paper: Table 5 for other filters, and for the second half of the month.", partial(compared, True)),
-}  # fmt: skip
+    "table_4": (
+        "Table 4: the five settings of the noise.",
+        lambda _: [
+            {"setting": i, **vars(c), "source": "0: inferred; else chosen, tuned"}
+            for i, c in SETTINGS.items()
+        ],
+    ),
+    "table_5": (
+        "Table 5: RMSE of the month in the five settings, and how far TSTDKF is below.",
+        partial(compared, False),
+    ),
+    "table_5b": (
+        "Beyond the paper: Table 5 for other filters, and for the second half of the month.",
+        partial(compared, True),
+    ),
+}
 
 
-# -- recordings --------------------------------------------------------------------------------------------------------------
+# -- recordings ------------------------------------------------------------------------------------
 RECORDINGS = ["tstdkf.rrd", "tstdkf_year.rrd"]
 SHOWN = {
     "tstdkf": 9,
@@ -480,20 +578,27 @@ SHOWN = {
     "tkf": 9,
     "ekf": 6,
 }  # filters, and how many components they estimate of orbit and bias
-ARROW_KM, EARTH_KM, AU_KM, EXAGGERATION = 6000.0, 6378.137, 1.495978707e8, 1000.0
+ARROW_KM = 6000.0
+EARTH_KM = 6378.137
+AU_KM = 1.495978707e8
+EXAGGERATION = 1000.0
 SPACES = (
     Space("world", f"about the Earth, km (errors x{EXAGGERATION:g})", (20e3, 15e3, 12e3)),
     Space("sun", "around the Sun, AU", (0.5, -2.2, 1.6)),
 )
 MONTH = f"""# Xu et al. (2023): two stages and strong tracking for X-ray pulsars
 
-A satellite times three pulsars; the Earth's ephemeris is wrong by some hundred meters (bias), the noise is colored and correlated.
-Lines: the last orbit and what the filters made of it, errors {EXAGGERATION:g} times as large. Arrows: the pulls of Sun and Moon.
-Occultation by the Earth, exclusion near the Sun and one detector for three pulsars are left out, as in the paper.
+A satellite times three pulsars; the Earth's ephemeris is wrong by some hundred meters (bias), \
+the noise is colored and correlated.
+Lines: the last orbit and what the filters made of it, errors {EXAGGERATION:g} times as large. \
+Arrows: the pulls of Sun and Moon.
+Occultation by the Earth, exclusion near the Sun and one detector for three pulsars are left out, \
+as in the paper.
 """
 ONE_YEAR = """# A year of three trends
 
-The two-stage filter (TKF) takes the ephemeris error for constant and does not follow. Strong tracking follows in form B, hardly in
+The two-stage filter (TKF) takes the ephemeris error for constant and does not follow. Strong \
+tracking follows in form B, hardly in
 form C. The exact filter (AUG), told of a random walk, follows best.
 """
 
@@ -506,25 +611,20 @@ def record(results: Results, outputs: Outputs) -> list[str]:
 
 
 def month(results: Results) -> Showcase:
-    """The first run of setting 1, about the Earth and around the Sun; deviations along the nominal orbit."""
-    c, found, known = (
-        results.parts["month"].config,
-        dict[str, Estimate](),
-        results.data["covariances"],
-    )
-    truth, t = (
-        np.stack([epoch.truth[0] for epoch in results.first("month").epochs("")]),
-        c.times[1:],
-    )
+    """The first run of setting 1, about the Earth and around the Sun; deviations along the nominal
+    orbit."""
+    c = results.parts["month"].config
+    found = dict[str, Estimate]()
+    known = results.data["covariances"]
+    truth = np.stack([epoch.truth[0] for epoch in results.first("month").epochs("")])
+    t = c.times[1:]
     rows = slice(
         None, None, 9 if len(t) > 180 else 1
     )  # an orbit has 20 steps: every tenth would show two of its places only
     tracks = {"TRUTH": (colors.TRUTH, truth[:, :3])}
     for key, n in SHOWN.items():
-        error, color = (
-            results.get("month", f"1/{key}/first")[..., :n] - truth[:, None, :n],
-            LINES[key].color,
-        )
+        error = results.get("month", f"1/{key}/first")[..., :n] - truth[:, None, :n]
+        color = LINES[key].color
         found[key] = Estimate(
             key.upper(),
             color,
@@ -534,7 +634,8 @@ def month(results: Results) -> Showcase:
         tracks[key.upper()] = color, truth[:, :3] + EXAGGERATION * error[:, 0, :3]
 
     def scene(out: Recorder) -> None:
-        place, pulls = truth[rows, :3], accelerations(c)
+        place = truth[rows, :3]
+        pulls = accelerations(c)
         out.globe("world/earth", EARTH_KM)
         out.points("world/sat/truth", place, colors.TRUTH, radius=5.0)
         orbits = np.stack(
@@ -585,20 +686,29 @@ def month(results: Results) -> Showcase:
         Group("bias", "km", slice(6, 9), truth=truth[rows, 6:]),
     )
     return Showcase(
-        "tstdkf", MONTH, t[rows], found, groups, truth[rows], np.eye(3, 9), "km", scene=scene, spaces=SPACES,
-        legend={colors.STAR: "Sun, pulsars", colors.BODY: "Moon, Earth"}, parameters=vars(c), counter="step",
+        "tstdkf",
+        MONTH,
+        t[rows],
+        found,
+        groups,
+        truth[rows],
+        np.eye(3, 9),
+        "km",
+        scene=scene,
+        spaces=SPACES,
+        legend={colors.STAR: "Sun, pulsars", colors.BODY: "Moon, Earth"},
+        parameters=vars(c),
+        counter="step",
         facts={"paper": "tstdkf", "seed": results.seed, "exaggeration": EXAGGERATION},
-    )  # fmt: skip
+    )
 
 
 def year(results: Results) -> Showcase:
     """The first run of each trend: plots alone."""
     rows = slice(None, None, 6 if len(results.times("year")) > 120 else 1)
-    t, plots, facts = (
-        results.times("year")[rows],
-        dict[str, dict[str, Plot]](),
-        {"paper": "tstdkf", "seed": results.seed},
-    )
+    t = results.times("year")[rows]
+    plots = dict[str, dict[str, Plot]]()
+    facts = {"paper": "tstdkf", "seed": results.seed}
     for trend in TRENDS:
         first = {f: results.get("year", f"{trend}/{f}/first")[rows, 0, 6:] for f in TRACKED}
         first["truth"] = replace(results.parts["year"].config, trend=trend).bias(t)
