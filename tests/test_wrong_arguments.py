@@ -70,9 +70,9 @@ belief: symmetric
 montecarlo: Draws Draws.close blocks effort generators renewed run_of steps
 claims: answer Ledger cells columns counted dumps markdown notes numbers plain read_claims style tally written
 gyro: Gyro.drift
-ledger: Claim Row Row.judged estimate order
-operations: step_operations
-numbers: all_of consistency correlation entries given lagged of over_time ratio rmse settling tiers
+ledger: Claim Row Row.judged estimate order read_ledger read_printed
+operations: counted step_operations
+numbers: all_of consistency correlation count_holding operations over some entries given lagged of over_time ratio rmse settling tiers
 parameters: Parameters.check param
 sightings: limb
 study: concatenated

@@ -10,7 +10,7 @@ import pytest
 
 from celnav.analysis.metrics import bootstrap
 from celnav.show import page
-from celnav.show.claims import TYPES, Ledger, answer, dumps, plain, style, table, written
+from celnav.show.claims import TYPES, Ledger, answer, dumps, plain, style, written
 from celnav.study.ledger import (
     KINDS,
     VERDICTS,

@@ -69,7 +69,6 @@ from celnav.study.numbers import (
 )
 from celnav.study.study import Part, Results, Rngs, Study, When, fly, together
 from celnav.study.trial import Trial
-from celnav.tape.numbers import TracedArray
 from celnav.tape.tape import Tape
 from celnav.tape.tape import TracedScalar as Recorded
 
@@ -535,7 +534,7 @@ def counted(function: Callable[..., Any], *shapes: tuple[int, ...]) -> Array:
     """Operations of a function of arrays of such shapes ``(2,)``: as one each, and with 20 for what
     is no sum and no product."""
     tape = Tape(rolled=False)
-    given = [Numbers(shape[::-1]).T for shape in shapes]
+    given = [TracedArray(shape[::-1]).T for shape in shapes]
     for x in given:
         for at in np.ndindex(*x.shape):
             x[at] = tape.input()

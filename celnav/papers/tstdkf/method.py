@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from celnav.filters.joint import KEEP, condition, joint
-from celnav.filters.model import check_prior, check_return
+from celnav.filters.model import check_prior
 from celnav.filters.records import Epoch, Info
 from celnav.filters.two_stage import LINEAR, Boost, Stage
 from celnav.gaussian.belief import Gaussian
@@ -94,7 +94,7 @@ class Differenced:
         """State that knows what the model says of the interval, and the transition matrix."""
         n = state.belief.mean.shape[-1]
         q = self.noise.L.shape[-1]
-        found = given_back("move", self.move(state.belief.mean, epoch), "state, Phi, G")
+        found = check_return("move", self.move(state.belief.mean, epoch), "state, Phi, G")
         shapes = (..., n), (..., n, n), (..., n, q)
         x, Phi, G = (
             numbers("move", unmasked("move", a), shape)
