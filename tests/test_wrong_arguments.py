@@ -72,7 +72,8 @@ claims: answer Ledger cells columns counted dumps markdown notes numbers plain r
 gyro: Gyro.drift
 ledger: Claim Row Row.judged estimate order read_ledger read_printed
 operations: counted step_operations
-numbers: all_of consistency correlation count_holding operations over some entries given lagged of over_time ratio rmse settling tiers
+numbers: all_of consistency correlation count_holding entries given lagged of operations over
+    over_time ratio rmse settling some tiers
 parameters: Parameters.check param
 sightings: limb
 study: concatenated

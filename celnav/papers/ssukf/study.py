@@ -69,6 +69,7 @@ from celnav.study.numbers import (
 )
 from celnav.study.study import Part, Results, Rngs, Study, When, fly, together
 from celnav.study.trial import Trial
+from celnav.tape.numbers import TracedArray
 from celnav.tape.tape import Tape
 from celnav.tape.tape import TracedScalar as Recorded
 

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from celnav.filters.joint import KEEP, condition, joint
-from celnav.filters.model import check_prior
+from celnav.filters.model import check_prior, check_return
 from celnav.filters.records import Epoch, Info
 from celnav.filters.two_stage import LINEAR, Boost, Stage
 from celnav.gaussian.belief import Gaussian
