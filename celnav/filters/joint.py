@@ -19,9 +19,11 @@ and noise stands beside them::
                                          colored:  g = (h(f) - Phi h, f)
                                          smoother: g = (f, identity), z = the next state
 
-Four things meet here, none of which knows the others: a rule (how a function becomes columns), a
-form (how a covariance is stored), a space (what a difference is) and hooks (what may be changed
-before conditioning).
+The mean of an image lies a shift s from the image of the center c: ``y = z - c - s``. A column of
+negative weight counts with sign -1: the covariance is ``A diag(sign) A'``.
+
+Four things meet here: a rule (how a function becomes columns), a form (how a covariance is stored),
+a space (what a difference is) and hooks (what may be changed before conditioning).
 """
 
 from __future__ import annotations
@@ -79,8 +81,10 @@ class Joint(NamedTuple):
     process_noise: its columns ``(..., m, r)`` in the measurement, 0 for zeros, and ``(..., n, r)``
         in the state; None without.
     measurement_noise: its columns ``(..., m, s)``; None without.
-    known: the state's own root or covariance, where the state is that of the belief and nothing was
-        added.
+    prior_factor: the belief's own root or covariance, where the state is that of the belief and no
+        process noise was added; None elsewhere.
+    noise_first: whether the measurement noise stands first among the `columns`; then ``sign`` is
+        one 1.
     """
 
     innovation: Any
@@ -90,11 +94,13 @@ class Joint(NamedTuple):
     process_noise: tuple[Any, Any] | None = None
     measurement_noise: Array | None = None
     prior_factor: Array | None = None
+    noise_first: bool = False
 
     def columns(self) -> tuple[Array, Array]:
         """The pre-array ``(..., m + n, q + r + s)``, drawn above, and the signs of its columns.
 
-        Noise may be small. Small columns keep their digits in a QR if they stand after large ones.
+        Small columns keep their digits in a QR if they stand after large ones, and noise may be
+        small. A linear measurement has its noise first: most reflections are then short.
         """
         images = (self.state,) if self.measurement is None else (self.measurement, self.state)
         rows: list[list[Any]] = [[image.columns] for image in images]
@@ -102,8 +108,9 @@ class Joint(NamedTuple):
             for row, W in zip(rows, self.process_noise[-len(rows) :], strict=True):
                 row.append(W)
         if self.measurement_noise is not None:
-            rows[0].append(self.measurement_noise)
-            rows[1].append(0)
+            at = 0 if self.noise_first else len(rows[0])
+            rows[0].insert(at, self.measurement_noise)
+            rows[1].insert(at, 0)
         A = block(rows)
         return A, _padded(self.sign, A.shape[-1] - len(self.sign))
 
@@ -173,8 +180,9 @@ def joint(
 
     rule: `Rule` or `Taylor`, or a function of the dimension.
     outputs: the measurement (if any) and the state, each a `Motion`, a `Sensor`, `KEEP` (the state
-        itself) or ``(value, matrix)`` of what is linear, if both are; or a function
-        ``(points, epoch, *noise points)`` of both.
+        itself), or ``(value, matrix)`` where all outputs are linear; or a function
+        ``(points, epoch, *noise points)`` that gives both. One output that is not linear sends all
+        of them through the points.
     space: of the belief. spaces: of what a function gives; None: vectors.
     z: ``(..., m)``, what was measured; None: there is no measurement among the outputs.
     process_noise: columns ``(..., n, r)`` beside the state, a function ``(mean, epoch)`` of them,
@@ -213,7 +221,8 @@ def joint(
         return Joint(None, None, state, sign, W, None, known)
     z_space = getattr(first, "space", EUCLIDEAN) if spaces is None else spaces[0]
     innovation = _innovation(z, measurement, z_space, belief)
-    return Joint(innovation, measurement, state, sign, W, V, known)
+    noise_first = sign is POSITIVE and isinstance(first, Sensor) and is_linear(first.h)
+    return Joint(innovation, measurement, state, sign, W, V, known, noise_first)
 
 
 def _innovation(z: Array, measurement: Image, space: Space, belief: Belief) -> Array:
@@ -483,6 +492,8 @@ def condition(
 ) -> tuple[Belief, Info, Any]:
     """The belief about the state given the innovation, what was done, and the hooks' memory.
 
+    `Info` has the innovation as it was before the hooks; all else in it is from after them.
+
     Components that are nan are marginalized exactly, in each run by itself. With a prescribed
     ``gain`` the covariance is that of a filter which uses it, whatever it is.
     """
@@ -521,14 +532,19 @@ def condition(
     return _belief(form, space.plus(joint.state.center, step), spread), info, memory
 
 
+def _copied(image: Image) -> Image:
+    """An image whose arrays may be written into."""
+    center, shift, columns, jacobian = image
+    shift = shift.copy() if isinstance(shift, np.ndarray) else shift
+    return Image(center.copy(), shift, columns.copy(), jacobian)
+
+
 def _adapted(joint: Joint, hooks: Sequence[Hook], memory: Any, epoch: Any) -> tuple[Joint, Any]:
     """The joint after its hooks, which may replace its arrays or write into them, and their
     memories.
     """
     columns, memories = joint.state.columns, []
-    measurement, state = (
-        image._replace(columns=image.columns.copy()) for image in (joint.measurement, joint.state)
-    )
+    measurement, state = _copied(joint.measurement), _copied(joint.state)
     W, V = joint.process_noise, joint.measurement_noise
     given = joint = joint._replace(
         innovation=joint.innovation.copy(),
@@ -536,6 +552,7 @@ def _adapted(joint: Joint, hooks: Sequence[Hook], memory: Any, epoch: Any) -> tu
         state=state,
         process_noise=W and (W[0] if type(W[0]) is int else W[0].copy(), W[1].copy()),
         measurement_noise=None if V is None else V.copy(),
+        noise_first=False,
     )
     for hook, remembered in zip(
         hooks, (None,) * len(hooks) if memory is None else memory, strict=True
@@ -543,6 +560,12 @@ def _adapted(joint: Joint, hooks: Sequence[Hook], memory: Any, epoch: Any) -> tu
         remembered, joint = check_return("hooks", hook(remembered, joint, epoch), "memory, joint")
         instance("hooks", joint, Joint, "hooks that give back (memory, joint)")
         memories.append(remembered)
+        components, rows = joint.innovation.shape[-1], joint.measurement.columns.shape[-2]
+        if components != rows:
+            raise ValueError(
+                f"hooks: expected an innovation of {rows} components, one for each row of the "
+                f"measurement's columns, got {components}"
+            )
     same = joint.sign is given.sign and joint.process_noise is given.process_noise
     if not same or not known_alike(joint.state.columns, columns):
         joint = joint._replace(prior_factor=None)

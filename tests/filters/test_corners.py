@@ -205,6 +205,38 @@ def test_a_hook_cannot_change_what_all_filters_share():
     assert POSITIVE.tolist() == [1.0]
 
 
+@pytest.mark.parametrize("name", ["measurement", "state"])
+@pytest.mark.parametrize("field", ["center", "shift", "columns"])
+def test_what_a_hook_writes_into_a_joint_stays_there(name, field):
+    """The center of the state is the mean of the belief before the update."""
+
+    def hook(memory, joint, _epoch):
+        getattr(getattr(joint, name), field)[...] += 1.0
+        return memory, joint
+
+    filter = celnav.ukf(Motion(EYE, EYE), Sensor(EYE, EYE), hooks=[hook])
+    state = filter.start(PRIOR)
+    before = [x.copy() for x in state.belief]
+    after, _ = filter.step(state, Epoch(0, 0.0, 0.0, None, np.ones(2)))
+    for x, y in zip(state.belief, before, strict=True):
+        np.testing.assert_array_equal(x, y)
+    plain = celnav.ukf(Motion(EYE, EYE), Sensor(EYE, EYE))
+    again, _ = plain.step(plain.start(PRIOR), Epoch(0, 0.0, 0.0, None, np.ones(2)))
+    if name == "state":  # of the measurement the innovation is what counts
+        assert not np.array_equal(after.belief.mean, again.belief.mean)
+
+
+def test_a_hook_that_takes_components_away_is_told_how_many_there_are():
+    def hook(memory, joint, _epoch):
+        return memory, joint._replace(innovation=joint.innovation[..., :1])
+
+    filter = celnav.ukf(Motion(EYE, EYE), Sensor(EYE, EYE), hooks=[hook])
+    with pytest.raises(
+        ValueError, match=r"^hooks: expected an innovation of 2 components, .*got 1"
+    ):
+        filter.step(filter.start(PRIOR), Epoch(0, 0.0, 0.0, None, np.ones(2)))
+
+
 def test_a_search_stays_within_its_range():
     rng, tried = np.random.default_rng(2), []
     x = np.cumsum(0.02 * rng.standard_normal(60))
