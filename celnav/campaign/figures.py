@@ -56,11 +56,10 @@ def figures(outcome: Outcome) -> dict[str, Figure]:
     any, and errors over time.
     """
     groups = next((row.groups for row in outcome.rows if row.groups), ())
-    out = {f"accuracy_{name}": _accuracy(outcome, name, unit) for name, unit in groups}
+    out = {f"accuracy_{name}": accuracy(outcome, name, unit) for name, unit in groups}
     if groups:
-        title = "consistency: average NEES over its dimension"
-        out["consistency"] = _over_keys(outcome, "NEES / dimension (-)", title, _anees)
-        out |= {f"time_{name}": _over_time(outcome, i) for i, (name, _) in enumerate(groups)}
+        out["consistency"] = consistency(outcome)
+        out |= {f"time_{name}": over_time(outcome, i) for i, (name, _) in enumerate(groups)}
     if any(row.failed for row in outcome.rows):
         out["failures"] = _failures(outcome)
     return out
@@ -167,7 +166,7 @@ def _interval(at: Array, values: Array, look: dict[str, Any]) -> Item:
     return lambda ax: ax.errorbar(at, value, reach, capsize=2, **look)
 
 
-def _accuracy(outcome: Outcome, group: str, unit: str) -> Figure:
+def accuracy(outcome: Outcome, group: str, unit: str) -> Figure:
     """Root mean square errors over the settled epochs, with intervals, and the bound."""
     study = outcome.study
 
@@ -189,8 +188,13 @@ def _accuracy(outcome: Outcome, group: str, unit: str) -> Figure:
     return _over_keys(outcome, f"rms error ({unit})", title, draw)
 
 
-def _anees(rows: list[Row], at: Array, look: dict[str, Any], first: bool) -> Iterator[Item]:
+def consistency(outcome: Outcome) -> Figure:
     """NEES over its dimension, and the band of a consistent filter."""
+    title = "consistency: average NEES over its dimension"
+    return _over_keys(outcome, "NEES / dimension (-)", title, _anees)
+
+
+def _anees(rows: list[Row], at: Array, look: dict[str, Any], first: bool) -> Iterator[Item]:
     summaries = [row.summary for row in rows]
     values = [(np.nan,) * 3 if s is None else (s.anees, s.low, s.high) for s in summaries]
     yield _interval(at, np.array(values).T, look)
@@ -210,7 +214,7 @@ def _failures(outcome: Outcome) -> Figure:
     return _over_keys(outcome, "runs that failed (part)", "failures", draw)
 
 
-def _over_time(outcome: Outcome, group: int) -> Figure:
+def over_time(outcome: Outcome, group: int) -> Figure:
     """Root mean square errors at each epoch of the first configurations, what filters take them
     for, and the bound.
     """
