@@ -49,7 +49,7 @@ def eager(monkeypatch):
     """`celnav.run` is numpy's where no engine is named, and "auto" compiles whatever can be
     compiled.
     """
-    from celnav.filters import compiled
+    from celnav.engine import compiled
     from celnav.filters.run import ENGINE
 
     monkeypatch.setattr(compiled, "worth", lambda *_work: compiled.WORTH)

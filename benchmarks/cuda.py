@@ -60,7 +60,7 @@ def flights(
     form: str, engine: str, z: Array, runs: int, keep: str, jobs: int
 ) -> Callable[[], object]:
     """All runs, part by part."""
-    flown = celnav.filters.compiled.compiled(filter_of("orbit", form), jobs=jobs, engine=engine)
+    flown = celnav.engine.compiled.compiled(filter_of("orbit", form), jobs=jobs, engine=engine)
     times, size = np.arange(len(z)), z.shape[1]
 
     def work() -> None:

@@ -79,12 +79,12 @@ from celnav.study.simulate import simulate
 from celnav.study.trial import Group as Group
 
 if TYPE_CHECKING:
-    from celnav.filters.compiled import compiled
-    from celnav.filters.export import export_c
+    from celnav.engine.compiled import compiled
+    from celnav.engine.export import export_c
 
 __version__ = "0.2.0"
 
-_LATE = {"compiled": "celnav.filters.compiled", "export_c": "celnav.filters.export"}
+_LATE = {"compiled": "celnav.engine.compiled", "export_c": "celnav.engine.export"}
 __getattr__, __dir__ = modules(__name__, **_LATE)
 
 # `Epoch` and `Group` are names of celnav as well; as tuples they would fill its help with methods

@@ -180,7 +180,7 @@ _ASSEMBLED = ptx.assembled
 
 def installed(monkeypatch, driver):
     """A driver in place of what this machine has, until the test is over."""
-    monkeypatch.setattr("celnav.filters.compiled.device", cache(lambda: cuda.Device(driver)))
+    monkeypatch.setattr("celnav.engine.compiled.device", cache(lambda: cuda.Device(driver)))
     monkeypatch.setattr(ptx, "assembled", driver.assembled)
     monkeypatch.setattr(ptx, "_PROGRAMS", {})
     return driver

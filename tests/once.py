@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from celnav.filters import compiled
-from celnav.store import RESULTS, existing, resumed
+from celnav.engine import compiled
 from celnav.study.montecarlo import effort
+from celnav.study.store import RESULTS, existing, resumed
 
 
 def once(study):

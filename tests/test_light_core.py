@@ -123,7 +123,7 @@ def test_import_is_small():
     """scipy's parts and the compiler come when they are first used: importing them would take
     longer than all the rest.
     """
-    late = {"scipy.linalg", "scipy.special", "celnav.filters.engine", "celnav.tape.llvm"}
+    late = {"scipy.linalg", "scipy.special", "celnav.engine.recording", "celnav.tape.llvm"}
     program = f"import celnav\nprint(*{late} & set(sys.modules))"
     assert alone(program).stdout == "\n"
 

@@ -75,6 +75,7 @@ operations: counted step_operations
 numbers: all_of consistency correlation count_holding entries given lagged of operations over
     over_time ratio rmse settling some tiers
 parameters: Parameters.check param
+store: Store Store.forget_all_but Store.has Store.path Store.read Store.write code existing resumed
 sightings: limb
 study: concatenated
 study: Results Results.at Results.claims Results.error Results.first Results.get Results.group Results.nees Results.squares

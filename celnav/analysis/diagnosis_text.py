@@ -38,7 +38,9 @@ def page(found: Diagnosis) -> str:
 
 
 def laid_out(head: str, table: Sequence[Sequence[str]], said: Iterable[tuple[str, str]]) -> str:
-    """A first line, a table whose first column is words, and what is said of something, line by line."""
+    """A first line, a table whose first column is words, and what is said of something, line by
+    line.
+    """
     widths = [max(map(len, column)) for column in zip(*table, strict=True)]
     rows = [
         [row[0].ljust(widths[0]), *(x.rjust(n) for x, n in zip(row[1:], widths[1:], strict=True))]
@@ -49,7 +51,9 @@ def laid_out(head: str, table: Sequence[Sequence[str]], said: Iterable[tuple[str
 
 
 def consistency(ratio: float, band: tuple[float, float]) -> str:
-    """What is said of a ratio that is 1 for a consistent filter, and of the band that it should lie in."""
+    """What is said of a ratio that is 1 for a consistent filter, and of the band that it should lie
+    in.
+    """
     if ratio > band[1]:
         return "overconfident"
     return "conservative" if ratio < band[0] else "consistent"

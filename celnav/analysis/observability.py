@@ -60,7 +60,8 @@ def _slopes(name: str, function: Function, points: Array) -> Array:
     values = function(points)
     if np.asarray(values).dtype.kind not in "iufc":
         raise ValueError(
-            f"{name}: expected values (p, ..., m) at points (p, ..., n), got {checks.describe(values)}"
+            f"{name}: expected values (p, ..., m) at points (p, ..., n), got "
+            f"{checks.describe(values)}"
         )
     return np.moveaxis(finite(name, np.imag(values), (*points.shape[:-1], "m")), 0, -1) / _TINY.imag
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import expit
 
-from celnav.filters.gradient import Gradient, fourth_order
+from celnav.engine.gradient import Gradient, fourth_order
 from celnav.filters.records import Epoch, Epochs, Filter
 from celnav.filters.run import ENGINES, run
 from celnav.gaussian.belief import Gaussian

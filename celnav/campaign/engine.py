@@ -18,7 +18,7 @@ from typing import Any, TypeVar
 from celnav.campaign.executors import Workers
 from celnav.campaign.units import VersionError, Work, WorkError, execute
 from celnav.gaussian.linalg import Array
-from celnav.store import code
+from celnav.study.store import code
 
 ATTEMPTS = 3
 """How often in a row workers may die, and no unit be finished, before units are tried one by one.

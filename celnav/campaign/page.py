@@ -13,7 +13,7 @@ from celnav.files import Outputs
 from celnav.papers.own import name_of
 from celnav.show.draw import picture_names, pictures
 from celnav.show.page import render
-from celnav.store import code
+from celnav.study.store import code
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

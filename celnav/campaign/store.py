@@ -1,4 +1,4 @@
-"""The store of a campaign: `celnav.store`, whose manifest says which study it is of."""
+"""The store of a campaign: `celnav.study.store`, whose manifest says which study it is of."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 from celnav.campaign.missions import Study
 from celnav.files import InputError, Outputs, read_json, remove_leftovers, write_text
-from celnav.store import FORMAT, MANIFEST, Store, code
+from celnav.study.store import FORMAT, MANIFEST, Store, code
 
 
 class StoreError(InputError):

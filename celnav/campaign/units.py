@@ -26,8 +26,8 @@ from celnav.gaussian.linalg import Array
 from celnav.lazy import needed_by
 from celnav.papers import load
 from celnav.papers.own import identity, name_of, place
-from celnav.store import Keyed, code
 from celnav.study.montecarlo import renewed, run_of
+from celnav.study.store import Keyed, code
 from celnav.study.study import Part, Rngs, Study, Unit
 from celnav.study.trial import Noiseless, Trial, bound, follow
 from celnav.tape.cuda import CudaError

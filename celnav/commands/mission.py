@@ -62,7 +62,7 @@ def run(options: argparse.Namespace) -> int:
 
 def _check_origin(folder: Path, file: str) -> None:
     """Another mission's results, or a campaign's, are not overwritten."""
-    from celnav.store import MANIFEST
+    from celnav.study.store import MANIFEST
 
     if (folder / MANIFEST).exists():
         raise InputError(f"{folder}: holds a campaign; choose another --out, or remove the folder")

@@ -31,8 +31,8 @@ from celnav.papers.own import name_of
 from celnav.show.claims import dumps
 from celnav.show.draw import picture_names, pictures
 from celnav.show.progress import Progress
-from celnav.store import RESULTS, resumed
 from celnav.study.ledger import Claim
+from celnav.study.store import RESULTS, resumed
 from celnav.study.study import Results, Unit
 from celnav.tape.cuda import device
 

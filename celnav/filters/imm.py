@@ -218,7 +218,8 @@ def imm(
     )
     if wrong:
         raise ValueError(
-            f"filters: expected filters, such as celnav.ukf(motion, sensor), got {describe(wrong[0])}"
+            "filters: expected filters, such as celnav.ukf(motion, sensor), got "
+            f"{describe(wrong[0])}"
         )
     chances = finite("transition", transition, (k, k))
     first = np.full(k, 1.0 / k) if initial is None else finite("initial", initial, (k,))

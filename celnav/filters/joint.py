@@ -52,6 +52,7 @@ from celnav.gaussian.linalg import (
     Array,
     Belief,
     Form,
+    SquareRoot,
     block,
     is_concretely_true,
     matvec,
@@ -100,7 +101,8 @@ class Joint(NamedTuple):
         """The pre-array ``(..., m + n, q + r + s)``, drawn above, and the signs of its columns.
 
         Small columns keep their digits in a QR if they stand after large ones, and noise may be
-        small. A linear measurement has its noise first: most reflections are then short.
+        small. In square-root form a linear measurement has its noise first: most reflections are
+        then short.
         """
         images = (self.state,) if self.measurement is None else (self.measurement, self.state)
         rows: list[list[Any]] = [[image.columns] for image in images]
@@ -221,7 +223,8 @@ def joint(
         return Joint(None, None, state, sign, W, None, known)
     z_space = getattr(first, "space", EUCLIDEAN) if spaces is None else spaces[0]
     innovation = _innovation(z, measurement, z_space, belief)
-    noise_first = sign is POSITIVE and isinstance(first, Sensor) and is_linear(first.h)
+    by_qr = isinstance(belief, SquareRoot) and sign is POSITIVE
+    noise_first = by_qr and isinstance(first, Sensor) and is_linear(first.h)
     return Joint(innovation, measurement, state, sign, W, V, known, noise_first)
 
 

@@ -97,7 +97,8 @@ class _Model:
             accepts(model, count) for count in range(2, 10)
         ):  # how many noises go through it only the filter knows
             raise ValueError(
-                f"{name}: expected a function (points, epoch, *noise), got {describe(model)} of other "
+                f"{name}: expected a function (points, epoch, *noise), got {describe(model)} of "
+                "other "
                 "arguments"
             )
         if self.jacobian is not None:

@@ -95,7 +95,7 @@ def run(
     if (
         engine := choice("engine", ENGINE.get() if engine is None else engine, ENGINES)
     ) != "numpy" or hasattr(filter, "run"):  # a compiled filter
-        from celnav.filters.compiled import run_by
+        from celnav.engine.compiled import run_by
 
         given = as_epochs(times, z, u)
         options: Any = {"every": every, "keep": keep, "on_failure": on_failure}

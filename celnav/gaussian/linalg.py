@@ -313,8 +313,8 @@ class SquareRoot(NamedTuple):
         Returns the root ``S (..., m, m)`` of the first rows, ``U = K @ S (..., n, m)`` and the root
         of the rest. With a prescribed ``gain`` K ``(..., n, m)`` the rest is that of
         ``last - K @ first`` (Joseph form). The covariance form has a shortcut where it is given
-        ``prior_factor``, the covariance of the last rows, and ``noise (..., m, s)``, the columns that only
-        the first rows have.
+        ``prior_factor``, the covariance of the last rows, and ``noise (..., m, s)``, the columns
+        that only the first rows have.
         """
         if gain is not None:
             S = cls.marginal(A[..., :m, :], sign)

@@ -327,7 +327,8 @@ class AnyDimension:
                 rule = self.make(n)
             except TypeError as error:
                 raise ValueError(
-                    f"rule: expected a function of the dimension, got {describe(self.make)}: {error}"
+                    f"rule: expected a function of the dimension, got {describe(self.make)}: "
+                    f"{error}"
                 ) from error
             if isinstance(rule, type) or not hasattr(rule, "image"):
                 raise ValueError(

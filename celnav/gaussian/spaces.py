@@ -190,8 +190,8 @@ def points_last(x: Array) -> Array:
 
 
 def component_major(x: Array) -> Array:
-    """`components_first`, each component in one piece of memory, which models are fast on: sigma points lie
-    so, what does not is copied.
+    """`components_first`, each component in one piece of memory, which models are fast on: sigma
+    points lie so, what does not is copied.
     """
     if x.ndim == 1:
         return x

@@ -81,7 +81,7 @@ def emitted_each(
     position: Array,
     velocity: Array | float = 0.0,
 ) -> Sources:
-    """The same with a time ``(..., S)``, position and velocity ``(..., S, 3)`` for each satellite."""
+    """The same with a time ``(..., S)`` and a place and velocity ``(..., S, 3)`` per satellite."""
     sent = t - pseudorange / LIGHT
     state = satellites(broadcast, sent - satellites(broadcast, sent).clock)
     q = state.position

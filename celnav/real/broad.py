@@ -195,7 +195,10 @@ def count(r: Results) -> list[Number]:
     ]
 
 
-WHY = "below 1 the filter is better; each published one has one setting for all trials, too, but one that was chosen by truth"
+WHY = (
+    "below 1 the filter is better; each published one has one setting for all trials, too, but "
+    "one that was chosen by truth"
+)
 EXPECTED = ("undecided", "shown", "not shown", "shown", "shown", "shown")
 ROWS = [
     *(

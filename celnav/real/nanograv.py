@@ -244,7 +244,10 @@ filters.
 """
 
 
-ADDED = "2026-11-23: added when the first results did not tell the drift of the Sun's error from the memory of the clocks."
+ADDED = (
+    "2026-11-23: added when the first results did not tell the drift of the Sun's error from the "
+    "memory of the clocks."
+)
 
 
 def parts(_effort: float = 1.0, nanograv: Path | None = None) -> dict[str, Part]:
@@ -353,8 +356,10 @@ ROWS = (
         "[Deng2013].",
         all_of(rms("fixes", "all", None, 20.0), median),
         figure="figure_01",
-        why="20 km is what was found with data of a decade before, for an X-ray telescope on its way to Mars.",
-        found="The fixes err {0} km RMS, {1} in the median, with timing models that are up to three and a half years old.",
+        why="20 km is what was found with data of a decade before, for an X-ray telescope on its "
+        "way to Mars.",
+        found="The fixes err {0} km RMS, {1} in the median, with timing models that are up to "
+        "three and a half years old.",
     ),
     finding(
         "nanograv-honest",
@@ -362,7 +367,8 @@ ROWS = (
         consistency("fixes", "all", 0.5, 1.5),
         figure="figure_01",
         expected="undecided",
-        why="NEES over its dimension is 1 if claims are right; between a half and one and a half they are to a quarter.",
+        why="NEES over its dimension is 1 if claims are right; between a half and one and a half "
+        "they are to a quarter.",
         found="Mean NEES / 3 {0}.",
     ),
     finding(
@@ -396,8 +402,10 @@ ROWS = (
             share(3.0, 0.5, None),
         ),
         figure="figure_02",
-        why="Hidden is less than a tenth; seen is more than a half. Above 1 the models carry on a wrong trend.",
-        found="Left are {0} of a swing of a year, {1} of 40 years, {2} of half a year, {3} of three.",
+        why="Hidden is less than a tenth; seen is more than a half. Above 1 the models carry on a "
+        "wrong trend.",
+        found="Left are {0} of a swing of a year, {1} of 40 years, {2} of half a year, {3} of "
+        "three.",
     ),
     finding(
         "nanograv-ignored",
@@ -409,7 +417,8 @@ ROWS = (
         ),
         figure="figure_03",
         why="Twice the error of a filter that does.",
-        found="It errs {0} times what a two-stage filter errs: {1} km, and {2}; strong tracking {3}, growing evenly {4}.",
+        found="It errs {0} times what a two-stage filter errs: {1} km, and {2}; strong tracking "
+        "{3}, growing evenly {4}.",
     ),
     finding(
         "nanograv-tracking",
@@ -434,7 +443,8 @@ ROWS = (
         figure="figure_03",
         expected="undecided",
         why="Twice the claimed variance, and no more than one and a half times.",
-        found="NEES / 3 of the EKF is {0} where its ephemeris is right, that of the other {1}, and {2} with DE405.",
+        found="NEES / 3 of the EKF is {0} where its ephemeris is right, that of the other {1}, "
+        "and {2} with DE405.",
     ),
     finding(
         "nanograv-drift",
@@ -461,7 +471,8 @@ ROWS = (
         why="The same to a factor of two; twice the ratio of errors to claims, in squares.",
         figure="figure_03",
         revised=ADDED,
-        found="Its error is {0} as large; NEES with fixes is {1}, {2} and {3} times as large, by DE440, DE405 and DE421.",
+        found="Its error is {0} as large; NEES with fixes is {1}, {2} and {3} times as large, by "
+        "DE440, DE405 and DE421.",
     ),
 )
 
@@ -471,7 +482,8 @@ STUDY = Study(
     trial,
     parts,
     ROWS,
-    says="NANOGrav's millisecond pulsars, timed until 2017, tell where the Earth was in the years after. What can they see of it, "
+    says="NANOGrav's millisecond pulsars, timed until 2017, tell where the Earth was in the years "
+    "after. What can they see of it, "
     "and what do the filters of the pulsar paper make of ephemerides that were really wrong?",
     found=(
         Sentence(

@@ -295,7 +295,8 @@ STUDY = Study(
     None,
     parts,
     ROWS,
-    says="RXTE counted photons of a young pulsar for an hour. Do they show where the satellite was, and how well do they know it?",
+    says="RXTE counted photons of a young pulsar for an hour. Do they show where the satellite "
+    "was, and how well do they know it?",
     found=(
         Sentence(
             "Two minutes of photons place it to {rxte-place[0]:.0f} km along the line of sight.",
@@ -441,7 +442,10 @@ def record(r: Results, outputs: Outputs) -> list[str]:
         "found": Curve(found, colors.ESTIMATE, "by photons", r.get("placed", "std") / 1e3, found),
     }
     plots = {"line": Plot("toward the pulsar, 1000 km from the Earth's center", curves)}
-    notes = "# A satellite by the photons of a pulsar\nThe ray points to PSR B1509-58, in 1000 km. Across it photons say nothing."
+    notes = (
+        "# A satellite by the photons of a pulsar\nThe ray points to PSR B1509-58, in 1000 km. "
+        "Across it photons say nothing."
+    )
     space = Space("sky", "RXTE and a pulsar", (-14.0, -22.0, 8.0), growing=("sky/orbit",))
     show = Showcase(
         "rxte",

@@ -211,6 +211,10 @@ def summary(found: Positioned) -> str:
     count, fixed = used.sum(1), np.isfinite(log.fixes[:, 0])
     latitude, longitude, height = ecef2geodetic(*found.place, ell=ELLIPSOID)
     names = [log.names[s] for s in np.flatnonzero(used.any(0))]
+    left_out = [f"{number} {reason}" for reason, number in log.left_out.items() if number]
+    ionosphere = "by the broadcast coefficients"
+    if not log.ionosphere:
+        ionosphere = "not corrected: no header has GPSA and GPSB"
     lines = [
         f"epochs       {len(log.times)}, {civil(log.times[0])} to {civil(log.times[-1])} BDT; "
         f"{measured.sum()} with a position, "
@@ -227,10 +231,8 @@ def summary(found: Positioned) -> str:
         f"DOP          median PDOP {np.nanmedian(log.dilution.position):.2f}, HDOP "
         f"{np.nanmedian(log.dilution.horizontal):.2f}, "
         f"VDOP {np.nanmedian(log.dilution.vertical):.2f}",
-        "left out     "
-        f"{'; '.join(f'{number} {reason}' for reason, number in log.left_out.items() if number) or 'nothing'}",
-        "ionosphere   "
-        f"{'by the broadcast coefficients' if log.ionosphere else 'not corrected: no header has GPSA and GPSB'}",
+        f"left out     {'; '.join(left_out) or 'nothing'}",
+        f"ionosphere   {ionosphere}",
         f"noise        ranges {_noise(log.noise[0], 'm')}; rates {_noise(log.noise[1], 'm/s')}",
         f"clock        set {np.count_nonzero(np.diff(log.jumps))} times by whole milliseconds",
         f"filter       {found.filter}; NIS {found.nis:.3f} a degree of freedom, 1 where noise and "
@@ -281,7 +283,10 @@ def _systems(found: Positioned) -> str:
     if found.log.second is not None:
         offsets = found.mean[np.isfinite(found.mean[:, 8]), 8]
         longer = np.median(offsets) if offsets.size else np.nan
-        words += f", whose ranges are longer by {longer:.2f} m (median): its clock, and the receiver's delays"
+        words += (
+            f", whose ranges are longer by {longer:.2f} m (median): its clock, and the receiver's "
+            "delays"
+        )
     return words + (f"; not used: {', '.join(found.log.others)}" if found.log.others else "")
 
 
@@ -289,7 +294,10 @@ def _integrity(log: Log) -> str:
     """How many epochs were tested, and what was excluded."""
     S, tested = len(log.names), int(log.tested[:, 0].sum())
     if not log.tested.any():
-        return "not tested: no epoch has redundancy, or it was turned off; a faulty satellite would go unnoticed"
+        return (
+            "not tested: no epoch has redundancy, or it was turned off; a faulty satellite would "
+            "go unnoticed"
+        )
     words = [f"{tested} epochs tested by their residuals"]
     for kind, part in (("ranges", slice(S)), ("rates", slice(S, 2 * S))):
         many = log.excluded[:, part].sum(0)

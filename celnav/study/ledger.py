@@ -1,8 +1,9 @@
-"""The ledger of a paper: what it states, what it prints wrongly, what we found, each decided by numbers with intervals.
+"""The ledger of a paper: what it states, what it prints wrongly, what we found, each decided by
+numbers with intervals.
 
-A `Row` says how something is decided, and if that was changed after a result; a `Claim` is what came of it. A number that has
-sampling error is accepted only if its whole 95 % interval is, and refused only if none of it is: else it is undecided, with few
-runs as with many.
+A `Row` says how something is decided, and if that was changed after a result; a `Claim` is what
+came of it. A number that has sampling error is accepted only if its whole 95 % interval is, and
+refused only if none of it is: else it is undecided, with few runs as with many.
 """
 
 from __future__ import annotations
@@ -74,12 +75,16 @@ class Number(NamedTuple):
 
     Attributes
     ----------
-    label: what it is, with its unit. value: nan where there is none. accept: ``(low, high)``, either may be None.
+    label: what it is, with its unit. value: nan where there is none. accept: ``(low, high)``,
+        either may be None.
     ci: 95 % interval of ``value``; None for a number without sampling error.
-    printed: the paper's value of the same quantity, in the same unit. A statement is not reproduced where `agreement` excludes it.
+    printed: the paper's value of the same quantity, in the same unit. A statement is not reproduced
+        where `agreement` excludes it.
     strict: an interval that contains a bar is refused, not undecided.
-    runs, printed_runs: of how many runs ``value`` and ``printed`` are made, 0 where that is not known.
-    printed_count: how many printed numbers a statement has: the agreement of all of them is asked for at 95 %.
+    runs, printed_runs: of how many runs ``value`` and ``printed`` are made, 0 where that is not
+        known.
+    printed_count: how many printed numbers a statement has: the agreement of all of them is asked
+        for at 95 %.
     """
 
     label: str
@@ -94,7 +99,9 @@ class Number(NamedTuple):
 
     @property
     def holds(self) -> bool | None:
-        """Whether it is acceptable; None where its interval does not decide that, or there is no number."""
+        """Whether it is acceptable; None where its interval does not decide that, or there is no
+        number.
+        """
         low, high = (
             end if bound is None else bound
             for end, bound in zip((-np.inf, np.inf), self.accept, strict=True)
@@ -110,10 +117,11 @@ class Number(NamedTuple):
 
     @property
     def agreement(self) -> tuple[float, float] | None:
-        """Where all printed numbers lie in 95 % of cases: ``ci``, wider by the sampling error of ``printed_runs`` runs.
+        """Where all printed numbers lie in 95 % of cases: ``ci``, wider by the sampling error of
+        ``printed_runs`` runs.
 
-        A run of the paper varies as one of ours does, so the variance grows by ``runs / printed_runs``. Of several numbers each
-        may miss in its share of the 5 % only.
+        A run of the paper varies as one of ours does, so the variance grows by
+        ``runs / printed_runs``. Of several numbers each may miss in its share of the 5 % only.
         """
         if self.printed is None or self.ci is None:
             return None
@@ -131,7 +139,9 @@ class Number(NamedTuple):
         return False if excluded else self.holds
 
     def __format__(self, spec: str) -> str:
-        """The value and its interval, "0.053 [0.048, 0.059]"; what a ``spec`` other than ".3g" asks for is of each of them."""
+        """The value and its interval, "0.053 [0.048, 0.059]"; what a ``spec`` other than ".3g" asks
+        for is of each of them.
+        """
         shown = format(self.value, spec or ".3g")
         return (
             shown
@@ -141,7 +151,9 @@ class Number(NamedTuple):
 
 
 Tiers = Mapping[str, Sequence[Number]]
-"""Verdict -> numbers that must all hold for it, the best one first; it may need numbers of better ones again."""
+"""Verdict -> numbers that must all hold for it, the best one first; it may need numbers of better
+ones again.
+"""
 Decision = Callable[[Any], Number | Sequence[Number] | Tiers]
 """What decides a row: a function of the results."""
 
@@ -154,7 +166,8 @@ def estimate(
     block: int = 1,
     **more: Any,
 ) -> Number:
-    """A statistic of runs (the first axis of each sample) with its bootstrap interval; ``more``: see `Number`.
+    """A statistic of runs (the first axis of each sample) with its bootstrap interval; ``more``:
+    see `Number`.
 
     Of one run the samples are its epochs, drawn in blocks of so many.
     """
@@ -174,15 +187,20 @@ class Row:
 
     Attributes
     ----------
-    kind: one of `KINDS`. id: short, unique and stable. place: where the paper says it. says: what, in our words.
-    decide: ``(results) ->`` one `Number`, several that all have to hold, or `Tiers`; None: nothing is computed.
-    why: how the accepted range follows from the paper's words. found: what we find, in a sentence; "{0}" is the first number.
-    printed: what the paper prints, verbatim. expected: the verdict that we know of; empty: that it holds.
-    revised: when and why the accepted range was changed after a result was seen. figure: stem of one that shows it.
+    kind: one of `KINDS`. id: short, unique and stable. place: where the paper says it. says: what,
+        in our words.
+    decide: ``(results) ->`` one `Number`, several that all have to hold, or `Tiers`; None: nothing
+        is computed.
+    why: how the accepted range follows from the paper's words. found: what we find, in a sentence;
+        "{0}" is the first number.
+    printed: what the paper prints, verbatim. expected: the verdict that we know of; empty: that it
+        holds.
+    revised: when and why the accepted range was changed after a result was seen. figure: stem of
+        one that shows it.
     needs: a part without which nothing is said, as that of an optional input.
 
     >>> half = celnav.study.numbers.ratio("error", "new", "old", "position", (None, 0.5))
-    >>> row = celnav.study.ledger.Row("statement", "half", "It halves the error.", half, place="Table 1", why="the word")
+    >>> row = celnav.study.ledger.Row("statement", "half", "It halves the error.", half, "Table 1")
     """
 
     kind: str
@@ -204,11 +222,14 @@ class Row:
 
     @property
     def needs_no_decision(self) -> bool:
-        """Whether its verdict follows without a number: a defect of the text, or what nothing can decide."""
+        """Whether its verdict follows without a number: a defect of the text, or what nothing can
+        decide.
+        """
         return self.expected in OPEN or self.kind in ("erratum", "reconstruction", "remark")
 
     def judged(self, results: Any, full: bool = True) -> Claim:
-        """The verdict: that of the first tier whose numbers all hold; "undecided" if one before it is.
+        """The verdict: that of the first tier whose numbers all hold; "undecided" if one before it
+        is.
 
         full: whether all runs were done; with fewer, "undecided" is no surprise.
         """
@@ -257,7 +278,9 @@ remark, finding, check = partial(Row, "remark"), partial(Row, "finding"), partia
 
 @dataclass(frozen=True)
 class Claim:
-    """A row of the ledger with what came of its numbers, and its verdict. ``full``: see `Row.judged`."""
+    """A row of the ledger with what came of its numbers, and its verdict. ``full``: see
+    `Row.judged`.
+    """
 
     row: Row
     outcomes: tuple[Outcome, ...]
@@ -282,7 +305,9 @@ class Claim:
 
     @property
     def decisive(self) -> Number | None:
-        """The number that keeps the best tier from holding, else the first one; None where none was computed."""
+        """The number that keeps the best tier from holding, else the first one; None where none was
+        computed.
+        """
         return next(
             (one.number for one in self.outcomes if not one.holds), (*self.numbers, None)[0]
         )
@@ -301,14 +326,17 @@ class Claim:
 
     @property
     def note(self) -> str:
-        """What we find, with the numbers at hand; empty where the verdict is not the one that it was written for."""
+        """What we find, with the numbers at hand; empty where the verdict is not the one that it
+        was written for.
+        """
         if self.verdict != self.expected or not np.isfinite([n.value for n in self.numbers]).all():
             return ""
         return self.row.found.format(*self.numbers)
 
 
 class Sentence(NamedTuple):
-    """A sentence of a study's answer. It is said only while each row that it rests on has the verdict given here.
+    """A sentence of a study's answer. It is said only while each row that it rests on has the
+    verdict given here.
 
     text: "{row[0]:.2f}" in it is the first number of a row. rests_on: verdicts by the rows' ids.
     """
@@ -317,12 +345,14 @@ class Sentence(NamedTuple):
     rests_on: Mapping[str, str]
 
 
-# -- prose in a file ---------------------------------------------------------------------------------
+# -- prose in a file -------------------------------------------------------------------------------
 FIELDS = {
     "row": [field.name for field in fields(Row) if field.name != "decide"],
     "sentence": list(Sentence._fields),
 }
-"""Tables of a ledger's file, and the fields that they may have; only ``printed`` and ``rests_on`` may be no text."""
+"""Tables of a ledger's file, and the fields that they may have; only ``printed`` and ``rests_on``
+may be no text.
+"""
 
 
 def read_ledger(
@@ -331,8 +361,8 @@ def read_ledger(
     """Rows and sentences of a study whose prose is in a TOML file, in the order of the file.
 
     Each table ``[[row]]`` has the fields of a `Row` except ``decide``, which ``decisions`` gives by
-    the rows' ids. Each table ``[[sentence]]`` has those of a `Sentence`. A line break in a text is a
-    space.
+    the rows' ids. Each table ``[[sentence]]`` has those of a `Sentence`. A line break in a text is
+    a space.
 
     >>> row = "[[row]]\\nkind = 'finding'\\nid = 'half'\\nsays = 'It halves the error.'"
     >>> _ = Path("ledger.toml").write_text(row)
@@ -380,7 +410,9 @@ def read_printed(path: str | Path) -> dict[str, Any]:
 
 
 def _read_tables(path: str | Path) -> dict[str, list[dict[str, Any]]]:
-    """Tables by kind, with known fields of the right type and all that they need; texts on one line."""
+    """Tables by kind, with known fields of the right type and all that they need; texts on one
+    line.
+    """
     try:
         content = tomllib.loads(Path(path).read_text(encoding="utf-8"))
     except tomllib.TOMLDecodeError as error:
@@ -410,5 +442,7 @@ def _read_tables(path: str | Path) -> dict[str, list[dict[str, Any]]]:
 
 
 def order(value: float) -> float:
-    """The power of ten at or above a size of which only that means anything: the digits of round-off differ between machines."""
+    """The power of ten at or above a size of which only that means anything: the digits of
+    round-off differ between machines.
+    """
     return 10.0 ** float(np.ceil(np.log10(value))) if value > 0.0 else 0.0

@@ -8,8 +8,8 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
-from celnav.filters.engine import Engine
-from celnav.filters.flight import as_data
+from celnav.engine.recording import Engine
+from celnav.engine.runs import as_data
 from celnav.filters.records import Epoch, Filter
 from celnav.filters.track import KEEP
 from celnav.gaussian.belief import Gaussian

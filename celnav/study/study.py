@@ -24,9 +24,9 @@ from celnav.filters.run import ENGINE, repeated
 from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.checks import choice
 from celnav.gaussian.linalg import Array
-from celnav.store import RESULTS, existing
 from celnav.study.ledger import Claim, Row, Sentence
 from celnav.study.montecarlo import blocks, effort, generator, run_count
+from celnav.study.store import RESULTS, existing
 from celnav.study.trial import Group, Trial, follow, scales
 
 __all__ = ["Part", "Results", "Rngs", "Study", "Unit", "When", "fly", "together"]

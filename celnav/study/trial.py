@@ -179,7 +179,7 @@ def follow(trial: Trial, name: str, every: int = 1) -> Followed:
     filter, every = trial.filters[choice("name", name, trial.filters)], integer("every", every)
     flown = None
     if (engine := ENGINE.get()) != "numpy":
-        from celnav.filters.compiled import steps_by
+        from celnav.engine.compiled import steps_by
 
         flown = steps_by(engine, filter, trial.prior, trial.epochs(name))
     lost: dict[int, tuple[float, str]] = {}

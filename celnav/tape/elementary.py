@@ -1,8 +1,8 @@
 """Functions of the C library as arithmetic on a tape: all runs of a vector at once, and on any
 device.
 
-`expand_elementary` writes a tape anew with them. They are within two units in the last place of the C
-library's (three for the tangent and for hyperbolic sine and tangent), a power ``x^y`` within
+`expand_elementary` writes a tape anew with them. They are within two units in the last place of the
+C library's (three for the tangent and for hyperbolic sine and tangent), a power ``x^y`` within
 ``2 + 2 |y log x|`` units. Whole powers of whole numbers, and their logarithms to base 2 and 10, are
 exact, and so are remainders. An argument of sine and cosine beyond 1e14 rad, and a remainder of
 2^53 periods, give nan: a run that is lost is flown again by the numpy engine.

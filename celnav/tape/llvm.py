@@ -8,9 +8,9 @@ A `Kernel` is one step. Its numbers come from, and go to, four places::
     rows    (rows stored, runs, n)   what is kept of a step, an array for each field
     cells   (C, lanes)               the memory of routines
 
-`run_loop` takes blocks of ``lanes`` runs, one after the other, through all steps. Every operation is
-IEEE arithmetic in a fixed order (products and sums fused only where this module says so): a run has
-the same bytes in any block, lane or thread.
+`run_loop` takes blocks of ``lanes`` runs, one after the other, through all steps. Every operation
+is IEEE arithmetic in a fixed order (products and sums fused only where this module says so): a run
+has the same bytes in any block, lane or thread.
 """
 
 from __future__ import annotations

@@ -247,8 +247,8 @@ def _scalar(ufunc: Any) -> Callable[..., Scalar]:
 
 # -- arrays of them --------------------------------------------------------------------------------
 class TracedArray(np.ndarray):
-    """An array of `TracedScalar` and of floats that are known; numpy's functions take it as they take
-    arrays of floats.
+    """An array of `TracedScalar` and of floats that are known; numpy's functions take it as they
+    take arrays of floats.
     """
 
     def __new__(cls, shape: tuple[int, ...]) -> TracedArray:

@@ -1,5 +1,5 @@
-"""A tape of operations, and the `TracedScalar` that one of them gives: what is known is computed at once,
-nothing is done twice.
+"""A tape of operations, and the `TracedScalar` that one of them gives: what is known is computed at
+once, nothing is done twice.
 
 What asks for a value that does not exist yet, an ``if`` or a ``float(x)``, raises `CannotCompile`,
 which names the line.

@@ -13,8 +13,8 @@ from taped import values
 import celnav
 from celnav import Gaussian, Motion, Sensor, epochs
 from celnav.analysis.tuning import likelihood_gradient, maximize_likelihood
+from celnav.engine.gradient import Gradient, same_program
 from celnav.filters import adaptive
-from celnav.filters.gradient import Gradient, same_program
 from celnav.tape import llvm
 from celnav.tape.derivative import with_slopes
 from celnav.tape.kernel import Kernel

@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 from machine import mounted
 
-import celnav.store as stores
+import celnav.study.store as stores
 from celnav import cli
 from celnav.campaign import campaign, serial
 from celnav.campaign.figures import figures

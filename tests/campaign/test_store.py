@@ -12,7 +12,7 @@ import zipfile
 import numpy as np
 import pytest
 
-import celnav.store as store_room
+import celnav.study.store as store_room
 from celnav.campaign import StoreError, campaign, serial
 from celnav.campaign import store as stores
 from celnav.campaign.missions import study

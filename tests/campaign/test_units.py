@@ -191,7 +191,7 @@ def test_the_lack_of_a_device_is_not_either(unit, monkeypatch):
     def absent():
         raise CudaError("engine='cuda': expected the driver")
 
-    monkeypatch.setattr("celnav.filters.compiled.device", absent)
+    monkeypatch.setattr("celnav.engine.compiled.device", absent)
     with pytest.raises(CudaError, match="expected the driver"):
         execute(unit._replace(engine="cuda"), code())
 

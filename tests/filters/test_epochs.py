@@ -12,8 +12,8 @@ import pandas as pd
 import pytest
 
 import celnav
-from celnav.filters import flight
-from celnav.filters.engine import tree_leaves
+from celnav.engine import runs
+from celnav.engine.recording import tree_leaves
 
 pytestmark = pytest.mark.usefixtures("eager")
 
@@ -345,10 +345,10 @@ def test_columns_are_those_of_the_epochs_one_by_one(u, part):
     times = np.array([0.0, 1.0, 1.5, 1.5, 3.0, 4.0, 7.0])
     filter = celnav.ekf(celnav.Motion(np.eye(1), 1.0), celnav.Sensor(np.eye(1), 1.0))
     some = PARTS[part](celnav.epochs(times, np.arange(7.0)[:, None], INPUTS[u]))
-    found, known = (flight.as_data(filter, each) for each in (some, list(some)))
+    found, known = (runs.as_data(filter, each) for each in (some, list(some)))
     assert len(found.k) == len(some)
     for i, epoch in enumerate(some):
-        mine, same = (flight.epoch_of(data, i, lambda x, _: x, ()) for data in (found, known))
+        mine, same = (runs.epoch_of(data, i, lambda x, _: x, ()) for data in (found, known))
         assert (mine.k, mine.t, mine.dt) == (same.k, same.t, same.dt) == epoch[:3]
         trees = [tree_leaves((one.u, one.about)) for one in (mine, same, epoch)]
         for parts in zip(*trees, strict=True):

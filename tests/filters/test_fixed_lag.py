@@ -11,8 +11,8 @@ import pytest
 from twice import assert_same, twice
 
 import celnav
+from celnav.engine.recording import Engine
 from celnav.filters.adaptive import huber, innovation_window
-from celnav.filters.engine import Engine
 from celnav.filters.fixed_lag import FixedLag, FixedLagState
 from celnav.gaussian.belief import nees
 from celnav.tape.tape import CannotCompile

@@ -12,7 +12,7 @@ from scipy.optimize import least_squares
 from twice import assert_same
 
 import celnav
-from celnav.filters.engine import Engine
+from celnav.engine.recording import Engine
 from celnav.filters.run import ENGINE
 from celnav.gaussian.belief import nees
 from celnav.gaussian.rules import gauss_hermite, unscented

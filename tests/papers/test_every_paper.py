@@ -13,7 +13,7 @@ from once import once
 
 import celnav
 from celnav import real
-from celnav.filters import compiled
+from celnav.engine import compiled
 from celnav.filters.run import ENGINE
 from celnav.papers import PAPERS, load
 from celnav.study.ledger import WORDS

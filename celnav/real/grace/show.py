@@ -290,9 +290,9 @@ def _shown(results: Results) -> Showcase:
 
 NOTES = """# GRACE-A, 1 August 2008: real GPS fixes, and where the satellite was
 
-**Errors of fixes follow one another. The blue filter takes them for white, and leaves what it claims; the orange one is told of
-their correlation, and leaves it in a few bursts only. The olive one mistrusts what surprises it: also the steps by which a burst
-ends.**
+**Errors of fixes are correlated in time. The blue filter treats them as white and leaves the band
+that it predicts; the orange one has their correlation and leaves its band in a few bursts only. The
+olive one gives surprising fixes less weight, also the steps by which a burst ends.**
 
 Fixes every 10 s without any model of the orbit; truth from the carrier's phase, good to 3 to 6 cm.
 """

@@ -70,7 +70,8 @@ __all__ = [
 
 CITATION = """@misc{GRACE2008,
   author = {Zhang, Shoujian},
-  title  = {KineOrbits: kinematic and single-point positions of GRACE-A, of Level-1B data of NASA and GFZ},
+  title  = {KineOrbits: kinematic and single-point positions of GRACE-A,
+            of Level-1B data of NASA and GFZ},
   year   = {2008},
   note   = {gravity: Pavlis et al., EGM2008}
 }"""
@@ -119,7 +120,8 @@ def of_runs(hook: Hook, here: Array) -> Hook:
     def some(memory: Any, joint: Joint, epoch: Any) -> tuple[Any, Joint]:
         memory, done = hook(memory, joint, epoch)
         innovation = np.where(here[:, None], done.innovation, joint.innovation)
-        V: Any = np.where(here[:, None, None], done.measurement_noise, joint.measurement_noise)  # type: ignore[arg-type]
+        before: Any = joint.measurement_noise
+        V = np.where(here[:, None, None], done.measurement_noise, before)
         return memory, joint._replace(innovation=innovation, measurement_noise=V)
 
     return some
@@ -395,7 +397,8 @@ FINDINGS = [
             inside("white"),
         ),
         figure="figure_01",
-        why="the median of NEES within a factor 2 of that of a consistent filter; beyond twice that",
+        why="the median of NEES within a factor 2 of that of a consistent filter; beyond twice "
+        "that",
         expected="not shown",
         found="Median NEES {0} and {1} times a consistent filter's. {2:.0%} and {3:.0%} of the "
         "components (radial, along and across the track) lie within the predicted 95 % intervals.",
@@ -472,7 +475,8 @@ FINDINGS = [
         expected="undecided",
         why="NEES beyond twice its dimension",
         figure="figure_04",
-        found="NEES/3 is {0} without fixes that are 6 m off, {1} with all, {2} by the correlation of residuals; RMSE {3}, {4} and "
+        found="NEES/3 is {0} without fixes that are 6 m off, {1} with all, {2} by the correlation "
+        "of residuals; RMSE {3}, {4} and "
         "{5} times that of Student's t.",
     ),
     finding(
@@ -533,7 +537,8 @@ CHECKS = [
                 for name in SEARCHED
             )
         ),
-        revised="2026-11-23: by more than half of its unit, which is what a standard error loses; was 0",
+        revised="2026-11-23: by more than half of its unit, which is what a standard error loses; "
+        "was 0",
     ),
     check(
         "settings-nis",
@@ -555,7 +560,8 @@ STUDY = Study(
     parts,
     [*FINDINGS, *CHECKS],
     figure="figure_01",
-    says="A satellite's GPS fixes have errors that follow one another. Is a filter honest that takes them for white, and one that "
+    says="A satellite's GPS fixes have errors that follow one another. Is a filter honest that "
+    "takes them for white, and one that "
     "is told?",
     found=(
         Sentence(

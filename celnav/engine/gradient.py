@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from celnav.filters.engine import (
+from celnav.engine.recording import (
     COUNTERS,
     Data,
     Engine,
@@ -27,7 +27,7 @@ from celnav.filters.engine import (
     Start,
     map_constants,
 )
-from celnav.filters.flight import as_data, run_compiled
+from celnav.engine.runs import as_data, run_compiled
 from celnav.filters.records import Epoch, Epochs
 from celnav.gaussian.linalg import Array
 from celnav.gaussian.rules import AnyDimension

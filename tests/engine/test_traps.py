@@ -50,7 +50,7 @@ from celnav.models import motion as motions
 from celnav.models import orbit
 
 pytest.importorskip("llvmlite")
-from celnav.filters.compiled import CannotCompile
+from celnav.engine.compiled import CannotCompile
 
 pytestmark = pytest.mark.usefixtures("eager")
 

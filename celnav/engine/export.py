@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from celnav.engine.recording import COUNTERS, PART, Engine, EpochKind, Shape, entries
+from celnav.engine.runs import as_data, sensors
 from celnav.files import write_text
-from celnav.filters.engine import COUNTERS, PART, Engine, EpochKind, Shape, entries
-from celnav.filters.flight import as_data, sensors
 from celnav.filters.model import check_prior
 from celnav.filters.records import Epoch
 from celnav.filters.track import KEEP

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from celnav.filters.engine import (
+from celnav.engine.recording import (
     COUNTERS,
     FULL,
     NONE,
@@ -29,9 +29,9 @@ from celnav.filters.engine import (
     tree_leaves,
     tree_unflatten,
 )
-from celnav.filters.flight import as_data
+from celnav.engine.runs import as_data
+from celnav.engine.sentinels import Watch
 from celnav.filters.records import Epoch, Info, State
-from celnav.filters.sentinels import Watch
 from celnav.filters.sequential import measurements
 from celnav.gaussian.linalg import Array
 from celnav.tape import llvm

@@ -11,8 +11,8 @@ import pytest
 from twice import assert_same, twice
 
 import celnav
-from celnav.filters import flight
-from celnav.filters.sentinels import changed, model_contents
+from celnav.engine import runs
+from celnav.engine.sentinels import changed, model_contents
 from celnav.tape.tape import CannotCompile
 
 pytestmark = pytest.mark.usefixtures("eager")
@@ -163,7 +163,7 @@ def comparisons(monkeypatch, runs):
 
     kept = celnav.compiled(filter_of(lambda x, epoch: np.tanh(x)))
     kept.run(PRIOR, TIMES, Z)
-    monkeypatch.setattr("celnav.filters.compiled.difference", noted)
+    monkeypatch.setattr("celnav.engine.compiled.difference", noted)
     for _ in range(runs):
         compared.append([])
         kept.run(PRIOR, TIMES, Z)
@@ -171,7 +171,7 @@ def comparisons(monkeypatch, runs):
 
 
 def test_each_comparison_of_a_short_run_is_at_another_epoch(monkeypatch):
-    monkeypatch.setattr("celnav.filters.compiled.SPAN", 1)
+    monkeypatch.setattr("celnav.engine.compiled.SPAN", 1)
     compared = comparisons(monkeypatch, 40)
     assert [len(one) for one in compared] == [1] * 40
     assert len({at for one in compared for at in one}) > 20
@@ -189,7 +189,7 @@ def test_short_runs_are_compared_each_at_first_then_once_in_4096_steps(monkeypat
 
 
 def test_long_runs_of_a_kept_filter_compare_all_sentinels(monkeypatch):
-    monkeypatch.setattr("celnav.filters.compiled.SPARED", T * Z.shape[1])
+    monkeypatch.setattr("celnav.engine.compiled.SPARED", T * Z.shape[1])
     (compared,) = comparisons(monkeypatch, 1)
     assert {0, T - 1} < set(compared)
 
@@ -197,15 +197,15 @@ def test_long_runs_of_a_kept_filter_compare_all_sentinels(monkeypatch):
 # -- where and how -----------------------------------------------------------------------------
 def test_sentinels_are_spread_over_the_run():
     steps = [0, *[1] * 20, 2, *[1] * 40, 3, *[1] * 17]
-    found = flight._sentinels(steps)
+    found = runs._sentinels(steps)
     assert {0, 1, 21, 62, T - 1} <= set(found)
     assert len([at for at in found if 2 < at < T - 1]) >= 4
-    assert flight._sentinels([0]) == [0]
+    assert runs._sentinels([0]) == [0]
 
 
 def test_machine_code_that_goes_wrong_late_is_found(monkeypatch):
     """Its state is spoiled at one epoch of one of the runs that are watched."""
-    on_host = flight._on_host
+    on_host = runs._on_host
 
     def spoiled(*arguments):
         begin = on_host(*arguments)
@@ -222,7 +222,7 @@ def test_machine_code_that_goes_wrong_late_is_found(monkeypatch):
 
         return begun
 
-    monkeypatch.setattr(flight, "_on_host", spoiled)
+    monkeypatch.setattr(runs, "_on_host", spoiled)
     told = rf"other values when it is recorded \(step {T - 1}: another mean\)"
     with pytest.raises(CannotCompile, match=told):
         celnav.run(filter_of(lambda x, e: 0.9 * x), PRIOR, TIMES, Z, engine="compiled")

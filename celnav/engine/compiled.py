@@ -21,13 +21,9 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from celnav.filters.engine import NONE, Data, Engine, Kept, map_run_constants, signature
-from celnav.filters.fixed_lag import FixedLag
-from celnav.filters.flight import CompiledRun, as_data, epoch_of, part_of, run_compiled
-from celnav.filters.joint import by_matrix
-from celnav.filters.records import Epoch, Epochs, FilterError, Info, State
-from celnav.filters.run import REPEATED, as_epochs, run, steps
-from celnav.filters.sentinels import (
+from celnav.engine.recording import NONE, Data, Engine, Kept, map_run_constants, signature
+from celnav.engine.runs import CompiledRun, as_data, epoch_of, part_of, run_compiled
+from celnav.engine.sentinels import (
     Watch,
     changed,
     difference,
@@ -36,8 +32,12 @@ from celnav.filters.sentinels import (
     model_contents,
     restorer,
 )
+from celnav.engine.stepper import Plan, plan_key
+from celnav.filters.fixed_lag import FixedLag
+from celnav.filters.joint import by_matrix
+from celnav.filters.records import Epoch, Epochs, FilterError, Info, State
+from celnav.filters.run import REPEATED, as_epochs, run, steps
 from celnav.filters.sequential import Sequential
-from celnav.filters.stepper import Plan, plan_key
 from celnav.filters.track import Track, rows_of
 from celnav.gaussian.checks import choice, integer
 from celnav.gaussian.linalg import Array, Covariance, SquareRoot

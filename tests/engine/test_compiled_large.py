@@ -7,8 +7,8 @@ import pytest
 from twice import assert_same, twice
 
 import celnav
-from celnav.filters.engine import Engine
-from celnav.filters.flight import as_data
+from celnav.engine.recording import Engine
+from celnav.engine.runs import as_data
 from celnav.gaussian import recorded
 from celnav.tape import numbers
 from celnav.tape.tape import CannotCompile
@@ -86,13 +86,13 @@ def test_factorizations_and_products_are_loops_where_they_are_long(form, monkeyp
 
 def test_what_is_too_long_is_left_to_numpy_unless_it_is_asked_for(monkeypatch):
     filter, prior, epochs = flight()
-    monkeypatch.setattr("celnav.filters.compiled.worth", lambda *_work: 1000)
-    monkeypatch.setattr("celnav.filters.compiled.EXPECTED", (0, 0))
+    monkeypatch.setattr("celnav.engine.compiled.worth", lambda *_work: 1000)
+    monkeypatch.setattr("celnav.engine.compiled.EXPECTED", (0, 0))
     track = celnav.run(filter, prior, epochs, engine="auto")
     assert track.engine.startswith("numpy: a step of ")
     assert "at most 1000 are compiled" in track.engine
     assert celnav.run(filter, prior, epochs, engine="compiled").engine == "compiled"
-    monkeypatch.setattr("celnav.filters.compiled.MOST", 1000)
+    monkeypatch.setattr("celnav.engine.compiled.MOST", 1000)
     with pytest.raises(
         CannotCompile, match="operations takes longer than it saves: at most 1000 are compiled"
     ):

@@ -30,7 +30,7 @@ from zlib import crc32
 
 import numpy as np
 
-from celnav.filters.engine import (
+from celnav.engine.recording import (
     COUNTERS,
     PART,
     Data,
@@ -41,7 +41,7 @@ from celnav.filters.engine import (
     tree_leaves,
     tree_unflatten,
 )
-from celnav.filters.flight import Sentinel, epoch_of, part_of
+from celnav.engine.runs import Sentinel, epoch_of, part_of
 from celnav.filters.mixing import WATCH
 from celnav.gaussian.belief import mask_failed
 from celnav.gaussian.linalg import EPS, Array

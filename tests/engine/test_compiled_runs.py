@@ -18,8 +18,8 @@ from hypothesis.extra.numpy import arrays
 from twice import FIELDS, assert_same, told, twice
 
 import celnav
+from celnav.engine.recording import map_run_constants
 from celnav.filters.adaptive import gate, huber, innovation_window
-from celnav.filters.engine import map_run_constants
 from celnav.filters.fallback import Fallback
 from celnav.filters.records import FromFunctions, Info, State
 from celnav.gaussian.linalg import Covariance, SquareRoot

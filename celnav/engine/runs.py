@@ -15,8 +15,8 @@ from zlib import crc32
 
 import numpy as np
 
-from celnav.filters import memory
-from celnav.filters.engine import (
+from celnav.engine import memory
+from celnav.engine.recording import (
     COUNTERS,
     FULL,
     NONE,

@@ -7,7 +7,7 @@ import gc
 import numpy as np
 import pytest
 
-from celnav.filters import memory
+from celnav.engine import memory
 
 SHAPE = (4, 40, 1000)
 

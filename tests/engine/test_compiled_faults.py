@@ -13,7 +13,7 @@ import pytest
 from twice import assert_same, twice
 
 import celnav
-from celnav.filters.compiled import Compiled
+from celnav.engine.compiled import Compiled
 from celnav.tape import llvm
 from celnav.tape.tape import CannotCompile
 

@@ -11,12 +11,12 @@ import pytest
 from twice import assert_same
 
 import celnav
-from celnav.filters import compiled
+from celnav.engine import compiled
+from celnav.engine.recording import Engine
+from celnav.engine.sentinels import SAMPLE
+from celnav.engine.stepper import Plan
 from celnav.filters.adaptive import innovation_window
-from celnav.filters.engine import Engine
 from celnav.filters.run import ENGINE, REPEATED
-from celnav.filters.sentinels import SAMPLE
-from celnav.filters.stepper import Plan
 from celnav.tape.tape import CannotCompile
 
 pytest.importorskip("llvmlite")

@@ -9,7 +9,7 @@ import pytest
 from twice import assert_same, twice
 
 import celnav
-from celnav.filters import flight
+from celnav.engine import runs
 from celnav.filters.adaptive import chi_square_gate
 
 pytest.importorskip("llvmlite")
@@ -41,14 +41,14 @@ FILTERS = {
 def parts(monkeypatch):
     """Whether each flight had a part for all runs together."""
     seen = list[bool]()
-    schedule = flight._schedule
+    schedule = runs._schedule
 
     def noted(*arguments):
         plan, fresh = schedule(*arguments)
         seen.append(any(one.once is not None for one in plan.code))
         return plan, fresh
 
-    monkeypatch.setattr(flight, "_schedule", noted)
+    monkeypatch.setattr(runs, "_schedule", noted)
     return seen
 
 
@@ -136,7 +136,7 @@ def test_a_run_that_is_lost_takes_no_other_along():
 
 
 def test_results_that_would_fill_the_memory_are_not_kept(parts, monkeypatch):
-    monkeypatch.setattr(flight, "MOST_COMMON", 10)
+    monkeypatch.setattr(runs, "MOST_COMMON", 10)
     found = celnav.compiled(FILTERS["ekf"]).run(PRIOR, TIMES, measured())
     assert_same(celnav.run(FILTERS["ekf"], PRIOR, TIMES, measured(), engine="numpy"), found)
     assert parts == [False]
@@ -145,7 +145,7 @@ def test_results_that_would_fill_the_memory_are_not_kept(parts, monkeypatch):
 def test_a_kept_filter_is_split_once(monkeypatch):
     kept = celnav.compiled(FILTERS["ekf"])
     kept.run(PRIOR, TIMES, measured())
-    monkeypatch.setattr(flight, "_common", None)
+    monkeypatch.setattr(runs, "_common", None)
     kept.run(PRIOR, TIMES, measured())
 
 
