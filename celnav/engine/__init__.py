@@ -1,7 +1,7 @@
 """Machine code for filters: what a step is recorded as, and who runs it.
 
 `recording` a filter's step on a tape · `runs` all runs through all epochs · `stepper` one step at a
-time · `compiled` the choice of an engine, and machine code that is kept · `sentinels` steps that are
+time · `compiled` which engine runs a filter, and machine code that is kept · `sentinels` steps
 compared with numpy's · `memory` rows that are used again · `gradient` slopes of the likelihood ·
 `export` a filter as C.
 """

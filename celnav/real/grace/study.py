@@ -121,7 +121,8 @@ def of_runs(hook: Hook, here: Array) -> Hook:
         memory, done = hook(memory, joint, epoch)
         innovation = np.where(here[:, None], done.innovation, joint.innovation)
         before: Any = joint.measurement_noise
-        V = np.where(here[:, None, None], done.measurement_noise, before)
+        after: Any = done.measurement_noise
+        V = np.asarray(np.where(here[:, None, None], after, before))
         return memory, joint._replace(innovation=innovation, measurement_noise=V)
 
     return some
