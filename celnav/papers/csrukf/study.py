@@ -466,7 +466,8 @@ def stable(r: Results) -> Tiers:
     def share(label: str, which: Array, accept: Bounds = (None, None)) -> Number:
         return estimate(label, np.mean, [which], accept)
 
-    if (gap := more(PAPER)).any():
+    gap = more(PAPER)
+    if (gap > 0.0).any():
         worst = "share of runs lost more, in the worst case"
         first = estimate(worst, lambda x: x.mean(0).max(), [gap], (1e-9, None))
     else:
