@@ -126,7 +126,7 @@ def drawn(
 
 
 def squares(groups: Sequence[Group], values: Array) -> Array:
-    """Sums of squares ``(..., groups)`` of errors or deviations ``(..., n)``, in units of groups."""
+    """Sums of squares ``(..., groups)`` of errors or deviations ``(..., n)``, in their units."""
     parts = [np.square(values[..., group.part] * np.asarray(group.scale)) for group in groups]
     # One by one: reductions over so few numbers take several times as long.
     return np.stack([reduce(np.add, np.moveaxis(part, -1, 0)) for part in parts], -1)
