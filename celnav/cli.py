@@ -1,6 +1,4 @@
-"""The command line: ``celnav new | list | reproduce | verdicts | view | run | campaign | position |
-diagnose``.
-"""
+"""The command line; ``commands/options.toml`` lists the commands and their options."""
 
 from __future__ import annotations
 

@@ -272,9 +272,7 @@ class Outputs:
         self.bytes(name, text.encode("utf-8"))
 
     def publish(self, *contents: Contents) -> None:
-        """Write files that were made before; where one of their names is refused, none is written.
-        See `check`.
-        """
+        """Write files; where one of their names is refused, see `check`, none is written."""
         self.check(name for some in contents for name in some)
         for name, content in (file for some in contents for file in some.items()):
             self.bytes(name, content.encode("utf-8") if isinstance(content, str) else content)

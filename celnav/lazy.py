@@ -71,9 +71,7 @@ class Late:
 
 
 class MissingError(ImportError):
-    """A package that an extra of celnav brings is not installed; the message is the command that
-    does so.
-    """
+    """A package of an extra of celnav is not installed; the message is the command that does so."""
 
     def __init__(self, what: str, module: str, extra: str):
         cure = f'{PIP} install -c constraints.txt -e ".[{extra}]"'
@@ -94,9 +92,7 @@ def needed_by(what: str, extra: str) -> Iterator[None]:
 
 
 def require(what: str, extra: str, *packages: str) -> None:
-    """Raise `MissingError` if one of the packages is not installed, before work begins that would
-    end there.
-    """
+    """Raise `MissingError` if one of the packages is not installed, before work begins."""
     with needed_by(what, extra):
         for package in packages:
             if find_spec(package) is None:

@@ -119,9 +119,7 @@ def _done(
     read: Callable[[Unit], dict[str, Array]],
     has: Callable[[Unit], bool],
 ) -> Outcome:
-    """Do the units that nobody has, and read what all of them come to, configuration by
-    configuration.
-    """
+    """Do the units that are missing, and read what each configuration comes to."""
     plan = units_of(study)
     todo = [unit for units in plan for unit in units if not has(unit)]
     total = study.runs * len(plan)

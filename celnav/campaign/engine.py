@@ -1,6 +1,4 @@
-"""The engine: hand out units that are missing, keep what comes back, begin again where a worker
-died.
-"""
+"""The engine: hand out missing units, keep what comes back, begin again where a worker died."""
 
 from __future__ import annotations
 

@@ -111,9 +111,7 @@ def _deaf_children() -> Iterator[None]:
 
 
 def _end_with_the_parent() -> None:
-    """In a new process: leave interrupts to the parent, and end when it does, even if it was
-    killed.
-    """
+    """In a new process: leave interrupts to the parent, and end when it does, however it does."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = parent_process()
 

@@ -92,9 +92,7 @@ def _axis(study: Study) -> tuple[str, Sequence[Any], bool]:
 
 
 def _over_keys(outcome: Outcome, label: str, title: str, draw: Drawn) -> Figure:
-    """A panel for each combination of the other keys, and in it a curve for each filter over the
-    first.
-    """
+    """A panel for each combination of the other keys, a curve for each filter over the first."""
     study = outcome.study
     key, values, numeric = _axis(study)
     others = [{k: v for k, v in point.values.items() if k != key} for point in study.configurations]

@@ -107,9 +107,7 @@ class Study:
     configurations: tuple[Configuration, ...]
 
     def to_dict(self) -> dict[str, Any]:
-        """Everything that determines the results, in plain types: what a store is compared by. No
-        title.
-        """
+        """All that determines results, in plain types, by which stores are compared. No title."""
         first = {
             k: v
             for k, v in flat(asdict(self.configurations[0].config)).items()

@@ -88,9 +88,7 @@ def _differences(
 
 
 def _within(old: Any, new: Any) -> bool:
-    """Whether a list has an old value, or all of an old list, and a number is not below the old
-    one.
-    """
+    """Whether a list has the old value, or all of the old list, or a number is not smaller."""
     if not isinstance(new, list):
         return isinstance(old, int) and old <= new
     return old in new or (isinstance(old, list) and all(value in new for value in old))

@@ -1,6 +1,4 @@
-"""Work units of a campaign: a block of runs of one configuration, all filters on the same noise,
-scored and forgotten.
-"""
+"""Work units of a campaign: blocks of runs of a configuration, which are scored and forgotten."""
 
 from __future__ import annotations
 
@@ -160,9 +158,7 @@ class Scoring:
             return _Block(self, config).scored(rngs).arrays(self.filters)
 
     def join(self, blocks: Iterable[dict[str, Array]]) -> dict[str, Array]:
-        """The sum of blocks in their order; ValueError if they are not arrays of such work, or do
-        not go together.
-        """
+        """The sum of blocks in their order; ValueError if they are no such arrays, or not alike."""
         return self.read(blocks).arrays(self.filters)
 
     def read(self, blocks: Iterable[dict[str, Array]]) -> Scored:
@@ -184,7 +180,7 @@ class _Block:
         """All filters, and with the first run the bound."""
         total, whole = Scored(), None
         try:
-            whole = self.trial([renewed(rng) for rng in rngs])
+            whole = self.trial(rngs)
         except MemoryError:
             raise
         except Exception:  # then it is tried for fewer runs at once
@@ -194,9 +190,7 @@ class _Block:
         return total + self.bound() if run_of(rngs[0]) == 0 else total
 
     def flown(self, name: str, rngs: Rngs, trial: Trial | None = None) -> Scored:
-        """A filter on some runs. Where a batch raises it is halved until the runs are found that
-        do.
-        """
+        """A filter on some runs. A batch that raises is halved until the runs are found that do."""
         work, groups = self.work, tuple[tuple[str, str], ...]()
         try:
             trial = trial or self.trial([renewed(rng) for rng in rngs])

@@ -47,9 +47,7 @@ def index(out: Path) -> str:
 
 
 def reproduced(out: Path) -> dict[str, list[dict[str, Any]]]:
-    """Claims and checks of what lies under ``out``: papers, then users' studies, then those on real
-    data.
-    """
+    """Claims and checks of what lies under ``out``: papers, users' studies, those on real data."""
     users = sorted(path.parent.name for path in out.glob(f"*/{USER}"))
     return {
         name: [c for kind in ("claims", "checks") for c in read_claims(out / name / f"{kind}.json")]
@@ -93,9 +91,7 @@ def summary(
     out: Path = Path("out"),
     found: Mapping[str, Claims] = MappingProxyType({}),
 ) -> str:
-    """Paragraphs in Markdown: what studies say and what we find; ``found``: their claims, if at
-    hand.
-    """
+    """Paragraphs in Markdown: what studies say and what we find; ``found``: claims at hand."""
     paragraphs = []
     for name in names:
         module = study_of(out, name)
@@ -210,9 +206,7 @@ def _record(folder: Path) -> tuple[float, str]:
 
 
 def partial(out: Path, names: Iterable[str]) -> list[str]:
-    """A line for each part of the runs, less than all, with which papers or studies were
-    reproduced.
-    """
+    """A line for each part of the runs, less than all, with which studies were reproduced."""
     by_effort = dict[float, list[str]]()
     for name in names:
         by_effort.setdefault(_record(out / name)[0], []).append(name)

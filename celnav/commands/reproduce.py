@@ -1,6 +1,4 @@
-"""``celnav reproduce``: do studies of papers, on real data, and users' own; write everything that
-they show.
-"""
+"""``celnav reproduce``: do studies, and write everything that they show."""
 
 from __future__ import annotations
 
@@ -43,9 +41,7 @@ T = TypeVar("T")
 
 
 class Task(NamedTuple):
-    """A study that is to be reproduced: its name, its module, and the file of a user's study or
-    None.
-    """
+    """A study that is to be reproduced; ``file``: of a user's study, else None."""
 
     name: str
     module: ModuleType
@@ -60,9 +56,7 @@ class Task(NamedTuple):
 
 
 def run(options: argparse.Namespace) -> int:
-    """Do the studies side by side where there are several processes, and write each as soon as it
-    is done.
-    """
+    """Do the studies side by side where there are several processes; write each when it is done."""
     words = list(dict.fromkeys(options.papers))
     if not words:
         real = (name for name in papers.REAL if getattr(options, name) is not None)

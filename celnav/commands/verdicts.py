@@ -1,6 +1,4 @@
-"""``celnav verdicts``: what papers, and users' studies, say and what holds, in Markdown: a table
-and paragraphs.
-"""
+"""``celnav verdicts``: what studies say and what holds, in Markdown: a table and paragraphs."""
 
 from __future__ import annotations
 

@@ -33,9 +33,7 @@ REAL = {
     "rxte": "photons of a pulsar, the satellite's orbit, a timing model (*.fits, FPorbit*, *.par)",
     "broad": "trials of BROAD (MATLAB files)",
 }
-"""Identifier of a study on real data, which is also its module and its input -> what the input's
-folder holds.
-"""
+"""Study on real data, which is also the name of its module and input -> what the folder holds."""
 
 
 def is_file(study: str) -> bool:

@@ -97,9 +97,7 @@ def _nothing(results: Any, outputs: Any) -> list[str]:  # noqa: ARG001
 
 # -- files and their modules ---------------------------------------------------------------------
 def source(path: Path) -> str:
-    """Hash of a file and of the modules beside it that it imports: of what they say, without
-    comments and layout.
-    """
+    """Hash of a file and of the modules beside it that it imports, without comments and layout."""
     beside = tuple(
         sorted(
             (p.name, p.stat().st_mtime_ns, p.stat().st_size)

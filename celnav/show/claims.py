@@ -1,6 +1,4 @@
-"""The ledger as people read it, and as it lies in files: rows with place, printed number, ours,
-verdict.
-"""
+"""The ledger as people read it, and as it lies in files: place, printed number, ours, verdict."""
 
 from __future__ import annotations
 
@@ -32,9 +30,7 @@ _BAD = {words[1] for words in WORDS.values()}
 
 
 def style(verdict: str) -> str:
-    """How a verdict looks: "good" for what holds, "bad" for what does not, "error" of a paper,
-    "open", or "part".
-    """
+    """How a verdict looks: "good" if it holds, "bad" if not, "error" of a paper, "open", "part"."""
     if verdict in _GOOD:
         return "good"
     if verdict in _BAD:
@@ -45,9 +41,7 @@ def style(verdict: str) -> str:
 
 
 def cells(claim: Row) -> dict[str, str]:
-    """What stands of a claim under each of `COLUMNS`; "printed" is the paper's value of the number
-    under "ours".
-    """
+    """What stands under each of `COLUMNS`; "printed" is the paper's value of the number "ours"."""
     printed = claim["printed_value"]
     shown = "" if printed is None else str(printed)
     values = claim["place"], claim["statement"], shown, _ours(claim), claim["verdict"]
@@ -119,9 +113,7 @@ def notes(claim: Row) -> list[str]:
 
 
 def numbers(claim: Row) -> list[str]:
-    """A line for each number: what is accepted (where there are several verdicts, for which), and
-    whether it is.
-    """
+    """A line for each number: what is accepted, for which of several verdicts, and if it is."""
     several = len({number["tier"] for number in claim["numbers"]}) > 1
     return [_number(number, several) for number in claim["numbers"]]
 
@@ -175,9 +167,7 @@ def markdown(rows: Iterable[Iterable[str]]) -> str:
 
 
 def answer(found: Iterable[Sentence], claims: Iterable[Row]) -> str:
-    """What a study finds: the sentences whose rows have the verdicts that they rest on, and which
-    rows have others.
-    """
+    """The sentences whose rows have the verdicts that they rest on, and which rows have others."""
     by_id = {claim["id"]: claim for claim in claims}
     verdicts = {id: claim["verdict"] for id, claim in by_id.items()}
     numbers = {
@@ -209,9 +199,7 @@ def _filled(text: str, numbers: Mapping[str, Sequence[float]]) -> str:
 
 # -- files ----------------------------------------------------------------------------------------
 def written(claim: Claim) -> dict[str, Any]:
-    """As it stands in ``claims.json``: ``value`` and the like are the decisive number's; all are in
-    ``numbers``, with outcomes.
-    """
+    """As in ``claims.json``: ``value`` and the like of the decisive number; ``numbers`` has all."""
     row, first = claim.row, claim.decisive
     numbers = [
         {key: plain(value) for key, value in number._asdict().items()}
@@ -289,9 +277,7 @@ PARTS = {"label", "value", "accept", "ci", "tier", "holds", "printed", "agreemen
 
 
 def read_claims(path: str | Path) -> list[dict[str, Any]]:
-    """Claims of a ``claims.json`` as dictionaries; InputError names the file, and the claim that is
-    not whole.
-    """
+    """Claims of a ``claims.json``; InputError names the file, and the claim that is not whole."""
     loaded = read_json(path)
     if not isinstance(loaded, list):
         raise InputError(f"{path}: expected a list of claims")

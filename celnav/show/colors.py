@@ -1,6 +1,4 @@
-"""Okabe-Ito colors by meaning, the same in figures and recordings, and what is no filter's: stars
-and bodies.
-"""
+"""Okabe-Ito colors by meaning, in figures and recordings; also those of stars and bodies."""
 
 TRUTH = "#009E73"
 ESTIMATE = "#E69F00"

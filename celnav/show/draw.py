@@ -32,9 +32,7 @@ Item = Callable[["Axes"], Any]
 def figure(
     width: float, height: float, rows: int = 1, columns: int = 1, **axes: Any
 ) -> tuple[Figure, Any]:
-    """An empty figure (inches) and its axes in celnav's style, outside pyplot's list of open
-    figures.
-    """
+    """An empty figure (inches) and its axes in celnav's style, of which pyplot knows nothing."""
     from celnav.show.drawing import Drawing, styled
 
     size = number("width", width, above=0.0), number("height", height, above=0.0)
@@ -115,9 +113,7 @@ def picture_names(stems: Iterable[str]) -> list[str]:
 
 
 def pictures(drawings: Iterable[tuple[str, Figure | None]]) -> dict[str, bytes]:
-    """The contents of the files of figures, which come with their stems; nothing of one that is
-    None.
-    """
+    """The contents of the files of figures, which come with their stems; None has no files."""
     from celnav.show.drawing import render
 
     return {

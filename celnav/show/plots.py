@@ -30,9 +30,7 @@ class Curve(NamedTuple):
 
 
 class Plot(NamedTuple):
-    """Curves by name; of their decimal logarithms if ``log``. ``band``: where a consistent filter
-    stays.
-    """
+    """Curves by name, or their decimal logarithms. ``band``: where a consistent filter stays."""
 
     title: str
     curves: Mapping[str, Curve]

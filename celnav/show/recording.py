@@ -288,9 +288,7 @@ class Recorder:
         radius: float = 2.0,
         label: str = "",
     ) -> None:
-        """Points ``(T, 3)`` or, ``k`` at a time, ``(T, k, 3)``; those that are partly nan are left
-        out.
-        """
+        """Points ``(T, 3)`` or, ``k`` at a time, ``(T, k, 3)``; none where one is partly nan."""
         p = numbers(f"{entity} points", points)
         p = self._array(entity, "points", p[:, None] if p.ndim == 2 else p, (None, 3))
         there = np.isfinite(p).all(2)
@@ -337,9 +335,7 @@ class Recorder:
         self._send(entity, columns.partition(there.astype(int)))
 
     def globe(self, entity: str, radius: float) -> None:
-        """A sphere about the origin, with circles of latitude and half circles of longitude every
-        15 degrees.
-        """
+        """A sphere about the origin, with circles of latitude and longitude every 15 degrees."""
         radius = number("radius", radius, above=0.0)
         self._style(
             entity, rr.Ellipsoids3D(radii=[radius], colors=rgba("#16324F"), fill_mode="solid")
@@ -448,9 +444,7 @@ def recording(
 
 
 def _slug(name: str) -> str:
-    """An identifier out of a title: the layout belongs to it, so that two recordings do not share
-    one.
-    """
+    """An identifier out of a title: its own layout belongs to each recording."""
     return re.sub(
         r"\W+", "-", unicodedata.normalize("NFKD", name.replace("Φ", "Phi")), flags=re.ASCII
     ).strip("-")

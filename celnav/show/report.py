@@ -150,9 +150,7 @@ class Report(NamedTuple):
         return f"{judged.nis:.4g}, {word} ({self._percent} of consistent ones: {band})"
 
     def figure(self) -> Figure:
-        """Errors and claims of each component over time (rms over the runs), NEES and NIS in their
-        bands.
-        """
+        """Errors and claims of each component over time (rms of runs), NEES and NIS in bands."""
         said = "RMSE over the runs" if self.runs > 1 else "|error|"
         columns = 3 if len(self.components) > 4 else 2
         errors = Line(said, colors.ESTIMATE, width=0.9)

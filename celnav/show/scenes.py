@@ -161,9 +161,7 @@ def flight(
 
 
 def sigma_points(out: Recorder, entity: str, points: Array, weights: Array, color: str) -> None:
-    """Points ``(T, N, 3)`` about the truth at the origin; those of negative weight ``(N,)`` are
-    white.
-    """
+    """Points ``(T, N, 3)`` about the truth at the origin; white if their weight is negative."""
     out.points(f"{entity}/positive", points[:, weights > 0.0], color, radius=2.5)
     out.points(f"{entity}/negative", points[:, weights < 0.0], colors.NEGATIVE, radius=2.5)
     out.points(f"{entity}/truth", np.zeros((len(points), 3)), colors.TRUTH, radius=5.0)

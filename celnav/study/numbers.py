@@ -184,9 +184,7 @@ def over_time(
 
 
 def lagged(values: Array, lag: int = 1) -> tuple[Array, Array]:
-    """A column ``(T, ...)`` and itself so many epochs later, nan at the end: what `correlation`
-    takes.
-    """
+    """A column ``(T, ...)`` and itself so many epochs later, nan at the end; see `correlation`."""
     later = np.full(values.shape, np.nan)
     later[:-lag] = values[lag:]
     return values, later

@@ -115,9 +115,7 @@ class Problem:
         return epochs(self.times, u=self.u)
 
     def _noise(self) -> tuple[Any, Any]:
-        """Columns ``(n, r)`` of the process noise and ``(m, s)`` of the measurement's after the
-        first interval.
-        """
+        """Columns of noise after the first interval: process ``(n, r)``, measurement ``(m, s)``."""
         mean, epoch = self.prior.mean, self.epochs[1]
         return self.motion.columns(mean, epoch, self.n), self.sensor.columns(mean, epoch, self.m)
 

@@ -37,9 +37,7 @@ When = int | slice | str
 
 
 def concatenated(blocks: Iterable[dict[str, Array]]) -> dict[str, Array]:
-    """Arrays of blocks along their runs; they are taken out of the blocks, so that none is there
-    twice for long.
-    """
+    """Arrays of blocks along their runs, taken out of the blocks: none is there twice for long."""
     first, *others = blocks
     for name in list(first) if others else ():
         arrays = [first[name], *(block.pop(name) for block in others)]
@@ -274,9 +272,7 @@ class Unit(NamedTuple):
         self.work.join([arrays])
 
     def do(self) -> dict[str, Array]:
-        """The arrays of the part, and ``cpu_s (1, 1)``; warnings of its models and filters are
-        errors.
-        """
+        """Arrays of the part, and ``cpu_s (1, 1)``; warnings of models and filters are errors."""
         start, token = process_time(), ENGINE.set(self.engine)
         rngs = [generator(self.seed, self.work.number, run) for run in self.runs]
         try:
@@ -333,9 +329,7 @@ class Results:
         return windows[choice("at", when, windows)]
 
     def squares(self, part: str, filter: str, group: str, at: When = -1) -> Array:
-        """Squared errors ``(runs, k)`` of a group's components at an epoch, or their means over
-        some of them.
-        """
+        """Squared errors ``(runs, k)`` of a group's components at an epoch, or means over some."""
         square = np.square(self.error(part, filter, group)[self.at(part, at)])
         return square if isinstance(at, int) else np.asarray(square.mean(0))
 
@@ -364,9 +358,7 @@ class Results:
         return self.effort == 1.0
 
     def claims(self, rows: Sequence[Row] = ()) -> list[Claim]:
-        """All rows of the ledger, or some, judged; those that need a part which is absent are left
-        out.
-        """
+        """All rows of the ledger, or some, judged; not those that need a part which is absent."""
         return [
             row.judged(self, self.full)
             for row in rows or self.study.rows

@@ -126,9 +126,7 @@ def drawn(
 
 
 def squares(groups: Sequence[Group], values: Array) -> Array:
-    """Sums of squares ``(..., groups)`` of errors or deviations ``(..., n)``, in the units of the
-    groups.
-    """
+    """Sums of squares ``(..., groups)`` of errors or deviations ``(..., n)``, in their units."""
     parts = [np.square(values[..., group.part] * np.asarray(group.scale)) for group in groups]
     # One by one: reductions over so few numbers take several times as long.
     return np.stack([reduce(np.add, np.moveaxis(part, -1, 0)) for part in parts], -1)
@@ -258,9 +256,7 @@ def _row(trial: Trial, epoch: Epoch, belief: Belief, infos: tuple[Info, ...]) ->
 
 
 def _watch(lost: dict[int, tuple[float, str]], epoch: Epoch, belief: Belief, why: str = "") -> None:
-    """Note the runs that have no estimate, and forget those that have one again: a filter of single
-    epochs comes back.
-    """
+    """Note the runs without an estimate; forget those that have one again, as single epochs may."""
     there = np.atleast_1d(np.isfinite(belief.mean).all(-1))
     for i in np.flatnonzero(~there).tolist():
         lost.setdefault(i, (float(epoch.t), why or "the estimate is not finite"))
