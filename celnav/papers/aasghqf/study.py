@@ -39,7 +39,7 @@ from celnav.papers.aasghqf.scenario import (
     weighted,
 )
 from celnav.study import trial as trials
-from celnav.study.ledger import Bounds, Decision, Number, Tiers, estimate, read_ledger
+from celnav.study.ledger import Bounds, Decision, Number, Tiers, estimate, read_ledger, read_printed
 from celnav.study.montecarlo import BRIEF, normals
 from celnav.study.numbers import Decided, Flown, all_of, consistency, given, of
 from celnav.study.operations import step_operations
@@ -105,30 +105,14 @@ MOUNTINGS = ((0, False), (20, False), (60, False), (200, False), (60, True))
 """Arc seconds on each axis of each star sensor (chosen), and whether both have the same."""
 WEIGHTS = ((1,), (2, 1), (2, 1, 1), (2, 2, 1, 1), (2, 2, 1, 1, 1), (2, 2, 2, 1, 1, 1))
 POINTS = ("UKF", 2, None), ("SGHQF", 3, None), ("AASGHQF", 3, PAPER_WEIGHTS)
-TABLE_1 = {"SGHQF": [7, 21, 37, 57, 81, 109], "AASGHQF": [7, 9, 23, 25, 41, 43]}
+LEDGER = Path(__file__).with_name("ledger.toml")
+PRINTED = read_printed(LEDGER)
+TABLE_1 = PRINTED["table-1-counts"]
+TABLE_2 = PRINTED["degrees-of-observability"]
+TABLE_3 = PRINTED["table-3-levels"]
 EXAMPLE = {
-    (1, 1): [(1, 1), (1, 2), (1, 3), (2, 1), (2, 2), (3, 1)],
-    (2, 1): [(1, 1), (1, 3), (2, 1)],
-}
-TABLE_2 = [
-    9.845,
-    9.845,
-    4.635,
-    1.0,
-    1.0,
-    9.639,
-    9.639,
-    6.984e-5,
-    6.937e-6,
-    5.937e-5,
-    6.686e-6,
-    3.795e-5,
-    3.652e-7,
-]
-TABLE_3 = {
-    "UKF": [0.350, 0.367, 0.412, 0.527, 0.609, 18.163, 17.821],
-    "SGHQF": [0.217, 0.203, 0.251, 0.328, 0.397, 16.274, 16.183],
-    "AASGHQF": [0.223, 0.201, 0.256, 0.303, 0.426, 15.997, 16.285],
+    (1, 1): ([(1, 1), (1, 2), (1, 3), (2, 1), (2, 2), (3, 1)], 21),
+    (2, 1): ([(1, 1), (1, 3), (2, 1)], 9),
 }
 TABLE_4 = {"UKF": (27, 0.0021), "SGHQF": (417, 0.0065), "AASGHQF": (99, 0.0028)}
 """As printed: points by n; indices by weights; degrees by state; deg, m/s and m; points, and
@@ -201,27 +185,19 @@ def degrees(config: Config, _: Rngs) -> dict[str, Array]:
     13)`` for all units of angles, and of positions, drifts, biases, star residuals, fixes: first
     rad, m, deg/h, micro g, 1, m, the nearest to Table 2; then deg."""
     epoch = next(simulate(replace(config, steps=1), UNDISTURBED).epochs())
-    meters = config.meters()
     nav = inertial.navigation(config.flight, 0, np.zeros(3), np.zeros(3))
     found = lie_gradients(
         lambda x: inertial.derivative(x, nav), lambda x: measurement(x, epoch), np.zeros(13), 3
     )
-    radius = float(meters.mean())
+    radius = float(config.meters().mean())
     star = 1.0 / epoch.u.sqrt_R[0, 0]
-    scales = np.array(
-        list(
-            product(
-                (1.0, DEGREE, DEGREE / 60.0, DEGREE / 3600.0),
-                (1.0,),
-                (1.0, radius, radius * DEGREE),
-                (1.0, 3600.0 / DEGREE),
-                (1.0, 1.0 / scenario.MICRO_G),
-                (1.0, star),
-                (1.0, 1.0 / radius, 1.0 / config.sar_m),
-            )
-        )
-    )
-    scales = np.repeat(scales, [3, 2, 2, 3, 3, 6, 2], axis=1)[:, None]
+    angles = (1.0, DEGREE, DEGREE / 60.0, DEGREE / 3600.0)
+    positions = (1.0, radius, radius * DEGREE)
+    drifts = (1.0, 3600.0 / DEGREE)
+    biases = (1.0, 1.0 / scenario.MICRO_G)
+    fixes = (1.0, 1.0 / radius, 1.0 / config.sar_m)
+    each = list(product(angles, (1.0,), positions, drifts, biases, (1.0, star), fixes))
+    scales = np.repeat(each, [3, 2, 2, 3, 3, 6, 2], axis=1)[:, None]
     states, outputs = np.split(np.concatenate(config.units) * scales, [13], axis=-1)
     every = outputs[..., None] * found * states[:, None]
     values = state_singular_values(every.reshape(4, 72, -1, 13))
@@ -233,17 +209,9 @@ def on_line(names: Sequence[str], config: Config, rngs: Rngs) -> dict[str, Array
     runs)`` at each epoch."""
     sim = simulate(config, rngs)
     out = {"times": config.times}
-    scale = (
-        1.0
-        / np.r_[
-            [DEGREE] * 3,
-            1.0,
-            1.0,
-            1.0 / config.meters(),
-            [DEGREE / 3600.0] * 3,
-            [scenario.MICRO_G] * 3,
-        ]
-    )
+    scale = np.ones(13)
+    for group in shown(sim).groups:
+        scale[group.part] = group.scale
     for name in names:
         track = run(
             scenario.adaptive(CHOICES[name](config), config),
@@ -254,15 +222,14 @@ def on_line(names: Sequence[str], config: Config, rngs: Rngs) -> dict[str, Array
             engine="numpy",
             also=lambda _, state, __: {"chosen": state.chosen},
         )
-        kinds, which = np.unique(track.extra["chosen"], return_inverse=True)
-        error = track.mean - sim.truth
+        chosen = track.extra["chosen"]
+        kinds, which = np.unique(chosen, return_inverse=True)
         points = [weighted(kind, config.level).num_sigmas() for kind in kinds.tolist()]
-        out |= {
-            f"{name}/error": error * scale,
-            f"{name}/nees": nees(error, track.sqrt_cov),
-            f"{name}/points": np.array(points)[which],
-            f"{name}/chosen": track.extra["chosen"],
-        }
+        error = track.mean - sim.truth
+        out[f"{name}/error"] = error * scale
+        out[f"{name}/nees"] = nees(error, track.sqrt_cov)
+        out[f"{name}/points"] = np.array(points)[which]
+        out[f"{name}/chosen"] = chosen
     return out
 
 
@@ -281,83 +248,56 @@ def along(config: Config, rngs: Rngs) -> dict[str, Array]:
         (np.ones(13), np.ones(8)),
         (config.sigma0, outputs / noise),
     )
-    so_far = [np.zeros((len(rngs), 13, 13)) for _ in units]
+    so_far = np.zeros((len(units), len(rngs), 13, 13))
     rows = []
     for epoch in islice(sim.epochs(), 1, None, 10):
         x = track.mean[epoch.k - 1]
         P = np.asarray(track.cov)[epoch.k - 1]
         row = []
         for n, (scale, shown) in enumerate(units):
-            own = scenario.observability(x, epoch, (scale, shown))
-            least = np.linalg.svd(own[:, :8], compute_uv=False)[
-                :, 4
-            ]  # what is measured itself has rank five
-            so_far[n] = np.asarray(np.linalg.qr(np.concatenate([so_far[n], own], 1), "r"))
-            for matrix, cov in product(
-                (own, so_far[n]), (None, P / np.multiply.outer(scale, scale))
-            ):
+            piece = scenario.observability(x, epoch, (scale, shown))
+            so_far[n] = np.linalg.qr(np.concatenate([so_far[n], piece], 1), "r")
+            # What is measured itself has rank five.
+            least = np.linalg.svd(piece[:, :8], compute_uv=False)[:, 4]
+            believed = P / np.multiply.outer(scale, scale)
+            for matrix, cov in product((piece, so_far[n]), (None, believed)):
                 values = state_singular_values(matrix, cov)
-                row += [
-                    values > THRESHOLD * one[:, None]
-                    for one in (values[:, 5:7].mean(-1), least, values[:, 3])
-                ]
+                bars = values[:, 5:7].mean(-1), least, values[:, 3]
+                row += [values > THRESHOLD * bar[:, None] for bar in bars]
         rows.append(np.stack(row, 1))
-    found = []
+    degrees = []
     for flight in (config.flight, scenario.TURNING.flight):
         nav = inertial.navigation(flight, slice(0, None, 2), *np.zeros((2, config.steps + 1, 3)))
-        epoch = Epoch(
-            u=scenario.Inputs(nav, nav.attitude, scenario.BORESIGHTS @ nav.attitude.mT, np.eye(8))
-        )
-        values = state_singular_values(
-            scenario.observability(np.zeros((len(nav.force), 13)), epoch, config.units)
-        )
-        found.append(values / values[:, 3:4])
-    return {"above": np.array(rows), "degrees": np.array(found)}
+        stars = scenario.BORESIGHTS @ nav.attitude.mT
+        epoch = Epoch(u=scenario.Inputs(nav, nav.attitude, stars, np.eye(8)))
+        still = np.zeros((len(nav.force), 13))
+        values = state_singular_values(scenario.observability(still, epoch, config.units))
+        degrees.append(values / values[:, 3:4])
+    return {"above": np.array(rows), "degrees": np.array(degrees)}
 
 
 def mounting(config: Config, rngs: Rngs) -> dict[str, Array]:
     """Filters that do not know mounting errors, of the sizes of `MOUNTINGS` in the same runs, and
     one of 19 states that estimates them ("S"): what `fly` gives, by ``<filter>, <size>``."""
     sim = simulate(config, rngs)
-    count = len(MOUNTINGS)
     draws = normals(rngs, (2, 3))[0].swapaxes(0, 1)
-    errors = np.array(
-        [
-            np.radians(size / 3600.0) * (draws[:, :1] if how else draws) + np.zeros((2, 3))
-            for size, how in MOUNTINGS
-        ]
-    )
-    tiled = sim._replace(
-        truth=np.tile(sim.truth, (count, 1)),
-        z=np.tile(sim.z, (count, 1)),
-        prior=Gaussian(np.tile(sim.prior.mean, (count, 1)), sim.prior.cov),
-    )
-    flown = fly(
-        shown(scenario.mounted(tiled, errors.reshape(-1, 2, 3))),
-        ("ukf", "nonlinear", "aasghqf"),
-        10,
-    )
-    out = {"times": flown.pop("times")}
-    for key, values in flown.items():
-        name, what = key.split("/")
-        out |= {
-            f"{name}, {'common ' * how}{size}/{what}": part
-            for (size, how), part in zip(MOUNTINGS, np.split(values, count, 1))
-        }
     filter, prior = scenario.mounting_filter(config, np.radians(60.0 / 3600.0))
-    trial = shown(scenario.mounted(sim, errors[MOUNTINGS.index((60, False))]))._replace(
-        filters={"S": filter},
-        prior=Gaussian(np.tile(prior.mean, (len(rngs), 1)), prior.cov),
-        compare=lambda truth, belief: (
-            belief.mean[..., :13] - truth,
-            np.linalg.cholesky(belief.cov[..., :13, :13]),
-        ),
-    )
-    return out | {
-        key.replace("S/", "S, 60/"): values
-        for key, values in fly(trial, ("S",), 10).items()
-        if key != "times"
-    }
+    wide = Gaussian(np.tile(prior.mean, (len(rngs), 1)), prior.cov)
+    out = dict[str, Array]()
+
+    def compare(truth: Array, belief: Any) -> tuple[Array, Array]:
+        return belief.mean[..., :13] - truth, np.linalg.cholesky(belief.cov[..., :13, :13])
+
+    for size, common in MOUNTINGS:
+        errors = np.radians(size / 3600.0) * (draws[:, :1] if common else draws) + np.zeros((2, 3))
+        trial = shown(scenario.mounted(sim, errors))
+        judged = fly(trial, ("ukf", "nonlinear", "aasghqf"), 10)
+        if size == 60 and not common:
+            trial = trial._replace(filters={"S": filter}, prior=wide, compare=compare)
+            judged |= fly(trial, ("S",), 10)
+        for key, values in judged.items():
+            out[key.replace("/", f", {'common ' * common}{size}/")] = values
+    return out
 
 
 def first_fixes(config: Config, _: Rngs) -> dict[str, Array]:
@@ -368,31 +308,22 @@ def first_fixes(config: Config, _: Rngs) -> dict[str, Array]:
     out = dict[str, Array]()
     exact = dict[float, Any]()
     stars = Sensor(lambda x, e: measurement(x, e)[..., :6], sqrt_R=epoch.u.sqrt_R[:6, :6])
-    for name, rule in {
-        "exact": tensor_product(gauss_hermite(3, 20), simplex(10)),
-        **rules(config.level),
-    }.items():
+    fine = {"exact": tensor_product(gauss_hermite(3, 20), simplex(10))}
+    for name, rule in (fine | rules(config.level)).items():
         filter = sigma_point(scenario.model(config)[0], stars, rule=rule, form=scenario.FORM)
         rows = []
         for angle in np.radians(MISALIGNMENTS_DEG).tolist():
-            prior = Gaussian(
-                np.zeros((1, 13)), np.diag(np.square([angle] * 3 + config.sigma0[3:].tolist()))
-            )
+            sigma = [angle] * 3 + config.sigma0[3:].tolist()
+            prior = Gaussian(np.zeros((1, 13)), np.diag(np.square(sigma)))
             seen = filter.measured(rule, stars, filter.start(prior).belief, np.zeros((1, 6)), epoch)
             after = condition(filter.form, seen, filter.motion.space)[0].cov[0, :3, :3]
             least = np.linalg.eigvalsh(after)[0] if np.isfinite(after).all() else np.nan
-            found = least, -np.asarray(seen.innovation)[0], seen.covariances()[0].reshape(6, 6)
-            right = exact.setdefault(angle, found)
-            rows.append(
-                [
-                    least / right[0],
-                    *(
-                        np.linalg.norm(a - b) / np.linalg.norm(b)
-                        for a, b in zip(found[1:], right[1:])
-                    ),
-                ]
-            )
-        out |= dict(zip((f"{name}/{what}" for what in ("least", "mean", "cov")), np.array(rows).T))
+            moments = -np.asarray(seen.innovation)[0], seen.covariances()[0].reshape(6, 6)
+            best, *right = exact.setdefault(angle, (least, *moments))
+            errors = [np.linalg.norm(a - b) / np.linalg.norm(b) for a, b in zip(moments, right)]
+            rows.append([least / best, *errors])
+        for what, values in zip(("least", "mean", "cov"), np.array(rows).T):
+            out[f"{name}/{what}"] = values
     return out
 
 
@@ -403,15 +334,16 @@ def parts(effort: float = 1.0) -> dict[str, Part]:
     def flight(config: Config) -> Config:
         return replace(config, steps=150) if effort < BRIEF else config
 
-    presets = {name: flight(config) for name, config in PRESETS.items()} | {"T3": T3}
     fitted = flight(T3)
-    slow = presets["A-slow"]
-    return {
-        name: Part(partial(flown, FLOWN), config, i, A.runs, 50, 11.0)
-        for i, (name, config) in enumerate(presets.items())
-    } | {
+    slow = flight(PRESETS["A-slow"])
+    kinds = ("unweighed", "weighed")
+    out = {}
+    for i, (name, config) in enumerate(PRESETS.items()):
+        config = T3 if name == "T3" else flight(config)
+        out[name] = Part(partial(flown, FLOWN), config, i, A.runs, 50, 11.0)
+    return out | {
         MANY: Part(partial(flown, ("ukf", "aasghqf", "nonlinear")), fitted, 0, 200, 100, 11.0),
-        "bound": Part(bound, presets["A"]),
+        "bound": Part(bound, flight(A)),
         "observability": Part(degrees, T3),
         "fixes": Part(first_fixes, T3),
         "operations": Part(operations, A, cost=3.0),
@@ -419,11 +351,9 @@ def parts(effort: float = 1.0) -> dict[str, Part]:
         "tensor": Part(partial(six_states, ("sghqf", "ghqf")), SIX, 5, 400, 100, 10.0),
         "T3, on line": Part(partial(on_line, ("bends",)), T3, 0, A.runs, 50, 2.0),
         "first fix": Part(partial(flown, ("ukf", "sghqf")), replace(A, steps=1), 1, 1000, 100, 2.0),
-        f"{MANY}, on line": Part(
-            partial(on_line, ("unweighed", "weighed")), fitted, 0, 200, 50, 16.0
-        ),
+        f"{MANY}, on line": Part(partial(on_line, kinds), fitted, 0, 200, 50, 16.0),
         "A-slow, on line": Part(partial(on_line, tuple(CHOICES)), slow, 2, A.runs, 50, 10.0),
-        "turning": Part(partial(on_line, ("unweighed",)), scenario.TURNING, 2, 10, 50, 1.0),
+        "turning": Part(partial(on_line, kinds[:1]), scenario.TURNING, 2, 10, 50, 1.0),
         "along": Part(along, PRESETS["A-slow"], 4, 10, 50, 4.0),
         "mounting": Part(mounting, slow, 2, A.runs, 50, 15.0),
     }
@@ -433,17 +363,14 @@ def parts(effort: float = 1.0) -> dict[str, Part]:
 def grid(indices: Mapping[tuple[int, ...], int]) -> dict[tuple[float, ...], list[float]]:
     """Union of the points of tensor rules, and the terms of a point's weight, one for each index
     that has it [Eqs. 13, 14]."""
-    found: dict[tuple[float, ...], list[float]] = {}
+    terms: dict[tuple[float, ...], list[float]] = {}
     for index, c in indices.items():
-        lines = (
-            zip(rule.nodes[:, 0].tolist(), rule.wm.tolist())
-            for rule in (smolyak(1, i) for i in index)
-        )
-        for part in product(*lines):
-            found.setdefault(tuple(x for x, _ in part), []).append(
-                c * np.prod([w for _, w in part])
-            )
-    return found
+        rules = [smolyak(1, level) for level in index]
+        lines = (zip(rule.nodes[:, 0].tolist(), rule.wm.tolist()) for rule in rules)
+        for pairs in product(*lines):
+            point, weights = zip(*pairs)
+            terms.setdefault(point, []).append(c * np.prod(weights))
+    return terms
 
 
 def growth(_: Results) -> list[Number]:
@@ -451,45 +378,42 @@ def growth(_: Results) -> list[Number]:
     log(n) of sparse grids."""
     built = product([ORDERS[level - 1] for level in LEVELS], (1, 2, 3))
     differ = sum(gauss_hermite(n, m).num_sigmas() != m**n for m, n in built)
-    powers = [
-        Number(
-            f"largest power of n, level {level}, n = 20 to 40",
-            max(np.log(point_count(n, level)) / np.log(n) for n in range(20, 41)),
-            (None, level - 0.5),
-        )
-        for level in LEVELS
-    ]
-    ends = [Number(f"points for n = 40, level {level}", point_count(40, level)) for level in LEVELS]
-    tensor = Number("tensor rules whose number of points is not m^n", differ, (0, 0))
-    return [tensor, *powers, *ends, Number("points of the tensor rule of 3 for n = 40", 3.0**40)]
+    numbers = [Number("tensor rules whose number of points is not m^n", differ, (0, 0))]
+    for level in LEVELS:
+        power = max(np.log(point_count(n, level)) / np.log(n) for n in range(20, 41))
+        label = f"largest power of n, level {level}, n = 20 to 40"
+        numbers.append(Number(label, power, (None, level - 0.5)))
+    for level in LEVELS:
+        numbers.append(Number(f"points for n = 40, level {level}", point_count(40, level)))
+    return [*numbers, Number("points of the tensor rule of 3 for n = 40", 3.0**40)]
 
 
 def printed_bound(_: Results) -> list[Number]:
     """Points at level 3 over the index set as Eq. 18 prints it, with sum_j (i_j - 1) g_j >= 2
     min(g) - |g|, and with > instead."""
-    cases = (((1,), 0), ((2, 1), 1))
-    sets = [
-        [i for i in index_set(3, g) if np.subtract(i, 1) @ g >= 2 * min(g) - sum(g) + strict]
-        for g, strict in cases
+
+    def count(g: tuple[int, ...], least: int) -> int:
+        sets = [i for i in index_set(3, g) if np.subtract(i, 1) @ g >= 2 * min(g) - sum(g) + least]
+        return len(grid(dict.fromkeys(sets, 1)))
+
+    return [
+        Number("as printed, n = 1", count((1,), 0), (9, 9), printed=7),
+        Number("strict, with coefficients 0, weights 2, 1", count((2, 1), 1), (11, 11), printed=9),
     ]
-    printed, strict = (len(grid(dict.fromkeys(indices, 1))) for indices in sets)
-    second = Number("strict, with coefficients 0, weights 2, 1", strict, (11, 11), printed=9)
-    return [Number("as printed, n = 1", printed, (9, 9), printed=7), second]
 
 
 def two_states(_: Results) -> list[Number]:
     """The example of the paper: index sets, up to indices of coefficient 0, points, common
     nodes."""
-    sets = [(index_set(3, g), printed) for g, printed in EXAMPLE.items()]
-    wrong = sum(
-        len({i for i, c in own.items() if c} ^ {i for i in printed if own.get(i) != 0})
-        for own, printed in sets
-    )
+    wrong = 0
+    points = []
+    for g, (printed, count) in EXAMPLE.items():
+        coefficients = index_set(3, g)
+        needed = {index for index, c in coefficients.items() if c}
+        wrong += len(needed ^ {index for index in printed if coefficients.get(index) != 0})
+        rule = smolyak(2, 3, g)
+        points.append(Number(f"points, weights {g}", rule.num_sigmas(), (count, count)))
     common = sum(len(terms) > 1 for terms in grid({(1,): 1, (2,): 1, (3,): 1}).values())
-    points = [
-        Number(f"points, weights {g}", smolyak(2, 3, g).num_sigmas(), (n, n))
-        for g, n in zip(EXAMPLE, (21, 9))
-    ]
     return [
         Number("indices that differ", wrong, (0, 0)),
         *points,
@@ -501,35 +425,29 @@ def one_term(_: Results) -> list[Number]:
     """Points of Fig. 1 that are in several index sets, and what the weights sum to if each has one
     term only."""
     terms = grid({index: c for index, c in index_set(3, (1, 1)).items() if c}).values()
-    most = Number("sum of largest", sum(map(max, terms)), (1.5, None))
-    least = Number("of least", sum(map(min, terms)), (None, 0.0))
+    several = sum(len(weights) > 1 for weights in terms)
     return [
-        Number(
-            "points in several index sets, of 21, n = 2", sum(len(t) > 1 for t in terms), (5, 5)
-        ),
-        most,
-        least,
+        Number("points in several index sets, of 21, n = 2", several, (5, 5)),
+        Number("sum of largest", sum(map(max, terms)), (1.5, None)),
+        Number("of least", sum(map(min, terms)), (None, 0.0)),
     ]
 
 
 def savings(_: Results) -> Tiers:
     """Points saved and their part, with half of the weights 2, and as printed."""
-    half = [
-        (point_count(n, 3), point_count(n, 3, [2] * (n // 2) + [1] * (n // 2))) for n in (6, 12, 24)
+    sizes = (6, 12, 24)
+    full = np.array([point_count(n, 3) for n in sizes])
+    half = np.array([point_count(n, 3, [2] * (n // 2) + [1] * (n // 2)) for n in sizes])
+    ours = 100.0 * (1.0 - half / full)
+    theirs = 100.0 * (1.0 - np.divide([*TABLE_1["AASGHQF"], 99], [*TABLE_1["SGHQF"], 417]))
+    label = "least step of points saved, half of the weights 2"
+    number = Number(label, np.diff(full - half).min(), (1, None))
+    more = [
+        Number("of their part, %", np.diff(ours).min(), (1e-9, None)),
+        Number("as printed, %", np.diff(theirs).min()),
+        *(Number(f"part saved, n = {n}, %", part) for n, part in zip(sizes, ours)),
     ]
-    printed = zip([*TABLE_1["SGHQF"], 417], [*TABLE_1["AASGHQF"], 99])
-    ours, theirs = ([100.0 * (1.0 - b / a) for a, b in rows] for rows in (half, printed))
-    number = Number(
-        "least step of points saved, half of the weights 2",
-        min(np.diff([a - b for a, b in half])),
-        (1, None),
-    )
-    steps = [
-        Number("of their part, %", min(np.diff(ours)), (1e-9, None)),
-        Number("as printed, %", min(np.diff(theirs))),
-    ]
-    ends = [Number(f"part saved, n = {n}, %", p) for n, p in zip((6, 12, 24), ours)]
-    return {"reproduced": [number, *steps, *ends], "in part": [number]}
+    return {"reproduced": [number, *more], "in part": [number]}
 
 
 # -- numbers of the ledger -------------------------------------------------------------------------
@@ -1098,7 +1016,7 @@ DECISIONS: dict[str, Decision] = {
     ),
 }
 
-ROWS, ANSWER = read_ledger(Path(__file__).with_name("ledger.toml"), DECISIONS)
+ROWS, ANSWER = read_ledger(LEDGER, DECISIONS)
 STUDY = Study(
     "aasghqf",
     scenario.groups(A, DEGREE, "deg"),
