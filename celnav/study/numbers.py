@@ -21,15 +21,18 @@ __all__ = [
     "all_of",
     "consistency",
     "correlation",
+    "count_holding",
     "entries",
     "given",
     "lagged",
     "of",
+    "operations",
     "over",
     "over_time",
     "ratio",
     "rmse",
     "settling",
+    "some",
     "tiers",
 ]
 
@@ -177,6 +180,33 @@ def of(
 def given(label: str, value: float, accept: Bounds = (None, None)) -> Decided:
     """A number that is known without any run, such as one from what a paper prints."""
     return lambda _: Number(label, float(value), accept)
+
+
+def operations(
+    label: str, a: str, b: str, accept: Bounds = (None, None), compare: Any = np.divide
+) -> Decided:
+    """Operations of a step of one filter over those of another, as the part "operations" has counted
+    them (`celnav.study.operations.counted`), or how else they are compared."""
+    return lambda r: Number(
+        label, float(compare(r.get("operations", a)[0], r.get("operations", b)[0])), accept
+    )
+
+
+def count_holding(
+    label: str, numbers: Sequence[Number], accept: Bounds, leading: bool = False
+) -> Number:
+    """How many numbers hold, or do before the first that does not: for sure, up to perhaps."""
+    count = []
+    for outcomes in ((True,), (True, None)):
+        holds = [number.holds in outcomes for number in numbers]
+        count.append(float([*holds, False].index(False) if leading else sum(holds)))
+    sure, perhaps = count
+    return Number(label, sure, accept, (sure, perhaps))
+
+
+def some(label: str, least: int, numbers: Sequence[Decided]) -> Decided:
+    """How many of several numbers hold, of which so many have to."""
+    return lambda r: Number(label, sum(n(r).holds is True for n in numbers), (least, None))
 
 
 def all_of(*numbers: Decided) -> Callable[[Results], list[Number]]:

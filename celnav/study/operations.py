@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
+
+import numpy as np
 
 from celnav.filters.engine import Engine
 from celnav.filters.flight import as_data
 from celnav.filters.records import Epoch, Filter
 from celnav.filters.track import KEEP
 from celnav.gaussian.belief import Gaussian
+from celnav.gaussian.linalg import Array
 
-__all__ = ["step_operations"]
+__all__ = ["counted", "step_operations"]
 
 
 def step_operations(filter: Filter, prior: Gaussian, epochs: Sequence[Epoch]) -> int:
@@ -26,3 +29,16 @@ def step_operations(filter: Filter, prior: Gaussian, epochs: Sequence[Epoch]) ->
         kernel, shape = made.keeping(engine.keeping(KEEP["mean"])), made.after
     needed = kernel.tape.needed([number for *_, number in kernel.results()])
     return sum(kernel.tape.ops[i][0] not in ("in", "const") for i in needed)
+
+
+def counted(
+    filters: Mapping[str, Filter], prior: Gaussian, epochs: Iterable[Epoch]
+) -> dict[str, Array]:
+    """`step_operations` of filters by name, ``(1,)`` each: what a part of a study gives.
+
+    >>> arrays = celnav.study.operations.counted({"ukf": filter}, prior, epochs)
+    """
+    known = list(epochs)
+    return {
+        name: np.array([step_operations(filter, prior, known)]) for name, filter in filters.items()
+    }

@@ -32,6 +32,7 @@ from celnav.receiver.sky import dilution
 from celnav.show.claims import dumps
 from celnav.study.ledger import Number
 from celnav.study.montecarlo import generator
+from celnav.study.numbers import count_holding
 from celnav.study.operations import step_operations
 from celnav.study.study import Results
 
@@ -609,8 +610,8 @@ def test_counts_and_times_of_findings():
     numbers = [
         Number("", 0.5, (None, 1.0), ci) for ci in ((0.4, 0.6), (0.4, 1.2), (0.4, 0.6), (1.1, 1.2))
     ]
-    assert study.counted("", numbers, (2, None))[1:4] == (2.0, (2, None), (2.0, 3.0))
-    assert study.counted("", numbers, (2, None), leading=True)[1:4] == (1.0, (2, None), (1.0, 3.0))
+    assert count_holding("", numbers, (2, None))[1:4] == (2.0, (2, None), (2.0, 3.0))
+    assert count_holding("", numbers, (2, None), leading=True)[1:4] == (1.0, (2, None), (1.0, 3.0))
     error = {"ukf": [5, 5, 1, 5, 1, 1], "aukf": [5, 1, 1, 1, 1, 1]}
     fake = SimpleNamespace(
         error=lambda _part, name, _group: np.tile(

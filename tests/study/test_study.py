@@ -8,20 +8,23 @@ import numpy as np
 import pytest
 
 import celnav
-from celnav.study.ledger import Row
+from celnav.study.ledger import Number, Row
 from celnav.study.numbers import (
     all_of,
     consistency,
     correlation,
+    count_holding,
     entries,
     given,
     lagged,
     of,
+    operations,
     over,
     over_time,
     ratio,
     rmse,
     settling,
+    some,
     tiers,
 )
 from celnav.study.parameters import Parameters, Timed, param
@@ -359,3 +362,22 @@ def test_a_configuration_knows_its_length():
     assert (Config().samples, Config(step_s=0.5).end_s) == (3, 1.5)
     with pytest.raises(ValueError, match=r"^source: expected one of paper, inferred, chosen"):
         param(1.0, "guessed", "x")
+
+
+def test_operations_are_compared_as_the_part_has_counted_them():
+    class Counted:
+        def get(self, part, name):
+            assert part == "operations"
+            return np.array([{"ukf": 600, "ekf": 200}[name]])
+
+    assert operations("x", "ukf", "ekf", (None, 2.0))(Counted()) == Number("x", 3.0, (None, 2.0))
+    assert operations("x", "ukf", "ekf", compare=np.subtract)(Counted()).value == 400.0
+
+
+def test_numbers_that_hold_are_counted_for_sure_and_perhaps():
+    sure, open_, bad = (Number("x", 0.5, (0.0, 1.0), ci) for ci in (None, (0.5, 1.5), (2.0, 3.0)))
+    numbers = [sure, open_, bad, sure]
+    assert count_holding("n", numbers, (2, None))[1:4] == (2.0, (2, None), (2.0, 3.0))
+    assert count_holding("n", numbers, (2, None), leading=True)[1:4] == (1.0, (2, None), (1.0, 2.0))
+    decided = some("n", 2, [lambda _, number=number: number for number in numbers])(None)
+    assert decided == Number("n", 2, (2, None))

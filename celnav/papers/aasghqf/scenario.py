@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -92,27 +92,13 @@ TITLE = (
     "navigation"
 )
 CITATION = citation("Liang2014")
-PAPER_WEIGHTS = (
-    1,
-    1,
-    2,
-    2,
-    2,
-    1,
-    1,
-    2,
-    2,
-    2,
-    2,
-    2,
-    2,
-)  # of the sparse grid [Liang2014, Table 2]: 75 points
-NONLINEAR_WEIGHTS = (1, 1, 1) + (2,) * 10  # by nonlinearity: 57 points
+PAPER_WEIGHTS = (1, 1, 2, 2, 2, 1, 1) + (2,) * 6  # of the sparse grid [Liang2014, Table 2]
+NONLINEAR_WEIGHTS = (1, 1, 1) + (2,) * 10
+"""By nonlinearity: 57 points, where the paper's weights have 75."""
 MICRO_G = 1e-6 * earth.STANDARD_GRAVITY
 DEGREE = float(np.radians(1.0))
-BORESIGHTS = np.sqrt(0.5) * np.array(
-    [[0.0, 1.0, 1.0], [0.0, -1.0, 1.0]]
-)  # of the star sensors on body axes, and of the stars
+BORESIGHTS = np.sqrt(0.5) * np.array([[0.0, 1.0, 1.0], [0.0, -1.0, 1.0]])
+"""Of the star sensors on body axes, and of the stars."""
 FORM = "covariance"  # of all filters here
 UNSAID = "chosen: not printed"
 
@@ -174,17 +160,17 @@ class Config(Timed):
     @cached_property
     def flight(self) -> earth.Flight:
         """Truth at the epochs and in the middles between them, ``2 steps + 1`` epochs."""
-        angles = {
-            name: float(np.radians(getattr(self, f"{name}_deg")))
-            for name in ("longitude", "latitude", "heading")
-        }
+        degrees = self.longitude_deg, self.latitude_deg, self.heading_deg, self.turn_rate_deg_per_s
+        longitude, latitude, heading, turn_rate = np.radians(degrees).tolist()
         return earth.turning_flight(
             0.5 * self.step_s * np.arange(2 * self.steps + 1),
-            **angles,
+            longitude=longitude,
+            latitude=latitude,
+            heading=heading,
             height_m=self.height_m,
             speed=self.speed_m_per_s,
             acceleration=self.acceleration_m_per_s2,
-            turn_rate=float(np.radians(self.turn_rate_deg_per_s)),
+            turn_rate=turn_rate,
         )
 
     def meters(self, latitude: float | None = None) -> Array:
@@ -199,9 +185,8 @@ class Config(Timed):
         """Those in which degrees of observability are nearest to Table 2: rad, m/s, m, deg/h, micro
         g ``(13,)``; 1, m ``(8,)``."""
         rates = np.repeat([DEGREE / 3600.0, MICRO_G], 3)
-        return np.concatenate([np.ones(5), 1.0 / self.meters(), rates]), np.concatenate(
-            [np.ones(6), self.meters()]
-        )
+        states = np.concatenate([np.ones(5), 1.0 / self.meters(), rates])
+        return states, np.concatenate([np.ones(6), self.meters()])
 
     @property
     def sigma0(self) -> Array:
@@ -219,9 +204,8 @@ class Config(Timed):
         """Columns ``(13, 5)`` of the process noise of one step: misalignment and velocity walk."""
         angle = np.radians(self.angle_walk_deg_per_sqrt_h) / 60.0
         velocity = self.velocity_walk_ug_per_sqrt_hz * MICRO_G
-        return np.asarray(
-            np.eye(13, 5) * (np.repeat([angle, velocity], [3, 2]) * np.sqrt(self.step_s))
-        )
+        walk = np.repeat([angle, velocity], [3, 2]) * np.sqrt(self.step_s)
+        return np.asarray(np.eye(13, 5) * walk)
 
 
 A = Config()
@@ -269,22 +253,19 @@ class Scenario(NamedTuple):
     def epochs(self) -> Iterator[Epoch]:
         """Epochs with their `Inputs`: what the system knows follows from its errors, now and an
         epoch before."""
-        config = self.config
-        flight = self.config.flight
-        truth = self.truth
-        star = np.full(6, np.radians(config.star_arcsec / 3600.0))
-        for k, t in enumerate(config.times.tolist()):
-            true = flight.attitude[2 * k]
-            meters = config.meters(float(flight.latitude[2 * k]))
-            before = truth[max(k - 1, 0)]
-            interval = inertial.navigation(
-                flight, max(2 * k - 1, 0), before[:, PHI], before[:, BIAS]
-            )
-            attitude = inertial.misalignment_matrix(truth[k, :, PHI]) @ true
-            u = Inputs(
-                interval, attitude, BORESIGHTS @ true.T, np.diag([*star, *config.sar_m / meters])
-            )
-            yield Epoch(k, t, config.step_s if k else 0.0, u, self.z[k], truth[k])
+        c = self.config
+        flight = c.flight
+        star = np.full(6, np.radians(c.star_arcsec / 3600.0))
+        for k, t in enumerate(c.times.tolist()):
+            now = self.truth[k]
+            before = self.truth[max(k - 1, 0)]
+            middle = max(2 * k - 1, 0)
+            interval = inertial.navigation(flight, middle, before[:, PHI], before[:, BIAS])
+            attitude = flight.attitude[2 * k]
+            known = inertial.misalignment_matrix(now[:, PHI]) @ attitude
+            fix = c.sar_m / c.meters(float(flight.latitude[2 * k]))
+            u = Inputs(interval, known, BORESIGHTS @ attitude.T, np.diag([*star, *fix]))
+            yield Epoch(k, t, c.step_s if k else 0.0, u, self.z[k], now)
 
 
 def simulate(
@@ -305,13 +286,11 @@ def simulate(
     w = walk @ config.sqrt_Q.T
     truth[0] = initial * config.sigma0 * has_error
     for k in range(1, T):
-        middle = inertial.navigation(
-            config.flight, 2 * k - 1, truth[k - 1, :, PHI], truth[k - 1, :, BIAS]
-        )
-        truth[k] = (advance(truth[k - 1], middle, config.step_s) + w[k - 1]) * has_error
-    runs = Scenario(
-        config, truth, z, Gaussian(np.zeros(truth.shape[1:]), np.diag(config.sigma0**2))
-    )
+        x = truth[k - 1]
+        middle = inertial.navigation(config.flight, 2 * k - 1, x[:, PHI], x[:, BIAS])
+        truth[k] = (advance(x, middle, config.step_s) + w[k - 1]) * has_error
+    prior = Gaussian(np.zeros(truth.shape[1:]), np.diag(config.sigma0**2))
+    runs = Scenario(config, truth, z, prior)
     for epoch in runs.epochs():
         z[epoch.k] = measurement(epoch.truth, epoch) + epoch.z * epoch.u.sqrt_R.diagonal()
     z[np.arange(T) % config.star_interval != 0, :, :6] = np.nan
@@ -339,9 +318,8 @@ def measurement(x: Array, epoch: Epoch) -> Array:
 
 def model(config: Config) -> tuple[Motion, Sensor]:
     """What filters believe."""
-    return Motion(dynamics, sqrt_Q=config.sqrt_Q), Sensor(
-        measurement, sqrt_R=lambda _, epoch: epoch.u.sqrt_R
-    )
+    sensor = Sensor(measurement, sqrt_R=lambda _, epoch: epoch.u.sqrt_R)
+    return Motion(dynamics, sqrt_Q=config.sqrt_Q), sensor
 
 
 @cache
@@ -366,30 +344,24 @@ def rules(level: int = 3) -> dict[str, Any]:
 def quadrature_filter(rule: Any, config: Config) -> Filter:
     """A filter by any rule. Where negative weights lose definiteness, a run is done again with the
     positive rule "ghqf3"."""
-    first = sigma_point(*model(config), rule=rule, form=FORM)
+    by_rule = partial(sigma_point, *model(config), form=FORM)
     if not isinstance(rule, Rule) or (rule.wc >= 0.0).all():
-        return first
-    return Fallback(
-        first, sigma_point(*model(config), rule=rules(config.level)["ghqf3"], form=FORM)
-    )
+        return by_rule(rule=rule)
+    return Fallback(by_rule(rule=rule), by_rule(rule=rules(config.level)["ghqf3"]))
 
 
 def filters(config: Config) -> dict[str, Filter]:
-    """The filters by name: one for each of `rules`; iekf: six Gauss-Newton steps at each of the
-    first five epochs; triad-ekf: the first star fix is linearized about the attitude that it gives
-    by itself (Wahba's problem)."""
+    """The filters by name: one for each of `rules`; triad-ekf: the first star fix is linearized
+    about the attitude that it gives by itself (Wahba's problem)."""
     plain = ekf(*model(config), form=FORM)
-    iterated = Iterated(plain.motion, plain.sensors, rule=plain.rule, form=plain.form)
-    wahba = replace(iterated, iterations=1, first=wahba_start)
-    return {name: quadrature_filter(rule, config) for name, rule in rules(config.level).items()} | {
-        "iekf": switched(plain, lambda epoch: iterated if epoch.k < 5 else plain),
-        "triad-ekf": switched(plain, lambda epoch: plain if epoch.k else wahba),
-    }
+    options: Any = {"rule": plain.rule, "form": plain.form, "iterations": 1, "first": wahba_start}
+    wahba = Iterated(plain.motion, plain.sensors, **options)
 
+    def step(state: Any, epoch: Epoch) -> Any:
+        return (plain if epoch.k else wahba).step(state, epoch)
 
-def switched(start: Filter, choose: Callable[[Epoch], Filter]) -> Filter:
-    """Filters of one kind of state, one at a time: that which is chosen for an epoch."""
-    return FromFunctions(start.start, lambda state, epoch: choose(epoch).step(state, epoch))
+    known = {name: quadrature_filter(rule, config) for name, rule in rules(config.level).items()}
+    return known | {"triad-ekf": FromFunctions(plain.start, step)}
 
 
 def wahba_start(belief: Belief, z: Array, epoch: Epoch) -> Array:
@@ -415,12 +387,9 @@ def observability(x: Array, epoch: Epoch, units: tuple[Array, Array], order: int
     """Observability matrix ``(..., 8 (order + 1), 13)`` at states ``(..., 13)``, in units of states
     and outputs."""
     states, outputs = units
-    rates = (
-        jacobian(lambda x: inertial.derivative(x, epoch.u.interval), x) * states / states[:, None]
-    )
-    return observability_matrix(
-        rates, jacobian(lambda x: measurement(x, epoch), x) * states * outputs[:, None], order
-    )
+    F = jacobian(lambda x: inertial.derivative(x, epoch.u.interval), x) * states / states[:, None]
+    H = jacobian(lambda x: measurement(x, epoch), x) * states * outputs[:, None]
+    return observability_matrix(F, H, order)
 
 
 def by_observability(config: Config, threshold: float = 5.0, *, weigh: bool = False) -> Choose:
@@ -447,14 +416,16 @@ def by_nonlinearity(threshold: float = 0.1) -> Choose:
     def choose(belief: Any, epoch: Epoch, chosen: Array | None) -> Array:
         x = belief.mean
         std = belief.std
-        degree = nonlinearity_degree(
-            lambda x: measurement(x, epoch), x, std, epoch.u.sqrt_R.diagonal()
-        )
+
+        def f(x: Array) -> Array:
+            return inertial.advance(x, epoch.u.interval, epoch.dt)
+
+        def h(x: Array) -> Array:
+            return measurement(x, epoch)
+
+        degree = nonlinearity_degree(h, x, std, epoch.u.sqrt_R.diagonal())
         if epoch.dt:
-            step = nonlinearity_degree(
-                lambda x: inertial.advance(x, epoch.u.interval, epoch.dt), x, std, std
-            )
-            degree = np.maximum(degree, step)
+            degree = np.maximum(degree, nonlinearity_degree(f, x, std, std))
         return np.asarray(hysteresis(degree, threshold, ones(chosen)) @ BITS)
 
     return choose
@@ -478,9 +449,8 @@ def adaptive(choose: Choose, config: Config) -> Switching:
 def mounted(sim: Scenario, errors: Array) -> Scenario:
     """The runs with mounting errors ``(runs, 2, 3)`` rad unknown to filters [Liang2014, Eqs.
     26-28]: stars are on boresights."""
-    turned = Rotation.from_rotvec(errors.reshape(-1, 3)).apply(
-        np.tile(BORESIGHTS, (len(errors), 1))
-    )
+    stars = np.tile(BORESIGHTS, (len(errors), 1))
+    turned = Rotation.from_rotvec(errors.reshape(-1, 3)).apply(stars)
     z = sim.z.copy()
     z[..., :6] += turned.reshape(-1, 6) - BORESIGHTS.ravel()
     return sim._replace(z=z)
@@ -492,23 +462,19 @@ def mounting_filter(config: Config, sigma: float) -> tuple[Filter, Gaussian]:
 
     def h(x: Array, epoch: Epoch) -> Array:
         z = measurement(x[..., :13], epoch)
-        seen = (
-            z[..., :6].reshape(*z.shape[:-1], 2, 3) + epoch.u.stars @ epoch.u.attitude
-        )  # on body axes
-        z[..., :6] += np.cross(x[..., 13:].reshape(seen.shape), seen).reshape(*z.shape[:-1], 6)
+        on_body = z[..., :6].reshape(*z.shape[:-1], 2, 3) + epoch.u.stars @ epoch.u.attitude
+        turned = np.cross(x[..., 13:].reshape(on_body.shape), on_body)
+        z[..., :6] += turned.reshape(*z.shape[:-1], 6)
         return z
 
-    motion = Motion(
-        lambda x, epoch: np.concatenate([dynamics(x[..., :13], epoch), x[..., 13:]], -1),
-        sqrt_Q=np.pad(config.sqrt_Q, ((0, 6), (0, 0))),
-    )
-    filter = sigma_point(
-        motion,
-        replace(model(config)[1], h=h),
-        rule=smolyak(19, config.level, (1,) * 3 + (2,) * 16),
-        form=FORM,
-    )
-    return filter, Gaussian(np.zeros((1, 19)), np.diag(np.square([*config.sigma0, *[sigma] * 6])))
+    def f(x: Array, epoch: Epoch) -> Array:
+        return np.concatenate([dynamics(x[..., :13], epoch), x[..., 13:]], -1)
+
+    motion = Motion(f, sqrt_Q=np.pad(config.sqrt_Q, ((0, 6), (0, 0))))
+    rule = smolyak(19, config.level, (1,) * 3 + (2,) * 16)
+    filter = sigma_point(motion, replace(model(config)[1], h=h), rule=rule, form=FORM)
+    std = [*config.sigma0, *[sigma] * 6]
+    return filter, Gaussian(np.zeros((1, 19)), np.diag(np.square(std)))
 
 
 # -- six states, for which a tensor rule can be run ------------------------------------------------
@@ -554,14 +520,16 @@ def six_states(
 
     motion = Motion(f, sqrt_Q=config.sqrt_Q[six])
     sensor = replace(model(config)[1], h=lambda x, epoch: measurement(widened(x), epoch))
-    by_rule = {
-        name: sigma_point(motion, sensor, rule=rule, form=FORM)
-        for name, rule in six_rules().items()
+    ukf, sghqf, ghqf = (
+        sigma_point(motion, sensor, rule=rule, form=FORM) for rule in six_rules().values()
+    )
+    known = {
+        "ekf": ekf(motion, sensor, form=FORM),
+        "ghqf": ghqf,
+        "ukf": Fallback(ukf, ghqf),
+        "sghqf": Fallback(sghqf, ghqf),
     }
-    ghqf = by_rule["six/ghqf"]
-    known = {name: Fallback(by_rule[f"six/{name}"], ghqf) for name in ("ukf", "sghqf")}
-    prior = Gaussian(sim.prior.mean[:, six], np.diag(config.sigma0[six] ** 2))
-    return sim, {"ekf": ekf(motion, sensor, form=FORM), "ghqf": ghqf, **known}, prior
+    return sim, known, Gaussian(sim.prior.mean[:, six], np.diag(config.sigma0[six] ** 2))
 
 
 # -- how they are judged ---------------------------------------------------------------------------

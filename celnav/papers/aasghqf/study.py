@@ -41,8 +41,17 @@ from celnav.papers.aasghqf.scenario import (
 from celnav.study import trial as trials
 from celnav.study.ledger import Bounds, Decision, Number, Tiers, estimate, read_ledger, read_printed
 from celnav.study.montecarlo import BRIEF, normals
-from celnav.study.numbers import Decided, Flown, all_of, consistency, given, of
-from celnav.study.operations import step_operations
+from celnav.study.numbers import (
+    Decided,
+    Flown,
+    all_of,
+    consistency,
+    count_holding,
+    given,
+    of,
+    operations,
+)
+from celnav.study.operations import counted
 from celnav.study.study import Part, Results, Rngs, Study, When, fly
 
 __all__ = [
@@ -155,29 +164,29 @@ def six_states(names: Sequence[str], config: Config, rngs: Rngs) -> dict[str, Ar
     return out | {"start": np.linalg.norm(phi[:1], axis=-1) / DEGREE}
 
 
-def operations(config: Config, _: Rngs) -> dict[str, Array]:
+def cycles(config: Config, _: Rngs) -> dict[str, Array]:
     """Arithmetic operations of a cycle (prediction and update) of one run, as the filter's own step
     does them: the same everywhere. Of SGHQF, and of the tensor rule of six states, whose steps are
     too long to be recorded, at least: a point more adds to all covariances, of the prediction, of
     the measurements and between both, in two operations each."""
-    sim = simulate(replace(config, steps=1), UNDISTURBED)
-    out = dict[str, Array]()
-    short, filters, prior = scenario.six_states(replace(config, steps=1), UNDISTURBED)
+    c = replace(config, steps=1)
+    sim = simulate(c, UNDISTURBED)
+    short, filters, prior = scenario.six_states(c, UNDISTURBED)
     known = rules(config.level) | scenario.six_rules()
+    recorded = {
+        name: sigma_point(*scenario.model(c), rule=known[name], form=scenario.FORM)
+        for name in ("ukf", "aasghqf")
+    }
+    out = counted(recorded, sim.prior, sim.epochs())
+    out |= counted({"six/sghqf": filters["sghqf"].first}, prior, short.epochs())
 
     def at_least(n: int, name: str, fewer: str) -> Array:
         more = known[name].num_sigmas() - known[fewer].num_sigmas()
         return np.asarray(out[fewer] + 2 * (n * (n + 1) // 2 + 8 * 9 // 2 + 8 * n) * more)
 
-    for name in ("ukf", "aasghqf"):
-        filter = sigma_point(*scenario.model(config), rule=known[name], form=scenario.FORM)
-        out[name] = np.array([step_operations(filter, sim.prior, list(sim.epochs()))])
-    six = step_operations(filters["sghqf"].first, prior, list(short.epochs()))
-    out["six/sghqf"] = np.array([six])
-    return out | {
-        "sghqf": at_least(13, "sghqf", "aasghqf"),
-        "six/ghqf": at_least(6, "six/ghqf", "six/sghqf"),
-    }
+    out["sghqf"] = at_least(13, "sghqf", "aasghqf")
+    out["six/ghqf"] = at_least(6, "six/ghqf", "six/sghqf")
+    return out
 
 
 def degrees(config: Config, _: Rngs) -> dict[str, Array]:
@@ -346,7 +355,7 @@ def parts(effort: float = 1.0) -> dict[str, Part]:
         "bound": Part(bound, flight(A)),
         "observability": Part(degrees, T3),
         "fixes": Part(first_fixes, T3),
-        "operations": Part(operations, A, cost=3.0),
+        "operations": Part(cycles, A, cost=3.0),
         "six states": Part(partial(six_states, ("ekf", "ukf", "sghqf")), SIX, 5, 1000, 100, 5.0),
         "tensor": Part(partial(six_states, ("sghqf", "ghqf")), SIX, 5, 400, 100, 10.0),
         "T3, on line": Part(partial(on_line, ("bends",)), T3, 0, A.runs, 50, 2.0),
@@ -459,50 +468,54 @@ def averaged(
     *,
     at: When = slice(None),
     statistic: Any = lambda a, b: a.sum() / b.sum(),
-    **more: Any,
 ) -> Decided:
     """Numbers as Table 3 has them, RMSE over the runs averaged over epochs: of two filters the
     ratio of their sums over states, or another statistic of ``(states,)``, one for each that is
     seen."""
 
     def number(r: Results) -> Number:
-        squares = [
-            np.square(r.get(part, f"{f}/error")[r.at(part, at), :, states]).swapaxes(0, 1)
-            for part, f in seen
-        ]
-        (runs, *shape) = squares[0].shape
-        flat = [s.reshape(len(s), -1) for s in squares]
+        errors = [r.get(part, f"{f}/error")[r.at(part, at), :, states] for part, f in seen]
+        T, runs, _ = errors[0].shape
+        squares = [np.square(error).swapaxes(0, 1).reshape(runs, -1) for error in errors]
 
         def value(drawn: Array) -> float:
-            share = (
-                np.bincount(drawn.astype(int), minlength=runs) / runs
-            )  # of each run among those drawn: a product, no copies
-            return float(statistic(*(np.sqrt(share @ f).reshape(shape).mean(0) for f in flat)))
+            # The share of each run among those drawn: a product in place of copies.
+            share = np.bincount(drawn.astype(int), minlength=runs) / runs
+            means = [np.sqrt(share @ square).reshape(T, -1).mean(0) for square in squares]
+            return float(statistic(*means))
 
-        return estimate(label, value, [np.arange(runs)], accept, **more)
+        return estimate(label, value, [np.arange(runs)], accept)
 
     return number
 
 
-def each(r: Results, a: str, b: str, accept: Bounds = (None, None), **more: Any) -> list[Number]:
+def angles(label: str, a: Flown, b: Flown, accept: Bounds, **more: Any) -> Decided:
+    """RMSE of the misalignment, of one filter over another's, see `averaged`."""
+    return averaged(label, [a, b], PHI, accept, **more)
+
+
+def each(r: Results, a: str, b: str, accept: Bounds = (None, None)) -> list[Number]:
     """Filter ``a`` over ``b`` in each preset and state of Table 3. At T3, where errors have long
     tails, from more runs: SGHQF is then flown with the 57 points that give its estimates."""
-    seen = {
-        p: [(p, f) if p != "T3" else (MANY, {"sghqf": "nonlinear"}.get(f, f)) for f in (a, b)]
-        for p in PRESETS
-    }
-    return [
-        averaged(
-            f"{state}, {p}, {a.upper()} over {b.upper()}", seen[p], slice(i, i + 1), accept, **more
-        )(r)
-        for p in PRESETS
-        for i, state in enumerate(SEVEN)
-    ]
+    many = {"sghqf": "nonlinear"}
+    numbers = []
+    for part in PRESETS:
+        seen = [(MANY, many.get(f, f)) if part == "T3" else (part, f) for f in (a, b)]
+        for i, state in enumerate(SEVEN):
+            label = f"{state}, {part}, {a.upper()} over {b.upper()}"
+            numbers.append(averaged(label, seen, slice(i, i + 1), accept)(r))
+    return numbers
 
 
-def cycle(label: str, a: str, b: str, accept: Bounds, how: Any = np.divide) -> Decided:
-    """Operations of a cycle: of ``a`` over ``b``, or how else they are compared."""
-    return lambda r: Number(label, float(how(*(r.get("operations", f)[0] for f in (a, b)))), accept)
+def largest_first(numbers: Sequence[Number]) -> list[Number]:
+    """Sorted by their values."""
+    return sorted(numbers, key=lambda number: -number.value)
+
+
+def above_and_below(ratios: Sequence[Number], margin: float = 0.0) -> tuple[int, int]:
+    """How many are above and below 1 with their intervals."""
+    ends = [number.ci for number in ratios if number.ci]
+    return sum(low > 1 + margin for low, _ in ends), sum(high < 1 - margin for _, high in ends)
 
 
 def tenth(r: Results, part: str, name: str) -> Array:
@@ -515,39 +528,29 @@ def tenth(r: Results, part: str, name: str) -> Array:
 def six_filters(r: Results) -> Tiers:
     """SGHQF against EKF, UKF and GHQF: RMSE of the misalignment, time to a tenth of the initial
     one, operations; how many hold."""
-    parts = {"ekf": "six states", "ukf": "six states", "ghqf": "tensor"}
+    part = {"ekf": "six states", "ukf": "six states", "ghqf": "tensor"}
 
-    def error(name: str, accept: Bounds) -> Number:
-        pair = [(parts[name], "sghqf"), (parts[name], name)]
-        return averaged(f"RMSE over that of {name.upper()}", pair, PHI, accept)(r)
+    def error(name: str, most: float) -> Number:
+        pair = (part[name], "sghqf"), (part[name], name)
+        return angles(f"RMSE over that of {name.upper()}", *pair, (None, most))(r)
 
-    def sooner(name: str, accept: Bounds = (None, None)) -> Number:
-        both = [tenth(r, parts[name], filter) for filter in ("sghqf", name)]
-        return estimate(
-            f"time to a tenth, less that of {name.upper()}, s",
-            lambda a, b: a.mean() - b.mean(),
-            both,
-            accept,
-        )
+    def later(name: str, most: float | None = None) -> Number:
+        label = f"time to a tenth, less that of {name.upper()}, s"
+        times = [tenth(r, part[name], filter) for filter in ("sghqf", name)]
+        return estimate(label, lambda a, b: a.mean() - b.mean(), times, (None, most))
 
-    below = [
-        error("ekf", (None, 1.0)),
-        error("ukf", (None, 1.0)),
-        sooner("ekf", (None, 0.0)),
-        sooner("ukf", (None, 0.0)),
+    better = [error("ekf", 1.0), error("ukf", 1.0), later("ekf", 0.0), later("ukf", 0.0)]
+    alike = [error("ghqf", 1.05)]
+    label = "operations over those of GHQF, at most"
+    cheaper = [operations(label, "six/sghqf", "six/ghqf", (None, 1.0))(r)]
+    worst = [
+        min(each, key=lambda number: (False, None, True).index(number.holds))
+        for each in (better, alike, cheaper)
     ]
-    alike = [error("ghqf", (None, 1.05))]
-    cheaper = [
-        cycle("operations over those of GHQF, at most", "six/sghqf", "six/ghqf", (None, 1.0))(r)
-    ]
-    outcomes = [[n.holds for n in numbers] for numbers in (below, alike, cheaper)]
-    sure = float(sum(all(outcome) for outcome in outcomes))
-    perhaps = float(sum(False not in outcome for outcome in outcomes))
-    held = Number("of the three, those that hold", sure, (2, None), (sure, perhaps))
     return {
-        "reproduced": [*below, *alike, *cheaper],
-        "in part": [held],
-        "not reproduced": [sooner("ghqf")],
+        "reproduced": [*better, *alike, *cheaper],
+        "in part": [count_holding("of the three, those that hold", worst, (2, None))],
+        "not reproduced": [later("ghqf")],
     }
 
 
@@ -559,110 +562,88 @@ def changed(r: Results, part: str, name: str) -> Array:
 def adapts(r: Results) -> Tiers:
     """Whether weights change in most runs, by reading and preset, and what that does to errors; in
     how many readings they do."""
-    seen = [(f"{p}, on line", f, p) for p, f in product((MANY, "A-slow"), ("unweighed", "weighed"))]
-    shares = [
-        estimate(
-            f"share of runs whose weights change, {f}, {p}",
-            np.mean,
-            [np.array(changed(r, part, f).any(0) * 1.0)],
-            (0.5, None),
-        )
-        for part, f, p in seen
-    ]
-    ratios = [
-        averaged(
-            f"{SEVEN[i]}, {p}, {f} over fixed weights", [(part, f), (p, "aasghqf")], slice(i, i + 1)
-        )(r)
-        for part, f, p in seen
-        for i in range(7)
-    ]
-    worse, better = (
-        sum(bool(n.ci and sign * n.ci[end] > sign + 1e-3) for n in ratios)
-        for sign, end in ((1, 0), (-1, 1))
-    )
-    bar = Number("of 28 errors, larger than with fixed weights", worse, (None, 0))
+    shares = []
+    ratios = []
+    changes = []
+    for part, f in product((MANY, "A-slow"), ("unweighed", "weighed")):
+        flown = (f"{part}, on line", f)
+        change = changed(r, *flown)
+        label = f"share of runs whose weights change, {f}, {part}"
+        shares.append(estimate(label, np.mean, [change.any(0).astype(float)], (0.5, None)))
+        changes.append(Number(f"changes in a run, {f}, {part}", change.sum(0).mean()))
+        for i, state in enumerate(SEVEN):
+            label = f"{state}, {part}, {f} over fixed weights"
+            pair = [flown, (part, "aasghqf")]
+            ratios.append(averaged(label, pair, slice(i, i + 1))(r))
+    worse, better = above_and_below(ratios, 1e-3)
     above = r.get("along", "above")
+    ever = (above[1:] != above[:-1]).any((0, 1, 3)).sum()
     more = [
+        Number("of 28 errors, larger than with fixed weights", worse, (None, 0)),
         Number("smaller", better),
-        Number(
-            "of 60 readings, those that ever change", (above[1:] != above[:-1]).any((0, 1, 3)).sum()
-        ),
-        *(
-            Number(f"changes in a run, {f}, {p}", changed(r, part, f).sum(0).mean())
-            for part, f, p in seen[2:]
-        ),
-        max(ratios, key=lambda n: n.ci[0] if n.ci else n.value),
+        Number("of 60 readings, those that ever change", ever),
+        *changes[2:],
+        max(ratios, key=lambda number: number.ci[0] if number.ci else number.value),
     ]
-    return {
-        "reproduced": [*shares, bar, *more],
-        "in part": [max(shares, key=lambda n: n.value)],
-    }
+    return {"reproduced": [*shares, *more], "in part": largest_first(shares)[:1]}
 
 
 def followed(r: Results) -> list[Number]:
     """Points and errors of weights by nonlinearity, chosen before each step, and with other
     thresholds."""
-    parts = [(p, f"{p}, on line") for p in ("T3", "A-slow")]
+    points = []
+    errors = []
     slow = "A-slow, on line"
-    pairs = [[(part, "bends"), (p, "sghqf")] for p, part in parts]
-    pairs += [[(slow, "bends"), (slow, f"bends, {t}")] for t in ("0.01", "1")]
+
+    def error(a: Flown, b: Flown) -> Number:
+        label = f"RMSE of the angles, {a[1]} over {b[1]} of {b[0]}"
+        return angles(label, a, b, (0.99, 1.01))(r)
+
+    for part in ("T3", "A-slow"):
+        flown = (f"{part}, on line", "bends")
+        mean = r.get(flown[0], "bends/points").mean()
+        points.append(Number(f"points in the mean, {part}", mean, (27, 30)))
+        errors.append(error(flown, (part, "sghqf")))
+    changes = changed(r, slow, "bends").sum(0).mean()
+    linear = (r.get(slow, "bends/chosen") > 7).sum()
     return [
-        *(
-            Number(f"points in the mean, {p}", r.get(part, "bends/points").mean(), (27, 30))
-            for p, part in parts
-        ),
-        *(
-            averaged(
-                f"RMSE of the angles, {a} over {b} of {part}",
-                [(of, a), (part, b)],
-                PHI,
-                (0.99, 1.01),
-            )(r)
-            for (of, a), (part, b) in pairs
-        ),
-        Number("changes in a run, A-slow", changed(r, slow, "bends").sum(0).mean(), (1, 5)),
-        Number(
-            "times that a linear state had weight 1",
-            (r.get(slow, "bends/chosen") > 7).sum(),
-            (0, 0),
-        ),
+        *points,
+        *errors,
+        error((slow, "bends"), (slow, "bends, 0.01")),
+        error((slow, "bends"), (slow, "bends, 1")),
+        Number("changes in a run, A-slow", changes, (1, 5)),
+        Number("times that a linear state had weight 1", linear, (0, 0)),
     ]
 
 
 def gentle(r: Results) -> list[Number]:
     """The degree of the heading on the paper's flight, and at what force it becomes large on the
     turning one."""
-    own, turning = r.get("along", "degrees")[..., 2]
-    flight, force = (f.flight.force[::2] for f in (A, scenario.TURNING))
+    level, turning = r.get("along", "degrees")[..., 2]
+    flight, force = (config.flight.force[::2] for config in (A, scenario.TURNING))
     across = (np.hypot(*force.T[:2]) / force[:, 2])[turning > THRESHOLD]
+    first = across[0] if len(across) else np.nan
+    changes = changed(r, "turning", "unweighed").sum(0).mean()
     return [
-        Number("largest degree of φz", own.max(), (None, 2)),
+        Number("largest degree of φz", level.max(), (None, 2)),
         Number("largest force across, m/s^2", np.hypot(*flight.T[:2]).max()),
-        Number(
-            "force across over that upward where it exceeds 5",
-            across[0] if len(across) else np.nan,
-            (0.95, 1.05),
-        ),
-        Number(
-            "changes in a run there", changed(r, "turning", "unweighed").sum(0).mean(), (1, None)
-        ),
+        Number("force across over that upward where it exceeds 5", first, (0.95, 1.05)),
+        Number("changes in a run there", changes, (1, None)),
     ]
 
 
 def doubled(r: Results) -> Number:
     """The size of mounting errors, arc seconds, at which the RMSE of the angles at the end is
     doubled: they add in the square."""
-    none, most = (
-        np.square(r.get("mounting", f"nonlinear, {size}/error")[LAST, :, PHI]).sum(-1).mean(0)
-        for size in (0, 200)
-    )
+    errors = (r.get("mounting", f"nonlinear, {size}/error")[LAST, :, PHI] for size in (0, 200))
+    none, most = (np.square(error).sum(-1).mean(0) for error in errors)
     bar = np.sqrt(3.0 * none.mean() / 2.5) * 3600.0  # by the closed form, 2.5 sigma^2 in all
-    return estimate(
-        "arc seconds that double it",
-        lambda a, b: 200.0 * np.sqrt(3.0 * a.mean() / (b.mean() - a.mean())),
-        [none, most],
-        (0.8 * bar, 1.25 * bar),
-    )
+
+    def doubling(a: Array, b: Array) -> Any:
+        return 200.0 * np.sqrt(3.0 * a.mean() / (b.mean() - a.mean()))
+
+    label = "arc seconds that double it"
+    return estimate(label, doubling, [none, most], (0.8 * bar, 1.25 * bar))
 
 
 def degree(r: Results) -> Tiers:
@@ -671,136 +652,103 @@ def degree(r: Results) -> Tiers:
     every = r.get("observability", "every")
     printed = np.array(TABLE_2)
     far = np.abs(np.log(np.maximum(every, 1e-300) / printed)) > np.log([1.1] * 7 + [3.2] * 6)
-    a, b = np.nonzero(
-        printed[:, None] > printed
-    )  # pairs of states of which the first has the larger degree
-    wrong, turned = (
-        float(differ.sum(-1).min()) for differ in (far, every[..., a] <= every[..., b])
-    )
+    # Pairs of states of which the first has the larger degree.
+    a, b = np.nonzero(printed[:, None] > printed)
+    turned = every[..., a] <= every[..., b]
+
+    def fewest(which: str, differ: Array) -> list[Number]:
+        label = f"{which}, in the best scaling"
+        return [Number(label, float(differ.sum(-1).min()), (None, 0))]
+
     return {
-        "reproduced": [
-            Number("states of 13 that do not agree, in the best scaling", wrong, (None, 0))
-        ],
-        "in part": [
-            Number(
-                "pairs of states that are not in the printed order, in the best scaling",
-                turned,
-                (None, 0),
-            )
-        ],
+        "reproduced": fewest("states of 13 that do not agree", far),
+        "in part": fewest("pairs of states that are not in the printed order", turned),
         "not reproduced": [Number(*state) for state in zip(inertial.STATES, every[0, 0].tolist())],
     }
 
 
 def classes(r: Results) -> Tiers:
     """Weights that differ from Table 2's, by its own degrees and by computed ones."""
-    every = TABLE_2, *r.get("observability", "every").reshape(-1, 13)
-    own, *computed = (
-        np.not_equal(threshold_weights(d, THRESHOLD), PAPER_WEIGHTS).sum() for d in every
-    )
-    printed = Number("by the printed degrees, of 13", own, (None, 0))
-    first = Number("by computed ones", computed[0], (None, 0))
-    extremes = [
+    degrees = TABLE_2, *r.get("observability", "every").reshape(-1, 13)
+    weights = np.array([threshold_weights(each, THRESHOLD) for each in degrees])
+    theirs, *computed = (weights != PAPER_WEIGHTS).sum(1)
+    printed = Number("by the printed degrees, of 13", theirs, (None, 0))
+    others = [
+        Number("by computed ones", computed[0], (None, 0)),
         Number("fewest of any units", min(computed)),
         Number("most of any units", max(computed)),
     ]
-    return {"reproduced": [printed, first, *extremes], "in part": [printed]}
+    return {"reproduced": [printed, *others], "in part": [printed]}
 
 
 def criterion(r: Results) -> list[Number]:
     """AASGHQF over 57 points that follow the nonlinearity, in every state and preset."""
-    every = sorted(each(r, "aasghqf", "nonlinear"), key=lambda n: -n.value)
-    better, worse = (
-        sum(bool(n.ci and sign * n.ci[end] > sign) for n in every)
-        for sign, end in ((1, 0), (-1, 1))
-    )
-    fixed = [
-        consistency(f"NEES after the first fix, A, {f}", ("A", f), at=0)(r)
-        for f in ("aasghqf", "nonlinear", "sghqf")
+    ratios = largest_first(each(r, "aasghqf", "nonlinear"))
+    above, below = above_and_below(ratios)
+    numbers = [
+        Number("of 28 ratios, above 1 with their interval", above, (None, 0)),
+        Number("below 1", below),
     ]
-    return [
-        Number("of 28 ratios, above 1 with their interval", better, (None, 0)),
-        Number("below 1", worse),
-        *fixed,
-        *every,
-    ]
+    for f in ("aasghqf", "nonlinear", "sghqf"):
+        numbers.append(consistency(f"NEES after the first fix, A, {f}", ("A", f), at=0)(r))
+    return [*numbers, *ratios]
 
 
 def better_than_ukf(r: Results) -> Tiers:
     """UKF over both sparse filters, in every state and preset; by filter how many are above 1; the
     least of them first."""
-    both = [each(r, "ukf", f, (1.0, None)) for f in ("sghqf", "aasghqf")]
-    sghqf = both[0]
-    every = sorted([*both[0], *both[1]], key=lambda n: n.value)
+    sghqf, aasghqf = (each(r, "ukf", f, (1.0, None)) for f in ("sghqf", "aasghqf"))
+    every = largest_first([*sghqf, *aasghqf])[::-1]
     half = np.sqrt(np.divide(TABLE_3["UKF"], TABLE_3["SGHQF"]))
 
-    def above(label: str, ratios: Sequence[Number]) -> Number:
-        sure, perhaps = (
-            float(sum(n.holds in known for n in ratios)) for known in ((True,), (True, None))
-        )
-        return Number(
-            f"of {label}, those above 1 with their interval",
-            sure,
-            (len(ratios), None),
-            (sure, perhaps),
-        )
+    def above(what: str, ratios: Sequence[Number]) -> Number:
+        label = f"of {what}, those above 1 with their interval"
+        return count_holding(label, ratios, (len(ratios), None))
 
-    below = sum(n.holds is False for n in sghqf)
+    below = sum(number.holds is False for number in sghqf)
+    halfway = sum(number.value > bar for number, bar in zip(sghqf, half))
     isotropic = [
         Number("of 28 ratios to SGHQF, those below 1 with their interval", below, (None, 0)),
         above("the seven to SGHQF at T3", sghqf[:7]),
-        Number(
-            "of the seven to SGHQF at T3, those above half-way to the printed ones",
-            sum(n.value > bar for n, bar in zip(sghqf, half)),
-        ),
+        Number("of the seven to SGHQF at T3, those above half-way to the printed ones", halfway),
     ]
-    least = min(sghqf, key=lambda n: n.value)._replace(accept=(None, None))
-    counts = [
-        above(f"28 ratios to {name}", ratios) for name, ratios in zip(("SGHQF", "AASGHQF"), both)
-    ]
+    least = min(sghqf, key=lambda number: number.value)._replace(accept=(None, None))
+    counts = [above("28 ratios to SGHQF", sghqf), above("28 ratios to AASGHQF", aasghqf)]
     return {"reproduced": [*counts, *isotropic, least, *every], "in part": isotropic}
 
 
 def levels(r: Results) -> Tiers:
     """All 21 entries of Table 3 at T3."""
     cells = [(MANY, f) for f in ("ukf", "nonlinear", "aasghqf")]
-    own = np.log(list(TABLE_3.values()))
-    bar = np.log(1.32)
-    number = partial(averaged, seen=cells, states=slice(0, 7))
-    beyond = number(
-        "of 21, beyond 1.32",
-        accept=(None, 3),
-        statistic=lambda *x: (np.abs(np.log(x) - own) > bar).sum(),
-    )
-    farthest = number(
-        "largest factor",
-        accept=(None, 3.2),
-        statistic=lambda *x: np.exp(np.abs(np.log(x) - own).max()),
-    )
-    return {"reproduced with fitted parameters": [beyond(r)], "level only": [farthest(r)]}
+    printed = np.log(list(TABLE_3.values()))
+
+    def number(label: str, most: float, reduce: Callable[[Array], Any]) -> list[Number]:
+        def statistic(*rmse: Array) -> Any:
+            return reduce(np.abs(np.log(rmse) - printed))
+
+        return [averaged(label, cells, slice(0, 7), (None, most), statistic=statistic)(r)]
+
+    return {
+        "reproduced with fitted parameters": number(
+            "of 21, beyond 1.32", 3, lambda logs: (logs > np.log(1.32)).sum()
+        ),
+        "level only": number("largest factor", 3.2, lambda logs: np.exp(logs.max())),
+    }
 
 
 def orders(r: Results) -> Tiers:
     """Total degrees to which grids are exact, one less than that of the first even monomial that
     they fail, and their errors."""
-    fail = [
-        min(sum(p) for p in product((0, 2, 4, 6), repeat=3) if not integrates(p, 3, g))
-        for g in ((1, 1, 1), (1, 1, 2))
-    ]
-    exact = [
-        Number(f"total degree, {name}", least - 1, (4, None))
-        for name, least in zip(("isotropic", "weights with a 2"), fail)
-    ]
-    error = partial(r.get, "fixes")
-    errors = [
-        Number(
-            f"error of the {what}, {f.upper()} over UKF",
-            TEN(error(f"{f}/{what}") / error(f"ukf/{what}")),
-            (None, 1.0),
-        )
-        for f in ("sghqf", "aasghqf")
-        for what in ("mean", "cov")
-    ]
+    exact = []
+    monomials = list(product((0, 2, 4, 6), repeat=3))
+    for name, g in (("isotropic", (1, 1, 1)), ("weights with a 2", (1, 1, 2))):
+        fails = min(sum(powers) for powers in monomials if not integrates(powers, 3, g))
+        exact.append(Number(f"total degree, {name}", fails - 1, (4, None)))
+    errors = []
+    for f, what in product(("sghqf", "aasghqf"), ("mean", "cov")):
+        ours, ukf = (r.get("fixes", f"{name}/{what}") for name in (f, "ukf"))
+        label = f"error of the {what}, {f.upper()} over UKF"
+        errors.append(Number(label, TEN(ours / ukf), (None, 1.0)))
     return {"reproduced": exact, "in part": [exact[0], *errors]}
 
 
@@ -850,12 +798,12 @@ DECISIONS: dict[str, Decision] = {
         "in part": counts[:2],
     },
     "one-millisecond-more": all_of(
-        cycle("operations more in a cycle", "aasghqf", "ukf", (None, 1e6), np.subtract),
-        cycle("times the UKF's", "aasghqf", "ukf", (1.15, None)),
+        operations("operations more in a cycle", "aasghqf", "ukf", (None, 1e6), np.subtract),
+        operations("times the UKF's", "aasghqf", "ukf", (1.15, None)),
     ),
     "cheaper-than-sghqf": all_of(
         given("points", point_count(13, 3) / point_count(13, 3, PAPER_WEIGHTS), (1.52, None)),
-        cycle("operations, at least", "sghqf", "aasghqf", (1.52, None)),
+        operations("operations, at least", "sghqf", "aasghqf", (1.52, None)),
     ),
     "saving-grows": savings,
     "points-grow": growth,

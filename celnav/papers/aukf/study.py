@@ -37,6 +37,7 @@ from celnav.papers.aukf.scenario import (
     ukf,
 )
 from celnav.receiver import day
+from celnav.study import numbers
 from celnav.study.ledger import Bounds, Decision, Number, Tiers, estimate, read_ledger
 from celnav.study.montecarlo import BRIEF
 from celnav.study.numbers import (
@@ -44,13 +45,14 @@ from celnav.study.numbers import (
     Decided,
     all_of,
     consistency,
+    count_holding,
     given,
     of,
     ratio,
     rmse,
     tiers,
 )
-from celnav.study.operations import step_operations
+from celnav.study.operations import counted
 from celnav.study.study import Part, Results, Rngs, Study
 from celnav.study.trial import Group
 
@@ -547,10 +549,7 @@ def operations(config: Config, rngs: Rngs) -> Arrays:
     """Arithmetic operations of a step of one run with all satellites, of EKF and UKF."""
     sim = simulate(replace(config, duration_s=config.interval_s, burst="none"), rngs)
     known = filters(sim.config)
-    return {
-        name: np.array([step_operations(known[name], sim.prior, list(sim.epochs()))])
-        for name in ("ekf", "ukf")
-    }
+    return counted({name: known[name] for name in ("ekf", "ukf")}, sim.prior, sim.epochs())
 
 
 # -- numbers of the ledger -------------------------------------------------------------------------
@@ -761,16 +760,6 @@ def later(label: str, part: str, case: str, most: float, r: Results, since: int 
     )
 
 
-def counted(label: str, numbers: Sequence[Number], accept: Bounds, leading: bool = False) -> Number:
-    """How many numbers hold, or do before the first that does not: for sure, to perhaps."""
-    known = [
-        np.array([n.holds is True for n in numbers]),
-        np.array([n.holds is not False for n in numbers]),
-    ]
-    sure, perhaps = (float(first(~some) if leading else some.sum()) for some in known)
-    return Number(label, sure, accept, (sure, perhaps))
-
-
 def convergence(r: Results) -> list[Number]:
     """From how many starts the AUKF is sooner, or later, below three times the settled error of the
     UKF; and after the burst."""
@@ -784,8 +773,8 @@ def convergence(r: Results) -> list[Number]:
         [n._replace(accept=side) for n in starts] for side in ((None, -1.0), (1e-9, None))
     )
     return [
-        counted("starts from which it is sooner, by a second", sooner, (None, 0)),
-        counted("from which it is later", longer, (1, None)),
+        count_holding("starts from which it is sooner, by a second", sooner, (None, 0)),
+        count_holding("from which it is later", longer, (1, None)),
         after_burst(r)._replace(accept=(None, -1.0)),
         *starts,
     ]
@@ -828,7 +817,7 @@ def window_range(r: Results) -> list[Number]:
         best = min(WINDOWS, key=lambda m: rms(r, part, f"M {m}", "burst"))
         quiet, struck, after = (n._replace(accept=(None, None)) for n in ratios[best])
         out += [
-            counted(f"{rate}: windows with which both claims hold", both, (None, None)),
+            count_holding(f"{rate}: windows with which both claims hold", both, (None, None)),
             Number("best in the burst, epochs", best),
             quiet,
             struck._replace(accept=(least, None)),
@@ -866,10 +855,10 @@ def limits(r: Results) -> list[Number]:
             for most in (1.0, 2.0)
         )
         out += [
-            counted(
+            count_holding(
                 f"{shape}: better than the UKF up to, ranges", better, (least, None), leading=True
             ),
-            counted(
+            count_holding(
                 f"{shape}: below twice its quiet error up to", own, (least, None), leading=True
             ),
             *(own[k - 1]._replace(accept=(None, None)) for k in (6, 8, 12)),
@@ -968,11 +957,7 @@ DECISIONS: dict[str, Decision] = {
     ),
     "ukf-better-than-ekf": same,
     "no-extra-computation": all_of(
-        lambda r: Number(
-            "operations of a step over the EKF's",
-            float(r.get("operations", "ukf")[0] / r.get("operations", "ekf")[0]),
-            (None, 1.1),
-        ),
+        numbers.operations("operations of a step over the EKF's", "ukf", "ekf", (None, 1.1)),
         given("evaluations of the measurement", len(ukf(STANDARD).nodes)),
     ),
     "transform-second-order": all_of(
