@@ -15,7 +15,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
-from importlib.util import find_spec
 from operator import attrgetter
 from typing import Any, NamedTuple
 
@@ -24,7 +23,7 @@ from numpy.typing import ArrayLike
 
 from celnav.filters.model import Linear, Motion, Sensor
 from celnav.filters.records import Epoch, Epochs, Info, State, epochs
-from celnav.filters.run import ENGINE, run
+from celnav.filters.run import run
 from celnav.filters.sequential import Sequential, ekf
 from celnav.filters.two_stage import Plain, TwoStage
 from celnav.gaussian.belief import Gaussian
@@ -59,7 +58,6 @@ __all__ = [
     "Config",
     "Scenario",
     "Setting",
-    "compiles",
     "filters",
     "kalman",
     "linearized",
@@ -435,11 +433,6 @@ def simulate(cases: Cases, rngs: Rngs) -> Scenario:
     )
 
 
-def compiles() -> bool:
-    """Whether machine code can be had, which is taken where it repays."""
-    return ENGINE.get() != "numpy" and find_spec("llvmlite") is not None
-
-
 def carried(f: Callable[[Array, Epoch], Array], prior: Gaussian, when: Epochs) -> Array:
     """States ``(T, ..., 6)`` that follow from one another: the means of an open loop."""
     motion = Motion(f, np.zeros((6, 6)), jacobian=lambda _x, _epoch: np.eye(6))
@@ -452,23 +445,14 @@ def pushed(config: Config, pushes: Array, bodies: Array | None) -> Array:
     pushes: ``(T - 1, ..., 6)`` km, km/s at the end of each step. bodies: see `pull`.
     """
     gravity = GRAVITY[config.center]
-    shape = () if bodies is None else bodies.shape[1:]
     start = np.broadcast_to(config.orbit, pushes.shape[1:])
-    x = list[Array]()
-    flat = None if bodies is None else bodies.reshape(len(bodies), -1)
 
     def f(x: Array, epoch: Epoch) -> Array:
         push, seen = epoch.u
-        extra = pull(None if seen is None else seen.reshape(shape))
-        return np.asanyarray(advance(x, epoch.dt, gravity, extra) + push)
+        return np.asanyarray(advance(x, epoch.dt, gravity, pull(seen)) + push)
 
-    if compiles():
-        when = epochs(config.times, u=(pushes, flat))
-        return carried(f, Gaussian(start, np.zeros((6, 6))), when)
-    for k, push in enumerate(pushes):
-        u = push, None if flat is None else flat[k]
-        x.append(f(x[-1] if x else start, Epoch(k + 1, 0.0, config.step_s, u)))
-    return np.stack([start, *x])
+    when = epochs(config.times, u=(pushes, bodies))
+    return carried(f, Gaussian(start, np.zeros((6, 6))), when)
 
 
 def linearized(cases: Sequence[Config], rngs: Rngs) -> Scenario:

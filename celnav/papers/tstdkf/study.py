@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from functools import cache, partial
 from itertools import product
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from celnav.analysis.metrics import rms
 from celnav.files import data, read_npz
 from celnav.filters.records import FilterError
 from celnav.filters.run import repeated, run, steps
-from celnav.filters.two_stage import Boost, Plain, TwoStage
+from celnav.filters.two_stage import Boost
 from celnav.gaussian.belief import Gaussian, nees
 from celnav.gaussian.linalg import Array, cholesky
 from celnav.models.ephemeris import BODIES, GM, Tdb, de421, from_utc
@@ -36,10 +36,11 @@ from celnav.papers.tstdkf.scenario import (
     simulate,
     sky,
 )
+from celnav.study import numbers
 from celnav.study.ledger import Bounds, Decision, Number, Tiers, estimate, order, read_ledger
 from celnav.study.montecarlo import BRIEF
-from celnav.study.numbers import Decided, all_of, consistency, of, ratio, rmse, tiers
-from celnav.study.operations import step_operations
+from celnav.study.numbers import Decided, all_of, consistency, of, rmse, some, tiers
+from celnav.study.operations import counted
 from celnav.study.study import Part, Results, Rngs, Study, When
 from celnav.study.trial import Group
 
@@ -169,59 +170,6 @@ MOST_NUMBERS = 1 << 26
 """Of the rows of machine code that are in memory at a time: half a gigabyte."""
 
 
-class Estimates(NamedTuple):
-    """Estimates at consecutive epochs from the number ``start`` on, of some runs.
-
-    mean: ``(K, ..., cases, runs, n)``.
-    cov, nis: ``(..., cases, runs, n, n)`` and ``(..., cases, runs)`` at the last of each ``every``
-        epochs; None where nothing is judged.
-    """
-
-    runs: slice
-    start: int
-    mean: Array
-    cov: Array | None = None
-    nis: Array | None = None
-
-
-Take = Callable[[Estimates], None]
-
-
-def by_epoch(take: Take, filter: Any, sim: s.Scenario, every: int, judged: bool) -> None:
-    """Give estimates of all runs by numpy, ``every`` epochs at a time."""
-    means: list[Array] = []
-    for at, (_, state, (info,)) in enumerate(steps(filter, sim.prior, sim.measured()), 1):
-        means.append(state.belief.mean)
-        if len(means) == every:
-            more = (state.belief.cov[None], np.asarray(info.nis)[None]) if judged else ()
-            take(Estimates(slice(None), at - every, np.stack(means), *more))
-            means = []
-
-
-def by_runs(
-    take: Take, filter: Any, sim: s.Scenario, every: int, judged: bool, beside: int
-) -> None:
-    """Give estimates at all epochs, of as many runs at a time as there is memory for.
-
-    beside: how many filters are side by side in this one.
-    """
-    *cases, count = sim.truth.shape[1:-1]
-    n = filter.start(sim.prior).belief.mean.shape[-1]
-    row = 3 * n * (n + 1) if judged else n + 9
-    room = MOST_NUMBERS // (beside * len(sim.truth) * int(np.prod(cases)) * row)
-    step = count if room >= count else 1 << max(0, room.bit_length() - 1)
-    last = slice(every - 1, None, every)
-    starts = range(0, count, step)
-    for first in starts:
-        runs = slice(first, first + step)
-        some = sim.some(runs)
-        with repeated(len(starts)):
-            track: Any = run(filter, some.prior, some.measured(), keep="cov" if judged else "mean")
-        more = (track.cov[last], track.nis[last]) if judged else ()
-        take(Estimates(runs, 0, track.mean, *more))
-        del track, more  # before there is another one
-
-
 def flown(
     names: Sequence[str],
     sim: s.Scenario,
@@ -254,42 +202,49 @@ def flown(
 def followed(
     filter: Any, sim: s.Scenario, every: int, judged: bool, labels: Sequence[str]
 ) -> Found:
-    """What `flown` gives of the filters in one, arrays ``(K, filters, cases, runs, ...)``."""
+    """What `flown` gives of the filters in one, arrays ``(K, filters, cases, runs, ...)``, with as
+    many runs at a time as there is memory for."""
+    *cases, count = sim.truth.shape[1:-1]
+    n = filter.start(sim.prior).belief.mean.shape[-1]
+    row = 3 * n * (n + 1) if judged else n + 9
+    room = MOST_NUMBERS // (len(labels) * len(sim.truth) * int(np.prod(cases)) * row)
+    step = count if room >= count else 1 << max(0, room.bit_length() - 1)
+    starts = range(0, count, step)
+    pieces = []
+    for start in starts:
+        some = sim.some(slice(start, start + step))
+        with repeated(len(starts)):
+            track = run(filter, some.prior, some.measured(), keep="cov" if judged else "mean")
+        pieces.append(errors(track, some, every, judged, labels))
+        del track  # before there is another one
+    first = pieces[0].pop("first")
+    out = {key: np.concatenate([piece[key] for piece in pieces], 3) for key in pieces[0]}
+    return out | {"first": first}
+
+
+def errors(track: Any, sim: s.Scenario, every: int, judged: bool, labels: Sequence[str]) -> Found:
+    """The same of one track of some runs."""
     K = (len(sim.truth) - 1) // every
-    batch = (len(labels), *sim.truth.shape[1:-1])
-    rows: Found = {"error": np.empty((K, *batch, 3)), "first": np.zeros((K, *batch[:-1], 1, 9))}
-    rows |= {key: np.empty((K, *batch)) for key in ("nees", "nis") if judged}
+    T = K * every
+    last = slice(every - 1, T, every)
+    truth, bias = (x[1 : T + 1, None] for x in (sim.truth, sim.bias))
+    batch = (len(labels), *truth.shape[2:-1])
     exact = labels == ("aug",)
-
-    def take(some: Estimates) -> None:
-        count = len(some.mean) // every
-        at = slice(some.start // every, some.start // every + count)
-        steps = count * every
-        here = slice(some.start + 1, some.start + 1 + steps)
-        truth, bias = (x[here, None, :, some.runs] for x in (sim.truth, sim.bias))
-        mean = some.mean[:steps].reshape(steps, len(labels), *truth.shape[2:-1], -1)
-        mean = mean[..., EXACT_PART] if exact else mean
-        own: Any = mean[..., 6:] if mean.shape[-1] > 6 else 0.0  # an EKF knows of no bias
-        error = mean[..., :3] - truth[..., :3], mean[..., 3:6] - truth[..., 3:], own - bias
-        for i, apart in enumerate(error):
-            square = np.vecdot(apart, apart).reshape(count, every, *apart.shape[1:-1]).mean(1)
-            rows["error"][at, ..., some.runs, i] = PER_UNIT[i] * np.sqrt(square)
-        last = slice(every - 1, None, every)
-        if some.runs.start in (None, 0):
-            rows["first"][at, ..., : mean.shape[-1]] = mean[last, ..., :1, :]
-        if some.cov is not None and some.nis is not None:
-            whole = np.concatenate(error if exact else error[:2], -1)[last]
-            part = EXACT_PART if exact else np.arange(6)
-            cov = some.cov[..., part[:, None], part]
-            root = cholesky(cov.reshape(count, -1, *cov.shape[-4:]))
-            rows["nees"][at, ..., some.runs] = nees(whole, root)
-            rows["nis"][at, ..., some.runs] = some.nis.reshape(count, -1, *some.nis.shape[-2:])
-
-    if s.compiles():
-        by_runs(take, filter, sim, every, judged, len(labels))
-    else:
-        by_epoch(take, filter, sim, every, judged)
-    return rows
+    mean = track.mean[:T].reshape(T, *batch, -1)
+    mean = mean[..., EXACT_PART] if exact else mean
+    estimate = mean[..., 6:] if mean.shape[-1] > 6 else 0.0  # an EKF has no bias
+    error = mean[..., :3] - truth[..., :3], mean[..., 3:6] - truth[..., 3:], estimate - bias
+    square = [np.vecdot(each, each).reshape(K, every, *batch).mean(1) for each in error]
+    first = np.zeros((K, *batch[:-1], 1, 9))
+    first[..., : mean.shape[-1]] = mean[last, ..., :1, :]
+    out = {"error": np.sqrt(np.stack(square, -1)) * PER_UNIT, "first": first}
+    if judged:
+        part = EXACT_PART if exact else np.arange(6)
+        whole = np.concatenate(error if exact else error[:2], -1)[last]
+        cov = track.cov[last][..., part[:, None], part].reshape(*whole.shape, -1)
+        out["nees"] = nees(whole, cholesky(cov))
+        out["nis"] = track.nis[last].reshape(K, *batch)
+    return out
 
 
 def apart(
@@ -316,20 +271,14 @@ def five(config: Config, rngs: Rngs) -> Found:
     """The five settings; in the first, EKF and TKF with the stationary covariances too."""
     cases = [replace(config, **changes) for changes in FIVE.values()]
     sim = simulate(cases, rngs)
+    first = sim.of([0])
     known = filters(cases, on=BESIDE)
+    one = filters(cases[:1])
     names = list(FIVE)
-    # The first setting once more, for filters that are given the stationary covariances.
-    white = [
-        np.concatenate([driving, stationary[:1]])
-        for driving, stationary in zip(*s.noises(cases).whites, strict=True)
-    ]
-    two = known["tkf"]
-    prior = Gaussian(np.zeros(3), np.concatenate([two.bias.cov, two.bias.cov[:1]]))
-    known["tkf"] = TwoStage.of(Plain(s.kalman(s.models(config), *white)), two.Gamma, prior)
     return (
-        flown([*names, "fair"], sim.of([*range(len(cases)), 0]), known, ["tkf"])
-        | flown(names, sim, known, ["tstdkf"])
-        | flown(names[:1], sim.of([0]), filters(cases[:1]), ["aug"], judged=True)
+        flown(names, sim, known, ["tkf", "tstdkf"])
+        | flown(["fair"], first, {"tkf": one["tkf-fair"]}, ["tkf"])
+        | flown(names[:1], first, one, ["aug"], judged=True)
         | flown(names[1:], sim.of([1, 2, 3, 4]), filters(cases[1:]), ["aug"])
     )
 
@@ -469,11 +418,8 @@ def operations(config: Config, _rngs: Rngs) -> Found:
     """Arithmetic operations of a step of one run about the nominal orbit, by filter."""
     known = filters(config, s.LINEAR)
     sim = s.linearized([config], [np.random.default_rng(0)])
-    epochs = list(sim.epochs())
-    return {
-        name: np.array([step_operations(known[name], sim.prior, epochs)])
-        for name in ("ekf", "tkf", "aug9", "tstdkf")
-    }
+    names = ("ekf", "tkf", "aug9", "tstdkf")
+    return counted({name: known[name] for name in names}, sim.prior, sim.epochs())
 
 
 def nominal_covariances(cases: Sequence[Config], name: str) -> Array:
@@ -753,18 +699,7 @@ def squares(r: Results, part: str, filter: str, group: str = "position", at: Whe
     return r.squares(part, filter, group, at)[:, 0]
 
 
-def over(
-    label: str,
-    part: str,
-    a: str,
-    b: str,
-    accept: Bounds = (None, None),
-    group: str = "position",
-    at: When = "all",
-    **more: Any,
-) -> Decided:
-    """RMSE of a filter over that of another."""
-    return ratio(label, (part, a), (part, b), group, accept, at=at, **more)
+over = partial(numbers.over, at="all")
 
 
 def together(
@@ -786,19 +721,6 @@ def until_tenth(*errors: Array) -> float:
     """Days until the RMSE of an estimate stays below 0.1 km; of two, the first over the second."""
     last = [1 + np.flatnonzero(np.square(e).mean(0) >= 0.01)[-1] for e in errors]
     return float(last[0] / last[1] if len(last) > 1 else last[0] * TABLE_5.step_s / DAY_S)
-
-
-def some(label: str, count: int, *numbers: Decided) -> Decided:
-    """How many of several numbers hold, of which so many have to."""
-    return lambda r: Number(label, sum(n(r).holds is True for n in numbers), (count, None))
-
-
-def operated(a: str, b: str, accept: Bounds = (None, None)) -> Decided:
-    """Operations of a step of one filter over those of another."""
-    label = f"operations, {a.upper()} over {b.upper()}"
-    return lambda r: Number(
-        label, float(r.get("operations", a)[0] / r.get("operations", b)[0]), accept
-    )
 
 
 def planet(body: str, accept: Bounds = (None, None), origin: str = "sun") -> Decided:
@@ -916,7 +838,7 @@ def yearly(
     """Of the three trends, after a month of the year: the error of a filter over that of
     another."""
     return [
-        over(f"{label}, {t}", "year", f"{t}/{a}", f"{t}/{b}", accept, group, "later", **more)
+        over(f"{label}, {t}", "year", f"{t}/{a}", f"{t}/{b}", accept, group, at="later", **more)
         for t in TRENDS
     ]
 
@@ -948,7 +870,7 @@ def before_step(a: str, b: str, accept: Bounds = (None, None), group: str = "bia
         f"step/{b}",
         accept,
         group,
-        "steady",
+        at="steady",
     )
 
 
@@ -1031,7 +953,13 @@ NEAR = (0.91, 1.10)
 judged = partial(consistency, at="all")
 BIAS = {
     (m0, at): over(
-        f"{at}, prior {m0:g} km", f"many {m0:g}", "sine/tstdkf", "sine/tkf", (None, 1.0), "bias", at
+        f"{at}, prior {m0:g} km",
+        f"many {m0:g}",
+        "sine/tstdkf",
+        "sine/tkf",
+        (None, 1.0),
+        "bias",
+        at=at,
     )
     for m0 in PRIORS
     for at in ("soon", "late")
@@ -1071,7 +999,7 @@ OTHERS = {
     for name, part in (("Mars", "constant, Mars"), ("DE440", "constant"))
 }
 CHEAP = [
-    operated("tkf", "aug9", (None, 1.0)),
+    numbers.operations("operations, TKF over AUG9", "tkf", "aug9", (None, 1.0)),
     of_hours(
         "time, TKF over AUG9",
         until_tenth,
@@ -1112,7 +1040,7 @@ DECISIONS: dict[str, Decision] = {
             ),
             before_step("fair", "C", group="position"),
             of("covariances", "condition", "condition"),
-            operated("aug9", "tstdkf"),
+            numbers.operations("operations, AUG9 over TSTDKF", "aug9", "tstdkf"),
         ],
     ),
     "de405-to-de421": all_of(
@@ -1123,7 +1051,7 @@ DECISIONS: dict[str, Decision] = {
     "ephemeris-error-slow": slow,
     "central-body-position-dominates": tiers(
         reproduced=[*LARGER_THAN, *WITHOUT],
-        in_part=[*LARGER_THAN, some("of velocity and others, white noise", 1, *WITHOUT[:2])],
+        in_part=[*LARGER_THAN, some("of velocity and others, white noise", 1, WITHOUT[:2])],
         not_reproduced=[
             *(displacing("position", "none", i) for i in (5, 1)),
             lambda r: Number("change", order(max(abs(n(r).value - 1.0) for n in WITHOUT))),
@@ -1142,7 +1070,7 @@ DECISIONS: dict[str, Decision] = {
     ),
     "de421-planets": tiers(
         reproduced=PLANETS,
-        in_part=[some("of six", 4, *PLANETS)],
+        in_part=[some("of six", 4, PLANETS)],
         not_reproduced=[planet("jupiter"), planet("saturn"), planet("sun", origin="barycenter")],
     ),
     "third-bodies-not-white": all_of(
@@ -1170,9 +1098,9 @@ DECISIONS: dict[str, Decision] = {
     ),
     "tkf-converges-fast-and-cheap": tiers(
         reproduced=CHEAP,
-        in_part=[some("of the two", 1, *CHEAP)],
+        in_part=[some("of the two", 1, CHEAP)],
         not_reproduced=[
-            operated("tkf", "ekf"),
+            numbers.operations("operations, TKF over EKF", "tkf", "ekf"),
             of_hours("days", until_tenth, "constant, nine", ["constant/tkf"], "bias", "all"),
         ],
     ),
@@ -1226,10 +1154,14 @@ DECISIONS: dict[str, Decision] = {
         ],
     ),
     "tkf-approaches-then-lost": all_of(
-        over("last day over the error", "month", "1/tkf", "1/ekf", (None, 1.0), "bias", "last day"),
-        over("over day 3", "month", "1/tkf", "1/tkf", (None, 1.0), "bias", "last day", to="day 3"),
+        over(
+            "last day over the error", "month", "1/tkf", "1/ekf", (None, 1.0), "bias", at="last day"
+        ),
+        over(
+            "over day 3", "month", "1/tkf", "1/tkf", (None, 1.0), "bias", at="last day", to="day 3"
+        ),
         *(
-            over(f"{t}, {g}", "year", f"{t}/tkf", f"{t}/{b}", (1.0, None), g, at, to=to)
+            over(f"{t}, {g}", "year", f"{t}/tkf", f"{t}/{b}", (1.0, None), g, at=at, to=to)
             for t in TRENDS
             for g, b, at, to in (
                 ("bias", "ekf", "later", "later"),
@@ -1313,7 +1245,13 @@ DECISIONS: dict[str, Decision] = {
             (1.1, None),
         ),
         over(
-            "form A over B, sine, bias", "year", "sine/A", "sine/B", (0.95, 1.05), "bias", "later"
+            "form A over B, sine, bias",
+            "year",
+            "sine/A",
+            "sine/B",
+            (0.95, 1.05),
+            "bias",
+            at="later",
         ),
     ),
     "remark-forces": over(
@@ -1340,7 +1278,7 @@ DECISIONS: dict[str, Decision] = {
         *yearly("AUG over B", "aug", "B", (None, 1.0)),
     ),
     "fading": over(
-        "bias over AUG, sine", "year", "sine/B", "sine/aug", (1.5, None), "bias", "quarter 4"
+        "bias over AUG, sine", "year", "sine/B", "sine/aug", (1.5, None), "bias", at="quarter 4"
     ),
     "strong-color": all_of(
         *(
