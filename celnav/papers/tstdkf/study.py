@@ -37,7 +37,16 @@ from celnav.papers.tstdkf.scenario import (
     sky,
 )
 from celnav.study import numbers
-from celnav.study.ledger import Bounds, Decision, Number, Tiers, estimate, order, read_ledger
+from celnav.study.ledger import (
+    Bounds,
+    Decision,
+    Number,
+    Tiers,
+    estimate,
+    order,
+    read_ledger,
+    read_printed,
+)
 from celnav.study.montecarlo import BRIEF
 from celnav.study.numbers import Decided, all_of, consistency, of, rmse, some, tiers
 from celnav.study.operations import counted
@@ -459,20 +468,15 @@ def alike(config: Config, rngs: Rngs) -> Found:
     c = replace(config, setting=SETTINGS[5])
     sim = simulate(c, rngs)
     known = filters(c)
-    worst = np.zeros((2, 2))
-    both = zip(
-        *(steps(known[name], sim.prior, sim.epochs()) for name in ("tkf", "tdkf")), strict=True
-    )
-    for (_, one, _), (_, two, _) in both:
-        for i, (a, b) in enumerate(
-            ((one.first.belief, two.first.belief), (one.belief, two.belief))
-        ):
-            apart = (
-                np.abs(a.mean - b.mean) / a.std,
-                np.abs(a.cov - b.cov) / (a.std[..., :, None] * a.std[..., None, :]),
-            )
-            worst[i] = np.maximum(worst[i], [part.max() for part in apart])
-    return {"worst": worst.ravel()}
+    tkf, tdkf = (steps(known[name], sim.prior, sim.epochs()) for name in ("tkf", "tdkf"))
+    worst = np.zeros(4)
+    for (_, one, _), (_, two, _) in zip(tkf, tdkf, strict=True):
+        apart = []
+        for a, b in ((one.first.belief, two.first.belief), (one.belief, two.belief)):
+            size = a.std[..., :, None] * a.std[..., None, :]
+            apart += [(np.abs(a.mean - b.mean) / a.std).max(), (np.abs(a.cov - b.cov) / size).max()]
+        worst = np.maximum(worst, apart)
+    return {"worst": worst}
 
 
 # -- what needs no Monte Carlo ---------------------------------------------------------------------
@@ -674,24 +678,22 @@ WINDOWS = {  # parts of the whole time, a month or a year, since the effort may 
     "later": (30 / 365, 1),
     **{f"quarter {i + 1}": (i / 4, (i + 1) / 4) for i in range(4)},
 }
-PRINTED = {
-    "position": (56.49, 35.18),
-    "velocity": (27.66, 17.07),
-}  # % that TSTDKF is below EKF and TKF in setting 1
 PAPER = ("ekf", "tkf", "tstdkf")
 COMPARED = ("ekf", "tkf", "tdkf", "tstdkf", "aug")
 BOTH = ("position", "velocity")
+LEDGER = Path(__file__).with_name("ledger.toml")
+PRINTED = {group: read_printed(LEDGER)[f"setting-1-{group}"] for group in BOTH}
+"""% that TSTDKF is below EKF and TKF in setting 1."""
 
 
 def windows(_: Config, times: Array) -> dict[str, slice]:
     """`WINDOWS` as slices, of one epoch at least."""
-    starts = {
-        name: min(round(start * len(times)), len(times) - 1) for name, (start, _) in WINDOWS.items()
-    }
-    return {
-        name: slice(starts[name], max(starts[name] + 1, round(end * len(times))))
-        for name, (_, end) in WINDOWS.items()
-    }
+    count = len(times)
+    out = {}
+    for name, (start, end) in WINDOWS.items():
+        first = min(round(start * count), count - 1)
+        out[name] = slice(first, max(first + 1, round(end * count)))
+    return out
 
 
 def squares(r: Results, part: str, filter: str, group: str = "position", at: When = "all") -> Array:
@@ -708,11 +710,11 @@ def together(
     """`yearly`, of the three trends taken together."""
 
     def number(r: Results) -> Number:
-        both = [
-            np.sum([squares(r, "year", f"{t}/{f}", group, "later") for t in TRENDS], 0)
+        sums = [
+            np.sum([squares(r, "year", f"{trend}/{f}", group, "later") for trend in TRENDS], 0)
             for f in (a, b)
         ]
-        return estimate(label, quotient, both, accept)
+        return estimate(label, quotient, sums, accept)
 
     return number
 
@@ -727,7 +729,9 @@ def planet(body: str, accept: Bounds = (None, None), origin: str = "sun") -> Dec
     """Largest difference of DE421 and DE440 for a body, from the Sun or the barycenter, km."""
 
     def number(r: Results) -> Number:
-        d = r.get("sky", f"de440/{body}") - (r.get("sky", "de440/sun") if origin == "sun" else 0.0)
+        d = r.get("sky", f"de440/{body}")
+        if origin == "sun":
+            d = d - r.get("sky", "de440/sun")
         return Number(f"{body}, {origin}, km", np.linalg.norm(d, axis=1).max(), accept)
 
     return number
@@ -751,48 +755,47 @@ def per_direction(r: Results) -> Tiers:
 def slow(r: Results) -> list[Number]:
     """Change of two differences of ephemerides, in parts of their norm; whether errors of an EKF
     follow the ephemeris error."""
-    out = []
-    days = len(r.times("year")) // 24
+    numbers = []
     for name in ("de423", "de405"):
         d = r.get("sky", f"{name}/earth")
+        size = np.linalg.norm(d, axis=1).mean()
+        soon = np.linalg.norm(np.diff(d, axis=0), axis=1).max()
         year = max(np.linalg.norm(d - d[k], axis=1).max() for k in range(0, len(d), 5))
-        parts = (
-            np.array([np.linalg.norm(np.diff(d, axis=0), axis=1).max(), year])
-            / np.linalg.norm(d, axis=1).mean()
-        )
-        out += [
-            Number(f"{name}, in 5 h", parts[0], (None, 0.01)),
-            Number(f"{name}, in the year", parts[1], (0.5, None)),
+        numbers += [
+            Number(f"{name}, in 5 h", soon / size, (None, 0.01)),
+            Number(f"{name}, in the year", year / size, (0.5, None)),
         ]
+    days = len(r.times("year")) // 24
     for trend in TRENDS:
-        hourly = (
-            np.square(r.error("year", f"{trend}/ekf", g)[: 24 * days, :, 0])
-            for g in ("bias", "position")
+        true, error = (
+            np.square(r.error("year", f"{trend}/ekf", group)[: 24 * days, :, 0])
+            .reshape(days, 24, -1)
+            .mean(1)
+            for group in ("bias", "position")
         )
-        size, place = (square.reshape(days, 24, -1).mean(1) for square in hourly)
-        follows = partial(
-            lambda ranks, e: np.corrcoef(ranks, e.mean(0).argsort().argsort())[0, 1],
-            size[:, 0].argsort().argsort(),
-        )
-        out.append(
-            estimate(
-                f"rank correlation of daily RMSE and error, {trend}",
-                follows,
-                [place.T],
-                (0.0, None),
-            )
-        )
-    return out
+
+        def follows(error: Array, ranks: Array = ranked(true[:, 0])) -> float:
+            return float(np.corrcoef(ranks, ranked(error.mean(0)))[0, 1])
+
+        label = f"rank correlation of daily RMSE and error, {trend}"
+        numbers.append(estimate(label, follows, [error.T], (0.0, None)))
+    return numbers
+
+
+def ranked(values: Array) -> Array:
+    """The place of each when they are sorted."""
+    return values.argsort().argsort()
 
 
 def beyond_white(name: str) -> Decided:
     """Correlation with the next, least of three sequences, against what 99 % of white ones
     reach."""
-    return lambda r: Number(
-        name,
-        r.get("pulls", name).min(),
-        (float(np.quantile(r.get("pulls", "white correlation"), 0.99)), None),
-    )
+
+    def number(r: Results) -> Number:
+        bar = float(np.quantile(r.get("pulls", "white correlation"), 0.99))
+        return Number(name, r.get("pulls", name).min(), (bar, None))
+
+    return number
 
 
 def of_runs(
@@ -863,15 +866,8 @@ def following(a: str, b: str, accept: Bounds = (None, None)) -> Decided:
 def before_step(a: str, b: str, accept: Bounds = (None, None), group: str = "bias") -> Decided:
     """Error of the estimate in the five days before the step, of a factor or nine states over that
     of another."""
-    return over(
-        f"{a} over {b}, {group} before the step",
-        "sweep",
-        f"step/{a}",
-        f"step/{b}",
-        accept,
-        group,
-        at="steady",
-    )
+    label = f"{a} over {b}, {group} before the step"
+    return over(label, "sweep", f"step/{a}", f"step/{b}", accept, group, at="steady")
 
 
 def factors(
@@ -884,9 +880,8 @@ def factors(
         return max(x[:5]) / min(x[:5]) / max(x[5:]) * min(x[5:])
 
     label = f"{' '.join(a)} over {' '.join(b)}, {at}"
-    return of_runs(
-        label, factor, [(f"{i}/{f}", group) for f, group in (a, b) for i in SETTINGS], accept, at=at
-    )
+    flown = [(f"{i}/{f}", group) for f, group in (a, b) for i in SETTINGS]
+    return of_runs(label, factor, flown, accept, at=at)
 
 
 def below(a: Array, b: Array) -> float:
@@ -898,30 +893,16 @@ def percentages(group: str, halfway: tuple[float, float]) -> Callable[[Results],
     """Setting 1: our percentages, of many linear runs, against the printed ones of 50 runs and half
     of the effect, and those of 50 runs."""
 
-    def gain(
-        case: str, f: str, part: str, label: str = "", accept: Bounds = (None, None), **more: Any
-    ) -> Decided:
-        flown = [(f"{case}/{x}", group) for x in ("tstdkf", f)]
-        return of_runs(f"{label}below {f.upper()}, %", below, flown, accept, part=part, **more)
+    def gain(label: str, part: str, case: str, f: str, **more: Any) -> Decided:
+        flown = [(f"{case}/tstdkf", group), (f"{case}/{f}", group)]
+        return of_runs(f"{label}below {f.upper()}, %", below, flown, part=part, **more)
 
-    rows = zip(PAPER, PRINTED[group], halfway, strict=False)
-    return tiers(
-        reproduced_with_fitted_parameters=[
-            *(
-                gain(
-                    "sine",
-                    f,
-                    "many 0.3",
-                    accept=(bar, None),
-                    printed=value,
-                    printed_runs=50,
-                    printed_count=2,
-                )
-                for f, value, bar in rows
-            ),
-            *(gain("1", f, "month", "50 runs, not linear, ") for f in PAPER[:2]),
-        ]
-    )
+    many = []
+    for f, printed, bar in zip(PAPER, PRINTED[group], halfway, strict=False):
+        theirs: Any = {"printed": printed, "printed_runs": 50, "printed_count": 2}
+        many.append(gain("", "many 0.3", "sine", f, accept=(bar, None), **theirs))
+    fifty = [gain("50 runs, not linear, ", "month", "1", f) for f in PAPER[:2]]
+    return tiers(reproduced_with_fitted_parameters=[*many, *fifty])
 
 
 def lead(group: str, f: str) -> Decided:
@@ -938,32 +919,22 @@ def lead(group: str, f: str) -> Decided:
 def at_bound(r: Results) -> list[Number]:
     """Position RMSE of the exact filter over its covariance on the nominal orbit, a mean over a
     prior wider than the true bias."""
-    sizes = {
-        i: r.get("covariances", f"{i}/aug")[:, :3, :3].trace(axis1=1, axis2=2).mean()
-        for i in SETTINGS
-    }
-    return [
-        estimate(f"setting {i}", rms, [squares(r, "month", f"{i}/aug") / size], (0.85, 1.0))
-        for i, size in sizes.items()
-    ]
+    numbers = []
+    for i in SETTINGS:
+        size = r.get("covariances", f"{i}/aug")[:, :3, :3].trace(axis1=1, axis2=2).mean()
+        samples = [squares(r, "month", f"{i}/aug") / size]
+        numbers.append(estimate(f"setting {i}", rms, samples, (0.85, 1.0)))
+    return numbers
 
 
 # -- the ledger ------------------------------------------------------------------------------------
 NEAR = (0.91, 1.10)
 judged = partial(consistency, at="all")
-BIAS = {
-    (m0, at): over(
-        f"{at}, prior {m0:g} km",
-        f"many {m0:g}",
-        "sine/tstdkf",
-        "sine/tkf",
-        (None, 1.0),
-        "bias",
-        at=at,
-    )
-    for m0 in PRIORS
-    for at in ("soon", "late")
-}
+BIAS = {}
+for m0, at in product(PRIORS, ("soon", "late")):
+    label = f"{at}, prior {m0:g} km"
+    pair = ("sine/tstdkf", "sine/tkf")
+    BIAS[m0, at] = over(label, f"many {m0:g}", *pair, (None, 1.0), "bias", at=at)
 """Setting 1: error of the estimate, TSTDKF over TKF, with a prior of so many km, in the first 3
 days or the second half."""
 CONSTANT = [together("constant over form C", "tkf", "C", (1.0, None))]
@@ -1320,24 +1291,17 @@ def open_if_short(decide: Any, r: Results) -> Any:
 
     def wide(found: Any) -> Any:
         if isinstance(found, Number):
-            return (
-                found
-                if r.full or found.ci is None
-                else found._replace(ci=(-np.inf, np.inf), strict=False)
-            )
-        return (
-            {word: wide(some) for word, some in found.items()}
-            if isinstance(found, Mapping)
-            else list(map(wide, found))
-        )
+            sure = r.full or found.ci is None
+            return found if sure else found._replace(ci=(-np.inf, np.inf), strict=False)
+        if isinstance(found, Mapping):
+            return {word: wide(numbers) for word, numbers in found.items()}
+        return list(map(wide, found))
 
     return wide(decide(r))
 
 
-ROWS, ANSWER = read_ledger(
-    Path(__file__).with_name("ledger.toml"),
-    {id: partial(open_if_short, decide) for id, decide in DECISIONS.items()},
-)
+WIDE = {id: partial(open_if_short, decide) for id, decide in DECISIONS.items()}
+ROWS, ANSWER = read_ledger(LEDGER, WIDE)
 STUDY = Study(
     "tstdkf",
     LENGTHS,
@@ -1347,9 +1311,7 @@ STUDY = Study(
     windows=windows,
     figure="figure_09",
     says="A two-stage filter that differences colored timings and boosts its estimate of the "
-    "Earth's ephemeris error has half the "
-    "position error of an EKF, and two thirds of a two-stage filter's. It is best in five settings "
-    "of the noise, and tracks that "
-    "error for a year.",
+    "Earth's ephemeris error has half the position error of an EKF, and two thirds of a two-stage "
+    "filter's. It is best in five settings of the noise, and tracks that error for a year.",
     found=ANSWER,
 )
