@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from dataclasses import replace
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -172,7 +173,9 @@ def parts(effort: float = 1.0, rinex: Path | None = None) -> dict[str, Part]:
         slower = {"burst_s": STANDARD.burst_s, "duration_s": STANDARD.duration_s}
     few = 20
     many = STANDARD.runs
-    quiet = {"burst": "none"}
+    rest = STANDARD.deviation[1:]
+    Q = "acceleration_noise_m2_per_s3"
+    quiet: dict[str, Any] = {"burst": "none"}
     second = {"interval_s": 1.0, **slower}
     mistuned = {"true_sigma_range_m": 10.0}
     # One ends where a burst would begin, the other with the last window that is judged.
@@ -182,174 +185,13 @@ def parts(effort: float = 1.0, rinex: Path | None = None) -> dict[str, Part]:
     short = {**quiet, "duration_s": 15.0}
     one = {"burst": "one", "burst_s": (15.0, 25.0)}
     bursts = {f"{burst}/": {"burst": burst} for burst in BURSTS}
-    rest = STANDARD.deviation[1:]
-    Q = "acceleration_noise_m2_per_s3"
-    wrong = {f"near/Q {k:g}": {Q: k * STANDARD.acceleration_noise} for k in (0.01, 0.1, 1.0, 10.0)}
-    wrong |= {f"near/R {k:g}": {"sigma_range_m": k * STANDARD.sigma_range_m} for k in (0.3, 3.0)}
-    # Number, runs, and what is drawn one after the other; parts in the same braces share their
-    # random numbers.
-    plan: list[tuple[int, int, list[dict[str, Flight]]]] = [
-        (
-            0,
-            many,
-            [{"none": Flight(("ls", *THREE), quiet)}, {"ranges, 10 Hz": Flight((*THREE, "group"))}],
-        ),
-        (
-            1,
-            few,
-            [
-                {
-                    "baselines": Flight(
-                        FILTERS, judged, {**bursts, "mistuned/": {**quiet, **mistuned}}, anew=True
-                    )
-                }
-            ],
-        ),
-        (
-            2,
-            few,
-            [
-                {
-                    f"densities, {rate}": Flight(
-                        ("ekf", "aukf", "group"),
-                        slow if rate == "1 Hz" else before,
-                        {f"{q:g}/": {Q: q} for q in some},
-                    )
-                }
-                for rate, some in DENSITIES.items()
-            ],
-        ),
-        (
-            4,
-            few,
-            [
-                {
-                    f"{km:g} km": Flight(
-                        ("ls", *THREE), {**slow, "deviation": (1e3 * km, *rest), "duration_s": 30.0}
-                    )
-                }
-                for km in INITIAL_KM
-            ],
-        ),
-        (
-            5,
-            2 * few,
-            [{"matched": Flight(("ukf", "no redraw"), {**slow, Q: 100.0, "motion": "model"})}],
-        ),
-        (6, few, [{"redraw": Flight(("ukf", "no redraw"), before)}]),
-        (7, many, [{"ranges and rates, 10 Hz": Flight(PAIR, bursts["both/"])}]),
-        (
-            8,
-            many,
-            [
-                {part: Flight(PAIR, {**burst, **second})}
-                for part, burst in zip(READINGS[3:], bursts.values(), strict=True)
-            ],
-        ),
-        (9, many, [{"one range, 10 Hz": Flight(PAIR, {**one, "duration_s": 40.0})}]),
-        (
-            10,
-            many,
-            [
-                {f"{k} ranges": Flight(PAIR, {**one, "duration_s": 25.0, "burst_count": k})}
-                for k in (3, 8)
-            ],
-        ),
-        (
-            11,
-            many,
-            [
-                {
-                    "burst from 1 km": Flight(
-                        THREE,
-                        {"deviation": (1e3, *rest), "burst_s": (10.0, 12.0), "duration_s": 12.0},
-                    )
-                }
-            ],
-        ),
-        (
-            12,
-            many,
-            [
-                {name: Flight(PAIR, {**short, **change}) for name, change in wrong.items()},
-                {"far": Flight(PAIR, {**short, "deviation": (100.0, *rest), "assumed_m": 10.0})},
-            ],
-        ),
-        (
-            13,
-            2 * many,
-            [
-                {
-                    f"{true}/{taken}": Flight(
-                        THREE,
-                        {
-                            **slow,
-                            "deviation": (float(true), *rest),
-                            "assumed_m": float(taken),
-                            "duration_s": 120.0 if true == "1e6" else 60.0,
-                        },
-                    )
-                    for taken in (true, "10")
-                }
-                for true in ("10", "1e3", "1e5", "1e6")
-            ],
-        ),
-        (
-            14,
-            many,
-            [
-                {
-                    f"windows, {rate}": Flight(("ukf", *(f"M {m}" for m in WINDOWS)), change)
-                    for rate, change in (("10 Hz", judged), ("1 Hz", second))
-                }
-            ],
-        ),
-        (
-            15,
-            few,
-            [
-                {
-                    "struck": Flight(
-                        ROBUST,
-                        {"mask_deg": 20.0, "burst_s": (5.0, end), "duration_s": end},
-                        {
-                            f"{shape} {k}/": {
-                                "burst": "one",
-                                "burst_shape": shape,
-                                "burst_count": k,
-                            }
-                            for shape in SHAPES
-                            for k in STRUCK
-                        },
-                    )
-                }
-            ],
-        ),
-        (
-            16,
-            3 * few // 2,
-            [
-                {
-                    "starts": Flight(
-                        PAIR,
-                        {**quiet, "duration_s": 20.0},
-                        {
-                            f"{true:g}/{true / k:g}/": {
-                                "deviation": (true, *rest),
-                                "assumed_m": true / k,
-                            }
-                            for true in START_M
-                            for k in (1, 10)
-                        },
-                    )
-                }
-            ],
-        ),
-        (17, 5 * many, [{"mistuned": Flight(PAIR, {**quiet, **mistuned})}]),
-        (18, 8 * many, [{"quiet": Flight(PAIR, before)}]),
-    ]
+    change: dict[str, Any]
+    cases: dict[str, dict[str, Any]]
     out: dict[str, Part] = {}
-    for number, runs, draws in plan:
+
+    def add(number: int, runs: int, *draws: Mapping[str, Flight]) -> None:
+        """Parts of a number, whose flights are drawn one after the other; those in the same braces
+        share their random numbers."""
         drawn: list[Config] = []
         for draw in draws:
             for name, flight in draw.items():
@@ -357,10 +199,88 @@ def parts(effort: float = 1.0, rinex: Path | None = None) -> dict[str, Part]:
                 cost = 3e-5 * runs * c.samples * len(flight.names) * len(flight.cases)
                 out[name] = Part(partial(flown, flight, tuple(drawn)), c, number, runs, cost=cost)
             drawn.append(c)
-    out |= {
-        work.__name__: Part(work, sky, 50 + i)
-        for i, work in enumerate((nodes, polar, transform, operations))
-    }
+
+    none = Flight(("ls", *THREE), quiet)
+    add(0, many, {"none": none}, {"ranges, 10 Hz": Flight((*THREE, "group"))})
+
+    disturbed = {**bursts, "mistuned/": {**quiet, **mistuned}}
+    add(1, few, {"baselines": Flight(FILTERS, judged, disturbed, anew=True)})
+
+    densities = []
+    for rate, values in DENSITIES.items():
+        cases = {f"{q:g}/": {Q: q} for q in values}
+        change = slow if rate == "1 Hz" else before
+        densities.append({f"densities, {rate}": Flight(("ekf", "aukf", "group"), change, cases)})
+    add(2, few, *densities)
+
+    initial = []
+    for km in INITIAL_KM:
+        change = {**slow, "deviation": (1e3 * km, *rest), "duration_s": 30.0}
+        initial.append({f"{km:g} km": Flight(("ls", *THREE), change)})
+    add(4, few, *initial)
+
+    points = ("ukf", "no redraw")
+    add(5, 2 * few, {"matched": Flight(points, {**slow, Q: 100.0, "motion": "model"})})
+    add(6, few, {"redraw": Flight(points, before)})
+    add(7, many, {"ranges and rates, 10 Hz": Flight(PAIR, bursts["both/"])})
+
+    slow_bursts = zip(READINGS[3:], bursts.values(), strict=True)
+    add(8, many, *({part: Flight(PAIR, {**burst, **second})} for part, burst in slow_bursts))
+
+    add(9, many, {"one range, 10 Hz": Flight(PAIR, {**one, "duration_s": 40.0})})
+
+    several = []
+    for k in (3, 8):
+        change = {**one, "duration_s": 25.0, "burst_count": k}
+        several.append({f"{k} ranges": Flight(PAIR, change)})
+    add(10, many, *several)
+
+    near = {"deviation": (1e3, *rest), "burst_s": (10.0, 12.0), "duration_s": 12.0}
+    add(11, many, {"burst from 1 km": Flight(THREE, near)})
+
+    wrong = {}
+    for scale in (0.01, 0.1, 1.0, 10.0):
+        change = {**short, Q: scale * STANDARD.acceleration_noise}
+        wrong[f"near/Q {scale:g}"] = Flight(PAIR, change)
+    for scale in (0.3, 3.0):
+        change = {**short, "sigma_range_m": scale * STANDARD.sigma_range_m}
+        wrong[f"near/R {scale:g}"] = Flight(PAIR, change)
+    far = {**short, "deviation": (100.0, *rest), "assumed_m": 10.0}
+    add(12, many, wrong, {"far": Flight(PAIR, far)})
+
+    starts = []
+    for true in ("10", "1e3", "1e5", "1e6"):
+        change = {**slow, "deviation": (float(true), *rest)}
+        change["duration_s"] = 120.0 if true == "1e6" else 60.0
+        flights = {}
+        for taken in (true, "10"):
+            flights[f"{true}/{taken}"] = Flight(THREE, {**change, "assumed_m": float(taken)})
+        starts.append(flights)
+    add(13, 2 * many, *starts)
+
+    lengths = ("ukf", *(f"M {m}" for m in WINDOWS))
+    rates = {"windows, 10 Hz": Flight(lengths, judged), "windows, 1 Hz": Flight(lengths, second)}
+    add(14, many, rates)
+
+    cases = {}
+    for shape, k in product(SHAPES, STRUCK):
+        cases[f"{shape} {k}/"] = {"burst": "one", "burst_shape": shape, "burst_count": k}
+    change = {"mask_deg": 20.0, "burst_s": (5.0, end), "duration_s": end}
+    add(15, few, {"struck": Flight(ROBUST, change, cases)})
+
+    cases = {}
+    for true_m, k in product(START_M, (1, 10)):
+        assumed_m = true_m / k
+        cases[f"{true_m:g}/{assumed_m:g}/"] = {
+            "deviation": (true_m, *rest),
+            "assumed_m": assumed_m,
+        }
+    add(16, 3 * few // 2, {"starts": Flight(PAIR, {**quiet, "duration_s": 20.0}, cases)})
+
+    add(17, 5 * many, {"mistuned": Flight(PAIR, {**quiet, **mistuned})})
+    add(18, 8 * many, {"quiet": Flight(PAIR, before)})
+    for number, work in enumerate((nodes, polar, transform, operations), 50):
+        out[work.__name__] = Part(work, sky, number)
     out["orbits"] = Part(day.formulas, tuple(STANDARD.times[::100].tolist()))
     if (files := day.found(rinex)) is not None:
         real = partial(
@@ -377,9 +297,11 @@ def flown(flight: Flight, drawn: Sequence[Config], config: Config, rngs: Rngs) -
     """Filters on a configuration, whose random numbers come after those of what was ``drawn``
     before.
 
-    Returns ------- times ``(T,)`` s; of each filter ``<case><filter>/error (T, runs, 3)`` m of the
-    position, nan once a run is lost; nis, nees, and of the AUKF means of its factors over ranges,
-    rates, and bad and good ranges, with parts of them above 1 or 2, ``(T, runs)``.
+    Returns
+    -------
+    times ``(T,)`` s; of each filter ``<case><filter>/error (T, runs, 3)`` m of the position, nan
+    once a run is lost; nis, nees, and of the AUKF means of its factors over ranges, rates, and bad
+    and good ranges, with parts of them above 1 or 2, ``(T, runs)``.
     """
     for before in drawn:
         simulate(before, rngs)

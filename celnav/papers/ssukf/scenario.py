@@ -191,10 +191,14 @@ PRESETS = {"standard": STANDARD, "100 Hz": FULL_RATE}
 class Scenario(NamedTuple):
     """Simulated runs, time-major.
 
-    Attributes ---------- truth: ``(T, runs, 7)`` at the star epochs: quaternion and drift (rad/s).
+    Attributes
+    ----------
+    truth: ``(T, runs, 7)`` at the star epochs: quaternion and drift (rad/s).
     gyro: ``(time updates, runs, 3)`` rad/s, samples of the gyro or what they are integrated to from
-    star to star. stars: ``(T, runs, 4)``, of random sign; nan at the start. prior: with the paper's
-    initial error. drawn: with one that is drawn from the prior, as consistency asks for.
+        star to star.
+    stars: ``(T, runs, 4)``, of random sign; nan at the start.
+    prior: with the paper's initial error.
+    drawn: with one that is drawn from the prior, as consistency asks for.
     """
 
     config: Config

@@ -715,49 +715,37 @@ def parts(effort: float = 1.0, duration_s: float | None = None) -> dict[str, Par
     """All that is computed; ``duration_s``: of the runs of the paper's scenario, shorter at an
     effort below `BRIEF` if left out."""
     brief = effort < BRIEF
-    whole = STANDARD.duration_s
-    runs_s, heads_s = (450.0, 200.0) if brief and duration_s is None else [duration_s or whole] * 2
-    c = STANDARD
-    minute = replace(STANDARD, duration_s=60.0)
-    axis = np.array([0.48, 0.6, 0.64])
+    runs_s = heads_s = duration_s or STANDARD.duration_s
+    if brief and duration_s is None:
+        runs_s, heads_s = 450.0, 200.0
+
+    def lasting(seconds: float, config: Config = STANDARD) -> Config:
+        return replace(config, duration_s=seconds)
+
+    minute = lasting(60.0)
+    identical = lasting(1.0 if brief else 3.0, FULL_RATE)
+    full_rate = lasting(min(5.0 if brief else 20.0, runs_s), FULL_RATE)
+    paper = partial(flown, ("aukf", "ssukf", "mekf"))
+    augmented = partial(flown, (*SIDES, "mekf"), c=15.0)
+    wide = partial(starts, (180.0, 10.0, 1.0, 20.0 / 3600.0), ("ssukf",), None)
+    turns = partial(starts, (10.0, 179.0), ("ssukf", "mekf"), np.array([0.48, 0.6, 0.64]))
     return {
-        "runs": Part(
-            partial(flown, ("aukf", "ssukf", "mekf")),
-            replace(c, duration_s=runs_s),
-            0,
-            c.runs,
-            200,
-            30.0,
-        ),
-        "identities": Part(
-            identities, replace(FULL_RATE, duration_s=1.0 if brief else 3.0), 1, 20, cost=1.4
-        ),
-        "rates": Part(
-            changes, replace(FULL_RATE, duration_s=min(5.0 if brief else 20.0, runs_s)), 2, 20
-        ),
-        "priors": Part(
-            partial(starts, (180.0, 10.0, 1.0, 20.0 / 3600.0), ("ssukf",), None), minute, 5, 20
-        ),
-        "turns": Part(
-            partial(starts, (10.0, 179.0), ("ssukf", "mekf"), axis),
-            replace(c, duration_s=1.0),
-            6,
-            100,
-            cost=0.2,
-        ),
+        "runs": Part(paper, lasting(runs_s), 0, STANDARD.runs, 200, 30.0),
+        "identities": Part(identities, identical, 1, 20, cost=1.4),
+        "rates": Part(changes, full_rate, 2, 20),
+        "priors": Part(wide, minute, 5, 20),
+        "turns": Part(turns, lasting(1.0), 6, 100, cost=0.2),
         "vector": Part(vector, VECTOR, 9, 800, 800, 10.0),
-        "augmented": Part(partial(flown, (*SIDES, "mekf"), c=15.0), minute, 10, 200, 200, 2.0),
+        "augmented": Part(augmented, minute, 10, 200, 200, 2.0),
         "drawn": Part(partial(forms, simulate, FORMS[:2]), minute, 11, 1000, 200, 12.0),
-        "crossing": Part(
-            partial(forms, turning, FORMS), replace(c, duration_s=20.0), 24, 800, 200, 4.0
-        ),
+        "crossing": Part(partial(forms, turning, FORMS), lasting(20.0), 24, 800, 200, 4.0),
         "coarse": Part(partial(flown, tuple(SIDES), c=15.0), COARSE, 25, 200, 200, 4.0),
-        "heads": Part(heads, replace(c, duration_s=heads_s), 26, 400, 200, 28.0),
+        "heads": Part(heads, lasting(heads_s), 26, 400, 200, 28.0),
         "components": Part(by_components, minute, 27, 100),
         "operations": Part(operations, FULL_RATE),
-        "multiplied": Part(partial(multiplied, runs=600) if brief else multiplied, c, 21),
-        "facts": Part(facts, c),
-        "costs": Part(costs, c),
+        "multiplied": Part(partial(multiplied, runs=600) if brief else multiplied, STANDARD, 21),
+        "facts": Part(facts, STANDARD),
+        "costs": Part(costs, STANDARD),
     }
 
 

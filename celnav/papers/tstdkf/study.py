@@ -589,72 +589,41 @@ def parts(effort: float = 1.0) -> dict[str, Part]:
 
     month = days(TABLE_5, 30.0)
     ten_days = days(TABLE_5, 10.0)
-    three = days(TABLE_5, 3.0)
-    pair = ("tkf", "tstdkf")
     year = days(s.YEAR, 120.0 if effort < BRIEF else 365.0)
-    honest = replace(three, trend="constant", initial="drawn", walk_km=0.0)
     white = replace(month, setting=SETTINGS[5])
-    around_mars = replace(month, **MARS)
+    mars = replace(month, **MARS)
     sure = replace(ten_days, setting=SETTINGS[5], bias_prior_km=1.0 / np.sqrt(3.0), walk_km=0.0)
-    return {
+    honest = replace(days(TABLE_5, 3.0), trend="constant", initial="drawn", walk_km=0.0)
+    pair = ("tkf", "tstdkf")
+    over_year = partial(linear, TRENDS, 12, ("tkf", "tdkf", "aug9", "aug"))
+    side_by_side = partial(apart, {**COUPLED, **STRONG, **ALONE}, (*pair, "aug"), taken=TAKEN)
+    consistent = partial(apart, {i: FIVE[i] for i in "15"}, (*pair, "aug"), judged=True)
+    constant = partial(linear, ["constant"], 12, ["tkf"])
+    out = {
         "month": Part(five, month, 0, 50, 50, 60.0),
-        "year": Part(
-            partial(linear, TRENDS, 12, ("tkf", "tdkf", "aug9", "aug")), year, 7, 24, 24, 45.0
-        ),
+        "year": Part(over_year, year, 7, 24, 24, 45.0),
         "variants": Part(partial(apart, VARIANTS, pair), month, 1, 8, 50, 25.0),
-        "ten days": Part(
-            partial(apart, {**COUPLED, **STRONG, **ALONE}, (*pair, "aug"), taken=TAKEN),
-            ten_days,
-            4,
-            12,
-            50,
-            20.0,
-        ),
+        "ten days": Part(side_by_side, ten_days, 4, 12, 50, 20.0),
         "forces": Part(forces, ten_days, 6, 20, 50, 10.0),
-        **{
-            f"many {m0:g}": Part(
-                partial(linear, TRENDS[:1], 72, pair),
-                replace(month, bias_prior_km=m0),
-                9,
-                runs,
-                400,
-                8.0 + 0.02 * runs,
-            )
-            for m0, runs in PRIORS.items()
-        },
-        "consistency": Part(
-            partial(apart, {i: FIVE[i] for i in "15"}, (*pair, "aug"), judged=True),
-            honest,
-            5,
-            40,
-            50,
-            6.0,
-        ),
-        "constant": Part(partial(linear, ["constant"], 12, ["tkf"]), white, 10, 23, 23),
-        "constant, Mars": Part(
-            partial(linear, ["constant"], 12, ["tkf"]), replace(white, **MARS), 10, 23, 23
-        ),
+    }
+    for km, runs in PRIORS.items():
+        many = replace(month, bias_prior_km=km)
+        cost = 8.0 + 0.02 * runs
+        out[f"many {km:g}"] = Part(partial(linear, TRENDS[:1], 72, pair), many, 9, runs, 400, cost)
+    out |= {
+        "consistency": Part(consistent, honest, 5, 40, 50, 6.0),
+        "constant": Part(constant, white, 10, 23, 23),
+        "constant, Mars": Part(constant, replace(white, **MARS), 10, 23, 23),
         "constant, nine": Part(partial(linear, ["constant"], 1, ["tkf", "aug9"]), sure, 14, 50, 50),
-        **{
-            f"bodies, {i}": Part(
-                partial(displaced, bodies, ["tkf"]),
-                replace(month, setting=SETTINGS[i]),
-                15,
-                200,
-                200,
-                9.0,
-            )
-            for i in (1, 5)
-        },
-        **{
-            name: Part(
-                partial(displaced, partial(reference, names), pair), config, number, 100, 100, 10.0
-            )
-            for name, names, config, number in (
-                ("DE440", DE440, month, 16),
-                ("Mars", DE423, around_mars, 17),
-            )
-        },
+    }
+    for i in (1, 5):
+        config = replace(month, setting=SETTINGS[i])
+        out[f"bodies, {i}"] = Part(partial(displaced, bodies, ["tkf"]), config, 15, 200, 200, 9.0)
+    de440 = partial(displaced, partial(reference, DE440), pair)
+    de423 = partial(displaced, partial(reference, DE423), pair)
+    return out | {
+        "DE440": Part(de440, month, 16, 100, 100, 10.0),
+        "Mars": Part(de423, mars, 17, 100, 100, 10.0),
         "operations": Part(operations, replace(TABLE_5, days=0.01)),
         "sweep": Part(partial(linear, ["step"], 12, ["sweep", "nine"]), month, 13, 50, 50, 20.0),
         "covariances": Part(covariances, month, cost=6.0),
