@@ -427,8 +427,7 @@ FIGURES = {
     **{
         f"figure_{i + 4:02d}": (
             f"Fig. {i + 4}: error of {axis.name}, without a burst; and where the noise is larger "
-            "than the "
-            f"filters think.",
+            "than the filters think.",
             partial(quiet, i),
         )
         for i, axis in enumerate(AXES)

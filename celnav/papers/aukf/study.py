@@ -1037,8 +1037,7 @@ STUDY = Study(
     ROWS,
     figure="figure_07",
     says="A UKF that adapts its measurement noise to the last innovations has smaller errors than "
-    "EKF and UKF, converges faster, "
-    "and hardly notices a burst of noise.",
+    "EKF and UKF, converges faster, and hardly notices a burst of noise.",
     windows=windows,
     found=ANSWER,
 )

@@ -101,9 +101,8 @@ class Config(Timed):
     noise_level: str = param(
         "increments",
         "inferred: the paper's R",
-        "what sigma_km, or camera_deg and star_arcsec, are the deviation of: the colored noise V "
-        "itself (stationary), or the white "
-        "increments that drive it",
+        "what sigma_km, or camera_deg and star_arcsec, are the deviation of: the colored noise "
+        "V itself (stationary), or the white increments that drive it",
         one_of=("stationary", "increments"),
     )
     prior_position_km: float = param(
@@ -135,8 +134,7 @@ class Config(Timed):
         None,
         "chosen",
         "covariance of the first noise: that of the increments (R), of the stationary noise, or "
-        "zero; left out: as "
-        "noise_level",
+        "zero; left out: as noise_level",
         one_of=("R", "stationary", "zero", None),
     )
     alpha: float = param(1.0, "chosen: no negative weight", "spread of the sigma points")
@@ -159,8 +157,7 @@ class Config(Timed):
         for name, other in (("noise_level", "'increments'"), ("first_noise", "R or zero")):
             if getattr(self, name) == "stationary" and abs(self.phi) == 1.0:
                 why = (
-                    f"where phi is {self.phi:g}: a random walk has no stationary deviation, "
-                    "only "
+                    f"where phi is {self.phi:g}: a random walk has no stationary deviation, only "
                     "its increments have one"
                 )
                 raise ValueError(f"{name}: expected {other} {why}")

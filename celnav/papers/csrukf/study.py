@@ -752,7 +752,6 @@ STUDY = Study(
     ROWS,
     figure="figure_08",
     says="Differencing whitens colored measurement noise. The square-root UKF made of it is as "
-    "good "
-    "as the ordinary one where noise is white, and converges where that one diverges.",
+    "good as the ordinary one where noise is white, and converges where that one diverges.",
     found=ANSWER,
 )

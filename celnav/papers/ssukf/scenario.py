@@ -343,8 +343,7 @@ def filters(
     reach = np.degrees(np.abs(spread(15, config, c=c).nodes).max() * config.sigma0[:3].max())
     if reach > 180.0:  # points would be shorter rotations
         text = (
-            f"sigma points reach {reach:.0f} deg from the mean, and wrap at 180: take a "
-            "smaller "
+            f"sigma points reach {reach:.0f} deg from the mean, and wrap at 180: take a smaller "
             "spread (alpha, kappa)"
         )
         warnings.warn(text, RuntimeWarning, stacklevel=2)

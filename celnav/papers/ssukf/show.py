@@ -265,7 +265,7 @@ TABLES = {
 }
 
 
-# -- the recording: the first run, satellite and sensors as they turn, the errors as if under a micr
+# -- the recording: the first run, satellite and sensors as they turn, errors enlarged -------------
 RECORDINGS = ["ssukf.rrd"]
 ARM_KM = 1500.0
 EXAGGERATION = 1000.0

@@ -342,7 +342,7 @@ def turning(config: Config, rngs: Rngs) -> scenario.Scenario:
     )
 
 
-# -- one unit vector, of a magnetic field, instead of the whole attitude: a scenario that separates
+# -- one unit vector, of a magnetic field, in place of the attitude: it separates the filters ------
 def field(u: float) -> Array:
     """Direction ``(3,)`` of a dipole's field, taken as inertial, ``u`` rad along an orbit that is
     inclined by 60 deg."""
@@ -1130,8 +1130,7 @@ STUDY = Study(
     ROWS,
     figure="figure_03",
     says="Appending only the noise that acts makes a UKF as accurate as the fully augmented one, "
-    "in a third less time, and faster "
-    "to converge.",
+    "in a third less time, and faster to converge.",
     windows=lambda _config, times: {
         "all": slice(1, None),
         "last third": slice(2 * len(times) // 3, None),
