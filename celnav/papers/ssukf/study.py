@@ -342,7 +342,7 @@ def turning(config: Config, rngs: Rngs) -> scenario.Scenario:
     )
 
 
-# -- one unit vector, of a magnetic field, in place of the attitude: it separates the filters -----
+# -- one unit vector, of a magnetic field, in place of the attitude: it separates the filters ------
 def field(u: float) -> Array:
     """Direction ``(3,)`` of a dipole's field, taken as inertial, ``u`` rad along an orbit that is
     inclined by 60 deg."""
