@@ -8,8 +8,6 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
-import numpy as np
-
 from celnav.engine.recording import Engine
 from celnav.engine.runs import as_data
 from celnav.filters.records import Epoch, Filter

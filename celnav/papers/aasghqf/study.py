@@ -324,7 +324,7 @@ def first_fixes(config: Config, _: Rngs) -> dict[str, Array]:
         for angle in np.radians(MISALIGNMENTS_DEG).tolist():
             sigma = [angle] * 3 + config.sigma0[3:].tolist()
             prior = Gaussian(np.zeros((1, 13)), np.diag(np.square(sigma)))
-            seen = filter.measured(rule, stars, filter.start(prior).belief, np.zeros((1, 6)), epoch)
+            seen = filter.measured(stars, filter.start(prior).belief, np.zeros((1, 6)), epoch, rule)
             after = condition(filter.form, seen, filter.motion.space)[0].cov[0, :3, :3]
             least = np.linalg.eigvalsh(after)[0] if np.isfinite(after).all() else np.nan
             moments = -np.asarray(seen.innovation)[0], seen.covariances()[0].reshape(6, 6)
