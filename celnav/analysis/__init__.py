@@ -1,5 +1,5 @@
-"""What can be known of a filter without flying it, and how its numbers are judged: bounds, metrics,
-observability, tuning.
+"""What can be computed about a filter without running it, and how its results are evaluated:
+bounds, metrics, observability, tuning.
 """
 
 from celnav.lazy import modules

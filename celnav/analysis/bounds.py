@@ -1,4 +1,5 @@
-"""Linear covariance analysis: what a filter's errors are, or could be at best, without drawing any.
+"""Linear covariance analysis: the error covariance of a filter, or the best possible one, without
+random draws.
 
 The system is ``x' = F x + w``, ``w ~ N(0, Q)``, measured by ``z = H x + V``. Transitions
 ``F (T, n, n)`` are those along the true trajectory, ``H (m, n)`` is constant, and everything else
@@ -53,11 +54,11 @@ def actual_covariance(
     P0: ArrayLike,
     Sigma0: ArrayLike,
 ) -> Array:
-    """True error covariances ``(T + 1, ..., n, n)`` of a filter with given gains when its noise is
-    really colored.
+    """True error covariances ``(T + 1, ..., n, n)`` of a filter with given gains if its noise is in
+    fact colored.
 
-    Exact for linear models: the covariance of ``[x_hat - x; V]`` is carried through prediction and
-    update, with ``V' = Phi V + zeta``, ``zeta ~ N(0, R)``, ``V_0 ~ N(0, Sigma0)``.
+    Exact for linear models: the covariance of ``[x_hat - x; V]`` is propagated through prediction
+    and update, with ``V' = Phi V + zeta``, ``zeta ~ N(0, R)``, ``V_0 ~ N(0, Sigma0)``.
 
     >>> gains = celnav.analysis.bounds.riccati(Fs, H, Q, R, P0).gains  # assumes white noise
     >>> Phi, W = 0.9 * np.eye(3), 0.19 * R
@@ -77,7 +78,7 @@ def actual_covariance(
         P, C, V = f @ P @ f.T + q, f @ C @ phi.mT, phi @ V @ phi.mT + r
         A = np.eye(n) - K @ h
         cross = A @ C @ K.mT
-        # The error after the update is A e + K V (of estimate minus truth).
+        # The error after the update is A e + K V, as estimate minus truth; C = cov(e, V).
         P, C = A @ P @ A.mT + cross + cross.mT + K @ V @ K.mT, A @ C + K @ V
         out.append(P)
     return np.stack(out)
@@ -96,7 +97,7 @@ def colored_bound(
     process noise.
 
     ``Sigma0``: covariance of the first noise sample, if the first measurement is used; without it
-    only differences of measurements inform. ``Phi`` and ``R``: as in `actual_covariance`.
+    only differences of measurements give information. ``Phi`` and ``R``: as in `actual_covariance`.
 
     >>> Phi, W = 0.9 * np.eye(3), 0.19 * R
     >>> cov = celnav.analysis.bounds.colored_bound(Fs, H, Phi, Q, W, P0, Sigma0=R)
@@ -107,6 +108,7 @@ def colored_bound(
         P = _updated(P, h, sigma)[1]
     out = [P]
     for f in transitions:
+        # z* = z' - Phi z = G x + H w + zeta.
         G = h @ f - phi @ h
         cross, S = f @ P @ G.mT + q @ h.T, G @ P @ G.mT + h @ q @ h.T + r
         K = np.linalg.solve(S, cross.mT).mT
@@ -116,21 +118,21 @@ def colored_bound(
     return np.stack(out)
 
 
-def _system(F: ArrayLike, H: ArrayLike, **given: ArrayLike) -> list[Array]:
-    """Checked ``F``, ``H`` and what else is given, in this order; P0 gets the batch axes of all of
-    it.
+def _system(F: ArrayLike, H: ArrayLike, **matrices: ArrayLike) -> list[Array]:
+    """Checked ``F``, ``H`` and the other ``matrices``, in this order; P0 gets the joint batch
+    axes.
     """
     f = finite("F", F, ("T", "n", "n"))
     h = finite("H", H, ("m", f.shape[-1]))
     m, n = h.shape
-    found = {
+    checked = {
         name: finite(name, value, (..., m, m))
         if name == "Phi"
         else symmetric(value, name, n if name in ("P0", "Q") else m)[0]
-        for name, value in given.items()
+        for name, value in matrices.items()
     }
-    batch = together(**{name: value.shape[:-2] for name, value in found.items()})
-    return [f, h, *(found | {"P0": np.broadcast_to(found["P0"], (*batch, n, n))}).values()]
+    batch = together(**{name: value.shape[:-2] for name, value in checked.items()})
+    return [f, h, *(checked | {"P0": np.broadcast_to(checked["P0"], (*batch, n, n))}).values()]
 
 
 def _updated(P: Array, h: Array, r: Array) -> tuple[Array, Array]:

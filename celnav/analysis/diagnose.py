@@ -1,10 +1,9 @@
-"""Ask the log: are innovations or residuals white, unbiased and as large as predicted?
+"""Tests of a log: are innovations or residuals white, unbiased and as large as predicted?
 
-If not, which noise explains them? Errors that follow each other are not independent, so an interval
-of a mean or of a size counts an *effective* number of samples, from their autocorrelation
-[Geyer1992]. Whiteness is the test of [Ljung1978], of pairs of samples that both exist. A lag counts
-samples of a component, on a grid of its own: a slow sensor has its own lags, and a gap costs only
-the pairs across it.
+If not, which noise explains them? Correlated errors are not independent, so an interval of a mean
+or of a size uses an *effective* number of samples, from the autocorrelation [Geyer1992]. Whiteness
+is the test of [Ljung1978], with the pairs of samples that both exist. Lags count samples of a
+component on its own grid: a slow sensor has its own lags, and a gap costs only the pairs across it.
 """
 
 from __future__ import annotations
@@ -31,14 +30,14 @@ from celnav.gaussian.spaces import EUCLIDEAN, wrap
 
 __all__ = ["Diagnosis", "diagnose", "first_order"]
 
-LEAST = 20  # samples of a component, and pairs of them, below which nothing can be said
+LEAST = 20  # samples of a component, and pairs of them, below which there is no statement
 SMALL = 1.1  # ratio of the σ of a mean to that of white noise, for noise that is nearly white
 REACH = -3.5, 5.5  # of the inverse hyperbolic tangent of a coefficient
 SHARE = -14.0, 7.0  # of the logit of white noise's share of the variance
-EACH = 3  # components at most for each of which a coefficient of its own is estimated
-BETTER = 3.0  # of a log-likelihood, by which one explanation is better than another
+EACH = 3  # components at most for which each has its own coefficient
+BETTER = 3.0  # difference of log-likelihoods that decides between two explanations
 QUIET = 5  # innovations near 0 before one that jumps by a turn
-CHANCE = 1e-3  # of as many jumps by a turn, if they are jumps of any size
+CHANCE = 1e-3  # probability of as many jumps by a turn among jumps of random size
 
 Interval = tuple[float, float]
 
@@ -61,9 +60,9 @@ class Mixture(NamedTuple):
 class Coloring(NamedTuple):
     """Noise ``V' = phi V + zeta`` with σ ``sigma``, by restricted maximum likelihood.
 
-    Intervals are those of the likelihood ratio. mean_sigma: σ of the mean of the samples for this
-    noise, by generalized least squares. p: Ljung and Box's p of its innovations: small where
-    first-order noise does not explain the correlation; then ``mixture`` is fitted too.
+    Intervals are from the likelihood ratio. mean_sigma: σ of the mean of the samples for this
+    noise, by generalized least squares. p: Ljung and Box's p of its innovations; if it is small,
+    first-order noise does not explain the correlation, and ``mixture`` is fitted too.
     """
 
     phi: float
@@ -78,18 +77,19 @@ class Coloring(NamedTuple):
 class Component(NamedTuple):
     """Statistics of one component, in its own unit.
 
-    sensor: index. samples: that exist. step: s between its samples, None where they are irregular.
+    sensor: index. samples: that exist. step: s between its samples, None if they are irregular.
     rms: of residuals. predicted: rms of the predicted σ, None if unknown.
     bias, bias_interval: the mean. bias_p: probability of a mean as far from 0 if there is no bias.
-    effective: independent samples whose mean is as uncertain, of residuals over their predicted σ.
-    size, size_band: mean square of residuals over their predicted σ, None if unknown, and the band
-        in which it lies if the prediction is right.
-    effective_squares: independent samples whose mean square is as uncertain.
+    effective: number of independent samples whose mean is as uncertain, for residuals over their
+        predicted σ.
+    size, size_band: mean square of residuals over their predicted σ, None if unknown, and its band
+        if the prediction is right.
+    effective_squares: number of independent samples whose mean square is as uncertain.
     autocorrelation, band: ``(lags,)``, at lags of 1, 2, ... samples, and the half width of the band
         of white noise; nan without pairs.
     ljung_box, p: the statistic, and the probability of one as large if the noise is white; nan if
         there are too few pairs of samples.
-    coloring: the first-order noise, if it is not white; of a track that of whitened innovations.
+    coloring: the first-order noise, if it is not white; for a track, of the whitened innovations.
     """
 
     name: str
@@ -120,9 +120,9 @@ class Component(NamedTuple):
 class SensorConsistency(NamedTuple):
     """Size of a sensor's residuals.
 
-    nis: over its degrees of freedom, nan without predicted σ. band: where it lies if consistent.
-    squares, dof: ``(T,)`` of all runs together, whose ratio is NIS per degree of freedom over time.
-    shared: correlated samples that vary as one.
+    nis: over its degrees of freedom, nan without predicted σ. band: its range if consistent.
+    squares, dof: ``(T,)`` of all runs together; their ratio is NIS per degree of freedom over time.
+    shared: number of correlated samples that vary as one.
     """
 
     names: tuple[str, ...]
@@ -136,11 +136,12 @@ class SensorConsistency(NamedTuple):
 class Model(NamedTuple):
     """A filter for colored noise, fitted to the data: ``Phi (m, m)`` and ``R (m, m)``.
 
-    name: "colored", or "augmented" where samples are missing or the noises rule `celnav.colored`
-        out. Phi acts from epoch to epoch.
+    name: "colored", or "augmented" if samples are missing or the noises exclude `celnav.colored`.
+        Phi acts from epoch to epoch.
     phi_interval, sigma_interval: ``(m, 2)``.
-    gain: of the log-likelihood, over the given filter, which assumes white noise.
-    white_gain: that of white noise with the most probable factors of Q and R; nan if not compared.
+    gain: in log-likelihood, over the given filter, which assumes white noise.
+    white_gain: the gain of white noise with the most probable factors of Q and R; nan if not
+        compared.
     not_compared: why not.
     predicted, white_predicted: ``(n,)`` standard deviations at the end, of both filters.
     p: ``(m,)``, Ljung and Box's p of its innovations. converged: of the search.
@@ -166,12 +167,13 @@ class Model(NamedTuple):
 
 
 class Diagnosis(NamedTuple):
-    """Answers of a log; ``print`` it for a page, `celnav.show.diagnosis.figure` draws it.
+    """Results of the tests of a log; ``print`` it for a page, `celnav.show.diagnosis.figure` draws
+    it.
 
-    times: ``(T,)`` s. step: s between epochs, None where they are irregular. runs: how many.
+    times: ``(T,)`` s. step: s between epochs, None if they are irregular. runs: how many.
     level: of all intervals and bands. components, sensors: statistics.
-    wraps: angles whose wrap seems forgotten, a sentence for each sensor.
-    model: the filter for colored noise, where it could be fitted. why: why it could not.
+    wraps: angles that seem to lack a wrap, a sentence for each sensor.
+    model: the filter for colored noise, if it could be fitted. why: why it could not.
     """
 
     times: Array
@@ -186,7 +188,9 @@ class Diagnosis(NamedTuple):
 
     @property
     def doubt(self) -> float:
-        """The least p of one component that is believed, for `level` to hold for all together."""
+        """The smallest p of one component that is accepted, for `level` to hold for all
+        together.
+        """
         return (1.0 - self.level) / len(self.components)
 
     def biased(self, component: Component) -> bool:
@@ -233,11 +237,11 @@ def diagnose(
 
     residuals: a track, whose innovations are used; or an array ``(T, ..., m)``, nan where missing,
         with ``times (T,)`` s. All runs count as draws of the same noise.
-    std: predicted standard deviations, broadcast to the residuals; without them nothing is said of
-        the size.
+    std: predicted standard deviations, broadcast to the residuals; without them the size is not
+        tested.
     names: ``(m,)`` of the components.
-    prior, z, u: what the filter of a track was given: then a filter for colored noise is fitted, by
-        the likelihood, where the noise is not white.
+    prior, z, u: the arguments of the run that made a track: with them a filter for colored noise is
+        fitted by the likelihood, if the noise is not white.
     lags: of the autocorrelation, in samples of a component, as far as the data go.
     level: of intervals and bands.
 
@@ -317,7 +321,7 @@ def diagnose(
 
 
 def _predicted(std: Array, x: Array) -> Array:
-    """Standard deviations, checked, of the shape of the residuals."""
+    """Checked standard deviations with the shape of the residuals."""
     if std.ndim > x.ndim or any(
         k not in (1, n) for k, n in zip(std.shape[::-1], x.shape[::-1], strict=False)
     ):
@@ -333,7 +337,7 @@ def _predicted(std: Array, x: Array) -> Array:
 def grid_index(t: Array) -> tuple[Array, float | None]:
     """Places ``(T,)`` of times on a grid, whole numbers, and its step; without a grid their order.
 
-    The step is near the usual interval or, where most samples are missing, near the least.
+    The step is near the usual interval or, if most samples are missing, near the smallest.
     """
     d = np.diff(t)
     for unit in (np.median(d), d.min()) if len(t) > 2 else ():
@@ -345,7 +349,7 @@ def grid_index(t: Array) -> tuple[Array, float | None]:
 
 
 def _products(x: Array, place: Array, lag: int) -> tuple[float, int]:
-    """Mean of products of samples ``(T, runs)`` a lag apart, nan if none, and their number."""
+    """Mean of products of samples ``(T, runs)`` at a lag, nan if none, and their number."""
     later = np.minimum(np.searchsorted(place, place + lag), len(place) - 1)
     both = place[later] == place + lag
     products = x[both] * x[later[both]]
@@ -354,10 +358,10 @@ def _products(x: Array, place: Array, lag: int) -> tuple[float, int]:
 
 
 def autocorrelation(x: Array, place: Array, lags: int) -> tuple[Array, Array, float, float]:
-    """Autocorrelation ``(lags,)`` of ``x (T, runs)`` about its mean, and its numbers of pairs.
+    """Autocorrelation ``(lags,)`` of ``x (T, runs)`` about its mean, and the numbers of pairs.
 
-    Then the variances of the means of x and of its square, times the number of samples and over
-    those of one sample, for Gaussian noise. Lags without pairs, nan, have no part in them.
+    Then the variances of the means of x and of its square, times the number of samples and divided
+    by those of one sample, for Gaussian noise. Lags without pairs, nan, are left out.
     """
     N = int(np.isfinite(x).sum())
     centered = x - np.nanmean(x)
@@ -369,7 +373,7 @@ def autocorrelation(x: Array, place: Array, lags: int) -> tuple[Array, Array, fl
         pairs.append(count)
         if count:
             used.append(lag)
-        if end + 1 < len(used):  # sums of two are positive for a stationary process
+        if end + 1 < len(used):  # sums of two neighbors are positive for a stationary process
             if rho[used[end]] + rho[used[end + 1]] > 0.0:
                 end += 2
             elif lag >= lags:
@@ -378,7 +382,7 @@ def autocorrelation(x: Array, place: Array, lags: int) -> tuple[Array, Array, fl
     sums = np.array(rho)[summed]
     weights = np.where(np.array(summed) > 0, 2.0, 1.0) * np.array(pairs)[summed] / N
     longer = plain = max(float(weights @ sums), 1.0 / N)
-    # The mean was subtracted, which hides as much of each product as its own variance.
+    # Subtracting the mean reduces each product by the mean's own variance: iterate.
     for _ in range(20):
         shift = min(longer / N, 0.5)
         longer = max(float(weights @ ((1.0 - shift) * sums + shift)), plain)
@@ -413,21 +417,21 @@ def _component(
     lags: int,
     level: float,
 ) -> Component:
-    """Statistics of residuals ``x (T, runs)``, of ``w``, over their predicted σ, and of the σ."""
-    there = np.isfinite(x)
-    N = int(there.sum())
-    if N < LEAST or np.ptp(x[there]) == 0.0:
-        what = f"{N} samples" if N < LEAST else f"only {x[there][0]:g}"
+    """Statistics of residuals ``x (T, runs)``, of ``w`` (x over its predicted σ), and of this σ."""
+    present = np.isfinite(x)
+    N = int(present.sum())
+    if N < LEAST or np.ptp(x[present]) == 0.0:
+        got = f"{N} samples" if N < LEAST else f"only {x[present][0]:g}"
         raise ValueError(
             f"residuals: expected at least {LEAST} samples that vary of each component, "
-            f"got {what} of {name}"
+            f"got {got} of {name}"
         )
-    sampled = there.any(1)
+    sampled = present.any(1)
     place, step = grid_index(t[sampled])
-    rms_sigma = None if sigma is None else float(np.sqrt(np.mean(sigma[there] ** 2)))
+    rms_sigma = None if sigma is None else float(np.sqrt(np.mean(sigma[present] ** 2)))
     x, w = x[sampled], w[sampled]
     lags = max(1, min(lags, N // 5, int(place[-1]) // 2))
-    # A bias over a σ that changes is not noise.
+    # A bias divided by a changing σ would look like noise.
     even = w if sigma is None else (x - np.nanmean(x)) / sigma[sampled]
     rho, pairs, shared, squares = autocorrelation(even, place, lags)
     *_, longer, _ = autocorrelation(x, place, lags)
@@ -461,8 +465,8 @@ def _component(
 def first_order(x: Array, place: Array, lags: int, level: float) -> Coloring:
     """First-order noise about a mean, from samples ``(T, runs)`` at whole ``place (T,)``.
 
-    By the exact likelihood, gaps included, restricted to what does not depend on the mean; where
-    that leaves correlation, with white noise beside it. Intervals are of the likelihood ratio.
+    By the exact likelihood, gaps included, restricted to contrasts that do not depend on the mean.
+    If correlation remains, white noise is added. Intervals are from the likelihood ratio.
 
     >>> place = np.arange(len(z))
     >>> found = celnav.analysis.diagnose.first_order(z[:, :1, 0], place, lags=5, level=0.95)
@@ -470,16 +474,17 @@ def first_order(x: Array, place: Array, lags: int, level: float) -> Coloring:
     from scipy.linalg import cholesky_banded, solve_banded
     from scipy.optimize import brentq, minimize, minimize_scalar
 
-    there = np.isfinite(x).T
-    run_of, at = np.nonzero(there)  # one run after the other
-    samples, N = x.T[there], int(there.sum())
+    present = np.isfinite(x).T
+    run_of, at = np.nonzero(present)  # one run after the other
+    samples, N = x.T[present], int(present.sum())
     first = np.diff(run_of, prepend=-1) > 0
     gap = np.where(first, 1, np.diff(place[at], prepend=0))
     before = np.where(first, 0.0, np.roll(samples, 1))
 
     def fit(v: float, logit: float = -np.inf) -> tuple[float, float, Array, float]:
-        """For ``phi = tanh v``, and white noise with that part of the variance: the cost, σ, the
-        innovations of unit variance, and σ of the mean."""
+        """For ``phi = tanh v``, and white noise with the share ``expit(logit)`` of the variance:
+        the
+        cost, σ, the innovations of unit variance, and σ of the mean."""
         a = np.where(first, 0.0, np.tanh(v) ** gap)
         scale = np.sqrt(1.0 - a * a)
         rows = np.stack([samples - a * before, 1.0 - a], -1) / scale[:, None]
@@ -494,14 +499,15 @@ def first_order(x: Array, place: Array, lags: int, level: float) -> Coloring:
             half_log_det += float(np.log(factor[0]).sum())
         left, weight = rows.T
         information = float(weight @ weight)
+        # Generalized least squares for the mean, then the restricted likelihood of what remains.
         left = left - float(weight @ left) / information * weight
         variance = float(left @ left) / (N - 1)
         cost = 0.5 * ((N - 1) * np.log(variance) + np.log(information)) + half_log_det
         return cost, np.sqrt(variance), left / np.sqrt(variance), np.sqrt(variance / information)
 
     def whiteness(innovations: Array, fitted: int) -> float:
-        rest = np.full(there.shape, np.nan)
-        rest[there] = innovations
+        rest = np.full(present.shape, np.nan)
+        rest[present] = innovations
         return _whiteness(rest.T, place, lags, fitted)
 
     tried, half = np.linspace(*REACH, 37), 0.5 * float(ndtri(0.5 + level / 2)) ** 2
@@ -512,18 +518,18 @@ def first_order(x: Array, place: Array, lags: int, level: float) -> Coloring:
     p, mixture = whiteness(innovations, 1), None
     if p < 1.0 - level:
         grid = [(v, logit) for v in np.linspace(*REACH, 10) for logit in np.linspace(*SHARE, 8)]
-        start: Any = min([(v, SHARE[0]), *grid], key=lambda each: fit(*each)[0])
-        found = minimize(  # type: ignore[call-overload]
-            lambda each: fit(*each)[0], start, method="Nelder-Mead", bounds=[REACH, SHARE]
+        start: Any = min([(v, SHARE[0]), *grid], key=lambda point: fit(*point)[0])
+        optimum = minimize(  # type: ignore[call-overload]
+            lambda point: fit(*point)[0], start, method="Nelder-Mead", bounds=[REACH, SHARE]
         )
-        cost, total, innovations, uncertainty = fit(*found.x)
-        share = float(expit(found.x[1]))
+        cost, total, innovations, uncertainty = fit(*optimum.x)
+        share = float(expit(optimum.x[1]))
         mixture = Mixture(
-            phi=float(np.tanh(found.x[0])),
+            phi=float(np.tanh(optimum.x[0])),
             sigma=float(total * np.sqrt(1.0 - share)),
             white_sigma=float(total * np.sqrt(share)),
             mean_sigma=float(uncertainty),
-            gain=max(float(least - cost), 0.0),  # it has first-order noise alone as a limit
+            gain=max(float(least - cost), 0.0),  # its limit is first-order noise alone
             p=whiteness(innovations, 2),
         )
 
@@ -546,14 +552,14 @@ def first_order(x: Array, place: Array, lags: int, level: float) -> Coloring:
 def _sensor(
     w: Array, at: Array, components: Sequence[Component], scaled: bool, level: float
 ) -> SensorConsistency:
-    """Size of the components ``at`` of a sensor, of normalized residuals ``w (T, runs, m)``."""
-    own = [components[i] for i in at]
+    """Size of the components ``at`` of a sensor, from normalized residuals ``w (T, runs, m)``."""
+    members = [components[i] for i in at]
     squares, dof = np.nansum(w[..., at] ** 2, (1, 2)), np.isfinite(w[..., at]).sum((1, 2))
-    # A sum of squares that are correlated varies as one of fewer.
+    # A sum of correlated squares varies like a sum of fewer independent ones.
     count = int(dof.sum())
-    fewer = count**2 / sum(c.samples**2 / c.effective_squares for c in own)
+    fewer = count**2 / sum(c.samples**2 / c.effective_squares for c in members)
     return SensorConsistency(
-        names=tuple(c.name for c in own),
+        names=tuple(c.name for c in members),
         nis=float(squares.sum() / count) if scaled else np.nan,
         band=chi_square_band(1.0, fewer, level),
         squares=squares,
@@ -568,16 +574,18 @@ def forgotten_wraps(
     """A sentence for each model with angles that do not wrap: their innovations jump by turns.
 
     x: ``(T, runs, m)`` of all models side by side. widths: how many components each has.
-    z: measurements, if known; those of an angle that wraps lie in [-pi, pi] or [0, 2 pi].
+    z: measurements, if known; an angle that wraps lies in [-pi, pi] or [0, 2 pi].
     """
-    parts = [part for part in (z if isinstance(z, tuple) else (z,)) if part is not None]
+    tables = [table for table in (z if isinstance(z, tuple) else (z,)) if table is not None]
     columns = [
         column
-        for part in parts
-        for column in np.moveaxis(numbers("z", part, (..., "T", "m")), -1, 0)
+        for table in tables
+        for column in np.moveaxis(numbers("z", table, (..., "T", "m")), -1, 0)
     ]
-    known: Sequence[Array | None] = columns if len(columns) == x.shape[-1] else [None] * x.shape[-1]
-    counts = [_jumps(x[..., i], column) for i, column in enumerate(known)]
+    measured: Sequence[Array | None] = (
+        columns if len(columns) == x.shape[-1] else [None] * x.shape[-1]
+    )
+    counts = [_jumps(x[..., i], column) for i, column in enumerate(measured)]
     sentences, first = [], 0
     for width in widths:
         angles = np.flatnonzero(counts[first : first + width]).tolist()
@@ -596,8 +604,8 @@ def forgotten_wraps(
 def _jumps(x: Array, z: Array | None) -> int:
     """How many innovations ``(T, runs)`` jump from near 0 to near turns; 0 if that may be chance.
 
-    Of a wrapped measurement z one is enough. Otherwise as many of the jumps must be turns as jumps
-    of any size almost never are.
+    For a wrapped measurement z one jump is enough. Otherwise so many of the jumps must be turns
+    that jumps of random size almost never are.
     """
     x = x[np.isfinite(x).any(1)]
     size = np.abs(x)
@@ -628,8 +636,8 @@ def _model(
     step: float | None,
     level: float,
 ) -> tuple[Model | None, str]:
-    """The filter for colored noise, and why there is none."""
-    from celnav.analysis.tuning import maximize_likelihood  # only a search needs what searches
+    """The filter for colored noise, or why there is none."""
+    from celnav.analysis.tuning import maximize_likelihood  # imported only for a search
 
     if filter is None:
         return None, ""
@@ -654,13 +662,13 @@ def _model(
     sensor, motion, R, m = sensors[0], filter.motion, noise @ noise.T, len(noise)
     form = next(name for name, form in FORMS.items() if form is filter.form)
     hooks = filter.hooks[0] if filter.hooks else ()
-    own, data = m if m <= EACH else 1, epochs(t, z, u)
-    # Differences of measurements lose two for each that is missing, and their noise is constant.
+    count, data = m if m <= EACH else 1, epochs(t, z, u)
+    # Differences of measurements lose two for each missing one, and need constant noise.
     through = callable(sensor.h) and callable(motion.noise)
     make: Any = augmented if gaps or through else colored
 
     def matrices(p: Array) -> tuple[Array, Array]:
-        phi, s = (np.broadcast_to(part, m) for part in (p[:own], p[own:]))
+        phi, s = (np.broadcast_to(values, m) for values in (p[:count], p[count:]))
         return np.diag(phi), R * s * s[:, None]
 
     def build(p: Array) -> tuple[Any, Any]:
@@ -675,15 +683,15 @@ def _model(
     strides = [(c.step or 1.0) / (step or c.step or 1.0) for c in components]
     first = np.array([np.nan_to_num(c.autocorrelation[0], nan=0.5) for c in components])
     first = np.clip(first, 0.05, 0.95) ** (1.0 / np.maximum(strides, 1.0))
-    start = np.concatenate([first if own == m else [first.mean()], np.ones(own)])
+    start = np.concatenate([first if count == m else [first.mean()], np.ones(count)])
     other, not_compared = np.nan, ""
-    with np.errstate(all="ignore"):  # a search goes far
+    with np.errstate(all="ignore"):  # a search tries extreme parameters
         try:
             tuned = maximize_likelihood(
-                build, start, data, domain=[(-1.0, 1.0)] * own + ["positive"] * own
+                build, start, data, domain=[(-1.0, 1.0)] * count + ["positive"] * count
             )
-            fitted, given = (
-                run(*each, data) for each in (build(tuned.parameters), (filter, prior))
+            fitted, baseline = (
+                run(*built, data) for built in (build(tuned.parameters), (filter, prior))
             )
         except (ValueError, ArithmeticError) as error:
             return None, f"the filter for colored noise could not be fitted: {error}"
@@ -693,10 +701,12 @@ def _model(
             not_compared = str(error)
     Phi, cov = matrices(tuned.parameters)
     reach = float(ndtri(0.5 + level / 2)) * np.sqrt(tuned.covariance.diagonal())
-    doubt, factor = (np.broadcast_to(part, m) for part in (reach[:own], np.exp(reach[own:])))
+    doubt, factor = (
+        np.broadcast_to(values, m) for values in (reach[:count], np.exp(reach[count:]))
+    )
     half, sigma = np.arctanh(Phi.diagonal()), np.sqrt(cov.diagonal())
-    n = given.std.shape[-1]
-    before = float(given.log_likelihood.sum())
+    n = baseline.std.shape[-1]
+    before = float(baseline.log_likelihood.sum())
     innovations = np.where(fitted.used, fitted.whitened, np.nan).reshape(len(t), -1, m)
     sampled = [np.isfinite(innovations[..., i]).any(1) for i in range(m)]
     return Model(
@@ -709,7 +719,7 @@ def _model(
         white_gain=other - before,
         not_compared=not_compared,
         predicted=fitted.std[-1, ..., :n].reshape(-1, n).mean(0),
-        white_predicted=given.std[-1].reshape(-1, n).mean(0),
+        white_predicted=baseline.std[-1].reshape(-1, n).mean(0),
         p=np.array(
             [
                 _whiteness(innovations[at, :, i], grid_index(t[at])[0], len(c.band), 1)
@@ -721,7 +731,7 @@ def _model(
 
 
 def _louder(motion: Motion, factor: float) -> Motion:
-    """A motion whose noise is a factor larger."""
+    """A motion with its noise times a factor."""
     noise: Any = motion.noise
     if callable(noise):
         return replace(motion, Q=None, sqrt_Q=lambda mean, epoch: factor * noise(mean, epoch))

@@ -1,4 +1,4 @@
-"""A diagnosis in plain words."""
+"""A diagnosis as text."""
 
 from __future__ import annotations
 
@@ -17,24 +17,28 @@ if TYPE_CHECKING:
     from celnav.analysis.diagnose import Component, Diagnosis, Model
 
 
-def page(found: Diagnosis) -> str:
+def page(diagnosis: Diagnosis) -> str:
     """A table of the components, then size, bias, whiteness, and the noise that explains it."""
-    T, t = len(found.times), found.times
-    spaced = "at irregular times" if found.step is None else f"{found.step:.6g} s apart"
-    runs = "one run" if found.runs == 1 else f"{found.runs} runs"
-    missing = found.runs * T * len(found.components) - sum(c.samples for c in found.components)
+    T, t = len(diagnosis.times), diagnosis.times
+    spaced = "at irregular times" if diagnosis.step is None else f"{diagnosis.step:.6g} s apart"
+    runs = "one run" if diagnosis.runs == 1 else f"{diagnosis.runs} runs"
+    missing = diagnosis.runs * T * len(diagnosis.components) - sum(
+        c.samples for c in diagnosis.components
+    )
     gaps = f"; {missing} components missing" if missing else ""
-    said = [("wrap", line) for line in found.wraps]
-    said += [("size", _size(k, found)) for k in range(len(found.sensors))]
-    said += [("bias", line) for line in _bias(found)] + [("white", line) for line in _white(found)]
-    if found.model is not None:
-        said += [("model", line) for line in _fitted(found.model, found)]
+    said = [("wrap", line) for line in diagnosis.wraps]
+    said += [("size", _size(k, diagnosis)) for k in range(len(diagnosis.sensors))]
+    said += [("bias", line) for line in _bias(diagnosis)] + [
+        ("white", line) for line in _white(diagnosis)
+    ]
+    if diagnosis.model is not None:
+        said += [("model", line) for line in _fitted(diagnosis.model, diagnosis)]
     else:
-        colored = [c for c in found.components if found.white(c) == "colored"]
-        said += [line for c in colored for line in _noise(c, found) if not found.wraps]
-        said += [("model", found.why)] if found.why else []
+        colored = [c for c in diagnosis.components if diagnosis.white(c) == "colored"]
+        said += [line for c in colored for line in _noise(c, diagnosis) if not diagnosis.wraps]
+        said += [("model", diagnosis.why)] if diagnosis.why else []
     head = f"{runs}, {T} epochs over {t[-1] - t[0]:.6g} s, {spaced}{gaps}"
-    return laid_out(head, _table(found), said)
+    return laid_out(head, _table(diagnosis), said)
 
 
 def laid_out(head: str, table: Sequence[Sequence[str]], said: Iterable[tuple[str, str]]) -> str:
@@ -61,12 +65,12 @@ def consistency(ratio: float, band: tuple[float, float]) -> str:
 
 def _filled(line: str) -> str:
     """Lines of at most `WIDTH`, never broken between a number and its unit."""
-    kept = re.sub(r"(?<=\d) (?=%|s\b)", "\0", line)
-    filled = textwrap.fill(kept, WIDTH, subsequent_indent=9 * " ", break_on_hyphens=False)
+    protected = re.sub(r"(?<=\d) (?=%|s\b)", "\0", line)
+    filled = textwrap.fill(protected, WIDTH, subsequent_indent=9 * " ", break_on_hyphens=False)
     return filled.replace("\0", " ")
 
 
-def _table(found: Diagnosis) -> list[list[str]]:
+def _table(diagnosis: Diagnosis) -> list[list[str]]:
     rows = [
         [
             "component",
@@ -74,15 +78,15 @@ def _table(found: Diagnosis) -> list[list[str]]:
             "rms",
             "predicted σ",
             "mean",
-            f"({100 * found.level:.3g} %)",
+            f"({100 * diagnosis.level:.3g} %)",
             "lag 1",
             "correlation at lag 1",
             "p if white",
         ]
     ]
-    for c in found.components:
+    for c in diagnosis.components:
         low, high = c.bias_interval
-        known = np.isfinite(c.band[0])
+        has_pairs = np.isfinite(c.band[0])
         rows.append(
             [
                 c.name,
@@ -92,7 +96,9 @@ def _table(found: Diagnosis) -> list[list[str]]:
                 f"{c.bias:.3g}",
                 f"{low:.3g} to {high:.3g}",
                 _lag(c),
-                f"{c.autocorrelation[0]:.3f} (white: ±{c.band[0]:.3f})" if known else "no pairs",
+                f"{c.autocorrelation[0]:.3f} (white: ±{c.band[0]:.3f})"
+                if has_pairs
+                else "no pairs",
                 _p(c.p),
             ]
         )
@@ -111,43 +117,46 @@ def _p(p: float) -> str:
     return "-" if np.isnan(p) else "< 1e-15" if p < 1e-15 else f"{p:.2g}"
 
 
-def _size(k: int, found: Diagnosis) -> str:
-    sensor = found.sensors[k]
+def _size(k: int, diagnosis: Diagnosis) -> str:
+    sensor = diagnosis.sensors[k]
     names = ", ".join(sensor.names)
     if np.isnan(sensor.nis):
         return f"{names}: no predicted σ is given, so nothing is said of the size"
     sizes = [
         f"{c.name} {np.sqrt(c.size):.3g}"
-        for c in found.components
+        for c in diagnosis.components
         if c.sensor == k and c.size is not None
     ]
-    each = f" ({', '.join(sizes)})" if len(sizes) > 1 else ""
+    detail = f" ({', '.join(sizes)})" if len(sizes) > 1 else ""
     low, high = sensor.band
     return (
-        f"{names}: {_verdict(k, found)}{each}; NIS per degree of freedom is "
+        f"{names}: {_verdict(k, diagnosis)}{detail}; NIS per degree of freedom is "
         f"{_plain(sensor.nis, 3)}, expected {low:.3g} to {high:.3g} "
-        f"({100 * found.level:.3g} %, correlation counted)"
+        f"({100 * diagnosis.level:.3g} %, correlation counted)"
     )
 
 
-def _verdict(k: int, found: Diagnosis) -> str:
+def _verdict(k: int, diagnosis: Diagnosis) -> str:
     """Small innovations that follow each other do not make a filter conservative."""
-    nis, word = found.sensors[k].nis, consistency(found.sensors[k].nis, found.sensors[k].band)
+    nis, word = (
+        diagnosis.sensors[k].nis,
+        consistency(diagnosis.sensors[k].nis, diagnosis.sensors[k].band),
+    )
     if word == "consistent":
         return "as large as predicted"
-    white = all(found.white(c) != "colored" for c in found.components if c.sensor == k)
+    white = all(diagnosis.white(c) != "colored" for c in diagnosis.components if c.sensor == k)
     named = f"{word}, " if white or word == "overconfident" else ""
     return f"{named}{_plain(np.sqrt(nis), 3)} times as large as predicted"
 
 
-def _bias(found: Diagnosis) -> list[str]:
-    unbiased = ", ".join(c.name for c in found.components if not found.biased(c))
+def _bias(diagnosis: Diagnosis) -> list[str]:
+    unbiased = ", ".join(c.name for c in diagnosis.components if not diagnosis.biased(c))
     lines = [
         f"{c.name}: {c.bias:.3g} ({c.bias_interval[0]:.3g} to {c.bias_interval[1]:.3g}), "
         f"{abs(c.bias) / c.rms:.0%} of its rms; its {c.samples} samples count as {c.effective:.0f} "
         "independent ones"
-        for c in found.components
-        if found.biased(c)
+        for c in diagnosis.components
+        if diagnosis.biased(c)
     ]
     return lines + ([f"{unbiased}: none detected"] if unbiased else [])
 
@@ -159,11 +168,12 @@ ANSWERS = {
 }
 
 
-def _white(found: Diagnosis) -> list[str]:
+def _white(diagnosis: Diagnosis) -> list[str]:
     order = [*ANSWERS, "unknown"]
     lines = []
     for verdict, c in sorted(
-        ((found.white(c), c) for c in found.components), key=lambda pair: order.index(pair[0])
+        ((diagnosis.white(c), c) for c in diagnosis.components),
+        key=lambda pair: order.index(pair[0]),
     ):
         lags = int(np.isfinite(c.band).sum())
         if verdict == "unknown":
@@ -182,30 +192,31 @@ def _white(found: Diagnosis) -> list[str]:
     return lines
 
 
-def _noise(c: Component, found: Diagnosis) -> list[tuple[str, str]]:
-    """First-order noise, with white noise beside it where that is needed, and what follows."""
-    fit, percent = c.coloring, f"{100 * found.level:.3g} %"
+def _noise(c: Component, diagnosis: Diagnosis) -> list[tuple[str, str]]:
+    """First-order noise, with white noise beside it if needed, and the consequences."""
+    fit, percent = c.coloring, f"{100 * diagnosis.level:.3g} %"
     assert fit is not None
     (low, high), (least, most) = fit.phi_interval, fit.sigma_interval
     time = ""
     if c.step is not None and 0.0 < fit.phi < 1.0:
         time = f", a correlation time of {-c.step / np.log(fit.phi):.3g} s"
-    innovations = c.size is not None and c.predicted is None  # which are not the noise itself
+    innovations = c.size is not None and c.predicted is None  # not the noise itself
     size = "" if innovations else f", σ = {fit.sigma:.4g} ({least:.4g} to {most:.4g})"
     of = "of its innovations " if innovations else ""
     lines = [
         f"Phi {of}from sample to sample = {fit.phi:.3f} ({low:.3f} to {high:.3f}, {percent})"
         f"{time}{size}"
     ]
-    accepted, mixture = fit.p >= found.doubt, fit.mixture
+    accepted, mixture = fit.p >= diagnosis.doubt, fit.mixture
     lines.append(f"first-order noise is {_judged(fit.p, accepted)}")
     if not accepted and mixture is not None:
         lines.append(
-            f"with white noise beside it, it is {_judged(mixture.p, mixture.p >= found.doubt)}; "
+            "with white noise beside it, it is "
+            f"{_judged(mixture.p, mixture.p >= diagnosis.doubt)}; "
             f"the log-likelihood grows by {_plain(mixture.gain, 4)}"
         )
     said = [("noise", f"{c.name}: {line}") for line in lines]
-    return said if innovations else [*said, ("model", f"{c.name}: {_advice(c, found)}")]
+    return said if innovations else [*said, ("model", f"{c.name}: {_advice(c, diagnosis)}")]
 
 
 def _judged(p: float, accepted: bool) -> str:
@@ -213,18 +224,18 @@ def _judged(p: float, accepted: bool) -> str:
     return f"{verdict}: its innovations {are} white (p {_p(p)})"
 
 
-def _advice(c: Component, found: Diagnosis) -> str:
+def _advice(c: Component, diagnosis: Diagnosis) -> str:
     fit = c.coloring
     assert fit is not None
     white = f"white noise {fit.sigma / np.sqrt(c.samples):.3g}"
-    spaced = "" if c.step == found.step or c.step is None else f", an epoch each {c.step:.4g} s"
+    spaced = "" if c.step == diagnosis.step or c.step is None else f", an epoch each {c.step:.4g} s"
     filter = f"celnav.colored(motion, sensor, Phi=[[{fit.phi:.3f}]])"
     filter = f"{filter} with R=[[{fit.sigma**2:.4g}]]{spaced}"
     mean = f"for the mean of these samples it predicts σ = {fit.mean_sigma:.3g}"
-    if fit.p >= found.doubt:
+    if fit.p >= diagnosis.doubt:
         return f"suggested: {filter}; {mean}, {white}"
     mixture = fit.mixture
-    if mixture is not None and mixture.p >= found.doubt:
+    if mixture is not None and mixture.p >= diagnosis.doubt:
         driving = mixture.sigma**2 * (1.0 - mixture.phi**2)
         return (
             f"suggested: a state V' = {mixture.phi:.3f} V + zeta{spaced}, zeta of variance "
@@ -238,8 +249,8 @@ def _advice(c: Component, found: Diagnosis) -> str:
     )
 
 
-def _fitted(model: Model, found: Diagnosis) -> list[str]:
-    """The filter fitted to the track's data, and how far it is to be believed."""
+def _fitted(model: Model, diagnosis: Diagnosis) -> list[str]:
+    """The filter fitted to the track's data, and how reliable it is."""
     phi, R = ", ".join(f"{x:.3f}" for x in model.Phi.diagonal()), model.R
     diagonal = np.array_equal(R, np.diag(R.diagonal()))
     noise = (
@@ -248,13 +259,13 @@ def _fitted(model: Model, found: Diagnosis) -> list[str]:
         else f"np.array({[[float(f'{x:.4g}') for x in row] for row in R]})"
     )
     after, before = (
-        ", ".join(f"{x:.3g}" for x in part) for part in (model.predicted, model.white_predicted)
+        ", ".join(f"{x:.3g}" for x in values) for values in (model.predicted, model.white_predicted)
     )
     ends = [
-        ", ".join(f"{a:.4g} to {b:.4g}" for a, b in part)
-        for part in (model.phi_interval, model.sigma_interval)
+        ", ".join(f"{a:.4g} to {b:.4g}" for a, b in values)
+        for values in (model.phi_interval, model.sigma_interval)
     ]
-    rest = not (model.p < found.doubt).any()
+    rest = not (model.p < diagnosis.doubt).any()
     suggested = model.is_color and rest and model.converged
     grows = f"the log-likelihood grows by {_plain(model.gain, 4)} with it"
     if np.isnan(model.white_gain):
@@ -270,7 +281,7 @@ def _fitted(model: Model, found: Diagnosis) -> list[str]:
         f"{'suggested' if suggested else 'fitted, not suggested'}: "
         f"celnav.{model.name}(motion, sensor, Phi=np.diag([{phi}])) with R={noise}; at the end it "
         f"predicts σ = {after}, the given filter {before}",
-        f"Phi lies in {ends[0]}, σ of its noise in {ends[1]} ({100 * found.level:.3g} %)",
+        f"Phi lies in {ends[0]}, σ of its noise in {ends[1]} ({100 * diagnosis.level:.3g} %)",
         compared,
         f"its innovations are {'white' if rest else 'still not white'} "
         f"(p {', '.join(map(_p, model.p))})",

@@ -1,5 +1,5 @@
-"""How good, and how honest, an estimate is: RMSE with intervals, and bands in which a consistent
-filter stays.
+"""Accuracy and consistency of an estimate: RMSE with intervals, and the bands of a consistent
+filter.
 """
 
 from __future__ import annotations
@@ -28,8 +28,9 @@ def ratio(a: ArrayLike, b: ArrayLike) -> float:
 
 
 def rmse(error: ArrayLike, axis: int = 1) -> Array:
-    """Root mean square over the runs; errors are ``(T, runs, n)`` unless ``axis`` says
-    otherwise."""
+    """Root mean square over the runs; errors are ``(T, runs, n)`` unless ``axis`` is another
+    one.
+    """
     array, axis = _runs(error, axis)
     return np.asarray(np.sqrt(np.mean(np.square(array), axis=axis)))
 
@@ -48,8 +49,8 @@ def chi_square_band(dof: float, runs: float, level: float = 0.95) -> tuple[float
     """Band, its two ends, in which the mean over ``runs`` of a chi-square variable of ``dof`` lies
     with probability ``level``.
 
-    For the NEES of a consistent filter ``dof`` is the dimension of the state, for the NIS that of
-    the measurement.
+    For the NEES of a consistent filter ``dof`` is the dimension of the state, for the NIS the
+    dimension of the measurement.
 
     >>> celnav.analysis.metrics.chi_square_band(3, 100)  # mean NIS, 3 components, 100 runs
     (2.539..., 3.498...)
@@ -70,14 +71,14 @@ def bootstrap(
     """Expanded percentile interval, its two ends, of ``statistic(*samples)``: the runs of all
     samples are resampled together.
 
-    Each sample has its runs first, at least two. The same runs are drawn for all of them, so ratios
-    of paired quantities keep what they gain from common noise. The interval is widened about the
-    value as Student's t asks for few runs [Hesterberg2015]; that of a positive statistic of samples
-    that are not negative, such as an RMSE, in the logarithm.
+    Each sample has its runs first, at least two. The same runs are drawn for all samples, so ratios
+    of paired quantities benefit from common noise. The interval is widened about the value by
+    Student's t for few runs [Hesterberg2015]; for a positive statistic of non-negative samples,
+    such as an RMSE, in the logarithm.
 
-    block: how many that follow one another are drawn together, in a circle [Politis1992]: for
-        samples that are epochs of one run instead of runs. Several times as long as errors are
-        correlated; the samples must be many blocks long.
+    block: number of consecutive samples that are drawn together, in a circle [Politis1992]: for
+        samples that are epochs of one run instead of runs. It should be several times the
+        correlation length of the errors; the samples must be many blocks long.
 
     >>> low, high = bootstrap(ratio, squares_of_one_filter, squares_of_another)
     """
@@ -101,21 +102,21 @@ def bootstrap(
     drawn: Iterable[Array] = starts
     if block > 1:
         drawn = (((start[:, None] + np.arange(block)) % runs).ravel()[:runs] for start in starts)
-    found = [statistic(*(array[rows] for array in arrays)) for rows in drawn]
-    values = numbers("statistic", found, (resamples,))
+    statistics = [statistic(*(array[rows] for array in arrays)) for rows in drawn]
+    values = numbers("statistic", statistics, (resamples,))
     upper = 0.5 + level / 2
     low, high = np.quantile(values, [0.5 - level / 2, upper])
     wider = float(
         np.sqrt(blocks / (blocks - 1)) * special.stdtrit(blocks - 1, upper) / special.ndtri(upper)
     )
-    # What is made of squares and is positive stays so: it is widened by a factor.
+    # A positive statistic of squares stays positive: it is widened by a factor.
     if value > 0.0 and low >= 0.0 and all((array >= 0.0).all() for array in arrays):
         return value * float(low / value) ** wider, value * float(high / value) ** wider
     return value + wider * float(low - value), value + wider * float(high - value)
 
 
 def _runs(error: ArrayLike, axis: int) -> tuple[Array, int]:
-    """Errors, nan where a run is lost, and their axis of runs, of which there must be some."""
+    """Errors, nan where a run has failed, and their axis of runs, with at least one run."""
     array = numbers("error", error)
     if (
         array.shape not in ((), (0,))
@@ -126,7 +127,7 @@ def _runs(error: ArrayLike, axis: int) -> tuple[Array, int]:
 
 
 def _samples(name: str, values: ArrayLike) -> Array:
-    """At least one number; nan is handed on."""
+    """At least one number; nan is passed on."""
     array = numbers(name, values)
     if not array.size:
         raise ValueError(f"{name}: expected at least one number, got {values!r:.80}")

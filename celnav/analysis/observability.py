@@ -1,9 +1,9 @@
-"""Observability of nonlinear systems, also along a track, degrees of it, and what they suggest for
-the weights of a sparse grid.
+"""Observability of nonlinear systems, also along a track, degrees of observability, and the weights
+of a sparse grid that they suggest.
 
-Functions take points ``(p, n)`` to ``(p, m)``; where a batch of states is given, ``(p, ..., n)`` to
-``(p, ..., m)``. Derivatives are taken by complex step, exact to round-off: where they are,
-functions must accept complex points (numpy's own do; `abs`, comparisons and `arctan2` do not).
+Functions take points ``(p, n)`` to ``(p, m)``; for a batch of states, ``(p, ..., n)`` to
+``(p, ..., m)``. Derivatives are taken by complex step, exact to round-off. For them functions must
+accept complex points (numpy's own do; `abs`, comparisons and `arctan2` do not).
 """
 
 from __future__ import annotations
@@ -73,11 +73,11 @@ def lie_gradients(
     ``(order + 1, m, n)`` [Hermann1977].
 
     They are the derivatives with respect to time of ``h`` along the flow of ``f``, differentiated
-    by the start: flow and gradient are computed at Chebyshev nodes of ``[-window, window]`` s, and
-    a polynomial through them is differentiated. The system is observable at ``x`` where the rows
-    together have rank n. At an equilibrium they are ``H A^k``.
+    with respect to the start: flow and gradient are computed at Chebyshev nodes of
+    ``[-window, window]`` s, and a polynomial through them is differentiated. The system is
+    observable at ``x`` if the rows together have rank n. At an equilibrium they are ``H A^k``.
 
-    f: rate of the state, of time itself independent. h: measurement. x: ``(n,)``.
+    f: rate of the state, independent of time. h: measurement. x: ``(n,)``.
     window: half the time, s, over which flow and measurement are smooth; k-th derivatives lose
         ``window^-k`` of their digits.
 
@@ -113,8 +113,8 @@ def lie_gradients(
 
 
 def _flow(f: Function, x: Array, times: Array) -> list[Array]:
-    """States at ``times``, which go away from 0, by Runge-Kutta steps so short that their error is
-    near round-off.
+    """States at ``times``, which go away from 0, by Runge-Kutta steps short enough that their error
+    is near round-off.
     """
     out, now = [], 0.0
     longest = np.abs(times[-1]) / 300.0
@@ -134,7 +134,7 @@ def _flow(f: Function, x: Array, times: Array) -> list[Array]:
 
 def information_degree(P0: ArrayLike, F: ArrayLike, H: ArrayLike, R: ArrayLike) -> Array:
     """Prior over posterior standard deviation ``(n,)`` after a window of K epochs without process
-    noise: 1 is not observed.
+    noise: 1 is unobserved.
 
     P0: ``(n, n)``. F: ``(K - 1, n, n)``, transitions between the epochs. H: ``(K, m, n)``. R:
     ``(m, m)`` or ``(K, m, m)``.
@@ -171,9 +171,9 @@ def nonlinearity_weights(
     """Weights of a sparse grid by nonlinearity: 1 for the states that enter the functions
     nonlinearly, ``coarse`` for the rest.
 
-    A state counts as nonlinear if an output bends along it: if the second difference over one
-    standard deviation exceeds ``tolerance`` of the output's whole first difference. States that
-    only multiply such a one do not count: given it, the functions are linear in them.
+    A state counts as nonlinear if the second difference of an output over one standard deviation
+    exceeds ``tolerance`` of the output's whole first difference. States that only multiply a
+    nonlinear one do not count: given it, the functions are linear in them.
 
     functions: of real points, such as the step and the measurement. mean, std: ``(n,)`` of the
         belief.
@@ -184,7 +184,7 @@ def nonlinearity_weights(
     sigma = _positive("std", std, center.shape)
     tolerance, coarse = number("tolerance", tolerance, 0.0), integer("coarse", coarse)
     functions, steps = sequence("functions", functions, "[f, h]", least=1), np.diag(sigma)
-    # Not only about the mean: what bends elsewhere within a standard deviation counts, too.
+    # Also about other points: a function may bend elsewhere within a standard deviation.
     centers = center + sigma * np.random.default_rng(0).uniform(-1.0, 1.0, (4, len(center)))
     bends = np.zeros(len(center), bool)
     for function in functions:
@@ -203,15 +203,15 @@ def nonlinearity_weights(
 def nonlinearity_degree(
     function: Function, mean: ArrayLike, std: ArrayLike, scale: ArrayLike
 ) -> Array:
-    """Degrees of nonlinearity ``(..., n)``: how far a function bends over one deviation of a state,
-    in units of a scale.
+    """Degrees of nonlinearity ``(..., n)``: how far a function bends over one standard deviation of
+    a state, in units of a scale.
 
     The largest second difference of an output along each axis. Unlike `nonlinearity_weights` it
-    asks whether that matters: what bends by less than the noise of a measurement needs no points,
-        however nonlinear it is.
+    measures whether that matters: a bend below the noise of a measurement needs no points, however
+    nonlinear the function is.
 
-    mean, std: ``(..., n)`` of the beliefs. scale: ``(..., m)``, such as the deviations of the
-        measurement's noise.
+    mean, std: ``(..., n)`` of the beliefs. scale: ``(..., m)``, such as the standard deviations of
+        the measurement's noise.
 
     >>> mean, sigma = [1.0, 1.0], [0.1, 1.0]
     >>> celnav.analysis.observability.nonlinearity_degree(lambda x: x**2, mean, sigma, [0.1, 0.1])
@@ -229,19 +229,19 @@ def nonlinearity_degree(
 
 
 def _positive(name: str, value: ArrayLike, shape: tuple[Any, ...]) -> Array:
-    found = finite(name, value, shape)
-    if (found <= 0.0).any():
+    values = finite(name, value, shape)
+    if (values <= 0.0).any():
         raise ValueError(f"{name}: expected positive numbers, got {value!r:.80}")
-    return found
+    return values
 
 
 def observability_matrix(A: ArrayLike, H: ArrayLike, order: int) -> Array:
     """``H A^k``, k = 0 to ``order``, one below the other: ``((order + 1) m, n)`` of a linear system
     with any batch in front.
 
-    Along a track it is that of each of its pieces, where `jacobian` linearizes; those of all pieces
-    so far, one below the other, are what has become observable if the state stays as it is
-    ("stripped" of the transitions between them) [Goshen1992].
+    Along a track it belongs to each segment, linearized with `jacobian`. The matrices of all
+    segments so far, one below the other, show what has become observable if the state stays
+    constant ("stripped" of the transitions between them) [Goshen1992].
 
     A: ``(..., n, n)``, 1/s. H: ``(..., m, n)``.
 
@@ -260,10 +260,10 @@ def state_singular_values(matrix: ArrayLike, cov: ArrayLike | None = None) -> Ar
     """Singular values ``(..., n)`` of observability matrices ``(..., rows, n)``, one for each
     state.
 
-    Over that of a reference state they are its degrees of observability [Liang2014, Eq. 15]. A
-    state gets the value whose right vector has its largest component there; 0 if nothing is seen of
-    that vector. ``cov (..., n, n)``: of the initial state, which then weighs the vectors by how
-    much it has of them, in the mean square. All depends on the units of the states, which
+    Divided by the values of a reference state they are its degrees of observability [Liang2014,
+    Eq. 15]. A state gets the value whose right vector has its largest component there; 0 if that
+    vector is unobservable. ``cov (..., n, n)``: of the initial state; the vectors are then weighted
+    by its root mean square component along them. The result depends on the units of the states;
     `information_degree` does not.
 
     >>> celnav.analysis.observability.state_singular_values([[2.0, 0.0], [0.0, 0.5]])
@@ -276,10 +276,10 @@ def state_singular_values(matrix: ArrayLike, cov: ArrayLike | None = None) -> Ar
     size = np.abs(Vt)
     if cov is not None:
         size *= np.sqrt(np.square(Vt @ symmetric(cov, "cov", n)[1]).sum(-1))[..., None]
-    seen, which = np.broadcast_arrays(
+    observed, which = np.broadcast_arrays(
         np.where(values < 1e-12 * values[..., :1], 0.0, values), size.argmax(-2)
     )
-    return np.asarray(np.take_along_axis(seen, which, -1))
+    return np.asarray(np.take_along_axis(observed, which, -1))
 
 
 def threshold_weights(degree: ArrayLike, threshold: float) -> tuple[int, ...]:
@@ -295,19 +295,19 @@ def threshold_weights(degree: ArrayLike, threshold: float) -> tuple[int, ...]:
 
 
 def hysteresis(degree: ArrayLike, threshold: float, before: ArrayLike, band: float = 1.1) -> Array:
-    """Which degrees ``(..., n)`` are above a threshold: within a factor ``band`` of it they stay as
+    """Which degrees ``(..., n)`` are above a threshold; within a factor ``band`` of it they stay as
     ``before (..., n)``.
 
     >>> celnav.analysis.observability.hysteresis([9.6, 5.2, 5.2], 5.0, before=[0, 0, 1])
     array([ True, False,  True])
     """
-    found, limit, factor = (
+    degrees, limit, factor = (
         finite("degree", degree, (..., "n")),
         number("threshold", threshold),
         number("band", band, 1.0),
     )
     return np.where(
-        finite("before", before, (..., found.shape[-1])) > 0.0,
-        found > limit / factor,
-        found > limit * factor,
+        finite("before", before, (..., degrees.shape[-1])) > 0.0,
+        degrees > limit / factor,
+        degrees > limit * factor,
     )

@@ -1,5 +1,5 @@
-"""Noise tuning by the likelihood of the innovations [Schweppe1965]: the parameters under which the
-data are most probable.
+"""Noise tuning by the likelihood of the innovations [Schweppe1965]: the parameters that make the
+data most probable.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ Build = Callable[[Array], tuple[Filter, Gaussian]]
 Domain = str | tuple[float, float]
 DOMAINS = {"positive": (0.0, np.inf), "unit interval": (0.0, 1.0)}
 STEP = 2e-3  # of differences, in logarithms
-WIDE = 3e-3  # of differences of the fourth order, part of each parameter
-FLIGHTS = 20  # that a search takes, about, for each parameter twice and once more
-# what the last step of the search has gained of the log-likelihood when Newton's method takes over
+WIDE = 3e-3  # of fourth-order differences, relative to each parameter
+FLIGHTS = 20  # runs of a search, about, for each parameter twice and once more
+# gain in log-likelihood of the last step of the search at which Newton's method takes over
 ROUGH = 1e-3
 STEPS = 4  # of Newton's method, at most
 
@@ -46,20 +46,20 @@ STEPS = 4  # of Newton's method, at most
 class Tuned(NamedTuple):
     """The maximum of a likelihood.
 
-    parameters: ``(d,)`` where the likelihood is largest. log_likelihood: there, of all runs
+    parameters: ``(d,)`` at the maximum of the likelihood. log_likelihood: there, of all runs
         together.
-    standard_errors: ``(d,)`` of the parameters, by the curvature; inf where ``converged`` is False
-        for want of one.
+    standard_errors: ``(d,)`` of the parameters, from the curvature; inf if ``converged`` is False
+        because there is no curvature.
     covariance: ``(d, d)`` of the parameters' *logarithms* (in an interval, of
         ``log((p - low) / (high - p))``): an interval of a positive parameter is
         ``parameters * exp(+-2 sqrt(diagonal))``.
-    evaluations: parameters that were tried, those for gradient and curvature included.
+    evaluations: parameters that were tried, including those for gradient and curvature.
     converged: whether the parameters are an inner maximum of the likelihood.
-    message: what the optimizer said, or why there is no such maximum.
-    failures: how many of the parameters tried made no filter, or one that failed; they count as
+    message: the optimizer's message, or why there is no such maximum.
+    failures: how many of the parameters tried gave no filter, or one that failed; they count as
         improbable.
-    engine: "compiled" where one flight gave likelihood and gradient, "numpy" where differences did;
-        with "auto" also why.
+    engine: "compiled" if one run gave likelihood and gradient, "numpy" if differences did; with
+        "auto" also why.
     """
 
     parameters: Array
@@ -74,7 +74,7 @@ class Tuned(NamedTuple):
 
 
 class LikelihoodGradient(NamedTuple):
-    """The log-likelihood ``value (...)`` of each run, and its ``gradient (..., d)``. engine: as of
+    """The log-likelihood ``value (...)`` of each run, and its ``gradient (..., d)``. engine: as in
     `Tuned`.
     """
 
@@ -88,12 +88,12 @@ def likelihood_gradient(
 ) -> LikelihoodGradient:
     """The log-likelihood ``(...)`` of each run, and its derivatives ``(..., d)`` by parameters.
 
-    build: ``parameters (d,) -> (filter, prior)``; it is called beside the parameters too, up to a
-        hundredth of each away.
+    build: ``parameters (d,) -> (filter, prior)``; it is also called at neighboring parameters, up
+        to a hundredth of each away.
     parameters: ``(d,)``. epochs: the data.
-    engine: "compiled": one flight gives both, exactly, where the parameters are in matrices of the
-        filter or in the prior; "numpy": by differences of flights, to some seven digits; "auto":
-        compiled where that can be.
+    engine: "compiled": one run gives both, exactly, if the parameters are in matrices of the filter
+        or in the prior; "numpy": by differences of runs, to some seven digits; "auto": compiled if
+        possible.
 
     >>> value, gradient, engine = likelihood_gradient(build, [0.1, 0.5], epochs)
     """
@@ -113,11 +113,11 @@ def likelihood_gradient(
                 raise
             why = f": {error}"
     steps = WIDE * np.diag(lengths)
-    each = [
+    slopes = [
         fourth_order([_flight(build, x + j * step, data) for j in (-2, -1, 1, 2)], WIDE)
         for step in steps
     ]
-    return LikelihoodGradient(here, np.stack(each, -1) / lengths, f"numpy{why}")
+    return LikelihoodGradient(here, np.stack(slopes, -1) / lengths, f"numpy{why}")
 
 
 def maximize_likelihood(
@@ -134,23 +134,23 @@ def maximize_likelihood(
     """`Tuned`: parameters, such as deviations and correlations, that maximize
     ``Track.log_likelihood``, summed over the runs.
 
-    The search is on logarithms, so parameters may be of any size. Parameters at which ``build`` or
-    the filter fails count as improbable. For example, of a deviation and a correlation::
+    The search uses logarithms, so parameters may be of any size. Parameters at which ``build`` or
+    the filter fails count as improbable. For example, for a standard deviation and a correlation::
 
         maximize_likelihood(build, [0.1, 0.5], epochs, domain=["positive", "unit interval"])
 
     build: ``parameters (d,) -> (filter, prior)``.
     start: ``(d,)``, within the domain, where the filter works.
     epochs: the data; the same for all parameters.
-    domain: what parameters can be, one for all or one for each: "positive", "unit interval" (0 to
+    domain: range of the parameters, one for all or one for each: "positive", "unit interval" (0 to
         1) or ``(low, high)``.
     factor: the search stays within ``start / factor`` and ``start * factor``; in an interval, of
         the distances to its ends.
-    tolerance: how much of the log-likelihood may be left to gain; a parameter one standard error
-        off loses 0.5.
+    tolerance: log-likelihood that may be left to gain; a parameter one standard error off loses
+    0.5.
     max_iterations: of the optimizer.
-    engine: as of `likelihood_gradient`; "auto" is "numpy" also where compiling would take longer
-        than it saves.
+    engine: as in `likelihood_gradient`; "auto" is "numpy" also if compiling would take longer than
+        it saves.
 
     >>> domain = ["positive", "unit interval"]
     >>> tuned = celnav.analysis.tuning.maximize_likelihood(build, [0.1, 0.5], epochs, domain=domain)
@@ -172,7 +172,7 @@ def maximize_likelihood(
         len(x0),
         choice("engine", engine, ENGINES),
     )
-    found = minimize(
+    optimum = minimize(
         likelihood.cost,
         np.zeros(len(x0)),
         jac=True,
@@ -184,9 +184,8 @@ def maximize_likelihood(
             "ftol": ROUGH / max(1.0, abs(likelihood.first)),
         },
     )
-    s = (
-        found.x if found.success else likelihood.best()
-    )  # beside failures a line search may give up what it has found
+    # Near failures a line search may discard the best point that it has tried.
+    s = optimum.x if optimum.success else likelihood.best()
     for left in range(STEPS, -1, -1):
         covariance, why = np.full((len(x0), len(x0)), np.inf), ""
         at_end, curvature = np.abs(s) > 0.999 * reach, likelihood.curvature(s)
@@ -197,6 +196,7 @@ def maximize_likelihood(
         if not np.isfinite(curvature).all():
             why = "the filter fails beside the most probable parameters: they lie at an edge"
             break
+        # The covariance of the logarithms is minus the inverse of the curvature.
         eigenvalues, vectors = np.linalg.eigh(curvature)
         if eigenvalues[-1] >= 0.0:
             i = int(np.argmax(np.abs(vectors[:, -1])))
@@ -209,12 +209,12 @@ def maximize_likelihood(
             why = (
                 ""
                 if gain <= tolerance
-                else f"{gain:.3g} of the log-likelihood is left to gain; {found.message}"
+                else f"{gain:.3g} of the log-likelihood is left to gain; {optimum.message}"
             )
             break
         s = ahead
     errors = scale.slope(s) * np.sqrt(covariance.diagonal())
-    tried, converged = list(likelihood.known.values()), bool(found.success) and not why
+    tried, converged = list(likelihood.known.values()), bool(optimum.success) and not why
     failures = int(np.isnan(tried).sum())
     return Tuned(
         scale(s),
@@ -223,14 +223,14 @@ def maximize_likelihood(
         covariance,
         len(tried),
         converged,
-        why or found.message,
+        why or optimum.message,
         failures,
         likelihood.engine,
     )
 
 
 def _data(epochs: Iterable[Epoch]) -> Sequence[Epoch]:
-    """Epochs that have measurements."""
+    """Epochs, at least one of them with measurements."""
     data = (
         epochs
         if isinstance(epochs, Epochs)
@@ -253,62 +253,64 @@ def _flight(build: Build, parameters: Array, epochs: Sequence[Epoch]) -> Array:
     return run(*_built(build, parameters), epochs, keep="nothing", engine="numpy").log_likelihood
 
 
-def _checked(compiled: Gradient, x: Array, lengths: Array, known: Array) -> tuple[Array, Array]:
-    """What a compiled flight gives, if the value is the numpy engine's, and differences of values
-    are as the gradient says.
+def _checked(compiled: Gradient, x: Array, lengths: Array, reference: Array) -> tuple[Array, Array]:
+    """The results of a compiled run, if the value equals the numpy engine's ``reference`` and
+    differences of values agree with the gradient.
     """
     value, gradient = compiled(x, lengths)
     above, below = (compiled(x + step * lengths, lengths)[0].sum() for step in (STEP, -STEP))
-    rise, each = (above - below) / (2.0 * STEP), gradient.reshape(-1, len(x)).sum(0) * lengths
-    size = np.abs(known).sum()
-    if not (np.abs(value - known) <= 1e-6 * (1.0 + np.abs(known))).all():
+    rise, slopes = (above - below) / (2.0 * STEP), gradient.reshape(-1, len(x)).sum(0) * lengths
+    size = np.abs(reference).sum()
+    if not (np.abs(value - reference) <= 1e-6 * (1.0 + np.abs(reference))).all():
         raise CannotCompile(
             "the model gives other values when it is recorded: it looks at what it is given"
         )
-    if not np.abs(rise - each.sum()) <= 1e-3 * np.abs(each).sum() + 1e-5 * (1.0 + size):
+    if not np.abs(rise - slopes.sum()) <= 1e-3 * np.abs(slopes).sum() + 1e-5 * (1.0 + size):
         raise CannotCompile("the likelihood is not smooth in the parameters")
     return value, gradient
 
 
 def _measured(epoch: Any) -> bool:
     z = getattr(epoch, "z", None)
-    parts = z if isinstance(z, tuple) else (z,)
-    return any(part is not None and bool(np.isfinite(numbers("z", part)).any()) for part in parts)
+    samples = z if isinstance(z, tuple) else (z,)
+    return any(
+        sample is not None and bool(np.isfinite(numbers("z", sample)).any()) for sample in samples
+    )
 
 
 class _Scale:
-    """Logarithms ``(d,)``, relative to the start, to parameters: of the distance to the ends of
-    their domain.
+    """From logarithms ``(d,)``, relative to the start, to parameters; the logarithms are of the
+    distances to the ends of the domain.
     """
 
     def __init__(self, domain: Domain | Sequence[Domain], start: Array):
         alone = isinstance(domain, str) or (
             isinstance(domain, tuple) and not isinstance(domain[0], str | tuple | list)
         )
-        each: Any = (
+        domains: Any = (
             [domain] * len(start)
             if alone
             else sequence("domain", domain, "['positive', (0.0, 1.0)]")
         )
-        if len(each) != len(start):
+        if len(domains) != len(start):
             raise ValueError(
                 f"domain: expected one for all or {len(start)}, one for each parameter, got "
-                f"{len(each)}"
+                f"{len(domains)}"
             )
-        pairs = [DOMAINS.get(one) if isinstance(one, str) else one for one in each]
-        for i, (one, pair) in enumerate(zip(each, pairs, strict=True)):
+        pairs = [DOMAINS.get(spec) if isinstance(spec, str) else spec for spec in domains]
+        for i, (spec, pair) in enumerate(zip(domains, pairs, strict=True)):
             if (
                 not isinstance(pair, tuple | list)
                 or len(pair) != 2
                 or not -np.inf < numbers("domain", pair)[0] < pair[1]
             ):
                 raise ValueError(
-                    f"domain: expected 'positive', 'unit interval' or (low, high), got {one!r}"
+                    f"domain: expected 'positive', 'unit interval' or (low, high), got {spec!r}"
                 )
             if not pair[0] < start[i] < pair[1]:
                 interval = f"parameter {i} between {pair[0]:g} and {pair[1]:g}"
                 raise ValueError(
-                    f"start: expected {'positive parameters' if one == 'positive' else interval}, "
+                    f"start: expected {'positive parameters' if spec == 'positive' else interval}, "
                     f"got {start[i]:g}"
                 )
         self._low, self._high = low, high = np.array(pairs, np.float64).T
@@ -367,10 +369,8 @@ class _Likelihood:
                 if np.isfinite(value).all() and np.isfinite(gradient).all():
                     self.slopes[key] = gradient.reshape(-1, len(s)).sum(0)
                     return float(value.sum())
-            except (
-                ValueError,
-                ArithmeticError,
-            ):  # the numpy engine decides whether there is no filter, or only no gradient
+            except (ValueError, ArithmeticError):
+                # The numpy engine decides whether there is no filter, or only no gradient.
                 pass
         return float(_flight(self._build, self._scale(s), self._epochs).sum())
 
@@ -378,21 +378,21 @@ class _Likelihood:
         key = tuple(s.tolist())
         if key not in self.known:
             try:
-                found = self._flown(s, key)
+                value = self._flown(s, key)
             except (ValueError, ArithmeticError):
-                found = np.nan
-            self.known[key] = found if np.isfinite(found) else np.nan
+                value = np.nan
+            self.known[key] = value if np.isfinite(value) else np.nan
         return self.known[key]
 
     def exact(self, s: Array) -> Array | None:
-        """First derivatives ``(d,)`` by the compiled step, None where it gives none."""
+        """First derivatives ``(d,)`` from the compiled step, None if it has none."""
         self(s)
         return self.slopes.get(tuple(s.tolist()))
 
     def best(self) -> Array:
-        """The most probable of what was tried ``(d,)``."""
+        """The most probable of the parameters tried ``(d,)``."""
         return np.array(
-            max((found, s) for s, found in self.known.items() if not np.isnan(found))[1]
+            max((value, s) for s, value in self.known.items() if not np.isnan(value))[1]
         )
 
     def _beside(self, s: Array) -> tuple[Array, Array]:
@@ -403,18 +403,21 @@ class _Likelihood:
         )
 
     def gradient(self, s: Array) -> Array:
-        """First derivatives ``(d,)``; by differences those of the side where the filter works, 0
-        where it does on none.
+        """First derivatives ``(d,)``; as differences on the side where the filter works, 0 if it
+        works on neither.
         """
-        if (found := self.exact(s)) is not None:
-            return found
+        if (exact := self.exact(s)) is not None:
+            return exact
         above, below = self._beside(s)
-        one, other = above - self(s), self(s) - below
-        mean = 0.5 * (np.where(np.isnan(one), other, one) + np.where(np.isnan(other), one, other))
+        forward, backward = above - self(s), self(s) - below
+        mean = 0.5 * (
+            np.where(np.isnan(forward), backward, forward)
+            + np.where(np.isnan(backward), forward, backward)
+        )
         return np.nan_to_num(mean / STEP)
 
     def _differences(self, s: Array) -> Array | None:
-        """Of exact gradients ``(d, d)``, None where one is missing."""
+        """Differences of exact gradients ``(d, d)``, None if one is missing."""
         rows = []
         for axis in STEP * np.eye(len(s)):
             above, below = (
@@ -426,8 +429,8 @@ class _Likelihood:
         return np.array(rows)
 
     def cost(self, s: Array) -> tuple[float, Array]:
-        """What an optimizer minimizes, and its gradient."""
-        if np.isnan(self(s)):  # finite, so that a line search turns back, and worse the further out
+        """The function that an optimizer minimizes, and its gradient."""
+        if np.isnan(self(s)):  # finite, increasing outward, so that a line search turns back
             depth = 1e3 + abs(self.first)
             return depth * (1.0 + float(s @ s)) - self.first, 2.0 * depth * s
         return -self(s), -self.gradient(s)

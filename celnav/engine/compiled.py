@@ -1,7 +1,8 @@
 """A filter as machine code: `celnav.compiled`, and what ``celnav.run`` does with
 ``engine="compiled"`` or ``"cuda"``.
 
-Runs that are lost are flown again by the numpy engine, which is the reference and knows why.
+Runs that fail are run again by the numpy engine, which is the reference and can explain the
+failure.
 """
 
 from __future__ import annotations
@@ -46,36 +47,36 @@ from celnav.tape.tape import MOST, CannotCompile, place_of
 
 __all__ = ["Compiled", "compiled"]
 
-# operations of a step, the most that engine="auto" compiles, in some five seconds, and a device
-# takes
+# operations of a step: the most that engine="auto" compiles, in some five seconds, and that a
+# device runs
 WORTH = 50_000
 # Constants of engine="auto" in CPU seconds, measured for 1 to 30 states with AVX2 and AVX-512:
 STEP_S = 5e-4  # of a numpy step, for models like those of the five studies
 OPERATION_S = 1.2e-9  # of an operation of it in each run
 MAKE_S = 6e-5  # of recording and compiling an operation: 4e-5 to 1e-4
-RECORDS = 2  # steps that a usual flight records: with an interval and without
+RECORDS = 2  # steps that a usual run records: with an interval and without
 # Estimated operations of a step, times n^2 and times m^2, before the step is recorded:
 EXPECTED = 100, 20
 # of an operation's time, where models are matrices: numpy computes one covariance for all runs
 SHARED = 0.02
-MOST_KEPT = 16  # filters whose machine code is found again
-SPARED = 65_536  # steps of runs by kept machine code, after which all sentinels are compared again
+MOST_KEPT = 16  # filters whose machine code is stored
+SPARED = 65_536  # steps of runs by stored machine code until all sentinels are compared again
 SPAN = 4096  # steps, the most between two comparisons with numpy
-MORE = 4  # by which that interval grows each time
-CHECKED = 3  # epochs of some runs that numpy takes before a step is recorded
+MORE = 4  # factor by which that interval grows each time
+CHECKED = 3  # epochs of some runs that numpy runs before a step is recorded
 OTHER = "the model gives other values when it is recorded"
 LOOKS = "it depends on more than the numbers that it is given; engine='numpy' runs it as it is"
 Stepped = tuple[Any, tuple[Info, ...]]
 
 
 class Compiled:
-    """A filter as machine code; what `celnav.compiled` makes.
+    """A filter as machine code; `celnav.compiled` makes it.
 
-    The recorded steps are kept. Some of them are compared with numpy's, for some of the runs: at
-    epochs spread over the whole of the first run and of long ones; of short ones at one epoch, at
-    first of each, at last of one in 4,096 steps. They are recorded again where what the models hold
-    has changed, such as a global number. A model that changes what it holds whenever it is called
-    cannot be compiled.
+    The recorded steps are stored. For some of the runs, some steps are compared with numpy's: in
+    the first run and in long ones at epochs spread over the whole run; in short ones at one epoch,
+    at first in each run, finally once in 4,096 steps. Steps are recorded again if the contents of
+    the models have changed, such as a global number. A model that changes its own contents whenever
+    it is called cannot be compiled.
 
     >>> fast = celnav.compiled(celnav.ukf(motion, gps), jobs=2)
     >>> track = fast.run(prior, times, z)
@@ -85,10 +86,10 @@ class Compiled:
         # most: operations of a step, or a function of the number of kinds of epochs.
         self.filter, self.jobs, self.engine, self.most = filter, jobs, engine, most
         self._kept, self._watch = Kept(), Watch(None)
-        self._left = 0  # steps of all runs until numpy takes all sentinels again
-        self._next, self._interval = 0, 1  # steps of all runs until it takes one of them
+        self._left = 0  # steps of all runs until numpy repeats all sentinels
+        self._next, self._interval = 0, 1  # steps of all runs until numpy repeats one sentinel
         self._flights = 0
-        self._own, self._lock = local(), Lock()  # plans of steps, of each thread
+        self._own, self._lock = local(), Lock()  # plans of steps, per thread
 
     def __repr__(self) -> str:
         return f"Compiled({self.filter!r})"
@@ -105,20 +106,20 @@ class Compiled:
 
     @property
     def recorded(self) -> bool:
-        """Whether some step was, and compiled."""
+        """Whether a step has been recorded and compiled."""
         return bool(self._kept.code)
 
     def adopt(self, other: Compiled) -> Compiled:
-        """Itself, with what was recorded of another filter whose models hold the same.
+        """This filter, with the records of another filter whose models have equal contents.
 
         Its first run compares all sentinels with this filter's own steps by numpy.
         """
         self._kept, self._watch = other._kept.shared(), Watch(self.filter)
         return self
 
-    def holds(self, known: dict[str, Any]) -> bool:
-        """Whether the models held just this when they were recorded."""
-        return self.recorded and not changed(self._watch.holds, known)
+    def holds(self, contents: dict[str, Any]) -> bool:
+        """Whether the contents of the models were the same when they were recorded."""
+        return self.recorded and not changed(self._watch.holds, contents)
 
     def __reduce__(self) -> Any:  # addresses of machine code are of this process
         return Compiled, (self.filter, self.jobs, self.engine, self.most)
@@ -134,7 +135,7 @@ class Compiled:
         keep: str | Collection[str] = "std",
         on_failure: str = "raise",
     ) -> Track:
-        """The track, as `celnav.run` gives it with these arguments."""
+        """The track, as `celnav.run` returns it with these arguments."""
         choice("on_failure", on_failure, ("raise", "flag"))
         every = integer("every", every)
         epochs = as_epochs(times, z, u)
@@ -154,13 +155,13 @@ class Compiled:
             data = as_data(self.filter, epochs)
             count = CHECKED
             engine, flight = self._flown(prior, data, epochs, keep, every)
-        known: Any = ()
+        track_epochs: Any = ()
         if "cov" in keep and every == 1 and isinstance(epochs, Epochs):
-            known = epochs.unmeasured()
+            track_epochs = epochs.unmeasured()
         elif "cov" in keep:
             stored = islice(epochs, 0, None, every)
-            known = tuple(epoch._replace(z=None, truth=None) for epoch in stored)
-        about = {"epochs": known, "filter": self.filter, "engine": self.engine}
+            track_epochs = tuple(epoch._replace(z=None, truth=None) for epoch in stored)
+        about = {"epochs": track_epochs, "filter": self.filter, "engine": self.engine}
         track = _track(engine, data, flight, every, about)
         lost = np.flatnonzero(track.failed_at.ravel() >= 0)
         if not len(lost):
@@ -168,8 +169,8 @@ class Compiled:
         return self._rerun_failed(track, engine, prior, data, lost, **options)
 
     def _recording(self, by_numpy: Callable[[], Any]) -> AbstractContextManager[None]:
-        """Where steps may be recorded; what was recorded of models that have changed since is
-        forgotten.
+        """A context for recording steps; records of models whose contents have changed are
+        dropped.
         """
         if self._kept and self._watch.is_still():
             return recording(self._watch.holds, by_numpy, lambda: None)
@@ -181,18 +182,20 @@ class Compiled:
     def _flown(
         self, prior: Any, data: Data, epochs: Any, keep: Collection[str], every: int
     ) -> tuple[Engine, CompiledRun]:
-        """The flight, after numpy has taken the same steps at some epochs, or `CannotCompile`."""
+        """Run the filter after numpy has run the first epochs; `CannotCompile` if a step
+        differs.
+        """
         fresh, first = not self._kept, not self._flights
         on = device() if self.engine == "cuda" else None
         engine = self._engine(prior, data)
         count = engine.runs
-        # On a device those of one chunk, which alone is taken through its epochs in pieces.
+        # On a device only runs of the first chunk, which alone is run in pieces.
         watched = sorted({0, count // 2, count - 1}) if on is None else list(range(min(count, 3)))
-        if fresh or first:  # numpy goes first: what models keep of their first call is of floats
+        if fresh or first:  # numpy first: what models store at their first call must be floats
             few = _of(self.filter, prior, data, engine.batch, watched, CHECKED)
             try:
                 run(*few, on_failure="flag", engine="numpy")
-            except Exception:  # it may hold arrays of all runs
+            except Exception:  # a model may hold arrays of all runs
                 run(self.filter, prior, epochs[:CHECKED], on_failure="flag", engine="numpy")
             self._watch = Watch(self.filter)
         steps = count * len(data.k)
@@ -207,9 +210,9 @@ class Compiled:
         flight = run_compiled(engine, prior, data, names, every, self.jobs, on, watched, number)
         why = next(
             (
-                f"step {int(data.k[one.at])}: {name}"
-                for one in flight.sentinels
-                if (name := difference(self.filter, engine, data, one, watched))
+                f"step {int(data.k[sentinel.at])}: {name}"
+                for sentinel in flight.sentinels
+                if (name := difference(self.filter, engine, data, sentinel, watched))
             ),
             "",
         )
@@ -220,19 +223,19 @@ class Compiled:
                 self._left = SPARED
             return engine, flight
         self._kept = Kept()
-        if not fresh:  # what was recorded then may not hold now
+        if not fresh:  # the stored records may be outdated
             return self._flown(prior, data, epochs, keep, every)
         raise _remembers(self._watch.holds, path) if path else _otherwise(self._watch.holds, why)
 
     def _engine(self, prior: Any, data: Data) -> Engine:
-        """What records and compiles steps for such priors and epochs."""
+        """The engine that records and compiles steps for such priors and epochs."""
         key, engines = signature(prior, data), self._kept.engines
         if key not in engines:
             for oldest in [*engines][: 1 - MOST_KEPT]:
                 engines.pop(oldest, None)
             rolled = self.engine != "cuda"
             engines[key] = Engine(self.filter, prior, data, self._kept, rolled=rolled)
-        engine = copy(engines[key])  # of this flight
+        engine = copy(engines[key])  # for this run
         engine.most = self.limit(len(data.known))
         return engine
 
@@ -249,27 +252,27 @@ class Compiled:
         """State after an epoch, and an `Info` of each sensor with an equal part of the likelihood.
 
         The first step of a kind is recorded and compiled. It is compared with numpy's, and so are
-        the fourth after it, the 16th, and so on, at last each 4096th; where what the models hold
-        has changed, at once. Runs that are lost in a step are taken through it by numpy.
+        the fourth after it, the 16th, and so on, finally each 4096th; immediately, if the contents
+        of the models have changed. If a run fails in a step, numpy repeats the step.
 
         >>> fast = celnav.compiled(filter)
         >>> state, infos = fast.step(fast.start(prior), celnav.Epoch(t=0.0, z=z[0]))
         """
-        if state.belief[0].dtype.hasobject:  # recorded itself, as a part of another filter
+        if state.belief[0].dtype.hasobject:  # it is being recorded, as a part of another filter
             return self.filter.step(state, epoch)  # type: ignore[no-any-return]
         plans = self._own.__dict__
         key, numbers = plan_key(state, epoch)
         plan: Plan = plans.get(key) or self._planned(key, state, epoch)
-        found = plan.step(state, epoch, numbers)
-        if found is None:
+        result = plan.step(state, epoch, numbers)
+        if result is None:
             return self.filter.step(state, epoch)  # type: ignore[no-any-return]
         plan.left -= 1
         if plan.left < 0 or not plan.watch.is_still():
-            found = self._compared(plan, state, epoch, found)
-        return found
+            result = self._compared(plan, state, epoch, result)
+        return result
 
     def _planned(self, key: Any, state: Any, epoch: Epoch) -> Plan:
-        """A plan for steps of a signature, of this thread."""
+        """A plan for steps of a signature, for this thread."""
         with self._lock:
             holds = model_contents(self.filter)
             undo, again = restorer(self.filter), lambda: self.filter.step(state, epoch)
@@ -279,18 +282,18 @@ class Compiled:
         self._own.__dict__[key] = plan
         return plan
 
-    def _compared(self, plan: Plan, state: Any, epoch: Epoch, found: Stepped) -> Stepped:
-        """What a step has found, if numpy finds it too; taken anew where what models hold has
+    def _compared(self, plan: Plan, state: Any, epoch: Epoch, result: Stepped) -> Stepped:
+        """The result of a step if numpy agrees; computed again if the contents of the models have
         changed.
         """
         if changed(plan.watch.holds, model_contents(self.filter)):
             self._own.__dict__.clear()
             return self.step(state, epoch)
         *tally, failed = np.moveaxis(plan.tally, -1, 0)
-        if (failed >= 0.0).any():  # a run that is lost has no numbers to compare
-            return found
+        if (failed >= 0.0).any():  # a run that has failed has no numbers to compare
+            return result
         try:
-            name = different_quantity(self.filter, state, epoch, found[0], tally)
+            name = different_quantity(self.filter, state, epoch, result[0], tally)
             why = f"step {epoch.k}: another {name}" if name else ""
         except Exception as error:
             why = f"step {epoch.k}: numpy raises {type(error).__name__}: {error}"
@@ -298,11 +301,11 @@ class Compiled:
         if path or why:
             self._own.__dict__.clear()
             raise _remembers(plan.watch.holds, path) if path else _otherwise(plan.watch.holds, why)
-        if not plan.watch.is_still():  # equal values under other names
+        if not plan.watch.is_still():  # equal values in other objects
             plan.watch = Watch(self.filter)
         plan.interval = min(MORE * plan.interval, SPAN)
         plan.left = plan.interval - 1
-        return found
+        return result
 
     def _rerun_failed(
         self,
@@ -315,14 +318,14 @@ class Compiled:
         on_failure: str,
         **options: Any,
     ) -> Track:
-        """The track, with the runs that were lost flown by the numpy engine."""
-        filter, own, epochs = _of(self.filter, prior, data, engine.batch, lost)
+        """The track, with the failed runs run again by the numpy engine."""
+        filter, run_prior, epochs = _of(self.filter, prior, data, engine.batch, lost)
         if not engine.batch:
             return replace(
-                run(filter, own, epochs, on_failure=on_failure, engine="numpy", **options),
+                run(filter, run_prior, epochs, on_failure=on_failure, engine="numpy", **options),
                 engine=self.engine,
             )
-        again = run(filter, own, epochs, on_failure="flag", engine="numpy", **options)
+        again = run(filter, run_prior, epochs, on_failure="flag", engine="numpy", **options)
         still = np.flatnonzero(again.failed_at >= 0)
         if len(still) and on_failure == "raise":
             first = lost[still[np.argmin(again.failed_at[still])]]
@@ -339,12 +342,12 @@ class Compiled:
         if track.belief is not None and again.belief is not None:
             n = track.belief[1].shape[-1]
             track.belief[1].reshape(len(track.times), -1, n, n)[:, lost] = again.belief[1]
-        for mine, theirs in (
+        for values, rerun_values in (
             (track.failed_at, again.failed_at),
             (track.log_likelihood, again.log_likelihood),
             *((track.events[name], again.events[name]) for name in track.events),
         ):
-            mine.reshape(-1)[lost] = theirs
+            values.reshape(-1)[lost] = rerun_values
         return track
 
 
@@ -352,10 +355,10 @@ class Compiled:
 def recording(
     holds: dict[str, Any], by_numpy: Callable[[], Any], restore: Callable[[], None]
 ) -> Iterator[None]:
-    """What goes wrong in a recording is raised as numpy does, or else as `CannotCompile`.
+    """Raise an error of a recording as numpy raises it, or else as `CannotCompile`.
 
-    holds: what the models hold. restore: what undoes whatever the recording made of that, so that
-    numpy finds what the recording found.
+    holds: the contents of the models. restore: a function that undoes the recording's changes to
+    them, so that numpy starts from the same contents.
     """
     try:
         yield
@@ -368,7 +371,7 @@ def recording(
         raise
     except Exception as error:
         restore()
-        by_numpy()  # what is wrong there too
+        by_numpy()  # raises the error, if numpy fails too
         restore()
         frames = reversed(traceback.extract_tb(error.__traceback__))
         place = place_of([(frame.filename, frame.lineno or 0) for frame in frames])
@@ -382,7 +385,7 @@ def recording(
 
 
 def _remembers(holds: dict[str, Any], path: str) -> CannotCompile:
-    """The error of a model that changes what it holds, at a path."""
+    """The error for a model that changes its own contents, at a path."""
     return CannotCompile(
         f"the model has a memory: {path} changes when it is called; put what changes with "
         f"time into the input u, or use engine='numpy'{functions_of(holds, path)}"
@@ -390,14 +393,14 @@ def _remembers(holds: dict[str, Any], path: str) -> CannotCompile:
 
 
 def _otherwise(holds: dict[str, Any], why: str) -> CannotCompile:
-    """The error of a model that is not what was recorded."""
+    """The error for a model that differs from its record."""
     return CannotCompile(f"{OTHER} ({why}): {LOOKS}{functions_of(holds)}")
 
 
 def _track(
     engine: Engine, data: Data, flight: CompiledRun, every: int, about: dict[str, Any]
 ) -> Track:
-    """The record of a flight."""
+    """The track of a run."""
     rows = {name: x.reshape(len(x), *engine.batch, x.shape[-1]) for name, x in flight.rows.items()}
     sensors = [i for i, m in enumerate(engine.innovations) if m]
 
@@ -416,11 +419,11 @@ def _track(
     silent = sum(
         int(count) * m
         for count, kind in zip(often, data.known, strict=True)
-        for m, what in zip(engine.innovations, kind.z, strict=True)
-        if what == NONE
+        for m, status in zip(engine.innovations, kind.z, strict=True)
+        if status == NONE
     )
-    seen = [[rows[name] for name in rows if name.endswith(f"/{i}")] for i in sensors]
-    widths = tuple(some[0].shape[-1] for some in seen if some)
+    sensor_rows = [[rows[name] for name in rows if name.endswith(f"/{i}")] for i in sensors]
+    widths = tuple(columns[0].shape[-1] for columns in sensor_rows if columns)
     return Track(
         times=data.t[::every].copy(),
         mean=rows.get("mean"),  # type: ignore[arg-type]
@@ -445,19 +448,19 @@ def _track(
 def _of(
     filter: Any, prior: Any, data: Data, batch: tuple[int, ...], runs: Any, count: int | None = None
 ) -> tuple[Any, Any, Any]:
-    """Filter, prior and the first epochs, None: all, of some runs, numbered over all axes of a
-    batch, or of one run alone.
+    """Filter, prior and the first ``count`` epochs (None: all) of some runs, numbered over all
+    batch axes, or of one run.
     """
 
-    part = partial(part_of, batch=batch, runs=runs)
-    # What all runs share stays one: where a covariance is singular its root depends on how it is
+    select = partial(part_of, batch=batch, runs=runs)
+    # What all runs share stays shared: the root of a singular covariance depends on how it is
     # computed.
-    mean = prior.mean if prior.mean.ndim == 1 else part(prior.mean, 1)
+    mean = prior.mean if prior.mean.ndim == 1 else select(prior.mean, 1)
     form = Covariance if isinstance(prior, Covariance) else SquareRoot
     spread = form.of(prior)[1]
-    some = form(mean, spread if spread.ndim == 2 else part(spread, 2))
-    epochs = [epoch_of(data, i, part, batch) for i in range(len(data.kinds))[:count]]
-    return map_run_constants(filter, lambda x: part(x, 2)), some, epochs
+    run_prior = form(mean, spread if spread.ndim == 2 else select(spread, 2))
+    epochs = [epoch_of(data, i, select, batch) for i in range(len(data.kinds))[:count]]
+    return map_run_constants(filter, lambda x: select(x, 2)), run_prior, epochs
 
 
 def compiled(filter: Any, *, jobs: int = 1, engine: str = "compiled") -> Compiled:
@@ -465,8 +468,9 @@ def compiled(filter: Any, *, jobs: int = 1, engine: str = "compiled") -> Compile
     ``.venv/bin/pip install -c constraints.txt -e ".[compiled]"``.
 
     filter: of `celnav.ukf` and its siblings, `celnav.colored`, `augmented`, `two_stage`, `imm`. Its
-        models are recorded as they are: arithmetic, and numpy's functions of it. What asks for the
-        value of a number, an ``if`` or a ``float(x)``, cannot be: `CannotCompile` says which line.
+        models are recorded unchanged: arithmetic, and numpy's functions of it. Code that needs the
+        value of a number, an ``if`` or a ``float(x)``, cannot be recorded: `CannotCompile` names
+        the line.
     jobs: threads. The bytes of the result do not depend on them.
     engine: "compiled" for this processor; "cuda" for an NVIDIA device (compute capability 7.0 or
         higher), with a run in each of its threads, while ``jobs`` arrange and copy. RuntimeError
@@ -479,11 +483,11 @@ def compiled(filter: Any, *, jobs: int = 1, engine: str = "compiled") -> Compile
 
 
 def resolve_engine(engine: str, filter: Any, jobs: int, prior: Any, epochs: Any) -> Compiled:
-    """A filter by an engine; of "auto" `CannotCompile` where numpy takes less time. What is
-    compiled stays.
+    """A filter with an engine; "auto" raises `CannotCompile` if numpy takes less time. Compiled
+    code is stored.
 
-    A filter that flies again and again is compiled once its flights together repay that. A device
-    is taken only where that is asked for.
+    A filter that runs repeatedly is compiled once its runs together repay the compilation. A device
+    is used only on request.
     """
     if isinstance(filter, Compiled):
         return filter
@@ -491,9 +495,9 @@ def resolve_engine(engine: str, filter: Any, jobs: int, prior: Any, epochs: Any)
         return _kept(filter, engine, jobs, MOST if engine == "compiled" else WORTH)
     if find_spec("llvmlite") is None:
         raise CannotCompile("llvmlite is not installed")
-    found = _KEPT.get((id(filter), "compiled", jobs))
-    if found is not None and found.recorded:
-        return found
+    previous = _KEPT.get((id(filter), "compiled", jobs))
+    if previous is not None and previous.recorded:
+        return previous
     if not (hasattr(prior, "mean") and hasattr(prior, "cov")):
         raise CannotCompile("the prior has no mean and covariance")
     steps, (runs, measured) = len(epochs), _sizes(prior, epochs)
@@ -514,11 +518,11 @@ _WORK: WeakKeyDictionary[Any, Array] = WeakKeyDictionary()
 
 
 def _added(filter: Any, work: Array) -> Array:
-    """The work of all runs of a filter until now, this one included; as much again is expected."""
+    """The work of all runs of a filter so far, this one included; as much again is expected."""
     try:
         total: Array = _WORK.get(filter, 0.0) + work
         _WORK[filter] = total
-    except TypeError:  # it cannot be found again
+    except TypeError:  # this filter cannot be a key
         return work
     return total
 
@@ -540,7 +544,7 @@ def _sizes(prior: Any, epochs: Any) -> tuple[int, int]:
     try:
         parts = (shape[:-1] for shape in shapes)
         runs = math.prod(np.broadcast_shapes(np.shape(prior.mean)[:-1], *parts))
-    except ValueError:  # the engine says what does not go together
+    except ValueError:  # the engine will name the axes that do not broadcast
         runs = 1
     return runs, sum(shape[-1] for shape in shapes if shape)
 
@@ -553,25 +557,27 @@ def _by_matrices(filter: Any) -> bool:
 
 
 def _equal(filter: Any, engine: str) -> Compiled | None:
-    """The last filter whose models hold the same, such as that of an earlier unit of work."""
-    alike = [x for x in _KEPT.values() if x.engine == engine and type(x.filter) is type(filter)]
-    holds = model_contents(filter) if alike else {}
-    return next((other for other in reversed(alike) if other.holds(holds)), None)
+    """The last filter whose models have equal contents, such as that of an earlier unit of work."""
+    candidates = [
+        x for x in _KEPT.values() if x.engine == engine and type(x.filter) is type(filter)
+    ]
+    holds = model_contents(filter) if candidates else {}
+    return next((other for other in reversed(candidates) if other.holds(holds)), None)
 
 
 def _kept(filter: Any, engine: str, jobs: int, most: int | Callable[[int], int]) -> Compiled:
-    """The filter as machine code, with what was recorded of the same object or of an equal one.
+    """The filter as machine code, with the records of the same object or of an equal one.
 
-    Only what was recorded is taken over: whether a flight is compiled must not depend on others.
+    Only records are shared: whether a run is compiled must not depend on other filters.
     """
     with _KEPT_LOCK:
-        found = _KEPT.pop((id(filter), engine, jobs), None)
-        made: Compiled = found or compiled(filter, jobs=jobs, engine=engine)
+        previous = _KEPT.pop((id(filter), engine, jobs), None)
+        made: Compiled = previous or compiled(filter, jobs=jobs, engine=engine)
         if isinstance(most, int) or not made.recorded:
             made.most = most
         if not made.recorded and (other := _equal(filter, engine)) is not None:
             made.adopt(other)
-        _KEPT[id(filter), engine, made.jobs] = made  # the last one that was used stands last
+        _KEPT[id(filter), engine, made.jobs] = made  # the last used stands last
         while len(_KEPT) > MOST_KEPT:
             del _KEPT[next(iter(_KEPT))]
     return made
@@ -579,11 +585,11 @@ def _kept(filter: Any, engine: str, jobs: int, most: int | Callable[[int], int])
 
 _KEPT_LOCK = Lock()
 _KEPT: dict[tuple[int, str, int], Compiled] = {}
-"""Filters by their addresses, which hold as long as the filters stand here."""
+"""Filters by their addresses, which stay valid while the filters stand here."""
 
 
 def _listed(filter: Any, prior: Any, epochs: Any) -> Epochs | list[Epoch]:
-    """Epochs that can be gone through twice; what is none is told as the numpy engine does."""
+    """Epochs that can be iterated twice; for other objects numpy's error is raised."""
     if (
         not isinstance(epochs, Epochs)
         and not hasattr(epochs, "__iter__")
@@ -603,8 +609,8 @@ def run_by(
     reduce: Any,
     **options: Any,
 ) -> Track:
-    """`celnav.run` with an engine that is "compiled" or "cuda", or "auto": compiled, and numpy
-    where that cannot be.
+    """`celnav.run` with engine "compiled", "cuda" or "auto": the last uses numpy if the filter
+    cannot be compiled.
     """
     by_numpy: Callable[..., Track] = partial(
         run, also=also, reduce=reduce, engine="numpy", **options
@@ -623,15 +629,15 @@ def run_by(
     except (CannotCompile, ImportError) as error:
         if engine != "auto":
             raise
-        own = filter.filter if isinstance(filter, Compiled) else filter
-        return replace(by_numpy(own, prior, epochs), engine=f"numpy: {error}")
+        inner = filter.filter if isinstance(filter, Compiled) else filter
+        return replace(by_numpy(inner, prior, epochs), engine=f"numpy: {error}")
 
 
 def steps_by(
     engine: str, filter: Any, prior: Any, epochs: Iterable[Epoch]
 ) -> Iterable[tuple[Epoch, State, tuple[Info, ...]]]:
-    """`celnav.steps` likewise; by numpy too where a run is lost, since why is to be told. An `Info`
-    is of all sensors together.
+    """`celnav.steps` likewise; by numpy too if a run fails, so that the failure is explained. An
+    `Info` covers all sensors together.
     """
     epochs = _listed(filter, prior, epochs)
     try:

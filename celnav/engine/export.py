@@ -37,16 +37,16 @@ def export_c(
 
     filter: as for `celnav.compiled`. path: of the file. prior: of one run; it becomes
         ``<name>_start``.
-    u: an example of the input, where the models take one. m: length of each measurement, where the
-        sensors' R does not say it.
-    dt: length of every interval, s; None: it is an argument of ``<name>_step``. name: what the
-        functions' names begin with.
+    u: an example of the input, if the models use one. m: length of each measurement, if the
+        sensors' R does not give it.
+    dt: length of every interval, s; None: it is an argument of ``<name>_step``. name: prefix of the
+        functions' names.
 
     The functions are ``<name>_start(state)``, ``<name>_first(state, in, z, out)`` for a measurement
-    at the time of the prior, and ``<name>_step(state, in, z, out)`` for the end of an interval;
-    sizes and orders stand at the head of the file. A component of ``z`` that is nan was not
-    measured. A state of nan is a run that is lost. ValueError names an argument that is not as it
-    should be, `CannotCompile` the line of a model that cannot be recorded.
+    at the time of the prior, and ``<name>_step(state, in, z, out)`` for the end of an interval. The
+    head of the file lists sizes and orders. A component of ``z`` that is nan was not measured. A
+    state of nan is a run that has failed. ValueError names an invalid argument, `CannotCompile` the
+    line of a model that cannot be recorded.
 
     >>> celnav.export_c(celnav.ukf(motion, gps), "filter.c", celnav.Gaussian(x0, P0), dt=1.0)
     """
@@ -58,13 +58,15 @@ def export_c(
             f"prior: expected that of one run, a mean (N,), got {np.shape(prior.mean)}"
         )
     every = None if dt is None else number("dt", dt, above=0.0)
-    own = sensors(filter)
+    z_sensors = sensors(filter)
     widths = (
-        [sensor.m for sensor in own] if m is None else list(integers("m", m, 1, count=len(own)))
+        [sensor.m for sensor in z_sensors]
+        if m is None
+        else list(integers("m", m, 1, count=len(z_sensors)))
     )
     if None in widths:
         raise ValueError(
-            f"m: expected the length of each of {len(own)} measurements, which R does not say"
+            f"m: expected the length of each of {len(z_sensors)} measurements, which R does not say"
         )
     z = tuple(np.zeros(int(width or 0)) for width in widths)
     data = as_data(
@@ -73,15 +75,15 @@ def export_c(
     engine = Engine(filter, prior, data, rolled=False)
     names = engine.keeping(KEEP["std"])
     engine.dt = every
-    inputs = {shape: engine.inputs(found, 2) for shape, found in data.u.items()}
-    part = (PART,) * len(own)
+    inputs = {shape: engine.inputs(group, 2) for shape, group in data.u.items()}
+    kinds = (PART,) * len(z_sensors)
     before, moving = (
-        EpochKind(False, part, data.known[data.kinds[0]].u),
-        EpochKind(True, part, data.known[data.kinds[1]].u),
+        EpochKind(False, kinds, data.known[data.kinds[0]].u),
+        EpochKind(True, kinds, data.known[data.kinds[1]].u),
     )
     first = engine.record(engine.begin, before, inputs[before.u])
     step = engine.record(first.after, moving, inputs[moving.u])
-    if step.after != first.after:  # what may be missing is known after a step only
+    if step.after != first.after:  # which entries may be nan is known only after a step
         step = engine.record(step.after, moving, inputs[moving.u])
         if [shape for shape, *_ in step.after.arrays] != [
             shape for shape, *_ in first.after.arrays
@@ -102,7 +104,7 @@ def export_c(
     text = [
         _head(name, engine, first.after, every),
         "#include <math.h>\n",
-        *(f"#define {name.upper()}_{what} {number}" for what, number in sizes.items()),
+        *(f"#define {name.upper()}_{label} {number}" for label, number in sizes.items()),
         f"\nvoid {name}_start(double *state)\n{{",
         *(f"    state[{i}] = {x.hex()};" for i, x in enumerate(start.tolist())),
         *(f"    state[{i}] = 0.0;" for i in range(len(start), size)),
@@ -124,17 +126,17 @@ def export_c(
 
 
 def _head(name: str, engine: Engine, after: Shape, dt: float | None) -> str:
-    """What the file is, and where each number stands."""
+    """The comment at the head of the file: the meaning and position of each number."""
     lines = [f"A navigation filter in C99, recorded from celnav: {engine.filter!r}.", ""]
     lines.append(f"state[{name.upper()}_STATE], to be kept from call to call:")
-    lines += [f"  {at}: {what}" for at, what in enumerate(COUNTERS)]
+    lines += [f"  {at}: {counter}" for at, counter in enumerate(COUNTERS)]
     at = engine.held
-    for shape, what, _ in after.arrays:
-        size = len(entries(shape, what))
+    for shape, role, _ in after.arrays:
+        size = len(entries(shape, role))
         kind = {"belief": "mean", "lower": "root of the covariance", "symmetric": "covariance"}.get(
-            what, "memory"
+            role, "memory"
         )
-        order = ", lower triangle by rows" if what in ("lower", "symmetric") else ""
+        order = ", lower triangle by rows" if role in ("lower", "symmetric") else ""
         lines.append(f"  {at} to {at + size - 1}: {kind} {'x'.join(map(str, shape))}{order}")
         at += size
     interval = (
@@ -150,8 +152,8 @@ def _head(name: str, engine: Engine, after: Shape, dt: float | None) -> str:
         f"out[{name.upper()}_OUT]:",
     ]
     at = 0
-    for what in engine.keeping(KEEP["std"]):
-        size = engine.columns()[what]
-        lines.append(f"  {at} to {at + size - 1}: {what}")
+    for column in engine.keeping(KEEP["std"]):
+        size = engine.columns()[column]
+        lines.append(f"  {at} to {at + size - 1}: {column}")
         at += size
     return "\n".join(["/*", *(f" * {line}".rstrip() for line in lines), " */"])

@@ -1,9 +1,9 @@
-"""The log-likelihood of data and its gradient by parameters of a filter, from one flight of the
-compiled step.
+"""The log-likelihood of data and its gradient with respect to parameters of a filter, from one run
+of the compiled step.
 
 The arrays of a filter that depend on the parameters, and its prior, are numbers of the state before
-the first epoch; their derivatives come of differences, which cost no flight. From there on the step
-carries them by the chain rule.
+the first epoch. Their derivatives are differences, which need no run. From there on the step
+propagates them by the chain rule.
 """
 
 from __future__ import annotations
@@ -36,25 +36,24 @@ from celnav.tape.kernel import digest
 from celnav.tape.tape import CannotCompile
 
 STEP = 1e-3
-"""Of the differences of arrays, of fourth order: round-off and what they leave out are below 1e-12.
-"""
-SMOOTH = 1e-3  # of the largest derivative, that differences of two steps may be apart
+"""Step of the fourth-order differences of arrays: round-off and truncation are below 1e-12."""
+SMOOTH = 1e-3  # largest difference of two steps' derivatives, relative to the largest derivative
 COMPILE_S, CALL_S, OPERATION_S = 3e-4, 3e-4, 1.4e-9
-"""What compiling takes for an operation of a step, and numpy for a step and for an operation of it
-in one run; about, s.
+"""About how long compiling takes per operation of a step, and numpy per step and per operation of
+it in one run; s.
 """
 Build = Callable[[Array], tuple[Any, Any]]
 
 
 class Gradient:
-    """Log-likelihood and gradient as a function of parameters, of a filter and prior that
+    """Log-likelihood and gradient as functions of parameters, for a filter and prior that
     ``build (d,)`` makes of them.
 
-    What was compiled is kept. At other parameters the step is recorded again and must be the same,
+    Compiled code is stored. At other parameters the step is recorded again and must be the same,
     operation by operation, unless the models are known to be the same functions of the same
     numbers.
 
-    flights: how many flights of the numpy engine one of these is to stand for; what takes longer to
+    flights: how many runs of the numpy engine one evaluation replaces; a step that takes longer to
         compile is refused.
     """
 
@@ -66,12 +65,12 @@ class Gradient:
         self.first: Any = None
 
     def __call__(self, x: Array, lengths: Array) -> tuple[Array, Array]:
-        """Value ``(...)`` of each run, nan where it is lost, and gradient ``(..., d)``.
+        """Value ``(...)`` of each run, nan if it fails, and gradient ``(..., d)``.
 
-        lengths: ``(d,)``, over which the arrays of a filter are smooth; their differences take
-            thousandths. `CannotCompile` says
-        why there is no gradient: a model that cannot be recorded, or that knows the parameters
-        otherwise than by matrices of the filter. ImportError says that there is no compiler.
+        lengths: ``(d,)``, over which the arrays of a filter are smooth; their differences use
+            thousandths of them. `CannotCompile` says why there is no gradient: a model that cannot
+            be recorded, or that depends on the parameters otherwise than by matrices of the filter.
+            ImportError says that there is no compiler.
         """
         built, beside = (
             self.build(x),
@@ -82,7 +81,7 @@ class Gradient:
         )
         held = _varying([built[0], *(filter for four in beside for filter, _ in four)])
         data = as_data(built[0], self.epochs)
-        starts = [[_start(one, held, data) for one in four] for four in beside]
+        starts = [[_start(variant, held, data) for variant in four] for four in beside]
         other, _ = self.build(x + STEP * lengths * np.linspace(0.5, 1.0, len(x)))
         engine, twin = (
             _WithGradient((_lifted(filter, held), built[1]), data, self.kept)
@@ -94,13 +93,12 @@ class Gradient:
             for four, length in zip(starts, lengths, strict=True)
         ]
         seeds = np.any(slopes, (0, 1))
-        if (
-            len(seeds) != len(self.seeds) or (seeds & ~self.seeds).any()
-        ):  # what had no derivative has one now
+        # An array that had no derivative may have one now.
+        if len(seeds) != len(self.seeds) or (seeds & ~self.seeds).any():
             self.seeds, self.kept, engine.kept, self.recorded = seeds, Kept(), Kept(), []
         engine.seeds = set(np.flatnonzero(self.seeds).tolist())
-        for one in () if same_program(self.first, built[0]) else self.recorded:
-            engine.check(engine, *one)
+        for record in () if same_program(self.first, built[0]) else self.recorded:
+            engine.check(engine, *record)
         flown = []
         for engine.slopes in slopes:
             flown.append(
@@ -120,8 +118,8 @@ class Gradient:
 
 
 class _WithGradient(Engine):
-    """An engine whose state has beside each number its derivative, before the first epoch
-    ``slopes (runs, numbers)``.
+    """An engine whose state has, beside each number, its derivative; ``slopes (runs, numbers)``
+    before the first epoch.
     """
 
     stride = 2
@@ -145,7 +143,7 @@ class _WithGradient(Engine):
     def plain(
         self, before: Shape, kind: EpochKind, u: list[tuple[Array, bool]]
     ) -> tuple[Recorded, bytes]:
-        """The step without derivatives, and what it is known by."""
+        """The step without derivatives, and its digest."""
         made = super().record(before, kind, u)
         return made, digest(made.kernel)
 
@@ -155,17 +153,17 @@ class _WithGradient(Engine):
         before: Shape,
         kind: EpochKind,
         u: list[tuple[Array, bool]],
-        known: bytes,
+        expected: bytes,
     ) -> None:
-        """Raise `CannotCompile` where another filter's step is not the same."""
-        if engine.plain(before, kind, u)[1] != known:
+        """Raise `CannotCompile` if another filter's step is not the same."""
+        if engine.plain(before, kind, u)[1] != expected:
             raise CannotCompile(
                 "a model knows the parameters otherwise than by matrices of the filter"
             )
 
     def record(self, before: Shape, kind: EpochKind, u: list[tuple[Array, bool]]) -> Recorded:
-        made, known = self.plain(before, kind, u)
-        self.check(self.twin, before, kind, u, known)
+        made, step_digest = self.plain(before, kind, u)
+        self.check(self.twin, before, kind, u, step_digest)
         size = len(made.kernel.tape.ops)
         if COMPILE_S * size > self.flown * (
             CALL_S + OPERATION_S * size * float(np.prod(self.batch))
@@ -173,7 +171,7 @@ class _WithGradient(Engine):
             raise CannotCompile(
                 f"a step of {size} operations takes longer to compile than it saves"
             )
-        self.recorded.append((before, kind, u, known))
+        self.recorded.append((before, kind, u, step_digest))
         seeds = {
             0,
             *(at for at in range(self.held) if at in self.seeds),
@@ -194,7 +192,7 @@ def _arrays(filter: Any) -> list[Array]:
 
 
 def _varying(filters: Sequence[Any]) -> set[int]:
-    """Which arrays of filters differ, by the order in which they come."""
+    """Which arrays differ between filters, by the order in which they come."""
     first, *others = map(_arrays, filters)
     if any([x.shape for x in other] != [x.shape for x in first] for other in others):
         raise CannotCompile("the filter's arrays change their shapes with the parameters")
@@ -207,7 +205,7 @@ def _varying(filters: Sequence[Any]) -> set[int]:
 
 
 def _lifted(filter: Any, held: set[int]) -> Any:
-    """The filter, with matrices as those that each run has of its own."""
+    """The filter, with its varying matrices given an axis of runs."""
     count = iter(range(10**6))
     return map_constants(filter, lambda x: x[None] if next(count) in held and x.ndim == 2 else x)
 
@@ -218,9 +216,10 @@ def _start(built: tuple[Any, Any], held: set[int], data: Any) -> Array:
 
 
 def same_program(a: Any, b: Any, matrices: bool = True) -> bool:
-    """Whether parts of two filters are known to be the same program: the same data, but for the
+    """Whether parts of two filters are known to be the same program: the same data, except the
     filters' own ``matrices``, and functions of the same code with the same values in their
-    closures."""
+    closures.
+    """
     if a is b:
         return True
     if type(a) is not type(b):
@@ -256,8 +255,8 @@ def same_program(a: Any, b: Any, matrices: bool = True) -> bool:
 
 
 def fourth_order(values: Sequence[Array], step: float, smooth: float | None = None) -> Array:
-    """The derivative by values at -2, -1, 1 and 2 steps; `CannotCompile` where those of one and of
-    two are too far apart.
+    """The derivative from values at -2, -1, 1 and 2 steps; `CannotCompile` if the derivatives from
+    one step and from two differ too much.
     """
     far, near = (values[3] - values[0]) / (4.0 * step), (values[2] - values[1]) / (2.0 * step)
     if (

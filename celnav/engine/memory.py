@@ -1,8 +1,8 @@
-"""Memory of rows that is used again.
+"""Memory of rows that is reused.
 
-The system hands out fresh memory a page at a time and zeroes each, which takes as long as a
-filter's arithmetic. So what a track held goes to the next rows of the same size, once nobody holds
-it any more.
+The system hands out fresh memory a page at a time and zeroes each page, which takes as long as a
+filter's arithmetic. So the memory of a track is reused for the next rows of the same size, once
+nothing refers to it any more.
 """
 
 from __future__ import annotations
@@ -15,13 +15,11 @@ import numpy as np
 
 from celnav.gaussian.linalg import Array
 
-LEAST = 1 << 20  # bytes of what is used again: smaller arrays are used again by the allocator
-MOST = 1 << 28  # bytes that wait to be used
+LEAST = 1 << 20  # bytes of a block that is reused; the allocator reuses smaller arrays by itself
+MOST = 1 << 28  # bytes that wait for reuse
 
 _FREE: dict[int, list[Any]] = {}
-"""Blocks that nobody uses, by size. What is given back may come from any thread, at any line: there
-are no locks.
-"""
+"""Unused blocks, by size. Blocks may be returned by any thread, at any line: there are no locks."""
 
 
 def empty(shape: tuple[int, ...], dtype: type) -> Array:
@@ -33,14 +31,14 @@ def empty(shape: tuple[int, ...], dtype: type) -> Array:
         block = _FREE[size].pop()
     except (KeyError, IndexError):
         block = np.empty(size, np.uint8)
-    # Views of this array keep it alive, not its block: between both stands what is no array.
+    # Views of this array keep it alive, not its block: an object between both is not an array.
     array: Array = np.frombuffer(memoryview(block), dtype)
     weakref.finalize(array, _give_back, block).atexit = False
     return array.reshape(shape)
 
 
 def _give_back(block: Any) -> None:
-    """Let a block be used again, unless too much waits for that already."""
+    """Make a block available again, unless too many bytes wait already."""
     _FREE.setdefault(len(block), []).append(block)
     if sum(size * len(blocks) for size, blocks in list(_FREE.items())) > MOST:
         _FREE.clear()

@@ -1,10 +1,10 @@
-"""The compiled engine: a filter's own step is recorded, on numbers that have no values yet,
-compiled, and flown over all epochs.
+"""The compiled engine: a filter's own step is recorded on numbers that have no values yet,
+compiled, and run over all epochs.
 
-What is recorded is `Sequential.step`, or that of another filter, as it stands: there is no second
-copy. A step is recorded anew for each *kind* of epoch (with an interval or none; each sensor
-complete, in parts or silent) and each shape that the filter's memory takes. Runs that are lost are
-flown again by the numpy engine, which is the reference and knows why.
+The recorded function is `Sequential.step`, or the step of another filter, unchanged: there is no
+second implementation. A step is recorded anew for each *kind* of epoch (with an interval or none;
+each sensor complete, partly missing or silent) and each shape that the filter's memory takes. Runs
+that fail are run again by the numpy engine, which is the reference and can explain the failure.
 """
 
 from __future__ import annotations
@@ -39,22 +39,22 @@ from celnav.tape.tape import (
 )
 
 COUNTERS = ("log_likelihood", "missing", "rejected", "redone", "failed_at")
-"""What each run counts, first in its state."""
+"""What each run counts; the counters come first in its state."""
 
 
 # -- trees: nested tuples of arrays ----------------------------------------------------------------
-def tree_leaves(tree: Any, what: str = "") -> Iterator[tuple[Any, str]]:
-    """Arrays of a tree, and what each is: "lower" a root, "symmetric" a covariance, "belief" a
+def tree_leaves(tree: Any, role: str = "") -> Iterator[tuple[Any, str]]:
+    """Arrays of a tree, and the role of each: "lower" a root, "symmetric" a covariance, "belief" a
     mean, "" anything else.
     """
     if isinstance(tree, SquareRoot | Covariance):
         yield tree[0], "belief"
         yield tree[1], "lower" if isinstance(tree, SquareRoot) else "symmetric"
     elif isinstance(tree, tuple):
-        for part in tree:
-            yield from tree_leaves(part, what)
+        for item in tree:
+            yield from tree_leaves(item, role)
     elif tree is not None:
-        yield tree, what
+        yield tree, role
 
 
 def tree_unflatten(tree: Any, parts: Iterator[Any]) -> Any:
@@ -64,30 +64,31 @@ def tree_unflatten(tree: Any, parts: Iterator[Any]) -> Any:
     if not isinstance(tree, tuple):
         return next(parts)
     make: Any = type(tree)
-    inner = [tree_unflatten(part, parts) for part in tree]
+    inner = [tree_unflatten(item, parts) for item in tree]
     return make(*inner) if hasattr(tree, "_fields") else tuple(inner)
 
 
 @cache
-def entries(shape: tuple[int, ...], what: str) -> tuple[tuple[int, ...], ...]:
-    """Places of the numbers that an array is kept as: of a root or covariance the lower
-    triangle."""
+def entries(shape: tuple[int, ...], role: str) -> tuple[tuple[int, ...], ...]:
+    """Indices of the stored numbers of an array: the lower triangle of a root or covariance, all of
+    any other.
+    """
     places = tuple(np.ndindex(*shape))
-    lower = what in ("lower", "symmetric")
+    lower = role in ("lower", "symmetric")
     return tuple(at for at in places if at[-1] <= at[-2]) if lower else places
 
 
 @cache
-def places(shape: tuple[int, ...], what: str) -> Array:
-    """Where the numbers that an array is kept as stand in it, by rows."""
+def places(shape: tuple[int, ...], role: str) -> Array:
+    """Positions of the stored numbers of an array in the array by rows."""
     index = np.arange(math.prod(shape)).reshape(shape)
-    lower = what in ("lower", "symmetric")
+    lower = role in ("lower", "symmetric")
     return index[np.tril(np.ones(shape, bool))] if lower else index.ravel()
 
 
 class Shape(NamedTuple):
-    """Shape of a filter's state: its tree with names for arrays, and of each array shape, kind and
-    which entries may be absent.
+    """Shape of a filter's state: its tree with numbers for arrays; and for each array its shape,
+    its role and which entries may be nan.
     """
 
     tree: Any
@@ -95,19 +96,19 @@ class Shape(NamedTuple):
 
     @property
     def size(self) -> int:
-        """How many numbers it is kept as."""
-        return sum(len(entries(shape, what)) for shape, what, _ in self.arrays)
+        """How many numbers are stored."""
+        return sum(len(entries(shape, role)) for shape, role, _ in self.arrays)
 
     @classmethod
     def of(cls, state: Any) -> Shape:
         """The shape of a state of one run."""
-        found = []
-        for array, what in tree_leaves(state):
+        arrays = []
+        for array, role in tree_leaves(state):
             x = np.asanyarray(array)
-            kept = entries(x.shape, what)
-            absent = (False,) * len(kept) if what else tuple(_absent(x[at]) for at in kept)
-            found.append((x.shape, what, absent))
-        return cls(tree_unflatten(state, iter(range(len(found)))), tuple(found))
+            indices = entries(x.shape, role)
+            absent = (False,) * len(indices) if role else tuple(_absent(x[at]) for at in indices)
+            arrays.append((x.shape, role, absent))
+        return cls(tree_unflatten(state, iter(range(len(arrays)))), tuple(arrays))
 
 
 def _absent(x: Any) -> bool:
@@ -117,12 +118,12 @@ def _absent(x: Any) -> bool:
 
 # -- kinds of epochs -------------------------------------------------------------------------------
 FULL, PART, SILENT, NONE = range(4)
-"""What an epoch has of a sensor: all components of all runs; some; nan only; nothing at all."""
+"""What an epoch has from a sensor: all components of all runs; some; only nan; nothing at all."""
 
 
 class EpochKind(NamedTuple):
-    """What must be alike in epochs for one record to serve them. ``z``: what there is of each
-    sensor; ``u``: shape of inputs.
+    """What must be equal in epochs for one record to serve them. ``z``: what each sensor has;
+    ``u``: the shape of the inputs.
     """
 
     moves: bool
@@ -135,8 +136,8 @@ class Data(NamedTuple):
 
     k, t, dt: ``(T,)``. kinds: of each epoch, an index into ``known``. z: ``(T, ..., m)`` of each
         sensor.
-    u: by the shape of an input, ``about`` included, the epochs that have one of it, and a list of
-        its arrays ``(K, ...)``.
+    u: by the shape of an input, ``about`` included: the epochs with an input of this shape, and its
+        arrays ``(K, ...)``.
     """
 
     k: Array
@@ -150,9 +151,10 @@ class Data(NamedTuple):
 
     @property
     def interval(self) -> float | None:
-        """Its length where it is always the same: then it is a number of the program.
+        """The length of the interval if it is always the same: it is then a constant of the
+        program.
 
-        None also of one epoch alone, whose next one may differ.
+        None also for a single epoch, because the next one may differ.
         """
         moving = self.dt[self.dt != 0.0]
         same = len(self.dt) > 1 and moving.size and (moving == moving[0]).all()
@@ -160,11 +162,11 @@ class Data(NamedTuple):
 
 
 class Start(NamedTuple):
-    """What is so before the first epoch.
+    """The state before the first epoch.
 
-    shape: of the state. parts: ``(runs, k)`` of the states of all runs, or ``(1, k)`` where all
-    have the same, in the order in which they are kept, behind what each counts and the filter's
-    matrices of its own. common: entries of the state that all runs have in common.
+    shape: of the state. parts: ``(runs, k)`` of the states of all runs, or ``(1, k)`` if they are
+    equal in all runs: the counters, the filter's own matrices per run, then the state, in their
+    stored order. common: entries of the state that are equal in all runs.
     """
 
     shape: Shape
@@ -173,18 +175,18 @@ class Start(NamedTuple):
 
     @property
     def numbers(self) -> Array:
-        """All of them, ``(runs, size)``."""
+        """All stored numbers, ``(runs, size)``."""
         runs = max(map(len, self.parts))
         return np.concatenate([np.broadcast_to(x, (runs, x.shape[1])) for x in self.parts], 1)
 
     @property
     def first(self) -> Array:
-        """Those of the first run, ``(size,)``."""
+        """The stored numbers of the first run, ``(size,)``."""
         return np.concatenate([x[0] for x in self.parts])
 
 
 def signature(prior: Any, data: Data) -> tuple[Any, ...]:
-    """What must be alike in priors and epochs for one `Engine` to serve them."""
+    """What must be equal in priors and epochs for one `Engine` to serve them."""
     cov: Any = prior[1] if isinstance(prior, SquareRoot | Covariance) else getattr(prior, "cov", 0)
     shapes = [np.shape(x) for x in (getattr(prior, "mean", 0), cov)]
     z = tuple(x.shape[1:] for x in data.z)
@@ -192,10 +194,10 @@ def signature(prior: Any, data: Data) -> tuple[Any, ...]:
 
 
 class Recorded(NamedTuple):
-    """A recorded step: a kernel with all rows, the shape of the state after it, how many operations
-    it has.
+    """A recorded step: a kernel with all rows, the shape of the state after it, and its number of
+    operations.
 
-    columns: names of what the rows are, in their order, and how many numbers each has.
+    columns: names of the rows' quantities, in order, and the size of each.
     """
 
     kernel: Kernel
@@ -204,7 +206,7 @@ class Recorded(NamedTuple):
     columns: dict[str, int]
 
     def keeping(self, names: Sequence[str]) -> Kernel:
-        """The kernel with rows of some columns only, of which each is a field."""
+        """The kernel with the rows of some columns only; each column is a field."""
         rows, fields, first = list[Any](), list[int](), 0
         for name, size in self.columns.items():
             if name in names:
@@ -218,9 +220,9 @@ class Recorded(NamedTuple):
 class Code(NamedTuple):
     """Machine code of a recorded step.
 
-    each: address of what each vector of runs does. once: address of what is done once for all runs;
-    None: nothing. ``results`` of that are shared inputs of ``each`` from the ``first`` on. cells:
-    of memory.
+    each: address of the code for each vector of runs. once: address of the code that runs once for
+    all runs; None: there is none. Its ``results`` are shared inputs of ``each``, starting at
+    ``first``. cells: of memory.
     """
 
     each: int
@@ -231,7 +233,7 @@ class Code(NamedTuple):
 
 
 class Kept:
-    """What was recorded of a filter's steps, and what was made of it, by what it depends on.
+    """The records of a filter's steps, and their machine code, by what they depend on.
 
     longer: for steps whose recording stopped at a limit, that limit. Such a step is recorded again
     only when the limit has doubled.
@@ -245,7 +247,7 @@ class Kept:
         return bool(self.records)
 
     def shared(self) -> Kept:
-        """The same records and code, for a filter of its own."""
+        """The same records and code, for another filter."""
         other = Kept()
         other.records, other.code = self.records, self.code
         return other
@@ -254,9 +256,9 @@ class Kept:
 class Engine:
     """Records and compiles the steps of a filter, for runs with the batch axes ``batch``.
 
-    It holds for all priors and data with the same `signature`. most: operations of a step.
+    One engine serves all priors and data with the same `signature`. most: operations of a step.
     rolled: whether long code that is the same for several rows becomes a loop.
-    ``stride``: how many numbers of the state stand for one of the filter's.
+    ``stride``: how many numbers of the compiled state represent one number of the filter's.
     """
 
     stride = 1
@@ -308,24 +310,24 @@ class Engine:
         self.belief, self.form, self.begin = state.belief, type(state.belief), Shape.of(state)
 
     def started(self, prior: Any) -> tuple[Any, Any]:
-        """The state before the first epoch of one run, and of all."""
+        """The state before the first epoch, of the first run alone and of all runs."""
         if not self.batch:
             state = self.filter.start(prior)
             return state, state
-        one = map_run_constants(self.filter, lambda array: array[(0,) * (array.ndim - 2)])
-        return one.start(_first_run(prior)), self.filter.start(prior)
+        first_run = map_run_constants(self.filter, lambda array: array[(0,) * (array.ndim - 2)])
+        return first_run.start(_first_run(prior)), self.filter.start(prior)
 
     def columns(self) -> dict[str, int]:
-        """Names of what can be kept of a step, and how many numbers each has."""
+        """Names of the quantities of a step that can be stored, and their sizes."""
         (N,), (n, _) = (np.shape(x) for x in self.belief)
-        found = {"mean": N, "std": n, "cov": n * n}
+        sizes = {"mean": N, "std": n, "cov": n * n}
         for i, m in enumerate(self.innovations):
-            found |= {f"{name}/{i}": m for name in ("innovation", "whitened", "used")}
-        return found | {f"R/{i}": self.innovations[i] for i in self.adapted()}
+            sizes |= {f"{name}/{i}": m for name in ("innovation", "whitened", "used")}
+        return sizes | {f"R/{i}": self.innovations[i] for i in self.adapted()}
 
     def keeping(self, rows: Collection[str]) -> tuple[str, ...]:
-        """Names of the columns that a track with such rows keeps; with innovations the noise that
-        hooks left.
+        """Names of the columns of a track with these rows; with innovations also the noise
+        variances that hooks have set.
         """
         wanted = frozenset({*rows, "R"} if "innovation" in rows else rows)
         if wanted not in self.named:
@@ -336,40 +338,40 @@ class Engine:
     def adapted(self) -> list[int]:
         """Sensors whose noise hooks may change."""
         hooks = getattr(self.filter, "hooks", ())
-        return [i for i, own in enumerate(hooks) if own and self.innovations[i]]
+        return [i for i, sensor_hooks in enumerate(hooks) if sensor_hooks and self.innovations[i]]
 
     def start(self, prior: Any) -> Start:
-        """What is so before the first epoch."""
+        """The state before the first epoch."""
         state, states = self.started(prior)
         shape = Shape.of(state)
         axes, first, common = len(self.batch), self.held, set[int]()
         parts = [self.tally, *(x.reshape(self.runs, -1) for x in self.constants)]
-        for (x, what), (own, _, _) in zip(tree_leaves(states), shape.arrays, strict=True):
+        for (x, role), (array_shape, _, _) in zip(tree_leaves(states), shape.arrays, strict=True):
             values = np.asarray(x, np.float64)
-            if values.shape != (*self.batch, *own):
-                values = np.broadcast_to(values, (*self.batch, *own))
+            if values.shape != (*self.batch, *array_shape):
+                values = np.broadcast_to(values, (*self.batch, *array_shape))
             shared = not any(values.strides[:axes])
             if shared:
                 values = values[(0,) * axes]
             rows = values.reshape(1 if shared else self.runs, -1)
-            matrix = what in ("lower", "symmetric")
-            parts.append(rows[:, places(own, what)] if matrix else rows)
+            matrix = role in ("lower", "symmetric")
+            parts.append(rows[:, places(array_shape, role)] if matrix else rows)
             count = parts[-1].shape[1]
             if shared:
                 common.update(range(first, first + count))
             first += count
         return Start(shape, parts, frozenset(common))
 
-    def inputs(self, found: Inputs, count: int) -> list[tuple[Array, bool]]:
-        """The parts of an input over ``count`` epochs, zeros where there are none, and which of
-        them are of each run.
+    def inputs(self, inputs: Inputs, count: int) -> list[tuple[Array, bool]]:
+        """The arrays of an input over ``count`` epochs, zero where there are none, and whether each
+        array has axes of runs.
         """
         out = []
-        for x in found.columns:
+        for x in inputs.columns:
             values = x
             if len(x) < count:
                 values = np.zeros((count, *x.shape[1:]))
-                values[found.at] = x
+                values[inputs.at] = x
             out.append((values, is_own(x[0], self.batch)))
         return out
 
@@ -405,14 +407,16 @@ class Engine:
             raise self._too_long(made.size)
 
     def forms(self, u: list[tuple[Array, bool]]) -> tuple[Any, ...]:
-        """Of each part of an input its shape, whether each run has its own, and whether it is
+        """For each array of an input: its shape, whether each run has its own, and whether it is
         finite.
         """
         axes = len(self.batch)
-        return tuple((x.shape[1 + axes * own :], own, bool(np.isfinite(x).all())) for x, own in u)
+        return tuple(
+            (x.shape[1 + axes * per_run :], per_run, bool(np.isfinite(x).all())) for x, per_run in u
+        )
 
     def code(self, made: Recorded, lanes: int, names: Sequence[str], split: Any = None) -> Code:
-        """Machine code of a recorded step that keeps some columns; ``split``: in its two parts."""
+        """Machine code of a recorded step that stores some columns; ``split``: in its two parts."""
         key = id(made), lanes, tuple(names), id(split)
         if key not in self.kept.code:
             if split is None:
@@ -427,8 +431,8 @@ class Engine:
                     len(split.once.rows),
                 )
             self.kept.code[key] = code
-        found: Code = self.kept.code[key]
-        return found
+        machine_code: Code = self.kept.code[key]
+        return machine_code
 
     def record(self, before: Shape, kind: EpochKind, u: list[tuple[Array, bool]]) -> Recorded:
         """The step from a state of a shape over an epoch of a kind."""
@@ -440,16 +444,16 @@ class Engine:
 
         def taken(
             shape: Any,
-            what: str,
+            role: str,
             place: str,
             at: Iterable[int],
             absent: Iterable[bool] = repeat(False),
         ) -> TracedArray:
-            """An array; ``at``: where those of its numbers stand that it is kept as."""
+            """An array; ``at``: the positions of its stored numbers."""
             x = TracedArray(shape)
-            for where, i, missing in zip(entries(shape, what), at, absent, strict=False):
+            for where, i, missing in zip(entries(shape, role), at, absent, strict=False):
                 x[where] = take(place, i, missing)
-                if what == "symmetric":
+                if role == "symmetric":
                     x[where[::-1]] = x[where]
             return x
 
@@ -458,31 +462,31 @@ class Engine:
             self.filter, lambda array: taken(array.shape[-2:], "", "state", held)
         )
         arrays = [
-            taken(shape, what, "state", held, absent) for shape, what, absent in before.arrays
+            taken(shape, role, "state", held, absent) for shape, role, absent in before.arrays
         ]
         state = tree_unflatten(before.tree, iter(arrays))
 
         z: list[Any] = []
         first = 0
-        for m, there in zip(self.widths, kind.z, strict=True):
-            if there in (FULL, PART):
-                z.append(taken((m,), "", "own", count(first), repeat(there == PART)))
+        for m, status in zip(self.widths, kind.z, strict=True):
+            if status in (FULL, PART):
+                z.append(taken((m,), "", "own", count(first), repeat(status == PART)))
             else:
-                z.append(np.full(m, np.nan) if there == SILENT else None)
+                z.append(np.full(m, np.nan) if status == SILENT else None)
             first += m
         at_dt, first = first, first + self.apart
         shared, parts = 3, []
-        for (values, own), (_, what) in zip(u, tree_leaves(kind.u[0]), strict=True):
-            shape = values.shape[1 + len(self.batch) * own :]
-            places = np.arange(int(np.prod(shape))).reshape(shape) + (first if own else shared)
+        for (values, per_run), (_, role) in zip(u, tree_leaves(kind.u[0]), strict=True):
+            shape = values.shape[1 + len(self.batch) * per_run :]
+            places = np.arange(int(np.prod(shape))).reshape(shape) + (first if per_run else shared)
             x = taken(
                 shape,
-                what,
-                "own" if own else "shared",
-                (int(places[where]) for where in entries(shape, what)),
+                role,
+                "own" if per_run else "shared",
+                (int(places[where]) for where in entries(shape, role)),
                 repeat(not np.isfinite(values).all()),
             )
-            first, shared = first + places.size * own, shared + places.size * (not own)
+            first, shared = first + places.size * per_run, shared + places.size * (not per_run)
             parts.append(x if shape else x[()])
         k: Any = take("shared", 0)
         t = take("shared", 1)
@@ -495,15 +499,15 @@ class Engine:
                 if self.apart
                 else take("shared", 2)
             )
-        given, about = tree_unflatten(kind.u[0], iter(parts))
+        u_epoch, about = tree_unflatten(kind.u[0], iter(parts))
         epoch = Epoch(
-            k, t, dt, given, z[0] if len(z) == 1 else tuple(z) if z else None, about=about
+            k, t, dt, u_epoch, z[0] if len(z) == 1 else tuple(z) if z else None, about=about
         )
 
         state, infos = filter.step(state, epoch)
-        if tape.refusal is not None:  # a model caught it, and went another way
+        if tape.refusal is not None:  # a model caught the error and went on
             raise tape.refusal
-        measured = {x.i for part in z for x in np.ravel(part) if isinstance(x, TracedScalar)}
+        measured = {x.i for sample in z for x in np.ravel(sample) if isinstance(x, TracedScalar)}
         if self.batch and any(
             tape.modeled[i] and not measured.isdisjoint(operands(op))
             for i, op in enumerate(tape.ops)
@@ -517,9 +521,9 @@ class Engine:
         tally = self._counted(tally, state.belief, infos, k)
         stored = [(i, x) for i, x in enumerate(tally)]
         at = self.held
-        for array, what in tree_leaves(state):
+        for array, role in tree_leaves(state):
             x = np.asanyarray(array)
-            for place in entries(x.shape, what):
+            for place in entries(x.shape, role):
                 stored.append((at, x[place]))
                 at += 1
         columns = self.columns()
@@ -530,16 +534,18 @@ class Engine:
         return Recorded(kernel, after, len(tape.ops), columns)
 
     def _settled(self, belief: Any) -> Any:
-        """A belief whose mean is nan if the run is lost. Of one run the matrix is too.
+        """A belief whose mean is nan if the run has failed; with a single run the matrix is nan,
+        too.
 
-        The matrix of several runs stays: it may be that of all. Rows of lost runs are numpy's.
+        With several runs the matrix stays, because it may be shared. numpy gives the rows of failed
+        runs.
         """
         if not self.batch:
             return mask_failed(belief)
         return type(belief)(np.where(belief.lost()[..., None], np.nan, belief.mean), belief[1])
 
     def _counted(self, tally: list[Any], belief: Any, infos: Sequence[Info], k: Any) -> list[Any]:
-        """Likelihood, missing and rejected components, and when the run was lost; see
+        """Likelihood, missing and rejected components, and the epoch of a failure; see
         `celnav.filters.track.Collector`.
         """
         likelihood, missing, rejected, redone, failed = tally
@@ -559,7 +565,7 @@ class Engine:
         return [likelihood, missing, rejected, redone, emit("select", lost, k, failed)]
 
     def _rows(self, belief: Any, infos: Sequence[Info]) -> Iterator[Any]:
-        """What may be kept of an epoch, in the order in which `columns` names it."""
+        """The quantities of an epoch that may be stored, in the order of `columns`."""
         yield from belief.mean
         yield from belief.std
         yield from np.ravel(belief[1])
@@ -573,29 +579,29 @@ class Engine:
 
 
 def is_own(x: Array, batch: tuple[int, ...]) -> bool:
-    """Whether an input has axes of runs before its own: what has no other axis is shared."""
+    """Whether an input has axes of runs before its own; an input without other axes is shared."""
     return 0 < len(batch) < x.ndim and x.shape[: len(batch)] == batch
 
 
 def _alone(x: Any) -> Any:
-    """A number that may have come as an array of one."""
+    """A number, also if it came as an array of shape ()."""
     return x[()] if isinstance(x, np.ndarray) else x
 
 
 def map_run_constants(thing: Any, function: Callable[[Array], Array]) -> Any:
-    """A filter with other arrays in place of those that each run has of its own: matrices
+    """A filter in which ``function`` has replaced the arrays that differ from run to run: matrices
     ``(..., n, m)`` with axes of runs.
     """
 
     def matrices(array: Array) -> Array:
         return function(array) if array.ndim > 2 else array
 
-    def gaussian(one: Gaussian) -> Gaussian:
-        mean = one.mean
+    def gaussian(belief: Gaussian) -> Gaussian:
+        mean = belief.mean
         if mean.ndim > 1:  # of each run: a matrix (..., n, 1)
             mean = function(mean[..., None])[..., 0]
-        own = {"mean": mean, "cov": matrices(one.cov), "sqrt_cov": matrices(one.sqrt_cov)}
-        same: Gaussian = _changed(one, own)
+        arrays = {"mean": mean, "cov": matrices(belief.cov), "sqrt_cov": matrices(belief.sqrt_cov)}
+        same: Gaussian = _changed(belief, arrays)
         return same
 
     return map_constants(thing, matrices, gaussian)
@@ -604,42 +610,42 @@ def map_run_constants(thing: Any, function: Callable[[Array], Array]) -> Any:
 def map_constants(
     thing: Any,
     function: Callable[[Array], Array],
-    gaussian: Callable[[Gaussian], Gaussian] = lambda one: one,
+    gaussian: Callable[[Gaussian], Gaussian] = lambda belief: belief,
 ) -> Any:
-    """A filter with other arrays; itself where all stay the same.
+    """A filter in which ``function`` has replaced the arrays; the same object if all stay the same.
 
-    gaussian: what becomes of the Gaussians in it.
+    gaussian: the function for Gaussians.
     """
     if isinstance(thing, np.ndarray):
         return function(thing)
     if isinstance(thing, Gaussian):
         return gaussian(thing)
     if isinstance(thing, partial):
-        given = (thing.func, *thing.args)
+        items = (thing.func, *thing.args)
         return (
             thing
-            if (inner := map_constants(given, function, gaussian)) is given
+            if (inner := map_constants(items, function, gaussian)) is items
             else partial(*inner, **thing.keywords)
         )
     if isinstance(thing, tuple):
         make: Any = type(thing)
-        parts = [map_constants(part, function, gaussian) for part in thing]
+        parts = [map_constants(item, function, gaussian) for item in thing]
         if all(a is b for a, b in zip(parts, thing, strict=True)):
             return thing
         return make(*parts) if hasattr(thing, "_fields") else tuple(parts)
     if not is_dataclass(thing) or isinstance(thing, type):
         return thing
-    own = {
+    values = {
         name: getattr(thing, name)
         for name in sorted({field.name for field in fields(thing)} | set(vars(thing)))
     }
     return _changed(
-        thing, {name: map_constants(part, function, gaussian) for name, part in own.items()}
+        thing, {name: map_constants(value, function, gaussian) for name, value in values.items()}
     )
 
 
 def _changed(thing: Any, attributes: dict[str, Any]) -> Any:
-    """A copy with other attributes; itself where all stay the same."""
+    """A copy with other attributes; the same object if all stay the same."""
     if all(getattr(thing, name) is value for name, value in attributes.items()):
         return thing
     other = copy(thing)
@@ -648,7 +654,7 @@ def _changed(thing: Any, attributes: dict[str, Any]) -> Any:
 
 
 def _first_run(prior: Any) -> Any:
-    """The prior of the first run alone."""
+    """The prior of the first run."""
     form = Covariance if isinstance(prior, Covariance) else SquareRoot
     mean, spread = form.of(prior)
     return form(mean[(0,) * (mean.ndim - 1)], spread[(0,) * (spread.ndim - 2)])

@@ -1,7 +1,7 @@
-"""The flight of a compiled step: epochs as columns, blocks of runs through all of them, and what is
-kept of it.
+"""A run of a compiled step: epochs as columns, blocks of runs through all epochs, and the rows that
+are stored.
 
-The states of some runs before and after some epochs are kept too, to be compared with numpy's
+The states of some runs before and after some epochs are stored, too, for comparison with numpy's
 steps.
 """
 
@@ -43,18 +43,19 @@ from celnav.tape.cuda import Device
 from celnav.tape.tape import CannotCompile, TracedScalar
 
 DRAWN = 4  # sentinels besides the first, the last and one of each record
-MANY = 20  # sensors, of which there are more kinds of epochs than integers
-SHORT = 10_000  # epochs, the most of a flight whose schedule is kept
-MOST_SCHEDULES = 16  # of an engine, that are kept
-# operations of a step that all runs have in common, from which on they are done once an epoch
+MANY = 20  # sensors; with more, the kinds of epochs would exceed an integer
+SHORT = 10_000  # epochs of the longest run whose schedule is stored
+MOST_SCHEDULES = 16  # stored for an engine
+# operations of a step common to all runs, from which on they are computed once per epoch
 APART = 100
-MOST_COMMON = 1 << 25  # results of them in memory
-CHUNK = 1 << 21  # bytes of the measurements of runs that are flown together: they stay in the cache
+MOST_COMMON = 1 << 25  # results of the common operations in memory
+CHUNK = 1 << 21  # bytes of the measurements of a chunk of runs: they stay in the cache
 
 
 def sensors(filter: Any, epochs: Sequence[Epoch] = ()) -> Sequence[Any]:
-    """Sensors of a filter, or of the first one in it; of another filter what is taken for them, for
-    measurements such as those of the first epoch."""
+    """Sensors of a filter, or of the first filter inside it. For any other filter: stand-ins that
+    accept measurements such as those of the first epoch.
+    """
     while not hasattr(filter, "sensors"):
         if (filter := getattr(filter, "first", getattr(filter, "filter", None))) is None:
             z = epochs[0].z if len(epochs) else None
@@ -67,10 +68,10 @@ def as_data(filter: Any, epochs: Epochs | Sequence[Epoch]) -> Data:
     """Epochs as columns."""
     if not len(epochs):
         raise ValueError("epochs: expected at least one, got none")
-    own = sensors(filter, epochs)
+    filter_sensors = sensors(filter, epochs)
     if isinstance(epochs, Epochs) and epochs.columnar:
-        k, t, dt, inputs, z = epochs.columns(len(own))
-        given: list[Any] = [(one.at, one.columns, _parts(one.columns)) for one in inputs]
+        k, t, dt, inputs, z = epochs.columns(len(filter_sensors))
+        groups: list[Any] = [(group.at, group.columns, _parts(group.columns)) for group in inputs]
     else:
         before = None
         for epoch in epochs:
@@ -83,26 +84,28 @@ def as_data(filter: Any, epochs: Epochs | Sequence[Epoch]) -> Data:
             np.array([epoch.t for epoch in epochs]),
         )
         dt = np.stack(np.broadcast_arrays(*(np.asarray(epoch.dt, np.float64) for epoch in epochs)))
-        each = [(epoch.u, epoch.about) for epoch in epochs]
-        given = [([i], one, [x[None] for x in _parts(one)]) for i, one in enumerate(each)]
-        z = tuple(zip(*(measurements(epoch.z, len(own)) for epoch in epochs), strict=True))
-    which, u = _gathered(given, len(k))
-    found = [_measured(sensor, parts) for sensor, parts in zip(own, z, strict=True)]
+        pairs = [(epoch.u, epoch.about) for epoch in epochs]
+        groups = [([i], pair, [x[None] for x in _parts(pair)]) for i, pair in enumerate(pairs)]
+        z = tuple(
+            zip(*(measurements(epoch.z, len(filter_sensors)) for epoch in epochs), strict=True)
+        )
+    which, u = _gathered(groups, len(k))
+    measured = [_measured(sensor, parts) for sensor, parts in zip(filter_sensors, z, strict=True)]
     moves = (dt.reshape(len(k), -1) != 0.0).any(-1)
     code = 2 * which + moves
-    for status, _ in found:
-        code = 4 * code + status  # of FULL, PART, SILENT and NONE
-        if len(found) > MANY:
+    for status, _ in measured:
+        code = 4 * code + status  # FULL, PART, SILENT or NONE
+        if len(measured) > MANY:
             code = np.unique(code, return_inverse=True)[1]  # which would overflow
-    there = sorted(set(code.tolist()))
-    kinds, known, shapes = np.zeros(len(k), int), list[EpochKind](), list(u)
-    for number, one in enumerate(there):
-        alike = code == one
-        i = int(alike.argmax())
-        kinds[alike] = number
-        present = tuple(int(status[i]) for status, _ in found)
-        known.append(EpochKind(bool(moves[i]), present, shapes[which[i]]))
-    return Data(k, t, dt, kinds, known, own, [values for _, values in found], u)
+    codes = sorted(set(code.tolist()))
+    kinds, distinct, shapes = np.zeros(len(k), int), list[EpochKind](), list(u)
+    for number, value in enumerate(codes):
+        mask = code == value
+        i = int(mask.argmax())
+        kinds[mask] = number
+        present = tuple(int(status[i]) for status, _ in measured)
+        distinct.append(EpochKind(bool(moves[i]), present, shapes[which[i]]))
+    return Data(k, t, dt, kinds, distinct, filter_sensors, [values for _, values in measured], u)
 
 
 def _parts(tree: Any) -> list[Array]:
@@ -115,30 +118,30 @@ def _parts(tree: Any) -> list[Array]:
         ) from None
 
 
-def _gathered(given: list[Any], count: int) -> tuple[Array, dict[Any, Inputs]]:
-    """Of each of ``count`` epochs the number of its shape of inputs, and the inputs of each shape.
+def _gathered(groups: list[Any], count: int) -> tuple[Array, dict[Any, Inputs]]:
+    """For each of ``count`` epochs the number of its input shape, and the inputs of each shape.
 
-    given: epochs, trees, and their arrays ``(K, ...)``.
+    groups: epochs, trees, and their arrays ``(K, ...)``.
     """
     which, same = np.zeros(count, int), dict[Any, list[Any]]()
-    for at, tree, parts in given:
+    for at, tree, parts in groups:
         shape = tree_unflatten(tree, iter(range(len(parts)))), tuple(x.shape[1:] for x in parts)
-        if len(given) == 1:
+        if len(groups) == 1:
             return which, {shape: Inputs(at, parts)}
-        some = same.setdefault(shape, [])
-        some.append((at, parts))
+        members = same.setdefault(shape, [])
+        members.append((at, parts))
         which[at] = list(same).index(shape)
     joined = {}
-    for shape, some in same.items():
-        at, columns = zip(*some, strict=True)
+    for shape, members in same.items():
+        at, columns = zip(*members, strict=True)
         arrays = [np.concatenate(column) for column in zip(*columns, strict=True)]
         joined[shape] = Inputs(np.concatenate(at), arrays)
     return which, joined
 
 
 def part_of(x: Array, own: int, batch: tuple[int, ...], runs: Any) -> Array:
-    """Some runs of an array with ``own`` axes after those of the runs, which are numbered over all
-    axes of a batch.
+    """Some runs, numbered over all batch axes, of an array with ``own`` axes after those of the
+    runs.
     """
     if not batch:
         return x
@@ -147,22 +150,22 @@ def part_of(x: Array, own: int, batch: tuple[int, ...], runs: Any) -> Array:
 
 
 def epoch_of(
-    data: Data, i: int, part: Callable[[Array, int], Array], batch: tuple[int, ...]
+    data: Data, i: int, select: Callable[[Array, int], Array], batch: tuple[int, ...]
 ) -> Epoch:
-    """The epoch at an index, of the runs that ``part`` takes of an array with so many axes of its
-    own.
+    """The epoch at an index, for the runs that ``select(array, axes)`` takes from an array with
+    ``axes`` axes after those of the runs.
     """
     kind = data.known[data.kinds[i]]
     z = tuple(
-        None if what == NONE else part(values[i], 1)
-        for what, values in zip(kind.z, data.z, strict=True)
+        None if status == NONE else select(values[i], 1)
+        for status, values in zip(kind.z, data.z, strict=True)
     )
     at, columns = data.u[kind.u]
     inputs = [x[np.searchsorted(at, i)] for x in columns]
-    own = [part(x, x.ndim - len(batch)) if is_own(x, batch) else x for x in inputs]
-    u, about = tree_unflatten(kind.u[0], iter(own))
+    arrays = [select(x, x.ndim - len(batch)) if is_own(x, batch) else x for x in inputs]
+    u, about = tree_unflatten(kind.u[0], iter(arrays))
     dt = data.dt[i]
-    interval = part(dt, 0) if dt.ndim else float(dt)
+    interval = select(dt, 0) if dt.ndim else float(dt)
     measured = z[0] if len(z) == 1 else z or None
     k: Any = float(data.k[i])
     return Epoch(
@@ -170,28 +173,30 @@ def epoch_of(
     )
 
 
-def _measured(sensor: Any, parts: Any) -> tuple[Array, Array]:
-    """What there is of a sensor at each epoch, and its measurements ``(T, ..., m)``."""
-    count = len(parts)
+def _measured(sensor: Any, samples: Any) -> tuple[Array, Array]:
+    """What a sensor has at each epoch, and its measurements ``(T, ..., m)``."""
+    count = len(samples)
     present = (
-        np.array([part is not None for part in parts])
-        if not isinstance(parts, np.ndarray)
+        np.array([sample is not None for sample in samples])
+        if not isinstance(samples, np.ndarray)
         else np.ones(count, bool)
     )
     if not present.any():
         return np.full(count, NONE), np.zeros((count, 0))
-    if not isinstance(parts, np.ndarray):
-        one = np.full(np.shape(parts[int(np.argmax(present))]), np.nan)
-        parts = np.stack(
-            np.broadcast_arrays(*(one if part is None else numbers("z", part) for part in parts))
+    if not isinstance(samples, np.ndarray):
+        blank = np.full(np.shape(samples[int(np.argmax(present))]), np.nan)
+        samples = np.stack(
+            np.broadcast_arrays(
+                *(blank if sample is None else numbers("z", sample) for sample in samples)
+            )
         )
-    values = as_measurement(parts, sensor)
+    values = as_measurement(samples, sensor)
     if np.isfinite(np.add.reduce(values, None)):
         return np.where(present, FULL, NONE), values
     missing = np.isnan(values)
     axes = tuple(range(1, values.ndim))
-    there = np.where(missing.all(axes), SILENT, np.where(missing.any(axes), PART, FULL))
-    return np.where(present, there, NONE), values
+    status = np.where(missing.all(axes), SILENT, np.where(missing.any(axes), PART, FULL))
+    return np.where(present, status, NONE), values
 
 
 class Sentinel(NamedTuple):
@@ -206,11 +211,10 @@ class Sentinel(NamedTuple):
 
 
 class CompiledRun(NamedTuple):
-    """What a flight leaves.
+    """The result of a compiled run.
 
-    rows: ``(K, runs, ...)`` by name. tally: of each run ``(runs, 5 stride)``. sentinels: of the
-        runs
-    that are watched. fresh: whether a step was recorded for it.
+    rows: ``(K, runs, ...)`` by name. tally: ``(runs, 5 stride)``, the counters. sentinels: of the
+        watched runs. fresh: whether a step was recorded for it.
     """
 
     rows: dict[str, Array]
@@ -230,20 +234,19 @@ def run_compiled(
     watched: Sequence[int] = (),
     number: int | None = None,
 ) -> CompiledRun:
-    """All runs through all epochs, on a device, or None: on this processor.
+    """All runs through all epochs, on a device; without one, on this processor.
 
-    names: of the columns that are kept. watched: the runs whose states are kept before and after
-        the
-    sentinels. number: of a flight whose steps were all compared before: it has one sentinel, at an
-    epoch that depends on its number; 0: it has none.
+    names: of the columns to store. watched: the runs whose states are stored before and after the
+        sentinels. number: of a run whose steps were all compared before: it has one sentinel, at an
+        epoch that depends on this number; 0: none.
     """
     runs, T = engine.runs, len(data.k)
     lanes = 0 if device else 1 if runs == 1 else llvm.lanes()
     start = engine.start(prior)
-    inputs = {shape: engine.inputs(found, T) for shape, found in data.u.items()}
+    inputs = {shape: engine.inputs(group, T) for shape, group in data.u.items()}
     plan, fresh = _schedule(engine, data, inputs, start, lanes, names)
-    shared, own = _shared(data, inputs, plan.width), _own(engine, data, inputs, runs)
-    K, M = -(-T // every), max([1, *(at + x.shape[-1] for at, x in own)])
+    shared, per_run = _shared(data, inputs, plan.width), _own(engine, data, inputs, runs)
+    K, M = -(-T // every), max([1, *(at + x.shape[-1] for at, x in per_run)])
     stored = np.full(T, -1)
     stored[::every] = np.arange(K)
     unit = lanes or 1
@@ -255,64 +258,66 @@ def run_compiled(
     }
     tally = np.empty((runs, len(COUNTERS) * engine.stride))
     sentinels = _sentinels(plan.steps, None if fresh else number)
-    seen = np.empty((2, len(sentinels), len(watched), plan.size))  # before and after
+    states = np.empty((2, len(sentinels), len(watched), plan.size))  # before and after
     if device:
         begin = _on_device(plan, names, device)
     else:
-        cells = max(one.cells for one in plan.code)
-        begin = _on_host([one.each for one in plan.code], cells, plan.steps)
+        cells = max(code.cells for code in plan.code)
+        begin = _on_host([code.each for code in plan.code], cells, plan.steps)
     once = _once(plan, shared, start.first, sentinels)
 
-    def some(first: int) -> None:
+    def run_chunk(first: int) -> None:
         """A chunk of runs."""
-        part = slice(first, min(first + chunk, runs))
-        count = part.stop - first
-        vector = lanes or count  # a device has all of them side by side
+        members = slice(first, min(first + chunk, runs))
+        count = members.stop - first
+        vector = lanes or count  # a device computes all runs side by side
         width = -(-count // vector) * vector
         values, state = np.zeros((T, M, width)), np.zeros((width // vector, plan.size, vector))
-        for at, x in own:
-            mine = x if x.shape[1] == 1 else x[:, part]
-            values[:, at : at + x.shape[-1], :count] += mine.transpose(0, 2, 1)
+        for at, x in per_run:
+            values_in = x if x.shape[1] == 1 else x[:, members]
+            values[:, at : at + x.shape[-1], :count] += values_in.transpose(0, 2, 1)
         values[..., count:] = values[..., count - 1 : count]
         size = 0
         for x in start.parts:
-            mine, k = (x, 1) if len(x) == 1 else (x[part], vector)
+            values_in, k = (x, 1) if len(x) == 1 else (x[members], vector)
             if k > 1 and width > count:
-                mine = np.concatenate([mine, np.repeat(mine[-1:], width - count, 0)])
-            state[:, size : size + x.shape[1]] = mine.reshape(-1, k, x.shape[1]).transpose(0, 2, 1)
+                values_in = np.concatenate([values_in, np.repeat(values_in[-1:], width - count, 0)])
+            state[:, size : size + x.shape[1]] = values_in.reshape(-1, k, x.shape[1]).transpose(
+                0, 2, 1
+            )
             size += x.shape[1]
-        here = [i for i, run in enumerate(watched) if part.start <= run < part.stop]
+        here = [i for i, run in enumerate(watched) if members.start <= run < members.stop]
         block, lane = np.divmod(np.array([watched[i] - first for i in here], int), vector)
         through = begin(stored, state, shared, values, rows, first)
         for at, end in _pieces(T, sentinels if here else []):
             if here and at in sentinels:
                 k = sentinels.index(at)
-                seen[0, k, here] = state[block, :, lane]
+                states[0, k, here] = state[block, :, lane]
                 through(at, end)
-                seen[1, k, here] = state[block, :, lane]
+                states[1, k, here] = state[block, :, lane]
             else:
                 through(at, end)
         counts = tally.shape[1]
-        tally[part] = state[:, :counts].transpose(0, 2, 1).reshape(width, -1)[:count]
+        tally[members] = state[:, :counts].transpose(0, 2, 1).reshape(width, -1)[:count]
 
-    kept = sum(x.shape[2] for x in rows.values())
+    row_size = sum(x.shape[2] for x in rows.values())
     room = (
-        device.room() // jobs // (8 * (T * M + K * kept + plan.size))
+        device.room() // jobs // (8 * (T * M + K * row_size + plan.size))
         if device
         else CHUNK // (8 * T * M)
     )
     chunk = max(unit, min(-(-runs // jobs), room) // unit * unit)
     if jobs > 1 and runs > chunk:
         with ThreadPoolExecutor(jobs) as pool:
-            list(pool.map(some, range(0, runs, chunk)))
+            list(pool.map(run_chunk, range(0, runs, chunk)))
     else:
         for first in range(0, runs, chunk):
-            some(first)
+            run_chunk(first)
     if once is not None:
         for k, at in enumerate(sentinels):
             for side in range(2):
                 entries = plan.common[plan.at[at + side]]
-                seen[side, k][:, entries] = once[side, k, entries]
+                states[side, k][:, entries] = once[side, k, entries]
     if whole > runs:
         rows = {name: np.ascontiguousarray(x[:, :runs]) for name, x in rows.items()}
     return CompiledRun(
@@ -320,22 +325,22 @@ def run_compiled(
         tally,
         [
             Sentinel(at, plan.shapes[plan.at[at]], x, plan.shapes[plan.at[at + 1]], y)
-            for at, x, y in zip(sentinels, *seen, strict=True)
+            for at, x, y in zip(sentinels, *states, strict=True)
         ],
         fresh,
     )
 
 
 def _pieces(T: int, sentinels: Sequence[int]) -> Iterable[tuple[int, int]]:
-    """Where a flight begins and ends anew, to look at the states around the sentinels."""
+    """The pieces of a run between epochs where the states around the sentinels are read."""
     return pairwise(sorted({0, T, *sentinels, *(at + 1 for at in sentinels)}))
 
 
 def _sentinels(steps: Array, number: int | None = None) -> list[int]:
-    """Epochs whose steps are compared with numpy's: the first, the last, one of each record, and
+    """Epochs whose steps are compared with numpy's: the first, the last, one for each record, and
     some drawn by a hash.
 
-    number: of a flight that has one of them only; 0: none.
+    number: of a run with a single sentinel; 0: none.
     """
     if number == 0:
         return []
@@ -348,22 +353,28 @@ def _sentinels(steps: Array, number: int | None = None) -> list[int]:
 def _on_host(
     kernels: Sequence[int], cells: int, steps: Array
 ) -> Callable[..., Callable[[int, int], None]]:
-    """What begins a flight on this processor, and gives what takes it from one epoch to another.
+    """A function that begins a run on this processor and returns another, which advances it from
+    one epoch to another.
 
-    kernels: addresses of machine code. cells: of its memory. steps: which of it each epoch takes.
-    The flight writes the rows of the runs from the ``first`` on.
+    kernels: addresses of machine code. cells: of its memory. steps: the kernel of each epoch. A run
+    writes the rows of its runs from the ``first`` on.
     """
     addresses, loop = np.array(kernels, np.uint64), llvm.run_loop()
 
     def begin(
-        stored: Array, state: Array, shared: Array, own: Array, rows: dict[str, Array], first: int
+        stored: Array,
+        state: Array,
+        shared: Array,
+        per_run: Array,
+        rows: dict[str, Array],
+        first: int,
     ) -> Callable[[int, int], None]:
-        (blocks, size, lanes), (_, M, width) = state.shape, own.shape
+        (blocks, size, lanes), (_, M, width) = state.shape, per_run.shape
         E, runs = shared.shape[1], next((x.shape[1] for x in rows.values()), 0)
         fields = np.array([x.ctypes.data for x in rows.values()], np.uint64)
         fixed = addresses, state, fields, llvm.aligned((cells, lanes))
         code, states, to, work = (x.ctypes.data for x in fixed)
-        kinds, at_rows, inputs, values = (x.ctypes.data for x in (steps, stored, shared, own))
+        kinds, at_rows, inputs, values = (x.ctypes.data for x in (steps, stored, shared, per_run))
 
         def through(at: int, end: int, _alive: Any = fixed) -> None:
             loop(
@@ -380,25 +391,30 @@ def _on_host(
 def _on_device(
     plan: Schedule, names: Sequence[str], device: Device
 ) -> Callable[..., Callable[[int, int], None]]:
-    """The same on a device."""
+    """The same for a device."""
     whole = (made.keeping(names)._replace(flags=frozenset()) for made in plan.records)
     entry = device.entry(ptx.program([*whole], plan.size))
 
     def begin(
-        stored: Array, state: Array, shared: Array, own: Array, rows: dict[str, Array], first: int
+        stored: Array,
+        state: Array,
+        shared: Array,
+        per_run: Array,
+        rows: dict[str, Array],
+        first: int,
     ) -> Callable[[int, int], None]:
         def through(at: int, end: int) -> None:
             here = slice(at, end)
             places = stored[here]
-            kept = places[places >= 0]
-            low, high = (int(kept[0]), int(kept[-1]) + 1) if len(kept) else (0, 0)
+            written = places[places >= 0]
+            low, high = (int(written[0]), int(written[-1]) + 1) if len(written) else (0, 0)
             places = np.where(places >= 0, places - low, -1)
-            shapes = [(high - low, own.shape[2], x.shape[2]) for x in rows.values()]
+            shapes = [(high - low, per_run.shape[2], x.shape[2]) for x in rows.values()]
             ends = np.cumsum([int(np.prod(shape)) for shape in shapes])
             out = np.empty(max(1, *ends, 1))
-            device.fly(entry, plan.steps[here], places, state, shared[here], own[here], out)
-            for x, shape, part in zip(rows.values(), shapes, np.split(out, ends), strict=False):
-                x[low:high, first : first + shape[1]] = part.reshape(shape)
+            device.fly(entry, plan.steps[here], places, state, shared[here], per_run[here], out)
+            for x, shape, values in zip(rows.values(), shapes, np.split(out, ends), strict=False):
+                x[low:high, first : first + shape[1]] = values.reshape(shape)
 
         return through
 
@@ -406,13 +422,12 @@ def _on_device(
 
 
 class Schedule(NamedTuple):
-    """The records that a flight needs, and which of them each epoch takes.
+    """The records that a run needs, and the record of each epoch.
 
-    edges: of each record, the numbers of the shapes before and after it. steps: of each epoch, the
-    number of its record. at: the number of the shape before each epoch, and at the end. shapes: of
-    the state. code: of the records, on this processor. common: of each shape, the entries of the
-    state
-    that all runs have in common. size: of a state. width: of what all runs have in common.
+    edges: for each record, the numbers of the shapes before and after it. steps: for each epoch,
+    the number of its record. at: the number of the shape before each epoch, and at the end. shapes:
+    of the state. code: of the records, on this processor. common: for each shape, the entries of
+    the state that all runs have in common. size: of a state. width: of the shared results.
     """
 
     records: list[Recorded]
@@ -434,7 +449,7 @@ def _schedule(
     lanes: int,
     names: Sequence[str],
 ) -> tuple[Schedule, bool]:
-    """The schedule of a flight, and whether a step was recorded for it."""
+    """The schedule of a run, and whether a step was recorded for it."""
     forms = tuple((shape, engine.forms(u)) for shape, u in inputs.items())
     about = start.shape, start.common, lanes, tuple(names)
     key = data.kinds.tobytes(), tuple(data.known), forms, about
@@ -447,7 +462,7 @@ def _schedule(
     plan = _planned(engine, data, inputs, start)
     if lanes:
         code, common = _coded(engine, plan, start.common, lanes, names)
-        width = max(one.first + one.results for one in code)
+        width = max(step_code.first + step_code.results for step_code in code)
         plan = plan._replace(code=code, common=common, width=width)
     if len(data.k) <= SHORT:
         for oldest in [*engine.schedules][: 1 - MOST_SCHEDULES]:
@@ -457,7 +472,7 @@ def _schedule(
 
 
 def _planned(engine: Engine, data: Data, inputs: dict[Any, Any], start: Start) -> Schedule:
-    """Steps of all epochs, recorded."""
+    """The steps of all epochs, recorded."""
     ids: dict[Shape, int] = {start.shape: 0}
     numbers: dict[tuple[int, int], int] = {}  # of records, by the shape before and the kind
     records, edges = list[Recorded](), list[tuple[int, int]]()
@@ -466,8 +481,8 @@ def _planned(engine: Engine, data: Data, inputs: dict[Any, Any], start: Start) -
     for i, kind in enumerate(kinds):
         at = places[-1]
         if (at, kind) not in numbers:
-            there = data.known[kind]
-            made = engine.recorded_as(list(ids)[at], there, inputs[there.u])
+            epoch_kind = data.known[kind]
+            made = engine.recorded_as(list(ids)[at], epoch_kind, inputs[epoch_kind.u])
             numbers[at, kind] = len(records)
             records.append(made)
             edges.append((at, ids.setdefault(made.after, len(ids))))
@@ -486,10 +501,10 @@ def _planned(engine: Engine, data: Data, inputs: dict[Any, Any], start: Start) -
 def _coded(
     engine: Engine, plan: Schedule, start: frozenset[int], lanes: int, names: Sequence[str]
 ) -> tuple[list[Code], list[list[int]]]:
-    """Machine code of all records, and the entries of the state of each shape that all runs have in
-    common.
+    """Machine code of all records, and, for each shape, the entries of the state that all runs have
+    in common.
 
-    start: those of the state before the first epoch.
+    start: those entries before the first epoch.
     """
     whole = [engine.code(made, lanes, names) for made in plan.records] if lanes == 1 else []
     none: list[list[int]] = [[]] * len(plan.shapes)
@@ -514,65 +529,67 @@ def _coded(
 
 
 def _common(engine: Engine, plan: Schedule, start: frozenset[int]) -> list[frozenset[int]]:
-    """Entries of the state of each shape that all runs have in common: the most that every record
-    keeps so.
+    """For each shape the entries of the state that all runs have in common: the largest sets that
+    every record preserves.
     """
-    found: dict[int, frozenset[int]] = {0: start}
+    common: dict[int, frozenset[int]] = {0: start}
     while True:
-        before = dict(found)
+        before = dict(common)
         for made, (begin, end) in zip(plan.records, plan.edges, strict=True):
-            # A record stands behind those that lead to it.
-            uniform = made.kernel.uniform(found[begin])
+            # A record comes after the records that lead to it.
+            uniform = made.kernel.uniform(common[begin])
             same = frozenset(
                 i
                 for i, x in made.kernel.state
                 if i >= engine.held and (not isinstance(x, TracedScalar) or uniform[x.i])
             )
-            found[end] = found.get(end, same) & same
-        if found == before:
-            return [found[i] for i in range(len(found))]
+            common[end] = common.get(end, same) & same
+        if common == before:
+            return [common[i] for i in range(len(common))]
 
 
 def _once(plan: Schedule, shared: Array, start: Array, sentinels: list[int]) -> Array | None:
-    """Take what all runs have in common through all epochs, which adds its results to ``shared``.
+    """Run the common part through all epochs, which adds its results to ``shared``.
 
     start: the state before the first epoch of any run. Returns the states before and after the
-    sentinels ``(2, sentinels, size)``; None where the runs have nothing in common.
+    sentinels ``(2, sentinels, size)``; None if the runs have nothing in common.
     """
-    kernels = [one.once for one in plan.code if one.once is not None]
+    kernels = [step_code.once for step_code in plan.code if step_code.once is not None]
     if not kernels:
         return None
     T, width = shared.shape
-    at = np.arange(T) * width + np.array([one.first for one in plan.code])[plan.steps]
+    at = np.arange(T) * width + np.array([step_code.first for step_code in plan.code])[plan.steps]
     state = np.zeros((1, plan.size, 1))
     state[0, : len(start), 0] = start
-    seen = np.empty((2, len(sentinels), plan.size))
+    states = np.empty((2, len(sentinels), plan.size))
     rows, none = {"": shared[:, None]}, np.zeros((T, 1, 1))
-    begin = _on_host(kernels, max(one.cells for one in plan.code), plan.steps)
+    begin = _on_host(kernels, max(step_code.cells for step_code in plan.code), plan.steps)
     through = begin(at, state, shared, none, rows, 0)
     for first, end in _pieces(T, sentinels):
         if first in sentinels:
-            seen[0, sentinels.index(first)] = state[0, :, 0]
+            states[0, sentinels.index(first)] = state[0, :, 0]
         through(first, end)
         if first in sentinels:
-            seen[1, sentinels.index(first)] = state[0, :, 0]
-    return seen
+            states[1, sentinels.index(first)] = state[0, :, 0]
+    return states
 
 
 def _shared(data: Data, inputs: dict[Any, list[tuple[Array, bool]]], width: int) -> Array:
-    """What all runs have in common at each epoch ``(T, E)``: index, time, interval, inputs, and
-    room for at least ``width``.
+    """Data common to all runs at each epoch ``(T, E)``: index, time, interval, inputs, and room for
+    at least ``width``.
     """
     T = len(data.k)
     flat = [
-        np.concatenate([np.zeros((T, 0)), *(x.reshape(T, -1) for x, own in parts if not own)], 1)
+        np.concatenate(
+            [np.zeros((T, 0)), *(x.reshape(T, -1) for x, per_run in parts if not per_run)], 1
+        )
         for parts in inputs.values()
     ]
     out = np.zeros((T, max(width, 3 + max(x.shape[1] for x in flat))))
     out[:, 0], out[:, 1] = data.k, data.t
     if data.dt.ndim == 1:
         out[:, 2] = data.dt
-    for x in flat:  # an epoch has one of them, and zeros of the others
+    for x in flat:  # an epoch has one input shape, and zeros in the others
         out[:, 3 : 3 + x.shape[1]] += x
     return out
 
@@ -580,8 +597,8 @@ def _shared(data: Data, inputs: dict[Any, list[tuple[Array, bool]]], width: int)
 def _own(
     engine: Engine, data: Data, inputs: dict[Any, list[tuple[Array, bool]]], runs: int
 ) -> list[tuple[int, Array]]:
-    """What each run has of its own at each epoch, ``(T, runs or 1, ...)``, and where it stands:
-    measurements, interval, inputs.
+    """Data of each run at each epoch, ``(T, runs or 1, ...)``, and their positions: measurements,
+    interval, inputs.
     """
     T, out, at = len(data.k), list[tuple[int, Array]](), 0
     values = [*data.z, data.dt[..., None]] if engine.apart else data.z
@@ -592,8 +609,8 @@ def _own(
             at += x.shape[-1]
     for parts in inputs.values():
         end = at
-        for x, own in parts:
-            if own:
+        for x, per_run in parts:
+            if per_run:
                 out.append((end, x.reshape(T, runs, -1)))
                 end += out[-1][1].shape[-1]
     return out

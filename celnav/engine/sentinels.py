@@ -1,10 +1,11 @@
-"""Machine code is compared with numpy at some epochs of each run, and models with memory are found.
+"""Comparison of machine code with numpy at some epochs of each run, and detection of models with
+memory.
 
-A recorded step holds for a whole flight only if the model is a function of its arguments. Nothing
-says that it is. So at a few epochs, spread over the flight, numpy takes the same step from the same
-states. Round-off is judged by the state's conditioning: by how much numpy's own step moves when
-each number of the state, the measurement and the models' values is moved by an ulp or two. And what
-the functions of a filter hold must be the same after they were called.
+A recorded step is valid for a whole run only if the model is a function of its arguments, and
+nothing guarantees that. So at a few epochs, spread over the run, numpy computes the same step from
+the same states. Round-off is judged by the state's conditioning: by the change of numpy's own step
+if each number of the state, the measurement and the models' values changes by an ulp or two. The
+contents of a filter's functions must be the same after they were called.
 """
 
 from __future__ import annotations
@@ -51,12 +52,12 @@ from celnav.tape.tape import TracedScalar
 
 CLOSE = 1e-6  # of a standard deviation, or of the size of any other number
 DIFFERENCED = 1e-4  # likewise where numpy takes differences and machine code has derivatives
-MOVES = 1e3  # numpy's own movements by round-off of what it is given
+MOVES = 1e3  # times the change of numpy's own step by round-off of its inputs
 TRIES = 3
-SAMPLE = 4096  # numbers of a large array by which it is known
+SAMPLE = 4096  # numbers of a large array that identify it
 MOST_NAMED = 3  # functions of a message
 DEEP = 16  # objects within objects
-GENERATES = ("bit_generator", "get_state", "getstate")  # attributes of what draws random numbers
+GENERATES = ("bit_generator", "get_state", "getstate")  # attributes of random generators
 FIXED = (tuple, partial, MethodType, BuiltinFunctionType, ModuleType, type)
 EMPTY = CellType()  # of a name that has no value yet
 
@@ -65,26 +66,27 @@ EMPTY = CellType()  # of a name that has no value yet
 def difference(
     filter: Any, engine: Engine, data: Data, sentinel: Sentinel, watched: Sequence[int]
 ) -> str:
-    """What the numpy engine computes otherwise from the states before a sentinel; empty:
-    nothing."""
+    """The quantity in which the numpy engine differs, from the states before a sentinel; "":
+    none.
+    """
     failed = COUNTERS.index("failed_at")
     sound = np.flatnonzero((sentinel.before[:, failed] < 0) & (sentinel.after[:, failed] < 0))
-    # Memories need not have the runs in front: then each run is taken alone.
+    # Memories need not have the runs as first axes: then each run is computed alone.
     plain = len(sentinel.shape.arrays) == len(sentinel.shape_after.arrays) == 2
     groups: list[Any] = [sound] if plain and engine.batch else list(sound)
-    for some in groups if len(sound) else ():
-        runs = np.array(watched)[some]
-        part = partial(part_of, batch=engine.batch, runs=runs)
-        own = map_run_constants(filter, partial(part, own=2)) if engine.constants else filter
-        epoch = epoch_of(data, sentinel.at, part, engine.batch)
+    for group in groups if len(sound) else ():
+        runs = np.array(watched)[group]
+        take = partial(part_of, batch=engine.batch, runs=runs)
+        run_filter = map_run_constants(filter, partial(take, own=2)) if engine.constants else filter
+        epoch = epoch_of(data, sentinel.at, take, engine.batch)
         if not plain and _silent(epoch.z, data, sentinel.at):
-            continue  # numpy calls no hook then, unless another run measures something
-        state = _state(sentinel.shape, sentinel.before[some], engine.held)
-        rows = sentinel.after[some]
-        tally = (rows - sentinel.before[some])[..., :failed]
+            continue  # numpy then calls no hook, unless another run measures something
+        state = _state(sentinel.shape, sentinel.before[group], engine.held)
+        rows = sentinel.after[group]
+        tally = (rows - sentinel.before[group])[..., :failed]
         try:
             after = _state(sentinel.shape_after, rows, engine.held)
-            name = different_quantity(own, state, epoch, after, [*np.moveaxis(tally, -1, 0)])
+            name = different_quantity(run_filter, state, epoch, after, [*np.moveaxis(tally, -1, 0)])
         except Exception as error:
             return f"numpy raises {type(error).__name__}: {error}"
         if name:
@@ -93,46 +95,48 @@ def difference(
 
 
 def _silent(z: Any, data: Data, at: int) -> bool:
-    """Whether a sensor measured nothing of this run, but something of others."""
+    """Whether a sensor measured nothing in this run, but something in others."""
     parts = z if isinstance(z, tuple) else (z,)
-    there = data.known[data.kinds[at]].z
-    return any(what == PART and np.isnan(x).all() for what, x in zip(there, parts, strict=False))
+    statuses = data.known[data.kinds[at]].z
+    return any(
+        status == PART and np.isnan(x).all() for status, x in zip(statuses, parts, strict=False)
+    )
 
 
 def different_quantity(filter: Any, state: Any, epoch: Any, after: Any, tally: list[Array]) -> str:
-    """What a step by numpy gives otherwise."""
+    """The name of a quantity in which a step by numpy differs; "": none."""
     stepped, counts = _stepped(filter, state, epoch)
-    # A fixed lag keeps nothing in machine code: then beliefs are compared.
-    alike = [what for _, what in tree_leaves(stepped)] == [what for _, what in tree_leaves(after)]
-    found, mine = list(_measured(stepped, counts, alike)), list(_measured(after, tally, alike))
-    pairs = [(x, y) for (_, x, _), (_, y, _) in zip(found, mine, strict=True)]
-    sizes = [size for *_, size in found]
+    # A fixed lag stores nothing in machine code: then beliefs are compared.
+    memory = [role for _, role in tree_leaves(stepped)] == [role for _, role in tree_leaves(after)]
+    xs, ys = list(_measured(stepped, counts, memory)), list(_measured(after, tally, memory))
+    pairs = [(x, y) for (_, x, _), (_, y, _) in zip(xs, ys, strict=True)]
+    sizes = [size for *_, size in xs]
     with np.errstate(all="ignore"):
         wrong = [i for i, (x, y) in enumerate(pairs) if not _within(CLOSE * sizes[i], x, y)]
     if not wrong:
         return ""
     apart = [np.broadcast_arrays(x, y) for x, y in pairs]
     close = DIFFERENCED if _has_taylor(filter) else CLOSE
-    again = [value for _, value, _ in _measured(*_stepped(filter, state, epoch), alike)]
-    if not all(np.array_equal(a[1], b, equal_nan=True) for a, b in zip(found, again, strict=True)):
-        return f"{found[wrong[0]][0]}, and numpy gives another one at each call"
-    moved = _moved(filter, state, epoch, alike)
+    again = [value for _, value, _ in _measured(*_stepped(filter, state, epoch), memory)]
+    if not all(np.array_equal(a[1], b, equal_nan=True) for a, b in zip(xs, again, strict=True)):
+        return f"{xs[wrong[0]][0]}, and numpy gives another one at each call"
+    moved = _moved(filter, state, epoch, memory)
     for i in wrong:
         x, y = apart[i]
-        least = np.max([np.abs(each[i] - x) for each in moved], 0)
-        # Each run is one draw of the same round-off: the largest movement, in sizes, is that of
-        # all.
-        there = (sizes[i] > 0.0) & np.isfinite(least)
-        part = np.divide(least, sizes[i], out=np.zeros(x.shape), where=there)
-        round_off = MOVES * np.maximum(least, part.max(initial=0.0) * sizes[i])
+        least = np.max([np.abs(values[i] - x) for values in moved], 0)
+        # Each run is one draw of the same round-off: the largest change, relative to the size,
+        # holds for all.
+        scaled = (sizes[i] > 0.0) & np.isfinite(least)
+        relative = np.divide(least, sizes[i], out=np.zeros(x.shape), where=scaled)
+        round_off = MOVES * np.maximum(least, relative.max(initial=0.0) * sizes[i])
         with np.errstate(all="ignore"):
             if not _within(close * sizes[i] + round_off, x, y):
-                return found[i][0]
+                return xs[i][0]
     return ""
 
 
 def _moved(filter: Any, state: Any, epoch: Any, memory: bool) -> list[list[Array]]:
-    """What numpy's step gives where each number of it is moved by round-off, several times."""
+    """The results of numpy's step with each number changed by round-off, several times."""
     rng = np.random.default_rng(0)
     token = WATCH.set(lambda _name, y: _nudged(y, rng))
     try:
@@ -146,7 +150,7 @@ def _moved(filter: Any, state: Any, epoch: Any, memory: bool) -> list[list[Array
 
 
 def _has_taylor(thing: Any) -> bool:
-    """Whether a filter, or one within it, is an extended one."""
+    """Whether a filter, or a filter inside it, is an extended one."""
     if isinstance(thing, tuple):
         return any(map(_has_taylor, thing))
     within = fields(thing) if is_dataclass(thing) and not isinstance(thing, type) else ()
@@ -155,7 +159,7 @@ def _has_taylor(thing: Any) -> bool:
 
 
 def _within(least: Array, x: Array, y: Array) -> bool:
-    """Whether two values are that close, or the same, or both nan."""
+    """Whether two values are that close, or equal, or both nan."""
     apart = np.abs(x - y)
     if (apart <= least).all():
         return True
@@ -164,7 +168,7 @@ def _within(least: Array, x: Array, y: Array) -> bool:
 
 
 def _stepped(filter: Any, state: Any, epoch: Any) -> tuple[Any, list[Array]]:
-    """The state after an epoch, and what its records add to the tally."""
+    """The state after an epoch, and what its records add to the counters."""
     with np.errstate(all="ignore"):
         state, infos = filter.step(state, epoch)
     if "belief" in getattr(state, "_fields", ()):
@@ -183,13 +187,13 @@ def _stepped(filter: Any, state: Any, epoch: Any) -> tuple[Any, list[Array]]:
 
 
 def _measured(state: Any, tally: list[Any], memory: bool) -> Iterator[tuple[str, Array, Array]]:
-    """Names, values and sizes of what is to agree; without ``memory``: of the belief alone."""
+    """Names, values and sizes of what must agree; without ``memory``: of the belief alone."""
     mean: Any = None
-    for x, what in tree_leaves(state if memory else state.belief):
-        if what == "belief":
+    for x, role in tree_leaves(state if memory else state.belief):
+        if role == "belief":
             mean = x
-        elif what:
-            P = x if what == "symmetric" else x @ x.mT
+        elif role:
+            P = x if role == "symmetric" else x @ x.mT
             std = np.sqrt(np.abs(P.diagonal(0, -2, -1)))
             fits = mean.shape[-1] == std.shape[-1]
             size = std if fits else std.max(-1, keepdims=True)
@@ -204,47 +208,47 @@ def _measured(state: Any, tally: list[Any], memory: bool) -> Iterator[tuple[str,
 
 
 def _state(shape: Shape, rows: Array, held: int) -> Any:
-    """The state of runs that is kept as ``rows (..., size)``."""
+    """The state of runs stored as ``rows (..., size)``."""
     arrays, at = [], held
-    for own, what, _ in shape.arrays:
-        index = places(own, what)
+    for dims, role, _ in shape.arrays:
+        index = places(dims, role)
         values = rows[..., at : at + len(index)]
         at += len(index)
-        if what in ("lower", "symmetric"):
-            x = np.zeros((*rows.shape[:-1], math.prod(own)))
+        if role in ("lower", "symmetric"):
+            x = np.zeros((*rows.shape[:-1], math.prod(dims)))
             x[..., index] = values
-            if what == "symmetric":
-                mirrored = np.arange(x.shape[-1]).reshape(own).swapaxes(-1, -2).ravel()[index]
+            if role == "symmetric":
+                mirrored = np.arange(x.shape[-1]).reshape(dims).swapaxes(-1, -2).ravel()[index]
                 x[..., mirrored] = values
             values = x
-        arrays.append(values.reshape((*rows.shape[:-1], *own)))
+        arrays.append(values.reshape((*rows.shape[:-1], *dims)))
     return tree_unflatten(shape.tree, iter(arrays))
 
 
 def _nudged(tree: Any, rng: np.random.Generator) -> Any:
-    """A tree with each number moved by an ulp or two, covariances alike on both sides."""
+    """A tree with each number changed by an ulp or two, covariances symmetrically."""
     moved = []
-    for x, what in tree_leaves(tree):
-        way = rng.choice([-2.0, -1.0, 1.0, 2.0], np.shape(x))
-        if what == "symmetric":
-            lower = np.tril(way)
-            way = lower + np.tril(lower, -1).mT
-        moved.append(np.asarray(x) * (1.0 + EPS * way))
+    for x, role in tree_leaves(tree):
+        ulps = rng.choice([-2.0, -1.0, 1.0, 2.0], np.shape(x))
+        if role == "symmetric":
+            lower = np.tril(ulps)
+            ulps = lower + np.tril(lower, -1).mT
+        moved.append(np.asarray(x) * (1.0 + EPS * ulps))
     return tree_unflatten(tree, iter(moved))
 
 
 # -- what functions hold -----------------------------------------------------------------------
 def model_contents(filter: Any) -> dict[str, Any]:
-    """What the functions of a filter hold, by its path: closures, attributes, globals that they
-    name.
+    """The contents of a filter's functions, by path: closures, attributes, and the globals that
+    they name.
     """
-    found: dict[str, Any] = {}
-    _look(filter, "", found, set(), DEEP)
-    return found
+    contents: dict[str, Any] = {}
+    _look(filter, "", contents, set(), DEEP)
+    return contents
 
 
 def restorer(filter: Any) -> Callable[[], None]:
-    """What gives back to the things that functions hold what they hold now."""
+    """A function that restores the present contents of the functions of a filter."""
     things: dict[str, Any] = {}
     _look(filter, "", {}, set(), DEEP, things)
     undo = [step for thing in things.values() for step in _undoing(thing)]
@@ -257,7 +261,7 @@ def restorer(filter: Any) -> Callable[[], None]:
 
 
 def _undoing(thing: Any) -> Iterator[Callable[[], None]]:
-    """What sets a thing back, where it can be."""
+    """Functions that restore an object, as far as possible."""
     if isinstance(thing, np.ndarray):
         if thing.flags.writeable and thing.size <= SAMPLE:
             yield partial(np.copyto, thing, thing.copy())
@@ -289,10 +293,11 @@ def _refill(thing: Any, fill: Callable[[Any], None], contents: Any) -> None:
 
 
 class Watch:
-    """What the models of a filter held when it was made; `is_still` looks whether they hold it yet.
+    """The contents of a filter's models when it was made; `is_still` tells whether they are the
+    same.
 
-    Names and contents are compared by identity, which takes a microsecond or two. What cannot be
-    compared so, such as an iterator, counts as changed: then `model_contents` says.
+    Names and contents are compared by identity, which takes a microsecond or two. Objects that
+    cannot be compared so, such as an iterator, count as changed: then `model_contents` decides.
     """
 
     def __init__(self, filter: Any):
@@ -307,15 +312,15 @@ class Watch:
             self._note(thing)
 
     def _note(self, thing: Any) -> None:
-        """Remember what a thing holds."""
+        """Remember the contents of an object."""
         if isinstance(thing, FunctionType):
             cells = [cell for cell in thing.__closure__ or () if cell != EMPTY]
             self._names += [(cell, "", cell.cell_contents) for cell in cells]
-            own = set() if _is_ours(thing) else set(_names(thing.__code__))
+            names = set() if _is_ours(thing) else set(_names(thing.__code__))
             space = thing.__globals__
             self._names += [
                 (space, name, space[name])
-                for name in sorted(own & space.keys())
+                for name in sorted(names & space.keys())
                 if not isinstance(space[name], ModuleType)
             ]
         elif isinstance(thing, np.ndarray):
@@ -327,38 +332,38 @@ class Watch:
         elif any(hasattr(thing, name) for name in GENERATES):
             self._unsure = True
         elif _is_ours(thing) or isinstance(thing, FIXED):
-            pass  # what they hold stays, and is looked at by itself
+            pass  # what they hold does not change, and is examined by itself
         elif hasattr(thing, "__dict__"):
             self._contain(vars(thing))
         else:
             self._unsure = True
 
     def _contain(self, container: Any) -> None:
-        """Remember the things in a container."""
+        """Remember the objects in a container."""
         contents = container.values if isinstance(container, dict) else container.__iter__
         self._within.append((container, contents, [*contents()]))
 
     def is_still(self) -> bool:
-        """Whether all is as it was."""
+        """Whether everything is unchanged."""
         if self._unsure:
             return False
         for space, name, value in self._names:
             if (space.get(name) if name else space.cell_contents) is not value:
                 return False
-        for container, contents, known in self._within:
-            if len(container) != len(known) or not all(map(is_, contents(), known)):
+        for container, contents, before in self._within:
+            if len(container) != len(before) or not all(map(is_, contents(), before)):
                 return False
         return [array.tobytes() for array in self._arrays] == self._contents
 
 
 def changed(before: dict[str, Any], after: dict[str, Any]) -> str:
-    """The first path whose value is another one; empty: none."""
+    """The first path whose value has changed; "": none."""
     return next((k for k in {**before, **after} if before.get(k) != after.get(k)), "")
 
 
 class Function(NamedTuple):
-    """What stands for a function: its code, where it is defined if it is the user's, how many
-    things it holds.
+    """The identity of a function: its code, where it is defined if it is the user's, and how many
+    objects it holds.
     """
 
     code: CodeType
@@ -367,61 +372,66 @@ class Function(NamedTuple):
 
 
 def functions_of(holds: dict[str, Any], path: str = "") -> str:
-    """Where the user's functions are defined, or the one that holds what is at a path."""
-    found = {name: mark for name, mark in holds.items() if isinstance(mark, Function)}
-    if around := [name for name in found if path.startswith(name)]:
-        found = {around[-1]: found[around[-1]]}
-    places = [f"{name}: {mark.place}" for name, mark in found.items() if mark.place][:MOST_NAMED]
+    """Where the user's functions are defined, or the one function that holds the object at a
+    path.
+    """
+    functions = {name: mark for name, mark in holds.items() if isinstance(mark, Function)}
+    if around := [name for name in functions if path.startswith(name)]:
+        functions = {around[-1]: functions[around[-1]]}
+    places = [f"{name}: {mark.place}" for name, mark in functions.items() if mark.place][
+        :MOST_NAMED
+    ]
     return f" ({'; '.join(places)})" if places else ""
 
 
 def _look(
     thing: Any,
     path: str,
-    found: dict[str, Any],
-    seen: set[int],
+    contents: dict[str, Any],
+    visited: set[int],
     deep: int,
     things: dict[str, Any] | None = None,
 ) -> None:
-    """Set what a thing is known by, and what it holds; ``things``: set the things themselves
-    too."""
+    """Set the identity of an object and of its contents by path; ``things``: set the objects
+    themselves, too.
+    """
     if isinstance(thing, TracedScalar | TracedArray):  # left by a recording
-        found[path] = id(thing)
+        contents[path] = id(thing)
         return
     if isinstance(thing, bool | int | float | complex | str | bytes | np.number | None):
-        found[path] = repr(thing)
+        contents[path] = repr(thing)
         return
-    if id(thing) in seen:
+    if id(thing) in visited:
         return
     if not deep:
-        found[path] = id(thing)
+        contents[path] = id(thing)
         return
-    seen.add(id(thing))
+    visited.add(id(thing))
     if things is not None:
         things[path] = thing
     parts = _parts_of(thing)
     if parts is None:
-        found[path] = _mark(thing)
-    else:  # what is not looked at whole is known by its address
-        found[path] = type(thing), len(parts), id(thing) if len(parts) >= SAMPLE else 0
+        contents[path] = _mark(thing)
+    else:  # an object that is not examined completely is identified by its address
+        contents[path] = type(thing), len(parts), id(thing) if len(parts) >= SAMPLE else 0
     if isinstance(thing, FunctionType):
         code = thing.__code__
         place = f"{Path(code.co_filename).name}, line {code.co_firstlineno}"
-        found[path] = Function(code, "" if _is_ours(thing) else place, len(parts or ()))
-    if isinstance(thing, AnyDimension):  # a rule that is made stays
+        contents[path] = Function(code, "" if _is_ours(thing) else place, len(parts or ()))
+    if isinstance(thing, AnyDimension):  # a rule, once made, does not change
         things = None
-    for name, part in (parts or {}).items():
-        _look(part, f"{path}.{name}" if path else name, found, seen, deep - 1, things)
+    for name, item in (parts or {}).items():
+        _look(item, f"{path}.{name}" if path else name, contents, visited, deep - 1, things)
 
 
 def _mark(thing: Any) -> Any:
-    """What stands for a thing that holds nothing to be looked at."""
+    """The identity of an object without contents to be examined."""
     if isinstance(thing, np.ndarray):
         if thing.dtype.hasobject:
             return thing.shape, tuple(map(id, thing.ravel()[:SAMPLE]))
-        some = thing.ravel()[:: max(1, thing.size // SAMPLE)]
-        whole = 0 if len(some) == thing.size else id(thing)
-        return thing.dtype, thing.shape, whole, crc32(np.ascontiguousarray(some).tobytes())
+        sample = thing.ravel()[:: max(1, thing.size // SAMPLE)]
+        whole = 0 if len(sample) == thing.size else id(thing)
+        return thing.dtype, thing.shape, whole, crc32(np.ascontiguousarray(sample).tobytes())
     for name in GENERATES:
         if hasattr(thing, name) and not isinstance(thing, type):
             state = getattr(thing, name)
@@ -430,18 +440,18 @@ def _mark(thing: Any) -> Any:
 
 
 def _parts_of(thing: Any) -> dict[str, Any] | None:
-    """What a thing holds, by name; None where it is to be taken as a whole."""
+    """The contents of an object, by name; None if it counts as a whole."""
     ours = _is_ours(thing)
     if isinstance(thing, ModuleType | type | np.ndarray | BuiltinFunctionType):
         return None
     if isinstance(thing, dict):
         return {repr(key): thing[key] for key in list(thing)[:SAMPLE]} | _attributes(thing)
     if isinstance(thing, list | tuple | deque):
-        within = {str(i): part for i, part in zip(range(SAMPLE), thing, strict=False)}
+        within = {str(i): item for i, item in zip(range(SAMPLE), thing, strict=False)}
         return within | _attributes(thing)
     if isinstance(thing, partial):
-        own = {"func": thing.func, "args": thing.args, "keywords": thing.keywords}
-        return own | _attributes(thing)
+        arguments = {"func": thing.func, "args": thing.args, "keywords": thing.keywords}
+        return arguments | _attributes(thing)
     if isinstance(thing, MethodType):
         return {"self": thing.__self__, "function": thing.__func__}
     if isinstance(thing, GeneratorType):
@@ -452,27 +462,27 @@ def _parts_of(thing: Any) -> dict[str, Any] | None:
         parts |= {"defaults": thing.__defaults__, "keywords": thing.__kwdefaults__, **vars(thing)}
         named = set() if ours else set(_names(thing.__code__)) & thing.__globals__.keys()
         return parts | {name: thing.__globals__[name] for name in sorted(named)}
-    if hasattr(thing, "__wrapped__"):  # a cache of a function's values
+    if hasattr(thing, "__wrapped__"):  # a cached function
         return {"wrapped": thing.__wrapped__}
     if ours and is_dataclass(thing):
-        return {one.name: getattr(thing, one.name) for one in fields(thing)}
+        return {field.name: getattr(thing, field.name) for field in fields(thing)}
     if ours and not str(type(thing).__module__).startswith("celnav"):
         return None
     holds = _attributes(thing)
-    if ours:  # without what it makes when it is asked for
+    if ours:  # without private and cached attributes
         holds = {k: x for k, x in holds.items() if not (k[0] == "_" or _is_cached(thing, k))}
     return holds or ({} if hasattr(thing, "__dict__") else None)
 
 
 def _attributes(thing: Any) -> dict[str, Any]:
-    """What an object holds by name."""
-    found = dict(getattr(thing, "__dict__", {}))
+    """The attributes and slots of an object."""
+    attributes = dict(getattr(thing, "__dict__", {}))
     for kind in type(thing).__mro__:
         slots = vars(kind).get("__slots__", ())
         for name in (slots,) if isinstance(slots, str) else slots:
             if hasattr(thing, name):
-                found[name] = getattr(thing, name)
-    return found
+                attributes[name] = getattr(thing, name)
+    return attributes
 
 
 def _is_cached(thing: Any, name: str) -> bool:

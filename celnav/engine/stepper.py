@@ -1,7 +1,7 @@
-"""One step at a time by machine code: a `Plan` is a kernel with buffers that stay.
+"""Single steps by machine code: a `Plan` is a kernel with permanent buffers.
 
 A step copies the state and the measurement into the buffers, calls the kernel, and copies the state
-out: what a robot runs, and what `celnav.steps` and a fixed lag make of a compiled filter.
+out. A robot runs this; so do `celnav.steps` and a fixed lag with a compiled filter.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ START = tuple(-1.0 if name == "failed_at" else 0.0 for name in COUNTERS)
 
 # -- what a plan is chosen by --------------------------------------------------------------------
 def plan_key(state: Any, epoch: Epoch) -> tuple[Any, list[float]]:
-    """What must be alike in steps for one plan to serve them, and the epoch's numbers, of one run.
+    """What must be equal in steps for one plan to serve them, and the epoch's numbers, for one run.
 
     The numbers are k, t, the interval, those of the inputs, and those of the measurements.
     """
@@ -86,7 +86,7 @@ def _input(u: Any, numbers: list[float]) -> Any:
 
 
 def _seen(z: Any, numbers: list[float]) -> Any:
-    """What there is of a measurement, and its shape; its numbers are added to the others."""
+    """What a measurement has, and its shape; its numbers are added to the others."""
     if z is None:
         return NONE
     if type(z) is not np.ndarray or z.dtype is not FLOAT:
@@ -106,7 +106,7 @@ def _seen(z: Any, numbers: list[float]) -> Any:
 
 # -- a state whose matrices are whole ------------------------------------------------------------
 class _Between(Engine):
-    """An engine that begins with a state of a filter, and keeps whole matrices in it."""
+    """An engine that begins with a state of a filter, and stores whole matrices in it."""
 
     def __init__(self, filter: Any, state: Any, data: Data, most: int):
         self.state = state
@@ -116,15 +116,15 @@ class _Between(Engine):
         if not self.batch:
             return self.state, self.state
         alone = []
-        for x, what in tree_leaves(self.state):
-            axes = 1 if what == "belief" else 2 if what else np.ndim(x)
+        for x, role in tree_leaves(self.state):
+            axes = 1 if role == "belief" else 2 if role else np.ndim(x)
             alone.append(x[(0,) * (np.ndim(x) - axes)])
         return tree_unflatten(self.state, iter(alone)), self.state
 
     def record(self, before: Shape, kind: EpochKind, u: list[tuple[Array, bool]]) -> Recorded:
         made = super().record(before, kind, u)
         if self.batch and not all(
-            what for shape in (before, made.after) for _, what, _ in shape.arrays
+            role for shape in (before, made.after) for _, role, _ in shape.arrays
         ):
             raise CannotCompile(
                 "a filter that remembers more than a belief is stepped by machine code for "
@@ -135,31 +135,34 @@ class _Between(Engine):
             (place, begin[at][0] if place == "state" else at) for place, at in made.kernel.inputs
         ]
         results: list[tuple[int, Any]] = []
-        if before.arrays != made.after.arrays:  # what stood there may not be what stands there now
+        if before.arrays != made.after.arrays:  # a place may hold another quantity afterwards
             results = [(i, 0.0) for i in range(self.held, end[-1][-1]) if (i,) not in end]
         results += [(place, x) for at, x in made.kernel.state for place in end[at]]
         return made._replace(kernel=made.kernel._replace(inputs=inputs, state=results))
 
 
 def _places(shape: Shape, first: int) -> list[tuple[int, ...]]:
-    """Where each number of a state lies if its matrices are whole: of a covariance in two
-    places."""
-    found: list[tuple[int, ...]] = [(i,) for i in range(first)]
-    for own, what, _ in shape.arrays:
-        at = np.arange(first, first + int(np.prod(own))).reshape(own)
-        for place in entries(own, what):
-            both = (place, place[::-1]) if what == "symmetric" and len(set(place)) > 1 else (place,)
-            found.append(tuple(int(at[one]) for one in both))
+    """Positions of each number of a state whose matrices are whole: two for an entry off the
+    diagonal of a covariance.
+    """
+    positions: list[tuple[int, ...]] = [(i,) for i in range(first)]
+    for array_shape, role, _ in shape.arrays:
+        at = np.arange(first, first + int(np.prod(array_shape))).reshape(array_shape)
+        for place in entries(array_shape, role):
+            both = (place, place[::-1]) if role == "symmetric" and len(set(place)) > 1 else (place,)
+            positions.append(tuple(int(at[index]) for index in both))
         first += at.size
-    return found
+    return positions
 
 
 def _spans(shape: Shape, first: int) -> list[tuple[slice, tuple[int, ...]]]:
-    """Where each array of such a state lies, and its shape."""
-    ends = first + np.cumsum([0, *(int(np.prod(own)) for own, _, _ in shape.arrays)])
+    """Position and shape of each array of such a state."""
+    ends = first + np.cumsum(
+        [0, *(int(np.prod(array_shape)) for array_shape, _, _ in shape.arrays)]
+    )
     return [
-        (slice(int(a), int(b)), own)
-        for a, b, (own, _, _) in zip(ends[:-1], ends[1:], shape.arrays, strict=True)
+        (slice(int(a), int(b)), array_shape)
+        for a, b, (array_shape, _, _) in zip(ends[:-1], ends[1:], shape.arrays, strict=True)
     ]
 
 
@@ -167,8 +170,8 @@ def _spans(shape: Shape, first: int) -> list[tuple[slice, tuple[int, ...]]]:
 class Plan:
     """A step of a filter by machine code, from states and over epochs of one `plan_key`.
 
-    Its buffers belong to one thread. ``left``: steps until numpy is to take the same one, one of
-    each ``interval``. ``watch``: what the models held.
+    Its buffers belong to one thread. ``left``: steps until numpy repeats a step for comparison, one
+    in each ``interval``. ``watch``: the contents of the models.
     """
 
     def __init__(self, filter: Any, state: Any, epoch: Epoch, most: int):
@@ -197,38 +200,40 @@ class Plan:
             held = [x.reshape(self.runs, -1) for x in engine.constants]
             self.start[: self.runs, len(COUNTERS) : engine.held] = np.concatenate(held, 1)
         self.widths, self.apart = engine.widths, engine.apart
-        self.given = [own for _, own in inputs]  # which inputs are of each run
-        shared = 3 + sum(x.size for x, own in inputs if not own)
-        each = sum(math.prod(x.shape[1 + len(self.batch) :]) for x, own in inputs if own)
-        own = sum(self.widths) + self.apart + each
+        self.given = [per_run for _, per_run in inputs]  # which inputs are of each run
+        shared = 3 + sum(x.size for x, per_run in inputs if not per_run)
+        input_size = sum(
+            math.prod(x.shape[1 + len(self.batch) :]) for x, per_run in inputs if per_run
+        )
+        run_size = sum(self.widths) + self.apart + input_size
 
-        # One memory: numbers of the epoch, those of each run, states, what is kept of the step.
-        sizes = [shared, own * width, size * width, *(m * width for m in columns.values())]
-        # States begin where a line of the cache does.
-        first = -(shared + own * width) % (llvm.LINE // FLOAT.itemsize)
+        # One memory: numbers of the epoch, numbers of each run, states, and the stored columns.
+        sizes = [shared, run_size * width, size * width, *(m * width for m in columns.values())]
+        # States begin at a line of the cache.
+        first = -(shared + run_size * width) % (llvm.LINE // FLOAT.itemsize)
         ends = first + np.cumsum([0, *sizes])
         parts = [slice(int(a), int(b)) for a, b in pairwise(ends)]
         self.memory = llvm.aligned((int(ends[-1]),))
         self.shared = self.memory[parts[0]]
-        self.own = self.memory[parts[1]].reshape(own, width)
+        self.own = self.memory[parts[1]].reshape(run_size, width)
         self.work = self.memory[parts[2]].reshape(width // lanes, size, lanes)
-        kept = dict(zip(columns, (self.memory[part] for part in parts[3:]), strict=True))
+        buffers = dict(zip(columns, (self.memory[span] for span in parts[3:]), strict=True))
         self.rows = [
-            None if what == NONE else tuple(kept[f"{name}/{i}"] for name in SEEN)
-            for i, what in enumerate(kind.z)
+            None if status == NONE else tuple(buffers[f"{name}/{i}"] for name in SEEN)
+            for i, status in enumerate(kind.z)
         ]
-        self.measured = max(1, sum(one is not None for one in self.rows))
+        self.measured = max(1, sum(row is not None for row in self.rows))
         if not self.batch:
             alone = self.memory[parts[2]]
             alone[:] = self.start[0]
             self.tally = alone[: len(COUNTERS)]
-            self.into = [alone[at].reshape(own) for at, own in self.begin]
-            self.out = [alone[at].reshape(own) for at, own in self.end]
+            self.into = [alone[at].reshape(array_shape) for at, array_shape in self.begin]
+            self.out = [alone[at].reshape(array_shape) for at, array_shape in self.end]
             self.rows = [
                 row and (*row[:2], row[2].view(np.bool_)[: row[2].size])  # a truth value is a byte
                 for row in self.rows
             ]
-            numbers = struct.Struct(f"{shared + own + len(COUNTERS)}d")
+            numbers = struct.Struct(f"{shared + run_size + len(COUNTERS)}d")
             self.pack = partial(numbers.pack_into, self.memory.data, 8 * first)
 
         fields = self.memory.ctypes.data + 8 * ends[3:-1].astype(np.uint64)
@@ -240,7 +245,7 @@ class Plan:
     def step(
         self, state: Any, epoch: Epoch, numbers: list[float]
     ) -> tuple[Any, tuple[Info, ...]] | None:
-        """The state after an epoch, and an `Info` of each sensor; None where a run is lost."""
+        """The state after an epoch, and an `Info` of each sensor; None if a run fails."""
         if self.batch:
             return self._step_all(state, epoch)
         self.pack(*numbers, *START)
@@ -255,9 +260,9 @@ class Plan:
         likelihood = self.tally[0] / self.measured
         infos = [
             SILENCE
-            if kept is None
-            else _info(kept[0].copy(), kept[1].copy(), kept[2].copy(), likelihood)
-            for kept in self.rows
+            if buffers is None
+            else _info(buffers[0].copy(), buffers[1].copy(), buffers[2].copy(), likelihood)
+            for buffers in self.rows
         ]
         if self.hooks is None:
             return tree_unflatten(self.tree, (x.copy() for x in self.out)), tuple(infos)
@@ -266,60 +271,60 @@ class Plan:
         return tuple.__new__(State, (belief, self.hooks)), tuple(infos)
 
     def _step_all(self, state: Any, epoch: Epoch) -> tuple[Any, tuple[Info, ...]] | None:
-        """The same of several runs; None where one is lost that was not before."""
+        """The same for several runs; None if a run fails that had not failed before."""
         batch, runs = self.batch, self.runs
 
-        def each(x: Any, own: tuple[int, ...]) -> Array:
-            return np.broadcast_to(x, (*batch, *own)).reshape(runs, -1)
+        def per_run(x: Any, array_shape: tuple[int, ...]) -> Array:
+            return np.broadcast_to(x, (*batch, *array_shape)).reshape(runs, -1)
 
         values = self.start.copy()
-        for (x, _), (at, own) in zip(tree_leaves(state), self.begin, strict=True):
-            values[:runs, at] = each(x, own)
+        for (x, _), (at, array_shape) in zip(tree_leaves(state), self.begin, strict=True):
+            values[:runs, at] = per_run(x, array_shape)
         values[runs:] = values[runs - 1]
         blocks, size, lanes = self.work.shape
         self.work[...] = values.reshape(blocks, lanes, size).transpose(0, 2, 1)
         self.shared[:3] = epoch.k, epoch.t, 0.0 if self.apart else epoch.dt
         parts = zip(measurements(epoch.z, len(self.widths)), self.widths, strict=True)
-        mine = [each(z, (m,)) for z, m in parts if m]
+        run_values = [per_run(z, (m,)) for z, m in parts if m]
         if self.apart:
-            mine.append(each(epoch.dt, ()))
+            run_values.append(per_run(epoch.dt, ()))
         first = 3
         for (x, _), differs in zip(tree_leaves((epoch.u, epoch.about)), self.given, strict=True):
             if differs:
-                mine.append(np.asarray(x).reshape(runs, -1))
+                run_values.append(np.asarray(x).reshape(runs, -1))
             else:
                 self.shared[first : first + np.size(x)] = np.ravel(x)
                 first += np.size(x)
-        if mine:
-            self.own[:, :runs] = np.concatenate(mine, 1).T
+        if run_values:
+            self.own[:, :runs] = np.concatenate(run_values, 1).T
             self.own[:, runs:] = self.own[:, runs - 1 : runs]
         self.call()
         out = np.array(self.work.transpose(0, 2, 1)).reshape(-1, size)[:runs]
         lost = out[:, FAILED] >= 0.0
         if lost.any():
             mean = state.belief.mean
-            if not np.isnan(each(mean, mean.shape[-1:])[lost]).any(-1).all():
+            if not np.isnan(per_run(mean, mean.shape[-1:])[lost]).any(-1).all():
                 return None
         self.tally = out[:, : len(COUNTERS)].reshape(*batch, len(COUNTERS))
         likelihood = self.tally[..., 0] / self.measured
 
-        def row(kept: Array) -> Array:
-            values: Array = kept.reshape(len(self.start), -1)[:runs]
+        def row(buffer: Array) -> Array:
+            values: Array = buffer.reshape(len(self.start), -1)[:runs]
             return values.reshape(*batch, values.shape[-1]).copy()
 
         sound = 1.0 - lost.reshape(*batch, 1)
         infos = [
             SILENCE
-            if kept is None
-            else _info(row(kept[0]), row(kept[1]), sound * row(kept[2]) != 0.0, likelihood)
-            for kept in self.rows
+            if buffers is None
+            else _info(row(buffers[0]), row(buffers[1]), sound * row(buffers[2]) != 0.0, likelihood)
+            for buffers in self.rows
         ]
-        after = [out[:, at].reshape(*batch, *own) for at, own in self.end]
+        after = [out[:, at].reshape(*batch, *array_shape) for at, array_shape in self.end]
         return tree_unflatten(self.tree, iter(after)), tuple(infos)
 
 
 def _info(innovation: Array, whitened: Array, used: Array, likelihood: Any) -> Info:
-    """What a step by machine code tells of a sensor."""
-    # `tuple.__new__` takes a third of the time that `Info` takes; so below.
-    told = (innovation, whitened, used, None, None, None, None, False, likelihood, None)
-    return tuple.__new__(Info, told)
+    """The `Info` of a sensor after a step by machine code."""
+    # `tuple.__new__` needs a third of the time of `Info`; likewise below.
+    values = (innovation, whitened, used, None, None, None, None, False, likelihood, None)
+    return tuple.__new__(Info, values)

@@ -1,10 +1,10 @@
-"""Filters: what is believed (`Motion`, `Sensor`), what is made of it, and the driver.
+"""Filters: models (`Motion`, `Sensor`), the filters made of them, and the driver.
 
-`records` what filters are made of and pass on · `joint` the one joint and the one conditioning ·
+`records` the data that a filter receives and returns · `joint` the joint and its conditioning ·
 `regression` linear over a belief · `sequential` predict and update, one sensor after the other ·
-`colored` colored measurement noise · `two_stage` a bias beside the state · `imm` models that take
-turns · `adaptive` hooks · `run`, `track` the driver and its record · `smoother` fixed interval ·
-`fixed_lag` late samples · `dropin` filterpy's interface.
+`colored` colored measurement noise · `two_stage` a bias beside the state · `imm` models that
+alternate · `adaptive` hooks · `run`, `track` the driver and its record · `smoother` fixed interval
+· `fixed_lag` late samples · `dropin` filterpy's interface.
 """
 
 from celnav.lazy import modules

@@ -1,10 +1,10 @@
-"""Hooks, which adapt what a filter believes of a measurement before it uses it: gates, windows,
+"""Hooks that adapt the noise or the components of a measurement before the update: gates, windows,
 weights, parity; and a gain.
 
-A hook sees the `Joint` of measurement and state before the update and may replace it; hooks act one
-after the other, each with its own memory, and on each run by itself. Noise is taken to be of
-independent components, and what a correction of the state explains of an innovation to be given by
-the measurement's (statistical) Jacobian.
+A hook gets the `Joint` of measurement and state before the update and may replace it. Hooks act one
+after the other, each with its own memory, and on each run separately. They assume that the noises
+of the components are independent, and that the measurement's (statistical) Jacobian gives the part
+of an innovation that a correction of the state explains.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def gate(gamma: float) -> Hook:
     """Leave out each component whose innovation exceeds ``gamma`` of its standard deviations
     (``inf`` leaves out nothing).
 
-    What is left out is nan for the hooks that follow and for the update, and counts in
+    A component that is left out is nan for the hooks that follow and for the update, and counts in
     ``Track.events["rejected"]``. A gate that is too narrow for the model's errors locks the filter
     out of its measurements.
 
@@ -75,9 +75,8 @@ def chi_square_gate(probability: float = 0.999) -> Hook:
     """Leave out the whole measurement of a run whose normalized innovation squared is improbably
     large.
 
-    ``probability``, between 0 and 1, is that of keeping a measurement which the model describes:
-    the bound is the chi-square quantile with as many degrees of freedom as the run has measured
-    components.
+    ``probability``, between 0 and 1, of keeping a measurement that fits the model: the bound is the
+    chi-square quantile with as many degrees of freedom as the run has measured components.
 
     >>> filter = celnav.ukf(motion, sensor, hooks=[celnav.filters.adaptive.chi_square_gate(0.999)])
     """
@@ -90,6 +89,7 @@ def _chi_square_gate(
     e, V = np.asanyarray(joint.innovation), joint.measurement_noise
     used, S = present(e), joint.covariances()[0]
     S = S if V is None else S + V @ V.mT
+    # Components that are missing get unit variance and zero innovation: they add nothing.
     S = np.where(used[..., None] & used[..., None, :], S, np.eye(e.shape[-1]))
     white = whiten(cholesky(S), np.where(used, e, 0.0))
     count, bounds = np.arange(e.shape[-1] + 1), _chi_square_bounds(probability, e.shape[-1])
@@ -105,7 +105,7 @@ def _chi_square_bounds(probability: float, m: int) -> Array:
 
 # -- windows ---------------------------------------------------------------------------------------
 class Window(NamedTuple):
-    """Memory of a window: the last samples ``(M, ..., m)``, nan before there were any, and the
+    """Memory of a window: the last samples ``(M, ..., m)``, nan before the first sample, and the
     index of the last epoch.
     """
 
@@ -114,17 +114,17 @@ class Window(NamedTuple):
 
 
 def innovation_window(M: int, gaps: str = "restart") -> Hook:
-    """Inflate the measurement noise of each component to what its last ``M`` innovations show.
+    """Inflate the measurement noise of each component to match its last ``M`` innovations.
 
     With C their mean square, the present one included, S0 the innovation's variance without
-    measurement noise and R that noise's, ``C = S0 + A R`` gives the factor
-    ``A = max(1, (C - S0) / R)`` of R; it is 1 until there are M. The noise is only ever inflated,
-    and a maneuver inflates it too: it needs a process noise that covers those.
+    measurement noise and R the variance of that noise, ``C = S0 + A R`` gives the factor
+    ``A = max(1, (C - S0) / R)`` of R; it is 1 until there are M samples. The noise is never
+    reduced, and a maneuver inflates it too: the process noise must cover maneuvers.
 
-    ``Track.extra["R"]`` has the variances that it used.
+    ``Track.extra["R"]`` has the variances that were used.
 
-    ``gaps``: "restart": a missing sample restarts its component's window. "skip": the last M there
-    were, for sensors that are slower than the epochs.
+    ``gaps``: "restart": a missing sample restarts its component's window. "skip": the last M
+    samples that exist, for sensors that are slower than the epochs.
 
     >>> filter = celnav.ukf(motion, sensor, hooks=[celnav.filters.adaptive.innovation_window(10)])
     """
@@ -144,7 +144,7 @@ def _innovation_window(
 def _moved(
     memory: Window | None, values: Array, epoch: Any, size: int, gaps: str = "restart"
 ) -> Window:
-    """The window of the last ``size`` values, these included."""
+    """The window of the last ``size`` values, the present ones included."""
     k = getattr(epoch, "k", None)
     if memory is None:
         if size * values.size > LIMIT:
@@ -153,6 +153,7 @@ def _moved(
                 f"{values.size} each"
             )
         memory = Window(np.full((size, *values.shape), np.nan), None)
+    # New axes of runs go after the window axis: (size, ..., m).
     before = memory.samples.reshape(
         size, *(1,) * (values.ndim + 1 - memory.samples.ndim), *memory.samples.shape[1:]
     )
@@ -160,8 +161,7 @@ def _moved(
     moved = np.concatenate([ring[1:], np.broadcast_to(values, ring.shape[1:])[None]])
     if gaps == "skip":
         moved = np.where(present(values), moved, ring)
-    # A hook is not called where the whole block has no measurement: that is a gap of every
-    # component as well.
+    # A hook is not called if no run has a measurement: that is a gap of every component, too.
     elif k is not None and memory.k is not None:
         moved[:-1] = np.where(k > memory.k + 1, np.nan, moved[:-1])
     return Window(moved, k)
@@ -169,8 +169,8 @@ def _moved(
 
 # -- robust weights --------------------------------------------------------------------------------
 def huber(threshold: float = 1.345, rounds: int = 6) -> Hook:
-    """Weigh a component by ``min(1, threshold / u)``, u its residual after the update in deviations
-    of its noise [Huber1964].
+    """Weigh a component by ``min(1, threshold / u)``, with u its residual after the update in
+    standard deviations of its noise [Huber1964].
 
     ``rounds`` of reweighting; the noise variance of a component is divided by its weight.
 
@@ -224,6 +224,7 @@ def _reweight(
     S0 = np.where(used[..., None] & used[..., None, :], S0, 0.0)
     explained = np.where(used[..., None], joint.measurement.jacobian() @ cross, 0.0)
     W = np.ones_like(R)
+    # Reweighting: v = e - H G S(W)^-1 e with R / W in S; then W = weight(|v| / sigma).
     for _ in range(rounds):
         S = S0 + (R / W)[..., None] * np.eye(e.shape[-1])
         fitted = matvec(explained, np.linalg.solve(S, e[..., None])[..., 0])
@@ -232,8 +233,8 @@ def _reweight(
 
 
 def _noisy(joint: Joint) -> tuple[Array, Array, Array]:
-    """Innovation and variances of the noise, 0 and 1 where a component was not measured or has no
-    noise; where it was and has.
+    """Innovation (0 where unused), variances of the noise (1 where unused), and the mask: measured,
+    and with noise.
     """
     e, noise = np.asanyarray(joint.innovation), joint.noise_variances()
     used = present(e) & (noise > 0.0)
@@ -253,8 +254,9 @@ def sage_husa(forgetting: float = 0.95, least: float = 0.25, smallest: float = 0
     """Estimate the noise's variances from innovations with fading memory [Sage1969].
 
     ``R_k+1 = (1 - d) R_k + d max(e^2 - S0, smallest R)`` where measured, with
-    ``d = (1 - b) / (1 - b^(k+1))`` and b the ``forgetting``, between 0 and 1. What is used is at
-    least ``least R``, with R the nominal variance, and may lie below that: ``Track.extra["R"]``.
+    ``d = (1 - b) / (1 - b^(k+1))`` and b the ``forgetting``, between 0 and 1. The variance in use
+    is at least ``least R``, with R the nominal variance, so it may be below
+    R: ``Track.extra["R"]``.
 
     >>> filter = celnav.ukf(motion, sensor, hooks=[celnav.filters.adaptive.sage_husa(0.98)])
     """
@@ -272,16 +274,16 @@ def _sage_husa(
     noise, count = (np.broadcast_to(nominal, shape), np.zeros(shape)) if memory is None else memory
     used = np.broadcast_to(present(e), shape)
     d = (1.0 - b) / (1.0 - b ** (count + 1.0))
-    seen = np.maximum(np.where(used, e, 0.0) ** 2 - prior, bottom * nominal)
-    noise = np.where(used, (1.0 - d) * noise + d * seen, noise)
+    sample = np.maximum(np.where(used, e, 0.0) ** 2 - prior, bottom * nominal)
+    noise = np.where(used, (1.0 - d) * noise + d * sample, noise)
     # The variance of a component without noise stays 0.
     ratio = np.maximum(noise, floor * nominal) / np.where(nominal > 0.0, nominal, 1.0)
     return Estimated(noise, count + used), joint.inflated(np.sqrt(ratio))
 
 
 class InverseGamma(NamedTuple):
-    """Memory of `variational_bayes`: shape and scale ``(..., m)`` of the variances' distribution,
-    in nominal variances.
+    """Memory of `variational_bayes`: shape and scale ``(..., m)`` of the distribution of the
+    variances, in units of the nominal variances.
     """
 
     alpha: Array
@@ -292,14 +294,15 @@ def variational_bayes(forgetting: float = 0.95, samples: float = 2.0, rounds: in
     """Estimate the noise's variances together with the state, by variational Bayes [Sarkka2009;
     nonlinear: Sarkka2013].
 
-    The variance of a component has an inverse-gamma distribution; the update takes
+    The variance of a component has an inverse-gamma distribution; the update uses
     ``R = beta / alpha``. A sample turns these into ``(b alpha + 1/2, b beta + E[v^2] / 2)``, with b
     the ``forgetting``, above 0 and at most 1, and the mean square of the noise v given the
     innovation e, ``E[v^2] = (R S^-1 e)^2 + R - R S^-1 R``, in ``rounds`` of a fixed-point
-    iteration. (Of a linear h these are the paper's terms, ``z - h`` and the variance of h after the
-    update; of others its integral, with h linearized statistically as it was for the update.) At
-    first the nominal variances are worth ``samples``. What was not measured forgets nothing. The
-    estimates are in the track of the numpy engine, ``Track.extra["R"]``.
+    iteration. (For a linear h these are the paper's terms, ``z - h`` and the variance of h after
+    the update; for a nonlinear h they are its integral, with the statistical linearization of the
+    update.) At the start the nominal variances count as ``samples``. A component that was not
+    measured forgets nothing. The estimates are in the track of the numpy engine,
+    ``Track.extra["R"]``.
 
     >>> filter = celnav.ukf(motion, sensor, hooks=[celnav.filters.adaptive.variational_bayes(0.98)])
     >>> sigma = np.sqrt(celnav.run(filter, prior, times, z).extra["R"])  # (T, ..., m)
@@ -324,6 +327,7 @@ def _variational_bayes(
         factor = beta / alpha
         R = factor * nominal
         white = solve_lower(cholesky(S0 + R[..., None] * eye), eye)  # S^-1 = white' white
+        # v = R S^-1 e, and its variance R - R S^-1 R.
         v = R * matvec(white.mT, matvec(white, e))
         variance = R - R**2 * np.square(white).sum(-2)
         beta = np.where(used, before + 0.5 * (v**2 + variance) / nominal, beta)
@@ -332,14 +336,13 @@ def _variational_bayes(
 
 # -- underweighting --------------------------------------------------------------------------------
 def underweighting(beta: float = 0.2, share: float = 0.5) -> Hook:
-    """Lear's underweighting: of a poor prior ``beta`` times its part of the innovation covariance
-    counts as noise [Carpenter2018].
+    """Lear's underweighting: if the prior is poor, ``beta`` times its part of the innovation
+    covariance counts as noise [Carpenter2018].
 
     ``S = (1 + beta) S0 + R``, with S0 the innovation covariance without measurement noise, in runs
     where S0 is more than ``share``, below 1, of the variance of any measured component (0: always).
-    Precise measurements then pull a poor prior in by steps, which leaves room for what a
-    linearization neglects. The covariance after the update is that of the gain used. It comes after
-    gates.
+    Precise measurements then improve a poor prior gradually, which leaves room for the error of a
+    linearization. The covariance after the update is the one for the gain used. Put it after gates.
 
     >>> filter = celnav.ukf(motion, sensor, hooks=[celnav.filters.adaptive.underweighting()])
     """
@@ -363,19 +366,20 @@ def _underweight(
 
 # -- parity ----------------------------------------------------------------------------------------
 def _residual(joint: Joint) -> tuple[Array, Array, Array, Array]:
-    """Residuals of an innovation's weighted fit by all states, their variances, the noise's, and
-    which components there are.
+    """Residuals of the weighted fit of an innovation by all states, their variances, the variances
+    of the noise, and the mask of components that are used.
 
     A maneuver, or any other error of the prediction, lies in the range of the measurement matrix
     and changes nothing here.
     """
+    # r = (I - Q Q') R^-1/2 e in units of the noise, where Q spans R^-1/2 H D, D = diag(sigma).
     e, R, used = _noisy(joint)
     root = np.where(used, np.sqrt(1.0 / R), 0.0)
     D, W = joint.state.columns, joint.process_noise
     variance = np.einsum("...ij,...ij,j->...i", D, D, np.broadcast_to(joint.sign, D.shape[-1:]))
     std = np.sqrt(np.maximum(variance if W is None else variance + np.square(W[1]).sum(-1), 0.0))
-    # A state that moves a measurement by less than 1e-6 deviations of its noise explains nothing of
-    # it.
+    # A state that moves a measurement by less than 1e-6 standard deviations of its noise explains
+    # nothing of it.
     Q = range_basis(root[..., None] * joint.measurement.jacobian() * std[..., None, :], 1e-6)
     y = root * e
     left = y - matvec(Q, matvec(Q.mT, y))
@@ -387,12 +391,12 @@ def range_basis(A: Array, least: float) -> Array:
     """Orthonormal columns ``(..., m, n)`` that span the range of tall matrices ``(..., m, n)``:
     ``Q @ Q.mT`` projects on it.
 
-    Directions in which A is not larger than ``least`` (a singular value) have a column of zeros;
-    what is not finite gives nan.
+    Directions in which A is at most ``least`` (a singular value) have a column of zeros; a matrix
+    that is not finite gives nan.
     """
     Q, R = np.linalg.qr(A)
-    # Far from dependence QR will do. Near it a column without a direction of its own would lend an
-    # arbitrary one to the others.
+    # QR suffices far from dependence. Near it a column without a direction of its own would get an
+    # arbitrary one: use the singular value decomposition.
     lost = np.asanyarray(~np.isfinite(A).all((-2, -1)))
     clear = lost | (np.abs(R.diagonal(0, -2, -1)).min(-1) > 1e3 * least)
     if clear.all():
@@ -402,13 +406,13 @@ def range_basis(A: Array, least: float) -> Array:
 
 
 def group_parity(groups: Sequence[ArrayLike], unknowns: int, *, deviations: float = 3.0) -> Hook:
-    """Inflate the noise of a whole group of components to what no error of the state explains, at
-    once and without a window.
+    """Inflate the noise of a whole group of components to match the residual that no error of the
+    state explains, immediately and without a window.
 
     ``groups``: index arrays of components, such as ranges and rates. ``unknowns``: how many states
-    a group determines. Over the residuals r of its N measured components
-    ``s = sum r^2 / R / (N - unknowns)``; the noise is inflated by s where that exceeds
-    ``1 + deviations sqrt(2 / (N - unknowns))``, and N is at least ``unknowns + 2``.
+    a group determines. For the residuals r of its N measured components
+    ``s = sum r^2 / R / (N - unknowns)``; the noise is inflated by s if s exceeds
+    ``1 + deviations sqrt(2 / (N - unknowns))`` and N is at least ``unknowns + 2``.
 
     >>> hook = celnav.filters.adaptive.group_parity([[0, 1, 2, 3, 4, 5]], unknowns=4)
     """
@@ -445,8 +449,8 @@ def _group_parity(
 
 
 def channel_parity(M: int) -> Hook:
-    """Inflate the noise of each component to what its last ``M`` residuals of that fit show: by
-    ``max(1, mean r^2 / C)``.
+    """Inflate the noise of each component to match its last ``M`` residuals of the fit of
+    `group_parity`: by ``max(1, mean r^2 / C)``.
 
     C is the variance of the residual r. A component has factor 1 until it has M samples of
     consecutive epochs.
@@ -460,7 +464,7 @@ def _channel_parity(
     size: int, memory: Window | None, joint: Joint, epoch: Any
 ) -> tuple[Window, Joint]:
     r, variances, R, _ = _residual(joint)
-    spare = variances > 1e-6 * R  # a component that the fit cannot do without has no residual
+    spare = variances > 1e-6 * R  # the fit uses up a component below this: it has no residual
     ratio = np.where(spare, r**2 / np.where(spare, variances, 1.0), np.nan)
     window = _moved(memory, ratio, epoch, size)
     return window, joint.inflated(np.sqrt(np.fmax(1.0, window.samples.mean(0))))
@@ -472,8 +476,8 @@ def consider(n: int, k: int) -> Gain:
     them.
 
     Considered states (biases, constants of a model) are not estimated, but their uncertainty, and
-    what the others owe to them, is carried along exactly. A fixed gain needs no function: with
-    ``gain=K (n, m)`` a filter has the covariance that goes with K, whatever it is.
+    their correlation with the other states, is propagated exactly. A fixed gain needs no function:
+    with ``gain=K (n, m)`` a filter has the covariance for K, optimal or not.
 
     >>> filter = celnav.ukf(motion, sensor, gain=consider(6, 3))
     >>> alpha_beta = celnav.ukf(motion, sensor, gain=np.array([[0.4], [0.1]]))
@@ -486,6 +490,7 @@ def _consider(n: int, k: int, A: Array, sign: Array, m: int) -> Array:
         raise ValueError(
             f"consider: expected a state of {n} + {k} components, got {A.shape[-2] - m}"
         )
+    # K = P_xz (S S')^-1 for the first n states, 0 for the k considered ones.
     C = (A[..., : m + n, :] * sign) @ A[..., :m, :].mT
     S = cholesky(C[..., :m, :])
     K = solve_right(S, solve_lower(S, C[..., m:, :].mT).mT)

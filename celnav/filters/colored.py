@@ -2,11 +2,12 @@
 it in the state.
 
 The difference ``z* = z' - Phi z`` of consecutive measurements has white noise, correlated with the
-process noise. `colored` conditions on it in one transform; `decorrelated` does in two steps what
-[Sun2015] does; `augmented` carries V in the state: the exact reference. All take any rule and both
+process noise. `colored` conditions on it in one transform; `decorrelated` uses the two steps of
+[Sun2015]; `augmented` carries V in the state: the exact reference. All take any rule and both
 forms, and a ``Phi`` that may be full, differ from run to run, or be a function of the epoch.
 
-A missing sample costs `colored` two differences, the one that ends and the one that begins with it.
+A missing sample costs `colored` two differences: the one that ends with it and the one that begins
+with it.
 """
 
 from __future__ import annotations
@@ -88,19 +89,19 @@ def colored(
     """A filter for colored measurement noise, in one transform: condition ``x' = f(x) + w`` on
     ``z' - Phi z`` directly.
 
-    motion, sensor: what is believed; ``sensor.R`` is the covariance ``(m, m)`` of the colored noise
-        itself. States and measurements are vectors: the difference of two measurements knows
-        nothing of a seam. Where an angle is measured, use `augmented`.
-    Phi: ``(..., m, m)``, or a function of the epoch: what carries the noise from one measurement to
-        the next; its spectral radius is at most 1. A number is that multiple of the identity, where
-        R or h is a matrix.
+    motion, sensor: the models; ``sensor.R`` is the covariance ``(m, m)`` of the colored noise
+        itself. States and measurements must be vectors, because the difference of two angles
+        ignores their seam. For a measured angle use `augmented`.
+    Phi: ``(..., m, m)``, or a function of the epoch: the transition matrix of the noise from one
+        measurement to the next; its spectral radius is at most 1. If R or h is a matrix, a number
+        is that multiple of the identity.
     increments: covariance ``(..., m, m)`` of ``V' - Phi V``, or a function ``(mean, epoch)`` of it;
-        None: that of stationary noise, ``R - Phi R Phi'``. Where V is not stationary (``Phi = I``
-        is a random walk) R is the covariance of its first sample.
+        None: stationary noise, ``R - Phi R Phi'``. If V is not stationary (``Phi = I`` is a random
+        walk) R is the covariance of its first sample.
     first: whether the first measurement updates the prior. Otherwise it only anchors the first
         difference, as in the paper, which is the limit of a large R.
-    rule, options: as in `celnav.sigma_point`. Where ``h`` is a function the process noise goes
-        through the points with the state.
+    rule, options: as in `celnav.sigma_point`. If ``h`` is a function the process noise goes through
+        the points with the state.
 
     >>> filter = celnav.colored(motion, celnav.Sensor(H, R), 0.9 * np.eye(3))
     """
@@ -125,10 +126,10 @@ def decorrelated(motion: Motion, sensor: Sensor, Phi: Coloring, **options: Any) 
 
     ``x* = f(x) + J (z* - h(x))`` and ``h(x) = H f(x) - Phi H x`` [Sun2015, Eqs. 8, 14]. The state
     after an epoch holds two estimates: ``belief`` of the present state, and ``lagged`` of the
-    previous one, each given all measurements so far. With a linear model the first is what
-    `colored` gives in one step. The measurement is a matrix. Hooks may leave measurements out, as
-    gates do; those that change the noise are for `colored`, since here the noise also decides how
-    the measurement enters the prediction.
+    previous one, each given all measurements so far. With a linear model the first equals the
+    estimate that `colored` computes in one step. The measurement is a matrix. Hooks may leave
+    measurements out, as gates do. Hooks that change the noise need `colored`, since here the noise
+    also decides how the measurement enters the prediction.
 
     >>> filter = celnav.decorrelated(motion, gps, 0.9 * np.eye(3))
     """
@@ -140,8 +141,8 @@ def decorrelated(motion: Motion, sensor: Sensor, Phi: Coloring, **options: Any) 
 
 
 def coloring(Phi: Coloring, m: int | None = None) -> Array | Callable[[Any], Array]:
-    """Phi ``(..., m, m)``, checked, or a function of the epoch that checks it. A spectral radius of
-    1 is that of a random walk.
+    """Phi ``(..., m, m)``, checked, or a function of the epoch that checks it. A random walk has
+    spectral radius 1.
     """
     shape = (..., m or "m", m or "m")
     if callable(Phi):
@@ -166,26 +167,27 @@ def _coloring_at(Phi: Callable[[Any], Array], shape: Shape, epoch: Any) -> Array
 
 
 def zeta_of(sensor: Sensor, Phi: Coloring, increments: Any) -> Noise:
-    """Columns of the increments, given, or of a stationary noise of covariance R; or a function
-    ``(mean, epoch)`` of them.
+    """Columns of the increments: those passed, or those of stationary noise with covariance R; or a
+    function ``(mean, epoch)`` of them.
     """
     if increments is not None:
-        given = noise_of("increments", increments, None, sensor.m)
-        if isinstance(given, np.ndarray) and sensor.m not in (None, given.shape[-2]):
+        columns = noise_of("increments", increments, None, sensor.m)
+        if isinstance(columns, np.ndarray) and sensor.m not in (None, columns.shape[-2]):
             raise ValueError(
                 f"increments: expected {sensor.m} rows to go with the sensor's R, got "
-                f"{given.shape[-2]}"
+                f"{columns.shape[-2]}"
             )
-        return given
+        return columns
     phi = coloring(Phi, sensor.m)
     stationary = partial(_stationary, sensor.noise, phi)
     return stationary if callable(phi) or callable(sensor.noise) else stationary(np.zeros(0), None)
 
 
 def _stationary(noise: Noise, Phi: Any, mean: Array, epoch: Any) -> Array:
-    """Columns of the increments of a stationary noise."""
+    """Root of the covariance ``R - Phi R Phi'`` of the increments of stationary noise."""
     V, phi = noise_at(noise, mean, epoch), Phi(epoch) if callable(Phi) else Phi
     V = V if V.ndim else V * np.eye(phi.shape[-1])
+    # With R = V V': R - Phi R Phi' = V V' - (Phi V) (Phi V)'.
     carried = phi @ V
     return symmetric(
         V @ V.mT - carried @ carried.mT, "Phi, R: covariance R - Phi R Phi' of the increments"
@@ -193,12 +195,13 @@ def _stationary(noise: Noise, Phi: Any, mean: Array, epoch: Any) -> Array:
 
 
 def difference(Phi: Array, z: Array, z_next: Array) -> Array:
-    """``z_next - Phi z (..., m)``. A missing component spoils those differences that it enters, not
-    the others.
+    """``z_next - Phi z (..., m)``. A missing component of z makes nan of the differences that it
+    enters, and of no others.
     """
     absent = ~present(z)
     if is_concretely_true(~absent.any()):
         return np.asanyarray(z_next - matvec(Phi, z))
+    # (..., m): differences in which a missing component has a nonzero coefficient.
     spoiled = matvec((Phi != 0.0).astype(float), absent.astype(float)) > 0.0
     return np.asanyarray(np.where(spoiled, np.nan, z_next - matvec(Phi, np.where(absent, 0.0, z))))
 
@@ -219,7 +222,7 @@ class ColoredState(NamedTuple):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Colored(Sequential):
-    """What `colored` makes. ``Phi``, ``zeta``: coefficient, and columns of the increments, or
+    """The filter of `colored`. ``Phi``, ``zeta``: coefficient, and columns of the increments, or
     functions of them.
     """
 
@@ -235,6 +238,7 @@ class Colored(Sequential):
     def step(self, state: Any, epoch: Epoch) -> tuple[Any, tuple[Info, ...]]:
         (sensor,) = self.sensors
         z = self._measured(state, epoch)
+        # The first sample: there is no difference yet.
         if state.z is None:
             belief, info = state.belief, missing_info(sensor, z) if self.first_sample else Info()
             if self.first_sample and not is_missing(z):
@@ -276,9 +280,11 @@ class Colored(Sequential):
         augment: tuple[Array, ...] = ()
         if by_matrix(motion, rule) and by_matrix(sensor, rule):
             y, F = linear(motion, rule, mean, epoch)
+            # Differenced measurement: H F - Phi H_x for the state, and H W for the process noise.
             (h_y, H), (h_x, H_x) = linear(sensor, rule, y, epoch), linear(sensor, rule, mean, epoch)
             outputs, beside = ((h_y - matvec(Phi, h_x), H @ F - Phi @ H_x), (y, F)), (H @ W, W)
         elif not callable(sensor.h):
+            # H (f + w) - Phi H x: the process noise enters the difference by H W.
             beside = (sensor.h @ W, W)
         else:  # the process noise enters the measurement through h, so it goes through the points
             outputs, beside, augment, rule = (
@@ -349,6 +355,7 @@ def decorrelation(H: Array, sqrt_Q: Array, sqrt_R: Array) -> Decorrelation:
     Subtracting covariances instead, ``Q* = Q - Q H' R*^-1 H Q``, loses every digit once the process
     noise is 1e8 times the measurement noise.
     """
+    # tria of these columns is [[S, 0], [U, rest]] with S = R*^1/2, U = J R*^1/2, rest = Q*^1/2.
     both = block([[sqrt_R, H @ sqrt_Q], [0, sqrt_Q]])
     sqrt_R_star, U, sqrt_Q_star = SquareRoot.condition(both, POSITIVE, H.shape[-2])
     return Decorrelation(solve_right(sqrt_R_star, U), sqrt_Q_star, sqrt_R_star)
@@ -356,11 +363,11 @@ def decorrelation(H: Array, sqrt_Q: Array, sqrt_R: Array) -> Decorrelation:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Decorrelated(Colored):
-    """What `decorrelated` makes."""
+    """The filter of `decorrelated`."""
 
     @cached_property
     def _constant(self) -> Decorrelation | None:
-        """The decorrelated system where it is the same at every epoch."""
+        """The decorrelated system, if it is the same at every epoch."""
         W, Z = self.motion.noise, self.zeta
         if isinstance(W, np.ndarray) and isinstance(Z, np.ndarray):
             return decorrelation(self.sensors[0].h, W, Z)
@@ -391,6 +398,7 @@ class Decorrelated(Colored):
         )
         used = np.asanyarray(info.used)
         star = self.system(lagged.mean, epoch, used)
+        # A component that was not used has a column of zeros in J.
         z_star = np.where(used, z_star, 0.0)
 
         def entering(x: Array, epoch: Epoch) -> tuple[Array]:
@@ -406,8 +414,8 @@ class Decorrelated(Colored):
         return ColoredState(ahead, z, lagged, memory), (info,)
 
     def system(self, mean: Array, epoch: Epoch, used: Array) -> Decorrelation:
-        """The decorrelated system; a row that was not measured has no part in ``J`` (its noise is
-        its own).
+        """The decorrelated system; a row that was not measured does not enter ``J`` (it gets a unit
+        noise of its own).
         """
         if is_concretely_true(used.all()) and self._constant is not None:
             return self._constant
@@ -425,13 +433,13 @@ class Decorrelated(Colored):
 
 
 def _leaving_out(hook: Hook, memory: Any, joint: Joint, epoch: Any) -> tuple[Any, Joint]:
-    """The hook, held to leaving measurements out."""
+    """A hook that may only leave measurements out: ValueError if it changes anything else."""
     memory, after = check_return("hooks", hook(memory, joint, epoch), "memory, joint")
     instance("hooks", after, Joint, "hooks that give back (memory, joint)")
     if any(
-        getattr(after, part) is not getattr(joint, part)
-        for part in joint._fields
-        if part != "innovation"
+        getattr(after, field) is not getattr(joint, field)
+        for field in joint._fields
+        if field != "innovation"
     ):
         raise ValueError(
             "hooks: expected hooks that only leave measurements out, got one that changes noise; "
@@ -443,7 +451,7 @@ def _leaving_out(hook: Hook, memory: Any, joint: Joint, epoch: Any) -> tuple[Any
 # -- the noise among the states --------------------------------------------------------------------
 @dataclass(frozen=True, eq=False, repr=False)
 class Augmented(Sequential):
-    """What `augmented` makes: a filter on ``[x; V] (n + m)``, started from a prior of x alone."""
+    """The filter of `augmented`, on ``[x; V] (n + m)``, started from a prior of x alone."""
 
     _: KW_ONLY
     sqrt_V: Array
@@ -454,6 +462,7 @@ class Augmented(Sequential):
         mean, root, V = prior.mean, prior.sqrt_cov, self.sqrt_V
         runs = () if callable(self.Phi) else self.Phi.shape[:-2]
         batch = together(prior=mean.shape[:-1], R=V.shape[:-2], Phi=runs)
+        # [x; V], with V of mean 0 and covariance R, independent of x.
         both = side_by_side([mean, np.zeros((*batch, V.shape[-1]))])
         return super().start(Gaussian(both, sqrt_cov=block([[root, 0], [0, V]])))
 
@@ -470,9 +479,9 @@ def augmented(
     """The exact reference for colored noise: a filter on ``[x; V] (n + m)`` with no measurement
     noise of its own.
 
-    Arguments as in `colored`; the measurement may be an angle, R is a constant. The belief is that
-    of ``[x; V]``; start it from a prior of ``x`` alone. Its covariance is singular after each
-    measurement. A missing sample costs nothing but itself.
+    Arguments as in `colored`; the measurement may be an angle, R is a constant. The belief is about
+    ``[x; V]``; start it from a prior of ``x`` alone. Its covariance is singular after each
+    measurement. A missing sample costs only itself.
 
     >>> filter = celnav.augmented(motion, gps, 0.9 * np.eye(3))
     """
@@ -489,11 +498,11 @@ def augmented(
         if callable(h)
         else np.concatenate([h, np.broadcast_to(np.eye(m), (*h.shape[:-2], m, m))], -1)
     )
-    both = Motion(
+    augmented_motion = Motion(
         partial(_augmented_f, motion, phi, m), sqrt_Q=partial(_augmented_noise, motion, zeta, m)
     )
-    seen = Sensor(measured, sqrt_R=np.zeros((m, 0)), space=sensor.space)
-    made = sigma_point(both, seen, rule=rule, **options)
+    augmented_sensor = Sensor(measured, sqrt_R=np.zeros((m, 0)), space=sensor.space)
+    made = sigma_point(augmented_motion, augmented_sensor, rule=rule, **options)
     return Augmented(**vars(made), sqrt_V=tria(np.asanyarray(sensor.noise)), Phi=phi)
 
 
@@ -507,6 +516,7 @@ def _augmented_f(motion: Motion, phi: Any, m: int, x: Array, epoch: Any) -> Arra
 
 def _augmented_noise(motion: Motion, zeta: Noise, m: int, mean: Array, epoch: Any) -> Array:
     return block(
+        # Process noise of x, then increments of V: block diagonal.
         [[noise_at(motion.noise, mean[..., :-m], epoch), 0], [0, noise_at(zeta, mean, epoch)]]
     )
 

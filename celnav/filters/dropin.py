@@ -1,8 +1,8 @@
 """A drop-in for filterpy's ``UnscentedKalmanFilter``: change one import, keep the rest.
 
-`SquareRootUKF` carries a root from step to step, `SigmaPointUKF` a covariance; both are thin doors
-to the one joint and its conditioning. State, covariances and everything else are plain attributes,
-as in filterpy 2.0: assign them, or change them in place.
+`SquareRootUKF` carries a root from step to step, `SigmaPointUKF` a covariance; both are thin
+interfaces to the joint and its conditioning. State, covariances and everything else are plain
+attributes, as in filterpy 2.0: assign them, or change them in place.
 """
 
 from __future__ import annotations
@@ -42,8 +42,8 @@ Model = Callable[[Array, Any], Array]
 
 
 def _late(name: str, doc: str) -> Any:
-    """An attribute that may be assigned; where a step left a function, it is called when the
-    attribute is first asked for.
+    """An attribute that may be assigned; a function that a step has stored is called when the
+    attribute is first read.
     """
 
     def get(self: Any) -> Any:
@@ -61,10 +61,10 @@ class SigmaPointUKF:
 
     ``points``: a filterpy sigma-point object or a celnav `Rule`. ``vectorized``: ``fx`` and ``hx``
     take all points ``(p, n)`` at once. Points lie along the lower Cholesky root, as with filterpy's
-    default, and every update draws its own (filterpy's takes those of the prediction), so that a
-    second one in a row sees what the first has learned. A number as ``Q`` or ``R`` counts in every
-    element, as in filterpy, and a warning says so; as ``P`` or as the ``R`` of one `update` it is a
-    variance of every component; None is no noise. What is refused changes nothing. Speed:
+    default, and every update draws new points (filterpy's reuses those of the prediction), so that
+    a second update in a row accounts for the first. A number as ``Q`` or ``R`` counts in every
+    element, as in filterpy, with a warning; as ``P`` or as the ``R`` of one `update` it is a
+    variance of every component; None is no noise. A call that raises changes nothing. Speed:
     ``python -m benchmarks.dropin``; many runs: `celnav.run`.
 
     >>> points = celnav.unscented(6)
@@ -130,7 +130,7 @@ class SigmaPointUKF:
 
     @property
     def points_fn(self) -> Any:
-        """The object that the points come from; one that is assigned brings its weights."""
+        """The object that makes the points; assigning one also sets its weights."""
         return self._points_fn
 
     @points_fn.setter
@@ -138,9 +138,8 @@ class SigmaPointUKF:
         if points.n != self._dim_x:
             raise ValueError(f"points: expected n = dim_x = {self._dim_x}, got {points.n}")
         rule = points if isinstance(points, Rule) else from_filterpy(points)
-        rule.points(
-            np.zeros(rule.n), np.eye(rule.n), EUCLIDEAN
-        )  # which refuses one without points in some dimension
+        # Raises for a rule without points in some dimension.
+        rule.points(np.zeros(rule.n), np.eye(rule.n), EUCLIDEAN)
         self._points_fn, self._num_sigmas = points, points.num_sigmas()
         self.Wm, self.Wc = points.Wm, points.Wc
         self._made["rule"] = rule, self.Wm, self.Wc
@@ -162,8 +161,8 @@ class SigmaPointUKF:
     def predict(
         self, dt: Any = None, UT: Function | None = None, fx: Function | None = None, **fx_args: Any
     ) -> None:
-        """Predict over ``dt``, which goes to ``fx``; the points are then drawn anew, as in filterpy
-        2.0.
+        """Predict over ``dt``, which is passed to ``fx``; the points are then drawn again, as in
+        filterpy 2.0.
         """
         belief, process, function = (
             self._belief(),
@@ -198,7 +197,9 @@ class SigmaPointUKF:
         hx: Function | None = None,
         **hx_args: Any,
     ) -> None:
-        """Update with ``z``: None, or all nan, is no measurement; partly nan uses the rest."""
+        """Update with ``z``: None, or all nan, is no measurement; if partly nan, the rest is
+        used.
+        """
         measured = np.zeros(0) if z is None else numbers("z", z)
         if measured.ndim != 1:
             if measured.shape not in ((), (measured.size, 1)):
@@ -244,15 +245,15 @@ class SigmaPointUKF:
     def _conditioned(
         self, belief: Any, z: Array, h: Model, root: Array
     ) -> tuple[Any, Array, Array, Info]:
-        """By celnav's own step: the belief, images of the points, the covariance of the innovation,
-        and what was done.
+        """The update by celnav: the belief, images of the points, the covariance of the innovation,
+        and the `Info`.
         """
         space, measured = self._space(), _space_of(np.add, self.residual_z, self.z_mean)
-        seen: list[Array] = []
+        images: list[Array] = []
 
         def g(points: Array, epoch: Any = None) -> Array:
-            seen.append(h(points, epoch))
-            return seen[-1]
+            images.append(h(points, epoch))
+            return images[-1]
 
         if 0.0 not in root.diagonal().tolist() or root.any(-1).all():
             both = joint(
@@ -265,7 +266,7 @@ class SigmaPointUKF:
                 measurement_noise=root,
             )
             after, info, _ = condition(self._form, both, space)
-        else:  # what is exact must not be of what is known already
+        else:  # a measurement without noise must not repeat what the prior determines
             motion, sensor = (
                 Motion(g, sqrt_Q=np.zeros((self._dim_x, 0)), space=space),
                 Sensor(g, sqrt_R=root, space=measured),
@@ -273,7 +274,7 @@ class SigmaPointUKF:
             exact = Sequential(motion, (sensor,), rule=self.rule, form=self._form)
             after, info, _ = exact.update_sensor(sensor, belief, z, Epoch(), (), None)
         self._check(belief, after, "hx", h, "the innovation covariance is not positive definite")
-        return after, seen[0], outer(np.asarray(info.sqrt_S)), info
+        return after, images[0], outer(np.asarray(info.sqrt_S)), info
 
     def _check(self, before: Any, after: Any, name: str, function: Model, why: str) -> None:
         if any_lost(after):
@@ -286,7 +287,7 @@ class SigmaPointUKF:
     def _transformed(
         self, UT: Function, belief: Any, z: Array, h: Model, R: Any
     ) -> tuple[Any, Array, Array, Info]:
-        """The same by a transform of the user's, which gives a mean and a covariance."""
+        """The update by a user's transform, which gives a mean and a covariance."""
         if np.isnan(z).any():
             raise ValueError("z: expected every component where UT is given, got nan")
         images, predicted, S, gain = self._through(UT, belief, h, R, self.z_mean, self.residual_z)
@@ -305,7 +306,7 @@ class SigmaPointUKF:
         self, UT: Any, belief: Any, function: Model, noise: Any, mean: Any, residual: Any
     ) -> tuple[Any, Any, Any, Any]:
         """The images of the points, the mean and the covariance that a transform makes of them, and
-        the gain on these.
+        the gain.
         """
         points = self._points(belief)
         images = function(points, None)
@@ -358,7 +359,7 @@ class SigmaPointUKF:
     ) -> tuple[Array, Array, Array]:
         """Smoothed means ``(T, n)``, covariances and gains ``(T, n, n)``.
 
-        ``dts[k]`` and ``Qs[k]``, which filterpy does not heed, lead from k to k + 1.
+        ``dts[k]`` and ``Qs[k]``, which filterpy ignores, lead from k to k + 1.
         """
         count, n = len(Xs), self._dim_x
         xs, ps, gains = (
@@ -386,9 +387,7 @@ class SigmaPointUKF:
 
     @property
     def likelihood(self) -> float:
-        """Density of the last measurement, or the smallest normal number where it is too small for
-        any.
-        """
+        """Density of the last measurement, or the smallest normal number if it underflows."""
         return float(np.exp(self.log_likelihood)) or sys.float_info.min
 
     def __repr__(self) -> str:
@@ -411,42 +410,42 @@ class SigmaPointUKF:
         return self.__dict__
 
     def _belief(self) -> Any:
-        """The present state, checked; the spread that we kept, unless P was changed since."""
+        """The present state, checked; with the stored root, unless P was changed since."""
         n, x, P = self._dim_x, numbers("x", self.x), numbers("P", self.P)
         if x.shape != (n,) or not isfinite(x.dot(x)):
             x = finite("x", x).ravel()
         if len(x) != n:
             raise ValueError(f"x: expected {n} components, got {len(x)}")
         key = P.shape, P.tobytes()
-        known = self._roots.get("P")
-        if known is None or known[0] != key:
-            known = self._roots["P"] = key, self._from(x, P if P.ndim else P * np.eye(n))[1]
-        return self._form(x, known[1])
+        stored = self._roots.get("P")
+        if stored is None or stored[0] != key:
+            stored = self._roots["P"] = key, self._from(x, P if P.ndim else P * np.eye(n))[1]
+        return self._form(x, stored[1])
 
     def _root(self, name: str, cov: Any, n: int) -> Array:
-        """Lower root ``(n, n)`` of a noise as filterpy takes it, made anew only where it is another
-        one than before.
+        """Lower root ``(n, n)`` of a noise as in filterpy, computed anew only if the noise has
+        changed.
         """
-        given = np.zeros((n, n)) if cov is None else numbers(name, cov)
-        key = n, given.shape, given.tobytes()
-        known = self._roots.get(name)
-        if known is None or known[0] != key:
-            if given.size == 1:
-                if n > 1 and given.any():
-                    one, alike = f"the number {given.item():g}", f"{given.item():g} * np.eye({n})"
+        matrix = np.zeros((n, n)) if cov is None else numbers(name, cov)
+        key = n, matrix.shape, matrix.tobytes()
+        stored = self._roots.get(name)
+        if stored is None or stored[0] != key:
+            if matrix.size == 1:
+                if n > 1 and matrix.any():
+                    fill, eye = f"the number {matrix.item():g}", f"{matrix.item():g} * np.eye({n})"
                     text = (
-                        f"{name}: {one} counts in every element, as in filterpy; {alike} is a "
+                        f"{name}: {fill} counts in every element, as in filterpy; {eye} is a "
                         "variance of every component"
                     )
                     warnings.warn(text, stacklevel=3)
-                given = np.full((n, n), given.item())
-            known = self._roots[name] = key, symmetric(given, name, n)[1]
-        return known[1]
+                matrix = np.full((n, n), matrix.item())
+            stored = self._roots[name] = key, symmetric(matrix, name, n)[1]
+        return stored[1]
 
     def _motion(self, dt: Any, fx: Function | None, options: dict[str, Any]) -> Model:
         dt = self._dt if dt is None else dt
-        # Anything but a number is for fx to understand, as in filterpy: dates of numpy would count
-        # as numbers there.
+        # Only numbers are checked here, as in filterpy; fx interprets everything else. Dates of
+        # numpy would count as numbers there.
         if isinstance(dt, (np.datetime64, np.timedelta64)) or (
             isinstance(dt, (float, int, np.number)) and not isfinite(dt)
         ):
@@ -455,10 +454,10 @@ class SigmaPointUKF:
             self._vectorized, "fx", self.fx if fx is None else fx, self._dim_x, (dt,), options
         )
 
-    def _each(self, name: str, values: Any, own: Any, count: int) -> Any:
-        """A value for each of so many epochs."""
+    def _each(self, name: str, values: Any, default: Any, count: int) -> Any:
+        """A value for each of ``count`` epochs."""
         if values is None or np.isscalar(values):
-            return [own if values is None else values] * count
+            return [default if values is None else values] * count
         if len(values) != count:
             raise ValueError(
                 f"{name}: expected {count} entries, one for each epoch, got {len(values)}"
@@ -474,7 +473,7 @@ class SigmaPointUKF:
         self._roots["P"] = (self.P.shape, self.P.tobytes()), belief[1]
 
     def _points(self, belief: Any) -> Array:
-        """The points that filterpy knows: without an added center of weight 0."""
+        """The points as in filterpy: without an added center of weight 0."""
         return self.rule.points(belief.mean, belief.sqrt_cov, self._space())[0][-self._num_sigmas :]
 
     def _space(self) -> Space:
@@ -482,8 +481,8 @@ class SigmaPointUKF:
 
 
 class SquareRootUKF(SigmaPointUKF):
-    """filterpy's UKF in square-root form: a root goes from step to step, ``P`` is made from it. See
-    `SigmaPointUKF`.
+    """filterpy's UKF in square-root form: a root is carried from step to step, and ``P`` is
+    computed from it. See `SigmaPointUKF`.
     """
 
     _form: Form = SquareRoot
@@ -500,28 +499,28 @@ def _model_of(
     name: str,
     function: Function,
     m: int,
-    given: tuple[Any, ...],
+    arguments: tuple[Any, ...],
     options: dict[str, Any],
 ) -> Model:
-    """A model ``(p, n) -> (p, m)`` of all points from filterpy's of one, or, if it is
+    """A model ``(p, n) -> (p, m)`` of all points, from filterpy's function of one point or, if
     ``vectorized``, of all.
     """
 
     def model(points: Array, epoch: Any) -> Array:  # noqa: ARG001
-        own = points.copy()  # which the function may change
-        found: Any = (
-            function(own, *given, **options)
+        x = points.copy()  # which the function may change
+        images: Any = (
+            function(x, *arguments, **options)
             if vectorized
-            else [function(point, *given, **options) for point in own]
+            else [function(point, *arguments, **options) for point in x]
         )
         values = numbers(
             name,
-            np.asarray(found)
-            if not vectorized and set(map(type, found)) == {np.ndarray}
-            else found,
+            np.asarray(images)
+            if not vectorized and set(map(type, images)) == {np.ndarray}
+            else images,
         )
-        if values.shape != (len(own), m):
-            values = values.reshape(len(own), -1)
+        if values.shape != (len(x), m):
+            values = values.reshape(len(x), -1)
             if values.shape[-1] != m:
                 raise ValueError(f"{name} returned shape {values.shape[1:]}, expected ({m},)")
         return values
@@ -530,26 +529,26 @@ def _model_of(
 
 
 def _space_of(add: Function, residual: Function, mean: Function | None) -> Space:
-    """The space of filterpy's ``state_add``, residual and mean; None is no mean of its own."""
+    """The space with filterpy's ``state_add``, residual and mean; None: no special mean."""
     if add is np.add and residual is np.subtract and mean is None:
         return EUCLIDEAN
-    own = (
+    mean_of = (
         None
         if mean is None
         else lambda points, weights: np.asarray(mean(points, weights), dtype=np.float64)
     )
 
     def plus(point: Array, tangent: Any) -> Array:
-        """Sums of a point and all tangents; ``add`` may change its first argument. A mean of its
-        own needs none, with 0.
+        """Sums of a point and all tangents; ``add`` may change its first argument. With 0
+        for the tangents, as after a special mean, the point stays.
         """
         return _by_row(lambda row: add(point.copy(), row), tangent) if np.ndim(tangent) else point
 
-    return Space(EUCLIDEAN.plus if add is np.add else plus, _differences(residual), None, own)
+    return Space(EUCLIDEAN.plus if add is np.add else plus, _differences(residual), None, mean_of)
 
 
 def _differences(residual: Function) -> Function:
-    """Differences of all points ``b`` to one, ``a``."""
+    """Differences of all points ``b`` from one point ``a``."""
     if residual is np.subtract:
         return np.subtract
     return lambda b, a: _by_row(lambda row: residual(row, a.ravel()), b)

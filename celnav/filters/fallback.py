@@ -1,4 +1,4 @@
-"""A second filter for the runs that the first one loses."""
+"""A second filter for the runs in which the first one fails."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ Step = tuple[State, tuple[Info, ...]]
 
 @dataclass(frozen=True, eq=False)
 class Fallback:
-    """Does again, with a second filter, those runs which the first one loses in a prediction or an
+    """Repeats, with a second filter, the runs in which the first one fails in a prediction or an
     update.
 
-    ``first``, ``second``: filters of the same motion, sensors and hooks with different rules: one
-    of negative weights, say, and one without. The other runs keep the first one's result bit for
-    bit, and the memory of hooks is the first one's. `Info.redone` says which runs were done again,
-    and the `Track` counts them in ``events["redone"]``. A run that both lose stays lost.
+    ``first``, ``second``: filters of the same motion, sensors and hooks with different rules, for
+    example one with negative weights and one without. The other runs keep the first filter's result
+    bit for bit, and the memory of hooks is the first one's. `Info.redone` marks the repeated runs,
+    and the `Track` counts them in ``events["redone"]``. A run fails if both filters fail.
 
     >>> filter = Fallback(celnav.sparse_grid_filter(motion, sensor), celnav.ckf(motion, sensor))
     """
@@ -54,9 +54,8 @@ class Fallback:
     def start(self, prior: Gaussian) -> State:
 
         state = self.first.start(prior)
-        return state._replace(
-            belief=broadcast_belief(self.first.form, *state.belief)
-        )  # runs are done again one by one
+        # Runs are repeated one by one, so each needs its own covariance.
+        return state._replace(belief=broadcast_belief(self.first.form, *state.belief))
 
     def step(self, state: State, epoch: Epoch) -> Step:
 
@@ -72,8 +71,8 @@ class Fallback:
     def _done(
         self, before: State, step: Callable[[Sequential], Step]
     ) -> tuple[State, tuple[Info, ...], Array]:
-        """A step of the first filter, of the second in runs that the first one loses, and which
-        these are.
+        """A step of the first filter, or of the second in runs where the first one fails, and the
+        mask of these runs.
         """
         after, infos = step(self.first)
         lost = _unsound(after.belief)
@@ -99,25 +98,27 @@ def _unsound(belief: Belief) -> Array:
 
 
 def pick(where: Array, chosen: Array, otherwise: Array) -> Array:
-    """Arrays of runs ``(..., any axes)``, the chosen ones where ``where (...)``."""
+    """Arrays of runs ``(..., any axes)``: ``chosen`` where ``where (...)``, else ``otherwise``."""
     rank = max(chosen.ndim - where.ndim, 0)
     return np.where(where.reshape(where.shape + (1,) * rank), chosen, otherwise)
 
 
 def merged(lost: Array, info: Info, other: Info) -> Info:
-    """What was done, run by run; gains and Jacobians are merged when asked for."""
+    """The `Info` of both filters, run by run; gains and Jacobians are merged on demand."""
 
-    def one(name: str) -> Any:
-        mine, theirs = getattr(info, name), getattr(other, name)
-        if mine is None or theirs is None:
-            return mine
+    def merge(name: str) -> Any:
+        first, second = getattr(info, name), getattr(other, name)
+        if first is None or second is None:
+            return first
         return (
-            (lambda: pick(lost, theirs(), mine())) if callable(mine) else pick(lost, theirs, mine)
+            (lambda: pick(lost, second(), first()))
+            if callable(first)
+            else pick(lost, second, first)
         )
 
     return info._replace(
         **{
-            name: one(name)
+            name: merge(name)
             for name in ("innovation", "whitened", "used", "sqrt_S", "gain", "jacobian", "R")
         }
     )

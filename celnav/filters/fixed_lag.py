@@ -1,8 +1,9 @@
-"""A filter that keeps its last epochs: samples may come late, and the recent past can be smoothed.
+"""A filter that stores its last epochs: samples may arrive late, and the recent past can be
+smoothed.
 
-A late sample goes back to its epoch, and the filter flies again from there: it ends where it would
-have ended with the sample on time. (Formulas of linear models [BarShalom2002] spare the flight.)
-`celnav.smooth` of what is kept is a fixed-lag one [Moore1973].
+A late sample is assigned to its epoch, and the filter runs again from there. The result equals that
+with the sample on time. (Formulas for linear models [BarShalom2002] avoid the second run.)
+`celnav.smooth` of the stored epochs is a fixed-lag smoother [Moore1973].
 """
 
 from __future__ import annotations
@@ -24,8 +25,8 @@ MOST_KEPT = 1_000_000
 
 
 class FixedLagState(NamedTuple):
-    """State of a `FixedLag`: states of its filter before and after each of the epochs kept, these
-    epochs, and what each did.
+    """State of a `FixedLag`: the states of its filter before and after each stored epoch, these
+    epochs, and their `Info` records.
     """
 
     states: tuple[Any, ...]
@@ -34,21 +35,21 @@ class FixedLagState(NamedTuple):
 
     @property
     def belief(self) -> Belief:
-        """The present one."""
+        """The present belief."""
         return self.states[-1].belief  # type: ignore[no-any-return]
 
 
 @dataclass(frozen=True, eq=False)
 class FixedLag:
-    """A filter that keeps its last ``lag`` epochs and the present one, with their measurements and
+    """A filter that stores its last ``lag`` epochs and the present one, with their measurements and
     states.
 
-    filter: any filter; what it gives is not changed. lag: how many epochs a sample may be late, and
+    filter: any filter; its results do not change. lag: how many epochs a sample may be late, and
         how many are smoothed.
 
-    A step costs what the filter's does; a late sample a step for each epoch since its own. It holds
-    ``lag + 2`` states. Epochs are numbered on, as those of `celnav.epochs` are. Of
-    `celnav.compiled(filter)` steps are machine code.
+    A step costs as much as the filter's; a late sample costs a step for each epoch since its own.
+    The state holds ``lag + 2`` states. Epochs are numbered consecutively, as `celnav.epochs` does.
+    With `celnav.compiled(filter)` steps are machine code.
 
     >>> filter = celnav.filters.fixed_lag.FixedLag(celnav.ukf(motion, gps, camera), lag=20)
     >>> state = filter.start(prior)
@@ -84,21 +85,19 @@ class FixedLag:
         """State after an epoch, and an `Info` of each sensor."""
         instance("state", state, FixedLagState, "what the filter's start(prior) or last step gave")
         if state.belief.mean.dtype.hasobject:
-            after, infos = self.filter.step(
-                state.states[-1], epoch
-            )  # nobody sees the states of a compiled flight: none are kept
+            # A compiled run stores no intermediate states.
+            after, infos = self.filter.step(state.states[-1], epoch)
             return FixedLagState((after,)), infos
-        given = instance("epoch", epoch, Epoch, "a record of celnav.Epoch")
-        epoch = given._replace(
-            u=_copied(given.u), z=_copied(given.z)
-        )  # buffers may be filled again
+        checked = instance("epoch", epoch, Epoch, "a record of celnav.Epoch")
+        # The caller may fill its buffers again.
+        epoch = checked._replace(u=_copied(checked.u), z=_copied(checked.z))
         if state.epochs and epoch.k != (expected := state.epochs[-1].k + 1):
             raise ValueError(
                 f"epoch: expected one with k = {expected}, after the last, got {epoch!r:.80}"
             )
         after, infos = self.filter.step(state.states[-1], epoch)
         if not hasattr(self.filter, "run") and "belief" in getattr(after, "_fields", ()):
-            after = after._replace(belief=mask_failed(after.belief))  # as `celnav.run` goes on
+            after = after._replace(belief=mask_failed(after.belief))  # as `celnav.run` does
         count = self.lag + 1
         return FixedLagState(
             (*state.states, after)[-count - 1 :],
@@ -107,40 +106,41 @@ class FixedLag:
         ), infos
 
     def late(self, state: FixedLagState, k: Any, z: Any) -> tuple[FixedLagState, tuple[Info, ...]]:
-        """State as if a sample had come on time, and what the sensors did to it in the present
+        """State as if a sample had come on time, and the `Info` of each sensor in the present
         epoch.
 
-        k: index of the epoch of the sample, ``epoch.k``; of runs whose samples are of different
-            epochs ``(...)``.
+        k: index of the epoch of the sample, ``epoch.k``; ``(...)`` if the samples of the runs are
+            of different epochs.
         z: measurement ``(..., m)``, or a tuple of them, one for each sensor; nan or None where
-            nothing has come.
+            there is no sample.
 
-        ValueError if an epoch is not kept any more, or has a measurement of that component already.
+        ValueError if an epoch is no longer stored, or already has a measurement of that component.
         """
         instance("state", state, FixedLagState, "what the filter's last step gave")
         at = numbers("k", k)
-        parts = [
-            None if part is None else numbers("z", part, (..., "m"))
-            for part in (z if isinstance(z, tuple) else (z,))
+        samples = [
+            None if sample is None else numbers("z", sample, (..., "m"))
+            for sample in (z if isinstance(z, tuple) else (z,))
         ]
+        # Runs with a late sample.
         come = np.zeros(at.shape, bool)
-        for part in (part for part in parts if part is not None):
-            if np.isinf(part).any():
+        for sample in (sample for sample in samples if sample is not None):
+            if np.isinf(sample).any():
                 raise ValueError("z: expected finite numbers or nan, got an infinite one")
-            broadcast_batches("z", part.shape[:-1], at.shape, "k")
-            come = come | ~np.isnan(part).all(-1)
-        kept = [epoch.k for epoch in state.epochs]
-        beyond = come & ~np.isin(at, kept)
+            broadcast_batches("z", sample.shape[:-1], at.shape, "k")
+            come = come | ~np.isnan(sample).all(-1)
+        indices = [epoch.k for epoch in state.epochs]
+        beyond = come & ~np.isin(at, indices)
         if beyond.any():
             span = (
-                f"an epoch that is kept, {kept[0]} to {kept[-1]} (lag = {self.lag})"
-                if kept
+                f"an epoch that is kept, {indices[0]} to {indices[-1]} (lag = {self.lag})"
+                if indices
                 else "none before the first step"
             )
             raise ValueError(
                 f"k: expected {span}, got {np.broadcast_to(at, beyond.shape)[beyond][0]:g}"
             )
-        epochs = [_filled(epoch, parts, at == epoch.k) for epoch in state.epochs]
+        epochs = [_filled(epoch, samples, at == epoch.k) for epoch in state.epochs]
         first = next(
             (
                 i
@@ -149,27 +149,29 @@ class FixedLag:
             ),
             len(epochs),
         )
-        held = FixedLagState(state.states[: first + 1], state.epochs[:first], state.infos[:first])
+        # Return to the state before the first changed epoch, and run again from there.
+        replayed = FixedLagState(
+            state.states[: first + 1], state.epochs[:first], state.infos[:first]
+        )
         for epoch in epochs[first:]:
-            held, _ = self.step(held, epoch)
-        return held, held.infos[-1] if held.infos else ()
+            replayed, _ = self.step(replayed, epoch)
+        return replayed, replayed.infos[-1] if replayed.infos else ()
 
     def track(self, state: FixedLagState) -> Track:
-        """The `Track` of the epochs kept, late samples included; `celnav.smooth` of it begins with
-        the fixed-lag estimate.
+        """The `Track` of the stored epochs, late samples included; the first epoch of its
+        `celnav.smooth` is the fixed-lag estimate.
         """
         if not instance("state", state, FixedLagState, "what the filter's last step gave").epochs:
             raise ValueError("state: expected one after a step, got one before the first")
         collector = Collector(1, KEEP["cov"])
         for after, epoch, infos in zip(state.states[1:], state.epochs, state.infos, strict=True):
             collector.add(epoch, after.belief, infos, {})
-        return collector.track(
-            None, getattr(self.filter, "filter", self.filter)
-        )  # that which was compiled
+        # The filter itself if `filter` is a compiled one.
+        return collector.track(None, getattr(self.filter, "filter", self.filter))
 
 
 def _copied(x: Any) -> Any:
-    """The same numbers, in memory of their own."""
+    """A copy with its own memory."""
     if x is None or isinstance(x, float | int):
         return x
     if type(x) is np.ndarray:
@@ -178,7 +180,7 @@ def _copied(x: Any) -> Any:
 
 
 def _filled(epoch: Epoch, late: list[Array | None], here: Any) -> Epoch:
-    """The epoch with late measurements where they belong; the same one if none does."""
+    """The epoch with the late measurements that belong to it; the same object if none does."""
     z = (
         epoch.z
         if isinstance(epoch.z, tuple)
@@ -188,25 +190,31 @@ def _filled(epoch: Epoch, late: list[Array | None], here: Any) -> Epoch:
     )
     if len(z) != len(late):
         raise ValueError(f"z: expected {len(z)} measurements, one for each sensor, got {len(late)}")
-    parts = tuple(_both(known, part, here, epoch.k) for known, part in zip(z, late, strict=True))
-    if all(part is known for part, known in zip(parts, z, strict=True)):
+    samples = tuple(
+        _both(on_time, sample, here, epoch.k) for on_time, sample in zip(z, late, strict=True)
+    )
+    if all(sample is on_time for sample, on_time in zip(samples, z, strict=True)):
         return epoch
-    return epoch._replace(z=parts if len(parts) > 1 or isinstance(epoch.z, tuple) else parts[0])
+    return epoch._replace(
+        z=samples if len(samples) > 1 or isinstance(epoch.z, tuple) else samples[0]
+    )
 
 
-def _both(known: Any, late: Array | None, here: Any, k: int) -> Any:
-    """What was measured on time and what came late, of one sensor."""
+def _both(on_time: Any, late: Array | None, here: Any, k: int) -> Any:
+    """The measurement of one sensor on time and late, merged; ValueError if a component has
+    both.
+    """
     if late is None or np.isnan(new := np.where(here[..., None], late, np.nan)).all():
-        return known
-    if known is None:
+        return on_time
+    if on_time is None:
         return new
-    new, known = numbers("z", new, (..., known.shape[-1])), numbers("z", known)
-    broadcast_batches("z", new.shape[:-1], known.shape[:-1], f"epoch {k}")
-    twice = ~(np.isnan(known) | np.isnan(new))
+    new, on_time = numbers("z", new, (..., on_time.shape[-1])), numbers("z", on_time)
+    broadcast_batches("z", new.shape[:-1], on_time.shape[:-1], f"epoch {k}")
+    twice = ~(np.isnan(on_time) | np.isnan(new))
     if twice.any():
         which = ", ".join(str(int(i)) for i in np.argwhere(twice)[0])
         raise ValueError(
             f"z: expected what epoch {k} does not have yet, got component [{which}] a second time; "
             "make it nan"
         )
-    return np.where(np.isnan(new), known, new)
+    return np.where(np.isnan(new), on_time, new)

@@ -19,11 +19,11 @@ from celnav.gaussian.linalg import Array, Belief, SquareRoot, whiten
 from celnav.gaussian.spaces import EUCLIDEAN, Space
 
 __all__ = ["imm"]
-LEAST = -float(np.finfo(float).max)  # what can be taken off minus infinity
+LEAST = -float(np.finfo(float).max)  # a finite stand-in for -inf, which can be subtracted
 
 
 class ImmState(NamedTuple):
-    """The belief of all models together, logarithms of their probabilities ``(..., k)``, and the
+    """The belief of the mixture, logarithms of the models' probabilities ``(..., k)``, and the
     state of each model's filter.
     """
 
@@ -33,13 +33,13 @@ class ImmState(NamedTuple):
 
     @property
     def probabilities(self) -> Array:
-        """Probability of each model ``(..., k)``, given what was measured so far."""
+        """Probability of each model ``(..., k)`` given the measurements so far."""
         return np.asanyarray(np.exp(self.log_probabilities))
 
 
 @dataclass(frozen=True, eq=False)
 class InteractingModels:
-    """What `imm` makes; space and sensors are those of the first model."""
+    """The filter of `imm`; space and sensors are those of the first model."""
 
     filters: tuple[Any, ...]
     log_transition: Array = field(repr=False)
@@ -54,7 +54,7 @@ class InteractingModels:
         return getattr(self.filters[0], "sensors", ())
 
     def start(self, prior: Gaussian | Sequence[Gaussian]) -> ImmState:
-        """State before the first epoch, of one prior, or of one for each model."""
+        """State before the first epoch, from one prior, or from one for each model."""
         priors = (
             prior
             if isinstance(prior, list | tuple) and not hasattr(prior, "mean")
@@ -65,8 +65,10 @@ class InteractingModels:
                 f"prior: expected one Gaussian, or one for each of {len(self.filters)} models, got "
                 f"{len(priors)}"
             )
-        states = tuple(filter.start(own) for filter, own in zip(self.filters, priors, strict=True))
-        if not all("belief" in getattr(one, "_fields", ()) for one in states):
+        states = tuple(
+            filter.start(belief) for filter, belief in zip(self.filters, priors, strict=True)
+        )
+        if not all("belief" in getattr(state, "_fields", ()) for state in states):
             raise ValueError(
                 "filters: expected states with a belief that can be replaced, as those of "
                 "celnav.ukf have"
@@ -74,8 +76,8 @@ class InteractingModels:
         if (
             len(
                 {
-                    (type(one.belief), one.belief.mean.shape[-1], one.belief[1].shape[-1])
-                    for one in states
+                    (type(state.belief), state.belief.mean.shape[-1], state.belief[1].shape[-1])
+                    for state in states
                 }
             )
             > 1
@@ -86,75 +88,83 @@ class InteractingModels:
         return self._state(states, self.log_initial)
 
     def step(self, state: ImmState, epoch: Epoch) -> tuple[ImmState, tuple[Info, ...]]:
-        """State after an epoch, and what each sensor did to it; models take turns at the beginning
-        of an interval.
+        """State after an epoch, and an `Info` of each sensor; the model may switch at the start of
+        an interval.
         """
+        # w_j' = sum_i w_i p_ij, and mu_ij = w_i p_ij / w_j' are the mixing weights, in logarithms.
         weights, states = state.log_probabilities, state.states
         if not is_zero_interval(epoch):
             stay, chances = np.where(np.eye(len(states)), 0.0, -np.inf), self.log_transition
-            if not isinstance(epoch.dt, float):  # of some runs it may be nothing
+            if not isinstance(epoch.dt, float):  # some runs may have an interval of length 0
                 chances = np.where(np.equal(epoch.dt, 0.0)[..., None, None], stay, chances)
-            both = weights[..., :, None] + chances
+            both = weights[..., :, None] + chances  # (..., i, j)
             ahead = _total(both, -2)[..., None, :]
-            # What no model leads to has no weight: any estimate will do for it.
+            # A model that cannot be reached has weight 0, and any estimate will do for it.
             mu = np.exp(
                 np.where(ahead == -np.inf, weights[..., :, None], both - np.maximum(ahead, LEAST))
             )
-            beliefs = [one.belief for one in states]
+            beliefs = [before.belief for before in states]
             states = tuple(
-                one._replace(belief=mixed(self.motion.space, beliefs, mu[..., j]))
-                for j, one in enumerate(states)
+                before._replace(belief=mixed(self.motion.space, beliefs, mu[..., j]))
+                for j, before in enumerate(states)
             )
             weights = ahead[..., 0, :]
         stepped = [
-            filter.step(one, epoch) for filter, one in zip(self.filters, states, strict=True)
+            filter.step(before, epoch) for filter, before in zip(self.filters, states, strict=True)
         ]
         infos = []
-        for each in zip(*(own for _, own in stepped), strict=True):
-            info, weights = _weighed(each, weights)
+        for sensor_infos in zip(*(model_infos for _, model_infos in stepped), strict=True):
+            info, weights = _weighed(sensor_infos, weights)
             infos.append(info)
         return self._state(
-            tuple(one._replace(belief=mask_failed(one.belief)) for one, _ in stepped), weights
+            tuple(after._replace(belief=mask_failed(after.belief)) for after, _ in stepped), weights
         ), tuple(infos)
 
     def _state(self, states: tuple[Any, ...], weights: Array) -> ImmState:
-        belief = mixed(self.motion.space, [one.belief for one in states], np.exp(weights))
+        belief = mixed(self.motion.space, [state.belief for state in states], np.exp(weights))
         return ImmState(
             belief, np.broadcast_to(weights, (*belief.mean.shape[:-1], len(states))), states
         )
 
 
 def mixed(space: Space, beliefs: Sequence[Belief], weights: Array) -> Belief:
-    """The belief with mean and covariance of a mixture by ``weights (..., k)`` [Blom1988]."""
+    """The Gaussian with mean and covariance of a mixture with ``weights (..., k)`` [Blom1988]."""
     mean, form, curved = beliefs[0].mean, type(beliefs[0]), space.transport
-    for _ in range(
-        1 if space is EUCLIDEAN else 3
-    ):  # on a curved space the mean is where differences cancel
-        way = np.stack(np.broadcast_arrays(*(space.minus(one.mean, mean) for one in beliefs)), -1)
-        shift = np.add.reduce(way * weights[..., None, :], -1)
+    # On a curved space the mean is the point where the weighted differences cancel: iterate.
+    for _ in range(1 if space is EUCLIDEAN else 3):
+        deviations = np.stack(
+            np.broadcast_arrays(*(space.minus(belief.mean, mean) for belief in beliefs)), -1
+        )
+        shift = np.add.reduce(deviations * weights[..., None, :], -1)
         mean = space.plus(mean, shift)
-    spreads = [
-        one[1] if curved is None else form.transported(curved(space.minus(mean, one.mean)), one[1])
-        for one in beliefs
+    factors = [
+        belief[1]
+        if curved is None
+        else form.transported(curved(space.minus(mean, belief.mean)), belief[1])
+        for belief in beliefs
     ]
+    # P = sum_i w_i (P_i + d_i d_i') with d_i = x_i - x.
     return form(
         mean,
-        form.mixed(spreads, weights, (way - shift[..., None]) * np.sqrt(weights)[..., None, :]),
+        form.mixed(
+            factors, weights, (deviations - shift[..., None]) * np.sqrt(weights)[..., None, :]
+        ),
     )
 
 
 def _weighed(infos: Sequence[Any], weights: Array) -> tuple[Info, Array]:
-    """What a sensor did to all models together, with innovation and covariance of their mixture,
-    and their weights after it.
+    """The `Info` of a sensor for the mixture, with its innovation and covariance, and the weights
+    of the models after the update.
     """
+    # w_i+ = w_i p(z | i) / sum_j w_j p(z | j), in logarithms; density = log p(z).
     if any(info.sqrt_S is None for info in infos):
         return infos[0], weights
     both = weights + np.stack(np.broadcast_arrays(*(info.log_likelihood for info in infos)), -1)
     density, mu = _total(both, -1), np.exp(weights)
     used = reduce(np.logical_and, [info.used for info in infos])
-    seen = np.stack(np.broadcast_arrays(*(info.innovation for info in infos)), -1)
-    innovation = np.add.reduce(seen * mu[..., None, :], -1)
-    apart = np.where(used[..., None], seen - innovation[..., None], 0.0) * np.sqrt(mu)[..., None, :]
+    y = np.stack(np.broadcast_arrays(*(info.innovation for info in infos)), -1)
+    innovation = np.add.reduce(y * mu[..., None, :], -1)
+    apart = np.where(used[..., None], y - innovation[..., None], 0.0) * np.sqrt(mu)[..., None, :]
     S = SquareRoot.mixed(
         [np.where(used[..., None], info.sqrt_S, np.eye(used.shape[-1])) for info in infos],
         mu,
@@ -175,7 +185,7 @@ def _weighed(infos: Sequence[Any], weights: Array) -> tuple[Info, Array]:
 
 
 def _total(x: Array, axis: int) -> Array:
-    """Logarithm of the sum of exponentials, of which the largest cannot underflow."""
+    """Logarithm of a sum of exponentials, scaled by the largest so that it cannot underflow."""
     most = np.maximum(np.maximum.reduce(x, axis, keepdims=True), LEAST)
     with np.errstate(divide="ignore"):
         return np.asanyarray(
@@ -186,19 +196,18 @@ def _total(x: Array, axis: int) -> Array:
 def imm(
     filters: Sequence[Any], transition: ArrayLike, *, initial: ArrayLike | None = None
 ) -> InteractingModels:
-    """A filter of several models that take turns as a Markov chain [Blom1988].
+    """A filter for several models that alternate as a Markov chain [Blom1988].
 
-    filters: one for each model, such as `celnav.ukf`, of the same state and sensors and of one
-        form. Hooks that leave measurements out are to do so for all models alike, since likelihoods
-        are compared.
+    filters: one for each model, such as `celnav.ukf`, with the same state, sensors and form. Hooks
+        that leave measurements out must do so for all models alike, since likelihoods are compared.
     transition: ``(k, k)``, ``[i, j]`` the probability that model j follows model i from one epoch
-        to the next; rows sum to 1. Over an interval of no length models stay.
-    initial: ``(k,)``, probabilities before the first epoch; None: all alike.
+        to the next; rows sum to 1. Over an interval of length 0 models do not change.
+    initial: ``(k,)``, probabilities before the first epoch; None: all equal.
 
-    The prior may be a list of one for each model. Mean and covariance are moments of the mixture,
-    so are innovation and NIS; the likelihood is its own. ``state.probabilities (..., k)`` are those
-    of the models, and ``also`` brings them into a `Track`. A run is lost when one of its models is.
-    ValueError names an argument that cannot be meant.
+    The prior may be a list of one for each model. Mean and covariance, innovation and NIS are
+    moments of the mixture; the likelihood is that of the mixture itself.
+    ``state.probabilities (..., k)`` are the probabilities of the models, and ``also`` stores them
+    in a `Track`. A run fails if one of its models fails. ValueError names an invalid argument.
 
     >>> models = [celnav.ukf(cruise, radar), celnav.ukf(turn, radar)]
     >>> filter = celnav.imm(models, [[0.95, 0.05], [0.1, 0.9]])
@@ -211,9 +220,9 @@ def imm(
     k, wrong = (
         len(made),
         [
-            one
-            for one in made
-            if not all(hasattr(one, name) for name in ("start", "step", "motion"))
+            model
+            for model in made
+            if not all(hasattr(model, name) for name in ("start", "step", "motion"))
         ],
     )
     if wrong:

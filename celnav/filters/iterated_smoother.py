@@ -1,10 +1,10 @@
-"""A smoother that linearizes its models again over what it found: the posterior linearization
-smoother, and its extended kin.
+"""A smoother that relinearizes its models over its own result: the posterior linearization
+smoother, and its extended variant.
 
-A filter linearizes over what it knows on the way. Once all is smoothed, more is known of every
-state: linearize motion and sensors over the smoothed beliefs, filter and smooth with these, and do
-so again. Of points it is the iterated posterior linearization smoother [Garcia2017]; of Taylor's
-rule the iterated extended Kalman smoother, which is Gauss and Newton's method for the most probable
+A filter linearizes over the beliefs available on the way. The smoothed beliefs are more accurate:
+linearize motion and sensors over them, filter and smooth with these linearizations, and repeat.
+With sigma points this is the iterated posterior linearization smoother [Garcia2017]; with Taylor's
+rule the iterated extended Kalman smoother, which is the Gauss-Newton method for the most probable
 trajectory [Bell1994].
 """
 
@@ -54,15 +54,15 @@ def iterated_smoother(
     estimates.
 
     filter: one that predicts, then updates, such as `celnav.ukf` or `celnav.ekf`. prior, times, z,
-        u: as `celnav.run` has them.
-    iterations: flights there and back; one is `celnav.smooth` of the filter's own track. A count,
-        not a tolerance, so that what a run gives does not depend on its neighbors: look whether
-            more of them change anything.
-    gains, on_failure: as `celnav.smooth` has them.
-    engine, jobs: of the flights there and back, as `celnav.run` has them; gains are numpy's.
+        u: as in `celnav.run`.
+    iterations: forward and backward passes; one is `celnav.smooth` of the filter's own track. A
+        count, not a tolerance, so that the result of a run does not depend on the other runs: check
+        whether more iterations change anything.
+    gains, on_failure: as in `celnav.smooth`.
+    engine, jobs: of all passes, as in `celnav.run`; gains need numpy.
 
-    Returns the `Track` of the last flight, smoothed; its innovations, likelihood and events are of
-    that flight.
+    Returns the `Track` of the last iteration, smoothed; its innovations, likelihood and events are
+    those of its forward pass.
 
     >>> filter = celnav.ukf(motion, radar)
     >>> smoothed = celnav.iterated_smoother(filter, prior, times, z, iterations=5)
@@ -72,23 +72,27 @@ def iterated_smoother(
     by, why = choice("engine", ENGINE.get() if engine is None else engine, ENGINES), ""
     epochs: Any = as_epochs(times, z, u)
     epochs = epochs if isinstance(epochs, Epochs) else list(epochs)
-    flown: Any = filter
+    linearized: Any = filter
     for left in range(count - 1, -1, -1):
-        track = run(flown, prior, epochs, keep="cov", on_failure=on_failure, engine=by, jobs=jobs)
-        if track.engine.startswith("numpy: "):  # what was refused once is not tried again
+        track = run(
+            linearized, prior, epochs, keep="cov", on_failure=on_failure, engine=by, jobs=jobs
+        )
+        if track.engine.startswith("numpy: "):  # an engine that refused once is not tried again
             by, why = "numpy", track.engine
+        # Only the last pass stores gains, which need numpy.
         last = gains and not left
         back = "numpy" if last else by
         track = smooth(track, gains=last, on_failure=on_failure, engine=back, jobs=jobs)
-        epochs, flown = _told(epochs, _ends(prior, track)), relinearized(filter)
+        # The next pass linearizes over the smoothed beliefs.
+        epochs, linearized = _told(epochs, _ends(prior, track)), relinearized(filter)
     return replace(
         track, filter=filter, epochs=_told(track.epochs, None), engine=why or track.engine
     )
 
 
 def _ends(prior: Gaussian, track: Track) -> tuple[Belief, Belief]:
-    """The beliefs at the beginning and at the end of each interval, that of the first from the
-    prior on.
+    """The beliefs at the start and at the end of each interval; the first interval starts with the
+    prior.
     """
     after: Any = track.belief
     form = type(after)
@@ -99,7 +103,7 @@ def _ends(prior: Gaussian, track: Track) -> tuple[Belief, Belief]:
 
 
 def _told(epochs: Any, about: Any) -> Any:
-    """The same epochs, and what each is about: of a tuple of beliefs its rows."""
+    """The same epochs with their ``about``: rows of a tuple of beliefs, or None."""
     if isinstance(epochs, Epochs):
         return epochs.told(about)
     rows = [None] * len(epochs) if about is None else zip(*(map(type(x), *x) for x in about))
@@ -108,21 +112,20 @@ def _told(epochs: Any, about: Any) -> Any:
 
 @lru_cache(maxsize=16)
 def relinearized(filter: Sequential) -> Relinearized:
-    """The filter linearized so; of the same one the same, of which machine code is kept."""
+    """The relinearized filter; cached, so that its machine code is kept."""
     return Relinearized.of(filter)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Relinearized(Sequential):
-    """A filter whose models are linearized over the beliefs that an epoch brings, ``epoch.about``,
-    instead of over its own.
+    """A filter whose models are linearized over the beliefs in ``epoch.about`` instead of its own.
 
-    The first is of the beginning of the interval, the second of its end.
+    The first belief is at the start of the interval, the second at its end.
     """
 
     @classmethod
     def of(cls, filter: Sequential) -> Relinearized:
-        """The same filter, linearized so."""
+        """The same filter, linearized over the beliefs of the epochs."""
         return cls(
             filter.motion,
             filter.sensors,

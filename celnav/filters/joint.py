@@ -1,5 +1,5 @@
-"""The joint of a measurement and a state, and its conditioning: every filter here is made of the
-two.
+"""The joint of a measurement and a state, and its conditioning: every filter here is made of these
+two operations.
 
 An update with a linear measurement ``z = H x + v``, in the letters of the books (``P = L L'``,
 ``R = V V'``)::
@@ -11,8 +11,8 @@ An update with a linear measurement ``z = H x + v``, in the letters of the books
     y  = z - H x                         L+ L+' = P - K S S' K'
     x+ = x + U (S^-1 y) = x + K y        P+     = L+ L+'
 
-Any functions take the place of H and of the identity: a rule gives the columns D of their images,
-and noise stands beside them::
+A rule replaces H and the identity by any functions: it gives the columns D of their images. The
+columns of the noise stand to the right::
 
     A = [ D_z  W_z  V ]   m rows         predict:  m = 0, g = f
         [ D_x  W_x  0 ]   n rows         update:   g = (h, identity)
@@ -72,13 +72,13 @@ space.
 
 
 class Joint(NamedTuple):
-    """The joint of a measurement (m rows) and a state (n rows): what a hook sees and may replace.
+    """The joint of a measurement (m rows) and a state (n rows), which a hook gets and may replace.
 
-    innovation: ``(..., m)``, measurement minus prediction; nan where nothing was measured, or a
-        hook leaves it out. None where there is nothing to condition on.
+    innovation: ``(..., m)``, measurement minus prediction; nan where nothing was measured, or where
+        a hook leaves the component out. None if there is nothing to condition on.
     measurement, state: their images, with columns ``(..., m, q)`` and ``(..., n, q)`` from the
         prior.
-    sign: ``(q,)``, -1 where a weight is negative; one 1 may stand for all.
+    sign: ``(q,)``, -1 where a weight is negative; ``(1,)`` may stand for +1 in all columns.
     process_noise: its columns ``(..., m, r)`` in the measurement, 0 for zeros, and ``(..., n, r)``
         in the state; None without.
     measurement_noise: its columns ``(..., m, s)``; None without.
@@ -105,6 +105,7 @@ class Joint(NamedTuple):
         then short.
         """
         images = (self.state,) if self.measurement is None else (self.measurement, self.state)
+        # [[D_z], [D_x]], to which the columns of the noises are appended.
         rows: list[list[Any]] = [[image.columns] for image in images]
         if self.process_noise is not None:
             for row, W in zip(rows, self.process_noise[-len(rows) :], strict=True):
@@ -122,6 +123,7 @@ class Joint(NamedTuple):
         """
         A, sign = self._replace(measurement_noise=None).columns()
         m = self.measurement.columns.shape[-2]
+        # (..., m + n, m): the covariance of [z; x] with z.
         cov = A @ _signed(A[..., :m, :], sign).mT
         return cov[..., :m, :], cov[..., m:, :]
 
@@ -137,11 +139,11 @@ class Joint(NamedTuple):
         return np.zeros(self.measurement.columns.shape[-2]) if V is None else np.vecdot(V, V)
 
     def leaving_out(self, mask: Array) -> Joint:
-        """Without the components of the measurement where ``mask (..., m)`` is True."""
+        """The joint without the measured components where ``mask (..., m)`` is True."""
         return self._replace(innovation=np.where(mask, np.nan, self.innovation))
 
     def inflated(self, factor: Array) -> Joint:
-        """With measurement noise of standard deviations ``factor (..., m)`` times as large."""
+        """The joint with standard deviations of the measurement noise times ``factor (..., m)``."""
         V = self.measurement_noise
         return self if V is None else self._replace(measurement_noise=factor[..., None] * V)
 
@@ -150,12 +152,12 @@ Hook = Callable[[Any, Joint, Any], tuple[Any, Joint]]
 """``(memory, joint, epoch) -> (memory, joint)``; the memory is None at the start."""
 Gain = Array | Callable[[Array, Array, int], Array]
 """A prescribed gain ``(..., n, m)``, or a function of the pre-array ``A``, its ``sign`` and ``m``
-that gives it.
+that returns it.
 """
 
 
 def _padded(sign: Array, count: int) -> Array:
-    """The signs of columns with ``count`` more columns of noise; one 1 goes on standing for all."""
+    """The signs with ``count`` more columns of noise; a single 1 still stands for all columns."""
     return sign if len(sign) == 1 or not count else np.append(sign, np.ones(count))
 
 
@@ -178,7 +180,7 @@ def joint(
     measurement_noise: Noise = None,
     augment: Sequence[Array] = (),
 ) -> Joint:
-    """Push a belief through models, and set the noise beside what comes out.
+    """Push a belief through models, and set the noise beside their images.
 
     rule: `Rule` or `Taylor`, or a function of the dimension.
     outputs: the measurement (if any) and the state, each a `Motion`, a `Sensor`, `KEEP` (the state
@@ -188,17 +190,18 @@ def joint(
     space: of the belief. spaces: of what a function gives; None: vectors.
     z: ``(..., m)``, what was measured; None: there is no measurement among the outputs.
     process_noise: columns ``(..., n, r)`` beside the state, a function ``(mean, epoch)`` of them,
-        or a pair of those beside the measurement and beside the state.
-    measurement_noise: columns ``(..., m, s)``, or a function of them. augment: roots of the noises
-        that go through the points.
+        or a pair of the columns beside the measurement and those beside the state.
+    measurement_noise: columns ``(..., m, s)``, or a function ``(mean, epoch)`` of them. augment:
+        roots of the noises that go through the points.
     """
     rule = rule_for(rule, belief, augment)
     W: Any = noise_at(process_noise, belief.mean, epoch)
     V = noise_at(measurement_noise, belief.mean, epoch)
+    # Columns beside the measurement, and beside the state.
     W = W if W is None or type(W) is tuple else (0, W)
     for name, columns in (("Q", W and W[1]), ("R", V), *(("augment", E) for E in augment)):
         if columns is not None and columns.ndim > 2:
-            # A model may need the axes of runs that only the noise has.
+            # The noise may have axes of runs that the belief lacks, and a model may need them.
             belief = broadcast_to_runs(name, columns.shape[:-2], belief)
     m = None if z is None else z.shape[-1]
     images = None
@@ -218,14 +221,14 @@ def joint(
             raise ValueError(
                 f"{name}: expected {rows} rows to go with the model, got {columns.shape[-2]}"
             )
-    known = belief[1] if state.center is belief.mean and W is None else None
+    prior_factor = belief[1] if state.center is belief.mean and W is None else None
     if z is None:
-        return Joint(None, None, state, sign, W, None, known)
+        return Joint(None, None, state, sign, W, None, prior_factor)
     z_space = getattr(first, "space", EUCLIDEAN) if spaces is None else spaces[0]
     innovation = _innovation(z, measurement, z_space, belief)
     by_qr = isinstance(belief, SquareRoot) and sign is POSITIVE
     noise_first = by_qr and isinstance(first, Sensor) and is_linear(first.h)
-    return Joint(innovation, measurement, state, sign, W, V, known, noise_first)
+    return Joint(innovation, measurement, state, sign, W, V, prior_factor, noise_first)
 
 
 def _innovation(z: Array, measurement: Image, space: Space, belief: Belief) -> Array:
@@ -238,13 +241,14 @@ def _innovation(z: Array, measurement: Image, space: Space, belief: Belief) -> A
         broadcast_batches("z", z.shape[:-1], belief.mean.shape[:-1], "the belief")
     if space is EUCLIDEAN:
         return np.asanyarray(z - center - shift)
-    # The mean may lie across a seam from the center.
+    # z - (center + shift), as a difference from the center: an angle's mean may lie across the
+    # seam.
     return np.asanyarray(space.minus(space.plus(center, space.minus(z, center) - shift), center))
 
 
 def rule_for(rule: Any, belief: Belief, augment: Sequence[Array] = ()) -> Any:
-    """The rule of a belief and of the noises through its points, where it is a function of the
-    dimension.
+    """The rule for a belief and for the noises through its points; a function of the dimension is
+    called.
     """
     if hasattr(rule, "image"):
         return rule
@@ -268,15 +272,15 @@ def _point_images(
     augment: Sequence[Array],
     m: int | None,
 ) -> list[Image]:
-    """Images of outputs, from their values at the points of a rule."""
+    """Images of the outputs, from their values at the points of a rule."""
     root, n = belief.sqrt_cov, belief[1].shape[-1]
     x, *noise = rule.points(belief.mean, root, space, augment)
     values = outputs(x, epoch, *noise) if callable(outputs) else outputs
     images = []
     for i, y in enumerate(values):
         if y is KEEP:
-            kept = rule.kept(root, augment)
-            images.append(Image(belief.mean, np.zeros(n), kept, partial(np.eye, n)))
+            columns = rule.kept(root, augment)
+            images.append(Image(belief.mean, np.zeros(n), columns, partial(np.eye, n)))
         elif isinstance(y, np.ndarray):
             images.append(rule.image(y, EUCLIDEAN if spaces is None else spaces[i], root))
         else:
@@ -289,16 +293,17 @@ def evaluate(
 ) -> Array:
     """Values ``(p, ..., m)`` of a model at points ``x (p, ..., N)``, guarded.
 
-    ``m``: how many components are measured. A model is checked when it is first called: each point
-    and each run by itself. The function may change its argument: rules make points for one call,
-    and a caller with two hands out a copy.
+    ``m``: number of measured components. A model is checked at its first call: each point and each
+    run must be treated separately. The function may change its argument: the points are made for
+    one call, and a caller that uses them twice passes a copy.
     """
     function: Any = getattr(model, model.name)
     if not callable(function):
         return matvec(function, x)
     if unknown(function, x):
         copies = [array.copy(order="K") for array in (x, *noise)]
-        y = _values(model, x, epoch, noise, m).copy(order="K")  # it may be a buffer of the model's
+        # The model may return a buffer of its own, which the check would overwrite.
+        y = _values(model, x, epoch, noise, m).copy(order="K")
         check_apart(model.name, function, copies, epoch, y)
     else:
         y = _values(model, x, epoch, noise, m)
@@ -311,8 +316,8 @@ def evaluate(
 def _values(
     model: Motion | Sensor, x: Array, epoch: Any, noise: Sequence[Array], m: int | None
 ) -> Array:
-    """Values of a model as floats of the shape they must have; an error carries a note of what the
-    model got.
+    """Values of a model as floats of the expected shape; an error carries a note with the arguments
+    of the model.
     """
     name = model.name
     function: Any = getattr(model, name)
@@ -326,10 +331,10 @@ def _values(
         if type(y) is not np.ndarray or y.dtype != np.float64:
             y = as_floats(name, y, x)
     except (AttributeError, IndexError, TypeError, ValueError) as error:
-        given = "an input" if getattr(epoch, "u", None) is not None else "None"
+        u_text = "an input" if getattr(epoch, "u", None) is not None else "None"
         error.add_note(
             f"{name} is called with points {x.shape} and an Epoch: epoch.dt is its interval, "
-            f"epoch.u ({given}) its input"
+            f"epoch.u ({u_text}) its input"
         )
         error.add_note(POINTS)
         raise
@@ -345,8 +350,8 @@ def _values(
 
 # -- by matrices -----------------------------------------------------------------------------------
 def by_matrix(model: Any, rule: Any) -> bool:
-    """Whether a model enters by its matrix alone: it is linear, or the rule asks for derivatives
-    that are known.
+    """Whether the matrix of a model is enough: it is linear, or the rule is Taylor's and the model
+    has a ``jacobian``.
     """
     if isinstance(rule, Taylor) and model.jacobian is not None:
         return True
@@ -356,9 +361,7 @@ def by_matrix(model: Any, rule: Any) -> bool:
 def linear(
     model: Motion | Sensor, rule: Any, mean: Array, epoch: Any, space: Space = EUCLIDEAN
 ) -> tuple[Array, Array]:
-    """Value at the mean and matrix of a model that enters `by_matrix`; ``space``: that of the
-    state.
-    """
+    """Value at the mean and matrix of a model that enters `by_matrix`; ``space`` of the state."""
     function: Any = getattr(model, model.name)
     if is_linear(function):
         matrix = function.at(epoch, mean.shape[-1]) if isinstance(function, Linear) else function
@@ -370,8 +373,9 @@ def linear(
             look(model.name, value[None])
         return value, matrix
     center = mean if rule.about is None else np.broadcast_to(rule.about, mean.shape)
-    none = [np.zeros((1, *center.shape[:-1], E.shape[-2])) for E in model.augment]
-    value = evaluate(model, center[None].copy(), epoch, none)[0]
+    zero_noise = [np.zeros((1, *center.shape[:-1], E.shape[-2])) for E in model.augment]
+    value = evaluate(model, center[None].copy(), epoch, zero_noise)[0]
+    # f(mean) = f(center) + J (mean - center), where center is the point to expand about.
     J = matrices_of("jacobian", model.jacobian, center, epoch)
     if J.ndim < 2 or (model.space is EUCLIDEAN and J.shape[-2] != value.shape[-1]):
         raise ValueError(
@@ -380,8 +384,8 @@ def linear(
         )
     if rule.about is None:
         return value, J
-    way = space.minus(mean, center)
-    return model.space.plus(value, matvec(J[..., : way.shape[-1]], way)), J
+    offset = space.minus(mean, center)
+    return model.space.plus(value, matvec(J[..., : offset.shape[-1]], offset)), J
 
 
 def _linear_images(
@@ -392,7 +396,7 @@ def _linear_images(
     space: Space,
     augment: Sequence[Array],
 ) -> list[Image] | None:
-    """Images of linear functions; None where one of them is not."""
+    """Images of linear functions; None if one of them is not linear."""
     for output in outputs:
         if output is not KEEP and type(output) is not tuple and not by_matrix(output, rule):
             return None
@@ -420,6 +424,7 @@ def _linear_image(value: Array, J: Array, root: Array, augment: Sequence[Array])
     ``(..., k, n + noises)``.
     """
     n, k = root.shape[-1], J.shape[-2]
+    # J = [J_x, J_noise1, ...]: the columns of J belong to the state, then to each noise.
     ends = np.cumsum([E.shape[-2] for E in (root, *augment)]) if augment else (n,)
     if J.shape[-1] != ends[-1]:
         raise ValueError(f"jacobian: expected shape (..., {k}, {ends[-1]}), got {J.shape}")
@@ -434,8 +439,8 @@ def _linear_image(value: Array, J: Array, root: Array, augment: Sequence[Array])
 
 # -- axes of runs ----------------------------------------------------------------------------------
 def broadcast_to_runs(name: str, batch: tuple[int, ...], belief: Belief) -> Belief:
-    """The belief, with a mean for each of the runs that only an argument has; ValueError names one
-    that does not go with it.
+    """The belief, with a mean for each of the runs of an argument; ValueError names an argument
+    that does not broadcast with it.
     """
     runs = belief.mean.shape[:-1]
     if not batch or batch == runs:
@@ -452,25 +457,25 @@ def broadcast_to_runs(name: str, batch: tuple[int, ...], belief: Belief) -> Beli
     return belief._replace(mean=np.broadcast_to(belief.mean, (*together, belief.mean.shape[-1])))
 
 
-def broadcast_belief(form: Form, mean: Array, spread: Array) -> Belief:
-    """The belief, where mean and covariance differ from run to run in axes of their own."""
-    batch = broadcast_batches("Q, R", spread.shape[:-2], mean.shape[:-1], "the belief")
+def broadcast_belief(form: Form, mean: Array, factor: Array) -> Belief:
+    """The belief with mean and covariance broadcast to their joint axes of runs."""
+    batch = broadcast_batches("Q, R", factor.shape[:-2], mean.shape[:-1], "the belief")
     return form(
         np.broadcast_to(mean, (*batch, mean.shape[-1])),
-        np.broadcast_to(spread, (*batch, *spread.shape[-2:])),
+        np.broadcast_to(factor, (*batch, *factor.shape[-2:])),
     )
 
 
-def _belief(form: Form, mean: Array, spread: Array) -> Belief:
-    """The belief; a covariance that all runs share stays one."""
-    if spread.ndim == 2 or spread.shape[:-2] == mean.shape[:-1]:
-        return form(mean, spread)
-    return broadcast_belief(form, mean, spread)
+def _belief(form: Form, mean: Array, factor: Array) -> Belief:
+    """The belief; a covariance that all runs share stays one ``(n, n)``."""
+    if factor.ndim == 2 or factor.shape[:-2] == mean.shape[:-1]:
+        return form(mean, factor)
+    return broadcast_belief(form, mean, factor)
 
 
 def shared_mask(used: Array) -> Array:
-    """A mask ``(..., m)`` as one, ``(m,)``, where it is that of all runs: what they share then
-    stays one for all.
+    """A mask ``(..., m)`` as ``(m,)`` if it is the same in all runs, so that what they share stays
+    one for all.
     """
     every: Array = np.logical_and.reduce(used, tuple(range(used.ndim - 1)))
     return every if used.ndim == 1 or every.all() or (used == every).all() else used
@@ -493,7 +498,7 @@ def condition(
     epoch: Any = None,
     gain: Gain | None = None,
 ) -> tuple[Belief, Info, Any]:
-    """The belief about the state given the innovation, what was done, and the hooks' memory.
+    """The belief about the state given the innovation, an `Info`, and the hooks' memory.
 
     `Info` has the innovation as it was before the hooks; all else in it is from after them.
 
@@ -508,8 +513,8 @@ def condition(
     mask = shared_mask(used)
     A, sign = joint.columns()
     if not is_concretely_true(mask.all()):
-        # Rows that were not measured: no columns from the prior, a unit noise of their own and a
-        # zero innovation.
+        # Rows that were not measured: no columns from the prior, a noise of variance 1 and a zero
+        # innovation, so that they change nothing.
         A = block(
             [[A[..., :m, :] * mask[..., None], np.eye(m) * ~mask[..., None]], [A[..., m:, :], 0]]
         )
@@ -519,20 +524,22 @@ def condition(
     if gain is not None:
         K = gain(A, sign, m) if callable(gain) else gain
         K = numbers("gain", K, (..., A.shape[-2] - m, m)) * mask[..., None, :]
-    S, U, spread = form.condition(
+    # S (..., m, m), U = K S (..., n, m), and the root or covariance of the state given z.
+    S, U, factor = form.condition(
         A, sign, m, K, prior_factor=joint.prior_factor, noise=joint.measurement_noise
     )
     whitened = whiten(S, y)  # S^-1 y
+    # x+ = center + shift + K y, with K y = U S^-1 y.
     step = joint.state.shift + (matvec(U, whitened) if K is None else matvec(K, y))
     if space.transport is not None:
-        spread = form.transported(space.transport(step), spread)
+        factor = form.transported(space.transport(step), factor)
 
     def gain_used() -> Array:
         return solve_right(S, U) if K is None else K
 
     R = joint.noise_variances() if hooks else None
     info = Info(measured, whitened, used, S, gain_used, joint.measurement.jacobian, R=R)
-    return _belief(form, space.plus(joint.state.center, step), spread), info, memory
+    return _belief(form, space.plus(joint.state.center, step), factor), info, memory
 
 
 def _copied(image: Image) -> Image:
@@ -543,13 +550,13 @@ def _copied(image: Image) -> Image:
 
 
 def _adapted(joint: Joint, hooks: Sequence[Hook], memory: Any, epoch: Any) -> tuple[Joint, Any]:
-    """The joint after its hooks, which may replace its arrays or write into them, and their
-    memories.
+    """The joint after its hooks, and their memories. Hooks may replace its arrays or write into
+    them.
     """
     columns, memories = joint.state.columns, []
     measurement, state = _copied(joint.measurement), _copied(joint.state)
     W, V = joint.process_noise, joint.measurement_noise
-    given = joint = joint._replace(
+    original = joint = joint._replace(
         innovation=joint.innovation.copy(),
         measurement=measurement,
         state=state,
@@ -569,7 +576,8 @@ def _adapted(joint: Joint, hooks: Sequence[Hook], memory: Any, epoch: Any) -> tu
                 f"hooks: expected an innovation of {rows} components, one for each row of the "
                 f"measurement's columns, got {components}"
             )
-    same = joint.sign is given.sign and joint.process_noise is given.process_noise
+    # The shortcut with the prior's own covariance holds only if no hook changed its columns.
+    same = joint.sign is original.sign and joint.process_noise is original.process_noise
     if not same or not known_alike(joint.state.columns, columns):
         joint = joint._replace(prior_factor=None)
     return joint, tuple(memories)

@@ -1,9 +1,9 @@
-"""A model must treat each sigma point, and each run, by itself.
+"""Check that a model treats each sigma point, and each run, separately.
 
 ``x[0] += epoch.dt * x[1]`` adds *points*, not components, and ``F @ x`` multiplies runs. Both
 return arrays of the right shape. So each model is checked when a filter first calls it, on copies:
 its values must follow the points when their order is reversed, and some points of one run must give
-what they gave among all others. Where a model holds arrays of all runs, and one run cannot be
+the same values as among all others. If a model holds arrays of all runs, so that one run cannot be
 evaluated alone, some runs are exchanged for others instead, and the rest must not change.
 """
 
@@ -20,19 +20,19 @@ from celnav.gaussian.linalg import Array
 
 MOST = 16  # models checked in a run of a filter: some are made anew at every step
 LOOKED_AT: ContextVar[list[Any] | None] = ContextVar("looked_at", default=None)
-"""The models checked so far in this run; None where steps are taken by hand."""
+"""The models checked so far in this run; None if steps are called directly."""
 BY_HAND: set[Any] = set()
 """The code of models checked in such steps."""
 WATCH: ContextVar[Callable[[str, Array], Any] | None] = ContextVar("watch", default=None)
-"""Called with the name of each model and its values; it may return others to be used instead."""
+"""Called with the name of each model and its values; it may return other values to use instead."""
 POINTS = "points are (p, ..., n): a component is x[..., 0], a product with a matrix x @ F.T"
 MEANS = "means are (..., n): a component is mean[..., 0]"
-LOOSE = 0.01, 0.01  # of the values and of their range: the error of a solver that chooses its steps
+LOOSE = 0.01, 0.01  # of the values and of their range: the error of a solver with adaptive steps
 Model = Callable[..., Any]
 
 
 def unknown(function: Model, points: Array) -> bool:
-    """Whether a model is to be checked: once in a run, or once where steps are taken by hand."""
+    """Whether a model needs a check: once in a run, or once if steps are called directly."""
     if points.dtype.hasobject or not points.size or points.shape[:-1] in ((), (1,)):
         return False
     models = LOOKED_AT.get()
@@ -65,29 +65,29 @@ def check_apart(
     if not wrong:
         return
     again = _value(function, arrays, epoch, y)
-    if not isinstance(again, str) and np.array_equal(again, y, equal_nan=True):  # or it is random
+    if not isinstance(again, str) and np.array_equal(again, y, equal_nan=True):  # else it is random
         raise ValueError(f"{name}: expected values of {wrong}; {hint}")
 
 
 def check_matrices_apart(
     name: str, function: Model, mean: Array, epoch: Any, matrix: Array
 ) -> None:
-    """The same of a function ``(mean, epoch)`` that returned ``matrix (..., k, n)``."""
+    """The same for a function ``(mean, epoch)`` that returned ``matrix (..., k, n)``."""
     if matrix.shape[:-2] not in ((), mean.shape[:-1]):
         return  # it has runs that the mean does not have
     size = matrix.shape[-2] * matrix.shape[-1]
 
     def values(points: Array, epoch: Any) -> Array:
-        found = np.asarray(function(points[0], epoch), dtype=np.float64)
+        value = np.asarray(function(points[0], epoch), dtype=np.float64)
         runs = points.shape[1:-1]
-        return np.broadcast_to(found, (*runs, *matrix.shape[-2:])).reshape(1, *runs, size)
+        return np.broadcast_to(value, (*runs, *matrix.shape[-2:])).reshape(1, *runs, size)
 
-    if matrix.ndim == 2:  # one of all runs may not depend on any
+    if matrix.ndim == 2:  # a matrix for all runs must not depend on the mean of any
         like = matrix.reshape(1, size)
         for near, same in ((mean + 0.1 * (1.0 + np.abs(mean)), False), (mean, True)):
-            found = _value(values, [near[None]], epoch, like)
-            if isinstance(found, str) or _same(found, np.broadcast_to(like, found.shape)) != same:
-                return  # or it is random
+            value = _value(values, [near[None]], epoch, like)
+            if isinstance(value, str) or _same(value, np.broadcast_to(like, value.shape)) != same:
+                return  # it does not depend on the mean, or it is random
         raise ValueError(
             f"{name}: expected values of each run by itself, got one matrix of all runs that "
             f"depends on the mean; {MEANS}"
@@ -97,7 +97,7 @@ def check_matrices_apart(
 
 
 def _mixed(function: Model, arrays: Sequence[Array], epoch: Any, y: Array) -> str:
-    """What is wrong if a value depends on other points or runs."""
+    """The error, if a value depends on other points or runs; "": none."""
     points = "each point by itself, got points that depend on each other"
     other = _value(function, [a[::-1] for a in arrays], epoch, y) if len(y) > 1 else ""
     if not isinstance(other, str) and not _same(other[::-1], y):
@@ -107,12 +107,12 @@ def _mixed(function: Model, arrays: Sequence[Array], epoch: Any, y: Array) -> st
         finite: Any = np.isfinite(y).all(tuple(i for i in range(y.ndim) if i != y.ndim - 2))
         last = len(finite) - 1 - int(np.argmax(finite[::-1]))
         here = slice(last, last + 1)
-    some = slice(len(y) - len(y) // 2), slice(-1, None)
-    follows = [_follows(function, arrays, epoch, y, part, here) for part in some]
+    subsets = slice(len(y) - len(y) // 2), slice(-1, None)
+    follows = [_follows(function, arrays, epoch, y, subset, here) for subset in subsets]
     if all(follows):
         return ""
     if len(y) > 1 and y.ndim > 2:  # because of the other points, or of the other runs
-        follows = [_follows(function, arrays, epoch, y, part, slice(None)) for part in some]
+        follows = [_follows(function, arrays, epoch, y, subset, slice(None)) for subset in subsets]
     if len(y) > 1 and False in follows:
         return points
     alone = _follows(function, arrays, epoch, y, slice(None), here) if y.ndim > 2 else True
@@ -124,22 +124,22 @@ def _mixed(function: Model, arrays: Sequence[Array], epoch: Any, y: Array) -> st
 def _follows(
     function: Model, arrays: Sequence[Array], epoch: Any, y: Array, points: slice, runs: slice
 ) -> bool | None:
-    """Whether some points of some runs give what they gave among all; None: they give nothing."""
+    """Whether some points of some runs give the same values as among all; None: they give none."""
     at: Any = (points, ..., runs, slice(None)) if y.ndim > 2 else points
-    found = _value(function, [a[at] for a in arrays], epoch, y)
-    if isinstance(found, str):  # a matrix that is multiplied by one run only does not fit
-        return False if "core dimension" in found and runs != slice(None) else None
+    values = _value(function, [a[at] for a in arrays], epoch, y)
+    if isinstance(values, str):  # a matrix that is multiplied by one run only does not fit
+        return False if "core dimension" in values and runs != slice(None) else None
     among = y[..., runs, :] if y.ndim > 2 else y
-    # A solver that chooses its steps for all points together does not give the same digits.
+    # A solver that chooses its steps for all points together does not reproduce all digits.
     error = LOOSE[0] * np.abs(among).max(0) + LOOSE[1] * np.ptp(among, 0)
-    return not (np.abs(found - y[at]) > error).any()
+    return not (np.abs(values - y[at]) > error).any()
 
 
 def _noticed(function: Model, arrays: Sequence[Array], epoch: Any, y: Array) -> bool:
     """Whether a run changes when others are exchanged.
 
-    Indices of components and rows of matrices are small, so two of the first runs are to be told
-    apart: by one of the bits of their number, either way.
+    Indices of components and rows of matrices are small, so any two of the first runs must be
+    distinguished: by one of the bits of their numbers, in both ways.
     """
     runs = np.arange(y.shape[-2])
     others = [np.roll(a, (1, 1), (0, -2)) for a in arrays]  # points that are evaluated anyhow
@@ -148,36 +148,38 @@ def _noticed(function: Model, arrays: Sequence[Array], epoch: Any, y: Array) -> 
     most = min(y.shape[-2] - 1, max(a.shape[-1] for a in arrays))
     for bit in range(most.bit_length()):
         ones = (runs >> bit & 1) == 1
-        for kept in (ones, ~ones):
-            mixture = [np.where(kept[:, None], *pair) for pair in zip(arrays, others)]
-            found = _value(function, mixture, epoch, y)
-            if isinstance(found, str):
+        for unchanged in (ones, ~ones):
+            mixture = [np.where(unchanged[:, None], *pair) for pair in zip(arrays, others)]
+            values = _value(function, mixture, epoch, y)
+            if isinstance(values, str):
                 continue
-            change = np.nan_to_num(np.abs(found - y))
-            least = 1e-6 * change.max() + 1e-12 * np.nan_to_num(np.abs(y[..., kept, :]))
-            if (change[..., kept, :] > least).any():
+            change = np.nan_to_num(np.abs(values - y))
+            least = 1e-6 * change.max() + 1e-12 * np.nan_to_num(np.abs(y[..., unchanged, :]))
+            if (change[..., unchanged, :] > least).any():
                 return True
     return False
 
 
 def _mixed_inputs(function: Model, arrays: Sequence[Array], epoch: Any, y: Array) -> str:
-    """What is wrong if a run has the input of another one: of ``u (..., k)`` u[0] is a run's."""
+    """The error, if a run has the input of another: ``u[0]`` of ``u (..., k)`` is one run's
+    input.
+    """
     u, runs = getattr(epoch, "u", None), y.shape[1:-1]
-    if not runs or runs[-1] == 1 or not any(_of_runs(part, runs) for part in _parts(u)):
+    if not runs or runs[-1] == 1 or not any(_of_runs(item, runs) for item in _parts(u)):
         return ""
 
     def values(exchange: Callable[[Array], Array], arrays: Sequence[Array]) -> Array | str:
-        """With inputs of runs exchanged along the last axis of runs."""
+        """The values with the inputs of runs exchanged along the last axis of runs."""
         axis = len(runs) - 1
 
-        def each(part: Any) -> Any:
-            if not _of_runs(part, runs):
-                return part
-            return np.moveaxis(exchange(np.moveaxis(part, axis, 0)), 0, axis)
+        def exchanged(item: Any) -> Any:
+            if not _of_runs(item, runs):
+                return item
+            return np.moveaxis(exchange(np.moveaxis(item, axis, 0)), 0, axis)
 
-        parts = [each(part) for part in _parts(u)]
-        own = parts[0] if not isinstance(u, tuple) else getattr(u, "_make", tuple)(parts)
-        return _value(function, arrays, epoch._replace(u=own), y)
+        items = [exchanged(item) for item in _parts(u)]
+        inputs = items[0] if not isinstance(u, tuple) else getattr(u, "_make", tuple)(items)
+        return _value(function, arrays, epoch._replace(u=inputs), y)
 
     turned = values(lambda x: np.roll(x, 1, 0), [np.roll(a, 1, -2) for a in arrays])
     if isinstance(turned, str) or _same(turned, np.roll(y, 1, -2)):
@@ -196,27 +198,26 @@ def _parts(u: Any) -> tuple[Any, ...]:
     return u if isinstance(u, tuple) else (u,)
 
 
-def _of_runs(part: Any, runs: tuple[int, ...]) -> bool:
+def _of_runs(item: Any, runs: tuple[int, ...]) -> bool:
     """Whether an input has axes of runs before its own."""
-    if not isinstance(part, np.ndarray):
+    if not isinstance(item, np.ndarray):
         return False
-    return part.ndim > len(runs) and part.shape[: len(runs)] == runs
+    return item.ndim > len(runs) and item.shape[: len(runs)] == runs
 
 
 def _value(function: Model, arrays: Sequence[Array], epoch: Any, like: Array) -> Array | str:
-    """Values of a model; its error, or nothing, where it cannot be evaluated or has another
-    shape."""
+    """Values of a model; its error text, or "", if it cannot be evaluated or has another shape."""
     points, *noise = (np.array(a, order="K") for a in arrays)  # it may change its argument
     try:
         with np.errstate(all="ignore"):
-            found = np.asarray(function(points, epoch, *noise), dtype=np.float64)
+            values = np.asarray(function(points, epoch, *noise), dtype=np.float64)
     except Exception as error:
         return str(error)
-    return found if found.shape == (*points.shape[:-1], like.shape[-1]) else ""
+    return values if values.shape == (*points.shape[:-1], like.shape[-1]) else ""
 
 
 def _same(a: Array, b: Array) -> bool:
-    """Whether values are equal but for round-off, of single precision where all are of that."""
+    """Whether values are equal up to round-off: that of single precision, if all are single."""
     least = 1e-4 if np.array_equal(b, b.astype(np.float32), equal_nan=True) else 1e-9
     size = np.nan_to_num(np.abs(b)).max(tuple(range(b.ndim - 1)), keepdims=True)
     return bool(((a == b) | (np.abs(a - b) <= least * size) | (np.isnan(a) & np.isnan(b))).all())

@@ -1,9 +1,8 @@
-"""What a filter believes of the world: `Motion` and `Sensor`, with their noise, and how they are
-called.
+"""The models of a filter: `Motion` and `Sensor`, with their noise, and how they are called.
 
-Models are functions of *points*: ``f(x, epoch)`` takes points ``x (p, ..., N)`` and gives points.
-The point axis leads, so that the inputs of each run broadcast by themselves; a component is
-``x[..., 0]``, a product with a matrix ``x @ F.T``.
+Models are functions of *points*: ``f(x, epoch)`` takes points ``x (p, ..., N)`` and returns points.
+The point axis comes first, so that the inputs of each run broadcast without further axes; a
+component is ``x[..., 0]``, a product with a matrix ``x @ F.T``.
 """
 
 from __future__ import annotations
@@ -64,8 +63,8 @@ def is_linear(model: Any) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class _Model:
-    """What a `Motion` and a `Sensor` have in common: a function or a matrix, whose space is one,
-    and a noise that is said.
+    """The checks that `Motion` and `Sensor` share: a function or a matrix, a valid space, and a
+    noise that is stated.
     """
 
     name: ClassVar[str]
@@ -93,9 +92,8 @@ class _Model:
                     f"{noise}: expected {matrix.shape[-2]} rows to go with {name}, got "
                     f"{columns.shape[-2]}"
                 )
-        elif not any(
-            accepts(model, count) for count in range(2, 10)
-        ):  # how many noises go through it only the filter knows
+        # Only the filter knows how many noises go through the function.
+        elif not any(accepts(model, count) for count in range(2, 10)):
             raise ValueError(
                 f"{name}: expected a function (points, epoch, *noise), got {describe(model)} of "
                 "other "
@@ -125,9 +123,8 @@ class _Model:
     def noise(self) -> Noise:
         """Columns ``(..., k, r)`` of the noise, or a function ``(mean, epoch)`` of them."""
         model, name = getattr(self, self.name), self.noise_name
-        rows: Rows = (
-            self.space if self.name == "f" else None
-        )  # of a measurement its values have them
+        # A measurement's values have the rows; a motion's come from the space.
+        rows: Rows = self.space if self.name == "f" else None
         if not callable(model):
             rows = model.shape[-2]
         return noise_of(name, getattr(self, name), getattr(self, f"sqrt_{name}"), rows)
@@ -142,7 +139,7 @@ class _Model:
 
 @dataclass(frozen=True, eq=False)
 class Motion(_Model):
-    """What is believed of the dynamics: ``x' = f(x, epoch) + w``, ``w ~ N(0, Q)``.
+    """The model of the dynamics: ``x' = f(x, epoch) + w``, ``w ~ N(0, Q)``.
 
     f: function ``(points (p, ..., N), epoch) -> (p, ..., N)``, or a matrix ``(..., n, n)``, or a
         `Linear` one of the epoch. ``epoch.dt`` is the interval, ``epoch.u`` the input.
@@ -151,7 +148,7 @@ class Motion(_Model):
         of the identity.
     sqrt_Q: columns ``(..., n, r)`` of the noise instead of ``Q``, or a function of them; a number
         is a standard deviation.
-    space: what a difference of states is, where they are no vectors: `celnav.angles`,
+    space: how states are subtracted, if they are not vectors: `celnav.angles`,
         `celnav.gaussian.attitude`.
     jacobian: ``(mean, epoch) -> (..., n, n)``, which an extended filter uses instead of
         differences.
@@ -174,13 +171,13 @@ class Motion(_Model):
 
 @dataclass(frozen=True, eq=False)
 class Sensor(_Model):
-    """What is believed of a measurement: ``z = h(x, epoch) + v``, ``v ~ N(0, R)``.
+    """The model of a measurement: ``z = h(x, epoch) + v``, ``v ~ N(0, R)``.
 
     h: function ``(points (p, ..., N), epoch) -> (p, ..., m)``, or a matrix ``(..., m, n)``: a
         linear measurement is exact and cheap under any rule.
-    R, sqrt_R, jacobian, augment: as of a `Motion`, with m rows. Noises through the points may be
-    all the noise there is. space: what a difference of measurements is, where they are no vectors:
-    ``celnav.angles([1])`` wraps component 1.
+    R, sqrt_R, jacobian, augment: as in `Motion`, with m rows. All the noise may go through the
+    points. space: how measurements are subtracted, if they are not vectors: ``celnav.angles([1])``
+    wraps component 1.
 
     >>> gps = celnav.Sensor(np.eye(3, 6), R=0.04 * np.eye(3))
     """
@@ -193,20 +190,19 @@ class Sensor(_Model):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        _ = (
-            self.noisy
-        )  # looked at now: while a step is recorded the numbers of R may have no values
+        # Evaluated now: while a step is recorded the numbers of R may have no values.
+        _ = self.noisy
 
     @cached_property
     def m(self) -> int | None:
-        """How many components the noise says there are; None if it does not say."""
+        """Number of components according to the noise; None if the noise does not tell."""
         columns = self.noise
         return columns.shape[-2] if isinstance(columns, np.ndarray) and columns.ndim else None
 
     @cached_property
     def noisy(self) -> bool:
-        """Whether each component is known to have noise of its own: only what is exact can be of
-        what is known already.
+        """Whether each component certainly has noise of its own: only a measurement without noise
+        can repeat what the prior already determines.
         """
         return bool(len(self.augment)) or (
             isinstance(self.noise, np.ndarray) and bool(self.noise.any(-1).all())
@@ -216,15 +212,16 @@ class Sensor(_Model):
 Noise = Array | Callable[[Array, Any], Array] | None
 """Columns ``(..., k, r)`` of a noise, or a function ``(mean, epoch)`` of them; None: without.
 
-A standard deviation alone, ``()``, is that multiple of the identity, with the rows that the model
-has."""
+A standard deviation alone, ``()``, is that multiple of the identity, with as many rows as the
+model.
+"""
 Rows = int | Space | None
 
 
 def noise_of(name: str, cov: Any, sqrt: Any, rows: Rows = None) -> Noise:
     """Columns of a noise, from a covariance or a root, a constant (checked once) or a function.
 
-    rows: of the columns that a number stands for, or the space of the mean; None: it stays a
+    rows: number of rows for a standard deviation alone, or the space of the mean; None: it stays a
         number.
     """
     if cov is not None and sqrt is not None:
@@ -255,7 +252,7 @@ def _noise_at(model: Any, columns: Any, name: str, rows: Rows, mean: Array, epoc
 
 
 def _widened(columns: Array, rows: Rows, mean: Any = None, _epoch: Any = None) -> Array:
-    """The columns; of a standard deviation alone those of its multiple of the identity."""
+    """The columns; for a standard deviation alone those of its multiple of the identity."""
     if columns.ndim or rows is None:
         return columns
     count = rows.minus(mean, mean).shape[-1] if isinstance(rows, Space) else rows
@@ -264,15 +261,15 @@ def _widened(columns: Array, rows: Rows, mean: Any = None, _epoch: Any = None) -
 
 def matrices_of(name: str, function: Any, mean: Array, epoch: Any) -> Array:
     """Matrices ``(..., k, n)`` of a function ``(mean, epoch)``, which may change its argument."""
-    found = numbers(name, unmasked(name, in_model(function, mean.copy(), epoch)))
-    if found.ndim > 1 and unknown(function, mean):
-        check_matrices_apart(name, function, mean, epoch, found)
-    return found
+    matrices = numbers(name, unmasked(name, in_model(function, mean.copy(), epoch)))
+    if matrices.ndim > 1 and unknown(function, mean):
+        check_matrices_apart(name, function, mean, epoch, matrices)
+    return matrices
 
 
 def check_roots(name: str, roots: Any) -> Sequence[Array]:
-    """Noises through the points are a sequence of their roots, matrices ``(..., k, k)``; ValueError
-    names other things.
+    """The roots of noises through the points, a sequence of matrices ``(..., k, k)``; ValueError
+    otherwise.
     """
     if not isinstance(roots, tuple | list) or not all(
         isinstance(root, np.ndarray) and root.ndim >= 2 for root in roots
@@ -285,8 +282,8 @@ def check_roots(name: str, roots: Any) -> Sequence[Array]:
 
 
 def check_matrices(N: int, n: int, *models: Motion | Sensor) -> None:
-    """Matrices among models go with a state of N components and n deviations; ValueError names one
-    that does not.
+    """Check matrices of models against a state of N components and n deviations; ValueError names
+    one that does not fit.
     """
     for name, matrix in ((model.name, getattr(model, model.name)) for model in models):
         if n != N and is_linear(matrix):
@@ -302,7 +299,7 @@ def check_matrices(N: int, n: int, *models: Motion | Sensor) -> None:
 
 
 def check_prior(prior: Any) -> None:
-    """A prior is a `celnav.Gaussian`, or the belief of a filter."""
+    """Check that a prior is a `celnav.Gaussian`, or the belief of a filter."""
     instance(
         "prior",
         prior,
@@ -311,18 +308,18 @@ def check_prior(prior: Any) -> None:
     )
 
 
-def check_return(name: str, value: Any, what: str) -> Any:
-    """What a function from outside gave back, if it is a tuple of what ``what`` names; ValueError
-    otherwise.
+def check_return(name: str, value: Any, contents: str) -> Any:
+    """The value that a user's function returned, if it is a tuple of the named ``contents``;
+    ValueError otherwise.
     """
-    if not isinstance(value, tuple | list) or len(value) != what.count(",") + 1:
-        raise ValueError(f"{name}: expected ({what}) from the function, got {describe(value)}")
+    if not isinstance(value, tuple | list) or len(value) != contents.count(",") + 1:
+        raise ValueError(f"{name}: expected ({contents}) from the function, got {describe(value)}")
     return value
 
 
 def as_floats(name: str, values: Any, points: Array) -> Array:
-    """What a model gave as float64, with a warning of single precision whose differences are hardly
-    more than round-off.
+    """Values of a model as float64, with a warning if they are in single precision and differ by
+    little more than round-off.
     """
     dtype, y = np.asarray(values).dtype, numbers(name, unmasked(name, values))
     if dtype.kind == "f" and dtype.itemsize < y.itemsize and len(points) > 1 and y.size:

@@ -1,5 +1,5 @@
-"""What passes between the parts of a step: `Epoch` (and `epochs`, made of arrays), `Info`, `State`,
-and what a filter is.
+"""The data that the parts of a step exchange: `Epoch` (and `epochs`, made of arrays), `Info`,
+`State`; and the interface of a filter.
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ _LOG_2PI = float(np.log(2.0 * np.pi))
 
 
 class FilterError(ArithmeticError):
-    """A run lost definiteness or met numbers that are not finite; the message says which run, when
-    and why.
+    """A run lost definiteness or met numbers that are not finite; the message names the run, the
+    time and the reason.
     """
 
 
 class Epoch(NamedTuple):
-    """What is known about the interval ``(t - dt, t]`` and the sample at its end.
+    """The interval ``(t - dt, t]`` and the sample at its end.
 
     k: index. t: time, s. dt: length of the interval, s.
     u: the input that acts over the interval.
     z: one measurement ``(..., m)`` or a tuple of them, one for each sensor; nan or None where there
         is none.
-    truth: whatever a simulation wants to hand on.
+    truth: any data that a simulation passes on.
     about: beliefs at both ends of the interval, over which `celnav.iterated_smoother` linearizes;
-        nobody else looks at them.
+        nothing else uses them.
 
     >>> state, infos = filter.step(filter.start(prior), celnav.Epoch(t=0.0, z=z[0]))
     """
@@ -51,27 +51,27 @@ class Epoch(NamedTuple):
 
 
 def is_zero_interval(epoch: Any) -> bool:
-    """Whether the interval of an epoch is known to be nothing, in every run."""
+    """Whether the interval of an epoch is known to be zero in every run."""
     return epoch.dt == 0.0 if isinstance(epoch.dt, float) else is_concretely_true(~np.any(epoch.dt))
 
 
 class Info(NamedTuple):
-    """What one measurement did to a belief.
+    """The result of an update with one measurement.
 
     innovation: ``(..., m)`` measurement minus its prediction, before hooks; nan where nothing was
         measured.
     whitened: ``(..., m)`` ``S^-1 innovation`` with the lower root S of the innovation covariance; 0
         where not used.
-    used: ``(..., m)`` bool, the components that took part.
+    used: ``(..., m)`` bool, the components that were used.
     sqrt_S: ``(..., m, m)`` S, with unit rows for components not used.
     gain, jacobian: ``() -> (..., n, m)`` and ``() -> (..., m, n)``, the measurement's (statistical)
         Jacobian.
-    redone: ``(...)`` bool, the runs that a `celnav.filters.fallback.Fallback` did again; None if
-        there was none.
+    redone: ``(...)`` bool, the runs that the second filter of a `celnav.filters.fallback.Fallback`
+        has repeated; None without one.
     silent: whether there was no measurement at all, not even nan.
-    R: ``(..., m)`` variances of the measurement noise as the hooks left them; None without hooks.
-    mixture: ``(...)``, the log-likelihood where ``sqrt_S`` does not say it: after a compiled step,
-        and where the density is no Gaussian, of which ``whitened`` then has the moments; else None.
+    R: ``(..., m)`` variances of the measurement noise after the hooks; None without hooks.
+    mixture: ``(...)``, the log-likelihood if ``sqrt_S`` does not give it: after a compiled step,
+        and if the density is not Gaussian (``whitened`` then has its moments); else None.
 
     >>> (info,) = infos
     >>> info.innovation, info.gain()  # what was not expected, and what was made of it
@@ -102,7 +102,7 @@ class Info(NamedTuple):
             return self.mixture
         value: Array = -0.5 * (self.nis + np.add.reduce(self.used, -1, int) * _LOG_2PI)
         if self.sqrt_S is not None:
-            with np.errstate(divide="ignore"):  # a lost run has a nan in `whitened`
+            with np.errstate(divide="ignore"):  # a run that has failed has nan in `whitened`
                 value = value - np.add.reduce(np.log(self.sqrt_S.diagonal(0, -2, -1)), -1)
         return value
 
@@ -116,7 +116,7 @@ class State(NamedTuple):
 
 
 class FromFunctions(NamedTuple):
-    """A filter of two functions, for what no class here does; see `Filter`.
+    """A filter made of two functions, if no class here suffices; see `Filter`.
 
     >>> filter = celnav.filters.records.FromFunctions(other.start, other.step)
     """
@@ -126,8 +126,8 @@ class FromFunctions(NamedTuple):
 
 
 class Filter(Protocol):
-    """What `celnav.run` asks of a filter. All its memory lies in the state, which can be kept,
-    copied and resumed.
+    """The interface that `celnav.run` needs of a filter. All its memory is in the state, which can
+    be stored, copied and resumed.
     """
 
     def start(self, prior: Gaussian) -> Any:
@@ -138,21 +138,18 @@ class Filter(Protocol):
 
 
 class Inputs(NamedTuple):
-    """What some epochs have beside measurements: ``(u, about)`` of epochs ``at (K,)``, as columns
-    ``(K, ...)``.
-    """
+    """Inputs of some epochs: ``(u, about)`` of the epochs ``at (K,)``, as columns ``(K, ...)``."""
 
     at: Array
     columns: Any
 
 
 class Epochs(Sequence[Epoch]):
-    """Epochs made from arrays when they are asked for, one at a time; nothing is copied. See
-    `epochs`.
+    """Epochs made from arrays on demand, one at a time; nothing is copied. See `epochs`.
 
-    A slice is one again, numbered on. Its first epoch keeps the interval that leads up to it, so
-    that ``[k:]`` goes on where ``[:k]`` ends; where a stride leaves epochs out, intervals are those
-    between the ones that are left.
+    A slice is of the same kind, with consecutive numbers. Its first epoch keeps the interval that
+    leads up to it, so that ``[k:]`` continues where ``[:k]`` ends. If a stride leaves epochs out,
+    the intervals are those between the remaining ones.
     """
 
     def __init__(
@@ -219,17 +216,17 @@ class Epochs(Sequence[Epoch]):
         t, moved = self._times[at], before >= 0
         dt = np.where(moved, t - self._times[before], 0.0)
         z = self._z if isinstance(self._z, tuple) else (self._z,) * max(sensors, 1)
-        each = tuple(
-            [None] * len(at) if part is None else part[at[0] : at[-1] + 1 : rows.step]
-            for part in z[:sensors]
+        measurements = tuple(
+            [None] * len(at) if column is None else column[at[0] : at[-1] + 1 : rows.step]
+            for column in z[:sensors]
         )
-        known = []
-        for given in (False, True) if self._u is not None else (None,):
-            some = np.arange(len(at)) if given is None else np.flatnonzero(moved == given)
-            u = _at(self._u, before[some]) if given else None
-            if len(some):
-                known.append(Inputs(some, (u, _at(self._about, some))))
-        return self._number(0) + self._sign * np.arange(len(at)), t, dt, known, each
+        inputs = []
+        for acts in (False, True) if self._u is not None else (None,):
+            index = np.arange(len(at)) if acts is None else np.flatnonzero(moved == acts)
+            u = _at(self._u, before[index]) if acts else None
+            if len(index):
+                inputs.append(Inputs(index, (u, _at(self._about, index))))
+        return self._number(0) + self._sign * np.arange(len(at)), t, dt, inputs, measurements
 
     @property
     def columnar(self) -> bool:
@@ -237,17 +234,17 @@ class Epochs(Sequence[Epoch]):
         return _is_columns(self._u)
 
     def unmeasured(self) -> Epochs:
-        """The same without measurements and truth."""
+        """The same epochs without measurements and truth."""
         return self._with(_z=None, _truth=None)
 
     def told(self, about: Any) -> Epochs:
-        """The same, and what each is about: a tree of columns ``(T, ...)``."""
+        """The same epochs with ``about``: a tree of columns ``(T, ...)``."""
         return self._with(_about=about)
 
     def backward(self, about: tuple[Any, ...]) -> Epochs:
-        """All but the first, the last one first, without measurements.
+        """All epochs but the first, in reverse order, without measurements.
 
-        about: columns of what they are about, before what they are about already.
+        about: columns to put before the ``about`` that they have already.
         """
         return self.unmeasured()._with(
             _rows=self._rows[:0:-1],
@@ -296,15 +293,15 @@ def _is_columns(values: Any) -> bool:
 def epochs(times: ArrayLike, z: Any = None, u: Any = None, truth: Any = None) -> Epochs:
     """Epochs at ``times (T,)``, which may be irregular.
 
-    times: s, not decreasing; of dates, in any time zone, seconds since the first. The first epoch
-        has ``dt = 0``: it updates the prior.
+    times: s, not decreasing; dates, in any time zone, become seconds since the first. The first
+        epoch has ``dt = 0``: it updates the prior.
     z: measurements ``(T, ..., m)``, time-major, nan where missing; a tuple of such arrays for
         several sensors.
-    u: inputs; ``u[k]`` acts from ``times[k]`` to ``times[k + 1]``, so that there are T - 1, or T of
-        which the last is not used. A tuple is taken apart.
-    truth: T of anything indexed by the epoch.
+    u: inputs; ``u[k]`` acts from ``times[k]`` to ``times[k + 1]``, so there are T - 1 of them, or
+        T, of which the last is not used. The arrays of a tuple are indexed one by one.
+    truth: a sequence of T items of any kind, indexed by the epoch.
 
-    Each may be a table or a column of pandas, of which the rows count in their order.
+    Each may be a table or a column of pandas, whose rows count in their order.
 
     >>> track = celnav.run(filter, prior, celnav.epochs(times, z)[:100])
     """
@@ -337,20 +334,20 @@ def as_seconds(times: Any) -> Any:
         if array.dtype.kind == "m":
             return array / np.timedelta64(1, "s")
         if array.dtype.kind == "O" and isinstance(array[0], date):
-            # Of one time zone Python subtracts the clocks, whatever daylight saving does to them.
+            # Within one time zone Python subtracts clock readings, which ignores daylight saving.
             utc = [t.astimezone(UTC) if getattr(t, "tzinfo", None) else t for t in array]
             return [(t - utc[0]) / timedelta(seconds=1) for t in utc]
     except (AttributeError, IndexError, TypeError, ValueError):
-        pass  # what cannot be dates is refused as numbers
+        pass  # not dates: the caller checks them as numbers
     return times
 
 
 def _rows(name: str, values: Any, times: int) -> Any:
-    """Values of which ``values[k]`` is a row; ValueError names them if rows do not go with the
-    times.
+    """Values with a row ``values[k]`` for each time; ValueError names them if the rows do not fit
+    the times.
     """
     if isinstance(values, tuple):
-        return tuple(_rows(name, part, times) for part in values)
+        return tuple(_rows(name, column, times) for column in values)
     if values is None:
         return None
     if hasattr(values, "__array__") and not isinstance(values, np.ndarray):
@@ -375,7 +372,9 @@ def _rows(name: str, values: Any, times: int) -> Any:
 
 
 def _locked(values: Array) -> Array:
-    """A view of values that a model cannot write into: it is called more than once in an epoch."""
+    """A read-only view: a model is called more than once in an epoch, and must not write into
+    it.
+    """
     view = values.view()
     view.flags.writeable = False
     return view
@@ -396,8 +395,8 @@ def _measurements(z: ArrayLike, length: int) -> Array:
 
 
 def without_input(error: Exception, epoch: Any) -> Exception:
-    """The error of a model; where it comes from an input that an epoch does not have, one that says
-    so.
+    """The error of a model; if an input that the epoch does not have is the cause, an error that
+    says so.
     """
     names, trace = set[str](), error.__traceback__
     while trace is not None:
@@ -416,7 +415,7 @@ def without_input(error: Exception, epoch: Any) -> Exception:
 
 
 def check_interval(filter: Any, epoch: Any, before: Any) -> None:
-    """Raise a ValueError if the interval of an epoch is none, or does not lead up to it from the
+    """Raise a ValueError if the interval of an epoch is invalid, or does not lead up to it from the
     time ``before``.
     """
     dt = getattr(epoch, "dt", None)

@@ -32,10 +32,10 @@ __all__ = ["run", "steps"]
 
 ENGINES = ("numpy", "compiled", "cuda", "auto")
 ENGINE: ContextVar[str] = ContextVar("engine", default="auto")
-"""What `run` and the studies take where nobody says: ``celnav reproduce --engine`` sets it."""
+"""The default engine of `run` and of the studies; ``celnav reproduce --engine`` sets it."""
 REPEATED: ContextVar[int] = ContextVar("repeated", default=0)
-"""How many flights of equal filters are expected: engine="auto" compiles for all of them. 0: nobody
-says.
+"""How many runs of equal filters are expected: engine="auto" compiles for all of them. 0: not
+known.
 """
 
 
@@ -68,23 +68,23 @@ def run(
 
     filter: any filter. prior: a `celnav.Gaussian` of any batch shape.
     times: ``(T,)`` s, or dates, with measurements ``z (T, ..., m)`` (nan where missing; a tuple for
-        several sensors) and inputs ``u``, as `celnav.epochs` takes them; or, instead of the three,
-        epochs that are made already, or any iterable of `Epoch`.
-    every: store each ``every``-th epoch (sums, likelihood and reduction take all of them).
+        several sensors) and inputs ``u``, as for `celnav.epochs`; or, instead of the three, epochs
+        made before, or any iterable of `Epoch`.
+    every: store each ``every``-th epoch (sums, likelihood and reduction use all of them).
     keep: what to store: "std" (mean, standard deviations, innovations), "cov" (also covariances,
         for smoothing), "mean" (mean and innovations), or "nothing" (sums and the reduction only);
-        or names of the rows that alone are wanted, such as ("mean", "std"), of "mean", "std", "cov"
-        and "innovation" (whitened, and which were used, too).
+        or names of the only rows to store, such as ("mean", "std"), out of "mean", "std", "cov" and
+        "innovation" (with whitened innovations and the mask of used components).
     also: ``(epoch, state, infos) -> dict`` of further arrays to store, as ``Track.extra``.
-    reduce: ``(accumulated, epoch, state, infos) -> accumulated``, from None; the end is
-        ``Track.reduced``. With it a study of any length runs in the memory of one step.
-    engine: "auto" (unless `ENGINE` says otherwise): machine code where it can be had and repays
-        recording and compiling in this flight, or was recorded of the same filter before, else
-        numpy; ``Track.engine`` says which, and why. "numpy"; "compiled": the filter's own step as
-        machine code, see `celnav.compiled`; "cuda": on an NVIDIA device (experimental).
+    reduce: ``(accumulated, epoch, state, infos) -> accumulated``, starting from None; the final
+        value is ``Track.reduced``. With it a study of any length needs the memory of one step.
+    engine: "auto" (unless `ENGINE` is set otherwise): machine code if it is available and repays
+        recording and compiling in this run, or was recorded for the same filter before, else numpy;
+        ``Track.engine`` says which, and why. "numpy"; "compiled": the filter's own step as machine
+        code, see `celnav.compiled`; "cuda": on an NVIDIA device (experimental).
     jobs: threads of compiled code.
-    on_failure: "raise" a `FilterError` for the first run that is lost, or "flag" it: it becomes nan
-        from there (``Track.failed_at``), the other runs go on.
+    on_failure: "raise" a `FilterError` for the first run that fails, or "flag" it: it is nan from
+        there on (``Track.failed_at``), and the other runs continue.
 
     >>> track = celnav.run(celnav.ukf(motion, gps), celnav.Gaussian(x0, P0), times, z)
     """
@@ -97,9 +97,9 @@ def run(
     ) != "numpy" or hasattr(filter, "run"):  # a compiled filter
         from celnav.engine.compiled import run_by
 
-        given = as_epochs(times, z, u)
+        stream = as_epochs(times, z, u)
         options: Any = {"every": every, "keep": keep, "on_failure": on_failure}
-        return with_columns(run_by(engine, filter, prior, given, jobs, also, reduce, **options), z)
+        return with_columns(run_by(engine, filter, prior, stream, jobs, also, reduce, **options), z)
     collector = Collector(integer("every", every), rows_of(keep))
     choice("on_failure", on_failure, ("raise", "flag"))
     reduced, before = None, None
@@ -126,7 +126,7 @@ def run(
 
 
 def with_columns(track: Track, z: Any) -> Track:
-    """The track with the names of the columns, where all measurements are tables."""
+    """The track with the names of the columns, if all measurements are tables."""
     tables = z if isinstance(z, tuple) else (z,)
     if not all(hasattr(table, "columns") for table in tables):
         return track
@@ -134,8 +134,8 @@ def with_columns(track: Track, z: Any) -> Track:
 
 
 def as_epochs(times: Any, z: Any, u: Any) -> Iterable[Epoch]:
-    """Epochs of numbers, or what are epochs already; of a stream nothing is taken."""
-    listed = isinstance(times, list | tuple) and not any(hasattr(one, "dt") for one in times[:1])
+    """Epochs from arrays, or the epochs passed; a stream is not consumed."""
+    listed = isinstance(times, list | tuple) and not any(hasattr(item, "dt") for item in times[:1])
     if listed or hasattr(times, "__array__") or np.isscalar(times):
         return epochs(times, z, u)
     if z is not None or u is not None:
@@ -184,26 +184,26 @@ def steps(
 
 
 def explain(filter: Any, before: Any, after: Any, epoch: Epoch) -> str:
-    """Why a run that was sound in the state before an epoch is lost after it, a sentence: the step
-    is done again, and watched.
+    """Why a run that was sound before an epoch has failed after it, in a sentence: the step is
+    repeated and watched.
     """
     lost = after.belief.lost() & ~np.broadcast_to(
         before.belief.lost(), after.belief.mean.shape[:-1]
     )
-    for part in epoch.z if isinstance(epoch.z, tuple) else (epoch.z,):
-        if part is not None and np.isinf(np.asarray(part, dtype=np.float64)).any():
+    for sample in epoch.z if isinstance(epoch.z, tuple) else (epoch.z,):
+        if sample is not None and np.isinf(np.asarray(sample, dtype=np.float64)).any():
             return "z is infinite"
     if (lost & np.isnan(before.belief.sqrt_cov).any((-2, -1))).any():
         return (
             "the covariance lost positive definiteness in the step before; "
             "the square-root form has twice the digits"
         )
-    found: list[str] = []
+    causes: list[str] = []
 
     def look(name: str, y: Array) -> None:
         bad = ~np.isfinite(y).all(-1) & lost
-        if bad.any() and not found:
-            found.append(f"{name} is not finite at sigma point {int(np.argwhere(bad)[0, 0])}")
+        if bad.any() and not causes:
+            causes.append(f"{name} is not finite at sigma point {int(np.argwhere(bad)[0, 0])}")
 
     token = WATCH.set(look)
     try:
@@ -217,10 +217,10 @@ def explain(filter: Any, before: Any, after: Any, epoch: Epoch) -> str:
         else before
     )
     unpredicted = (predicted.belief.lost() & lost).any()
-    if found and not (
-        unpredicted and found[0].startswith("h ")
+    if causes and not (
+        unpredicted and causes[0].startswith("h ")
     ):  # h is not to blame for its points
-        return found[0]
+        return causes[0]
     within = (
         filter if hasattr(filter, "sensors") else getattr(filter, "first", filter)
     )  # of two filters, or of two stages

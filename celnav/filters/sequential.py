@@ -1,5 +1,5 @@
-"""Filters that predict over an interval, then take one sensor after the other: `ukf`, `ekf`, `ckf`,
-`ghkf`, `sigma_point`.
+"""Filters that predict over an interval, then update with one sensor after the other: `ukf`, `ekf`,
+`ckf`, `ghkf`, `sigma_point`.
 """
 
 from __future__ import annotations
@@ -60,10 +60,10 @@ MOST_ITERATIONS = 10_000  # at every step
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Sequential:
-    """A filter as data: what it believes, by which rule it computes and in which form. Make one
-    with `ukf` or its siblings.
+    """A filter as data: its models, its rule and the form of its covariance. Make one with `ukf` or
+    its siblings.
 
-    ``start(prior)`` gives a state, ``step(state, epoch)`` the next one and an `Info` of each
+    ``start(prior)`` gives a state, ``step(state, epoch)`` the next state and an `Info` of each
     sensor; ``state.belief`` has ``mean``, ``cov`` and ``std``. An epoch with ``dt == 0`` does not
     predict: the first one is an update of the prior.
     """
@@ -100,14 +100,13 @@ class Sequential:
                 f"of {N} components, got ({n}, {n})"
             )
         check_matrices(N, n, self.motion, *self.sensors)
+        # Runs can share one covariance only if they share all matrices.
         if not all(by_matrix(model, self.rule) for model in (self.motion, *self.sensors)):
-            belief = broadcast_belief(
-                self.form, *belief
-            )  # a covariance of all runs stays one where their matrices are
+            belief = broadcast_belief(self.form, *belief)
         return State(belief, (None,) * len(self.sensors))
 
     def step(self, state: State, epoch: Epoch) -> tuple[State, tuple[Info, ...]]:
-        """State after an epoch, and what each sensor did to it."""
+        """State after an epoch, and an `Info` of each sensor."""
         return self.update(self.predict(state, epoch), epoch)
 
     def predict(self, state: State, epoch: Epoch) -> State:
@@ -122,13 +121,14 @@ class Sequential:
         )
 
     def update(self, state: State, epoch: Epoch) -> tuple[State, tuple[Info, ...]]:
-        """State given what was measured at the end of an epoch, and what each sensor did to it."""
+        """State given the measurements at the end of an epoch, and an `Info` of each sensor."""
         belief, memory, infos = state.belief, list(state.memory), []
         for i, (sensor, z) in enumerate(
             zip(self.sensors, measurements(epoch.z, len(self.sensors)), strict=True)
         ):
             if is_missing(z):
                 infos.append(missing_info(sensor, z))
+                # A measurement that is missing may still have more axes of runs.
                 belief = belief if z is None else broadcast_to_runs("z", z.shape[:-1], belief)
                 continue
             hooks = self.hooks[i] if self.hooks else ()
@@ -154,20 +154,21 @@ class Sequential:
     def measured(
         self, sensor: Sensor, belief: Belief, z: Array, epoch: Epoch, rule: Any = None
     ) -> Joint:
-        """The joint of what a sensor measures and of the state; ``rule``: in place of the
-        filter's."""
+        """The joint of a sensor's measurement and of the state; ``rule``: instead of the
+        filter's.
+        """
         return self._with_state(rule, sensor, belief, z, epoch)
 
     def transition(self, belief: Belief, epoch: Epoch, after: Array, rule: Any = None) -> Joint:
-        """The joint of the state after the interval, as if measured to be ``after``, and of the one
-        before it: what smooths.
+        """The joint of the state after the interval, as if measured to be ``after``, and of the
+        state before it, for smoothing.
         """
         return self._with_state(rule, self.motion, belief, after, epoch)
 
     def _with_state(
         self, rule: Any, model: Motion | Sensor, belief: Belief, z: Array, epoch: Epoch
     ) -> Joint:
-        """The joint of a model's values and of the state that they come from."""
+        """The joint of a model's values and of the state at which they are evaluated."""
         return joint(
             self.rule if rule is None else rule,
             belief,
@@ -188,11 +189,11 @@ class Sequential:
         hooks: tuple[Hook, ...],
         memory: Any,
     ) -> tuple[Belief, Info, Any]:
-        """The belief given one measurement, what that did, and the memory of the hooks."""
-        seen = self.measured(sensor, belief, z, epoch)
+        """The belief given one measurement, an `Info`, and the memory of the hooks."""
+        joint = self.measured(sensor, belief, z, epoch)
         after, info, memory = condition(
             self.form,
-            seen,
+            joint,
             self.motion.space,
             hooks=hooks,
             memory=memory,
@@ -200,16 +201,16 @@ class Sequential:
             gain=self.gain,
         )
         if not sensor.noisy and self.gain is None:
-            after = self._reject_redundant(sensor, belief, seen, after, info, epoch)
+            after = self._reject_redundant(sensor, belief, joint, after, info, epoch)
         return after, info, memory
 
     def _reject_redundant(
-        self, sensor: Sensor, belief: Belief, seen: Joint, after: Belief, info: Info, epoch: Epoch
+        self, sensor: Sensor, belief: Belief, joint: Joint, after: Belief, info: Info, epoch: Epoch
     ) -> Belief:
-        """The belief, but nan for runs in which a measurement without noise is of what was known
-        already.
+        """The belief, but nan in runs where a measurement without noise repeats what the prior
+        already determines.
         """
-        V, measured = seen.measurement_noise, seen.measurement
+        V, measured = joint.measurement_noise, joint.measurement
         exact = np.ones(1, bool) if V is None else np.asanyarray(~V.any(-1))
         if is_concretely_true(~exact.any()):
             return after
@@ -219,6 +220,8 @@ class Sequential:
                 np.zeros(1),
             )
         else:
+            # One standard deviation of the state along each axis, (n, ..., n); y[0] is the mean's
+            # image.
             axes = np.moveaxis(belief.std[..., None] * np.eye(belief[1].shape[-1]), -1, 0)
             y = evaluate(
                 sensor,
@@ -229,27 +232,27 @@ class Sequential:
             size = (
                 np.abs(measured.center) if measured.center.shape == deviation.shape else np.zeros(1)
             )
-        # What is left of a deviation, or of a large number, after cancellation is round-off.
+        # S below this size is the round-off that remains after cancellation.
         least = 16.0 * (self.form.rounding() * deviation + EPS * size)
-        known = (
+        redundant = (
             exact
             & np.asanyarray(info.used)
             & (np.asanyarray(info.sqrt_S).diagonal(0, -2, -1) <= least)
         ).any(-1)
-        if is_concretely_true(~known.any()):
+        if is_concretely_true(~redundant.any()):
             return after
         return self.form(
-            np.where(known[..., None], np.nan, after.mean),
-            np.where(known[..., None, None], np.nan, after[1]),
+            np.where(redundant[..., None], np.nan, after.mean),
+            np.where(redundant[..., None, None], np.nan, after[1]),
         )
 
 
 def measurements(z: Any, sensors: int) -> tuple[Any, ...]:
-    """One measurement for each sensor, of what an epoch has."""
-    each = z if isinstance(z, tuple) else (None,) * sensors if z is None or not sensors else (z,)
-    if len(each) != sensors and sensors:
-        raise ValueError(f"z: expected {sensors} measurements, got {len(each)}")
-    return each[:sensors]
+    """One measurement for each sensor, from the ``z`` of an epoch."""
+    samples = z if isinstance(z, tuple) else (None,) * sensors if z is None or not sensors else (z,)
+    if len(samples) != sensors and sensors:
+        raise ValueError(f"z: expected {sensors} measurements, got {len(samples)}")
+    return samples[:sensors]
 
 
 def as_measurement(z: Any, sensor: Sensor) -> Array:
@@ -274,11 +277,11 @@ def is_missing(z: Any) -> bool:
 
 
 def missing_info(sensor: Sensor, z: Any) -> Info:
-    """The record of a measurement that is wholly missing."""
+    """The `Info` of a measurement that is missing as a whole."""
     if z is None:
         return Info(silent=True)
-    one = np.full(z.shape[-1], np.nan)
-    shape = (*z.shape[:-1], sensor.space.minus(one, one).shape[-1])
+    nan_z = np.full(z.shape[-1], np.nan)
+    shape = (*z.shape[:-1], sensor.space.minus(nan_z, nan_z).shape[-1])
     return Info(np.full(shape, np.nan), np.zeros(shape), np.zeros(shape, bool))
 
 
@@ -292,22 +295,22 @@ def sigma_point(
     gain: Gain | None = None,
     iterations: int = 1,
 ) -> Sequential:
-    """A filter by any rule, for `celnav.run`.
+    """A filter with any rule, for `celnav.run`.
 
-    motion, sensors: what is believed. Without sensors it is the open loop. Of several sensors each
-        has its own part of ``z``, a tuple, and nan where it is silent, so sensors of different
-        rates need nothing else.
-    rule: a `Rule`, `Taylor`, or a function ``n -> rule`` of the dimension: the state's, and of
+    motion, sensors: the models. Without sensors the filter only predicts (open loop). With several
+        sensors each has its own entry of ``z``, a tuple, which is nan where the sensor has no
+        sample; sensors of different rates need nothing else.
+    rule: a `Rule`, `Taylor`, or a function ``n -> rule`` of the dimension of the state and of the
         noise that goes through the points.
     form: "square root" (QR, half the digits needed) or "covariance" (fewer operations).
     hooks: ``(memory, joint, epoch) -> (memory, joint)``, one after the other at each sensor: each
-        sees the `Joint` of measurement and state and may replace it. Ready ones are in
-        `celnav.filters.adaptive`. For other hooks at each sensor a list of lists.
+        gets the `Joint` of measurement and state and may replace it. `celnav.filters.adaptive` has
+        ready ones. A list of lists gives each sensor its own hooks.
     gain: a prescribed gain ``(..., n, m)`` instead of the optimal one, or ``(A, sign, m) -> gain``;
         for one sensor.
-    iterations: of each update; with more than one it linearizes again over the posterior that the
-        last led to: the posterior linearization filter [Garcia2015], of Taylor's rule the iterated
-            EKF [Bell1993].
+    iterations: of each update. More than one relinearizes over the posterior of the previous
+        iteration: the posterior linearization filter [Garcia2015]; with Taylor's rule the iterated
+        EKF [Bell1993].
 
     >>> hooks = [celnav.filters.adaptive.gate(4.0)]
     >>> celnav.sigma_point(motion, gps, rule=lambda n: celnav.smolyak(n, 3), hooks=hooks)
@@ -354,8 +357,7 @@ def ukf(
     """The unscented Kalman filter; ``alpha, beta, kappa`` as in `celnav.unscented`, ``options`` as
     in `sigma_point`.
 
-    The defaults have no negative weight: they are the rule of `ckf`, whose points and weights are
-    the same.
+    The defaults have no negative weight: points and weights are then those of `ckf`.
 
     >>> filter = celnav.ukf(celnav.Motion(f, Q), celnav.Sensor(h, R))
     """
@@ -366,8 +368,8 @@ def ukf(
 
 
 def ckf(motion: Motion, *sensors: Sensor, degree: int = 3, **options: Any) -> Sequential:
-    """The cubature Kalman filter, of degree 3 or 5; ``options`` as in `sigma_point`. Of degree 3 it
-    is the default `ukf`.
+    """The cubature Kalman filter, of degree 3 or 5; ``options`` as in `sigma_point`. With degree 3
+    it equals the default `ukf`.
 
     >>> filter = celnav.ckf(motion, gps, degree=5)
     """
@@ -403,10 +405,10 @@ def sparse_grid_filter(
 
 
 def ekf(motion: Motion, *sensors: Sensor, **options: Any) -> Sequential:
-    """The extended Kalman filter, iterated with ``iterations=6``, say; ``options`` as in
+    """The extended Kalman filter, iterated with, for example, ``iterations=6``; ``options`` as in
     `sigma_point`.
 
-    It linearizes by the ``jacobian`` of motion and sensors, or by differences where there is none.
+    It linearizes with the ``jacobian`` of motion and sensors, or by differences if there is none.
 
     >>> filter = celnav.ekf(celnav.Motion(f, Q, jacobian=lambda x, epoch: F), gps, iterations=3)
     """
@@ -414,7 +416,7 @@ def ekf(motion: Motion, *sensors: Sensor, **options: Any) -> Sequential:
 
 
 def require_sequential(name: str, filter: Any) -> Sequential:
-    """A filter that predicts, then updates, and does nothing else; ValueError names another."""
+    """A filter that predicts, then updates, and does nothing else; ValueError for any other."""
     made: Sequential = instance(name, filter, Sequential, "celnav.ukf(motion, sensor)")
     if type(made).step is not Sequential.step:
         raise ValueError(
@@ -437,28 +439,28 @@ def _each(hooks: Any, sensors: int) -> tuple[tuple[Hook, ...], ...]:
             f"hooks: expected hooks, or {sensors} lists of them, one for each sensor, got "
             f"{len(lists)} lists"
         )
-    each = tuple(tuple(own) for own in hooks) if lists else (tuple(hooks),) * sensors
-    wrong = [hook for own in each for hook in own if not accepts(hook, 3)]
+    per_sensor = tuple(tuple(group) for group in hooks) if lists else (tuple(hooks),) * sensors
+    wrong = [hook for group in per_sensor for hook in group if not accepts(hook, 3)]
     if wrong:
         raise ValueError(
             f"hooks: expected functions (memory, joint, epoch), got {describe(wrong[0])}"
         )
-    return each
+    return per_sensor
 
 
 # -- variants --------------------------------------------------------------------------------------
 @dataclass(frozen=True, eq=False, repr=False)
 class Iterated(Sequential):
-    """A filter that linearizes each update again about the posterior that the last one led to.
+    """A filter that relinearizes each update about the posterior of the previous iteration.
 
-    An extended filter does so at the posterior's mean: its updates are Gauss-Newton steps to the
-    mode [Bell1993]. Of points it is a statistical linear regression over the whole posterior, whose
-    residual is noise [Garcia2015]: where the posterior is narrow that noise is small, and what the
-    prior's points take for a nonlinearity no longer counts.
+    An extended filter expands about the posterior's mean: its updates are Gauss-Newton steps to the
+    mode [Bell1993]. A sigma-point filter makes a statistical linear regression over the whole
+    posterior, whose residual is noise [Garcia2015]. If the posterior is narrow this noise is small,
+    and a nonlinearity across the prior's points no longer counts.
 
     iterations: linearizations of each update. One with a ``first`` is an update linearized about a
-        point known otherwise, from a closed solution of the measurements, say; the prior counts in
-        full all the same.
+        point from elsewhere, such as a closed-form solution of the measurements; the prior still
+        counts in full.
     first: ``(belief, z, epoch) -> (..., N)``, the first point to linearize about; None: the prior's
         mean.
     """
@@ -487,18 +489,19 @@ class Iterated(Sequential):
             about = about._replace(
                 mean=numbers("first", self.first(belief, z, epoch), (..., belief.mean.shape[-1]))
             )
+        # Each update starts from the prior `belief`; only the linearization moves.
         for _ in range(self.iterations):
-            seen, space = self.relinearized(about, sensor, belief, z, epoch), self.motion.space
+            joint, space = self.relinearized(about, sensor, belief, z, epoch), self.motion.space
             about, info, remembered = condition(
-                self.form, seen, space, hooks=hooks, memory=memory, epoch=epoch, gain=self.gain
+                self.form, joint, space, hooks=hooks, memory=memory, epoch=epoch, gain=self.gain
             )
         return about, info, remembered
 
     def relinearized(
         self, about: Belief, sensor: Sensor, belief: Belief, z: Array, epoch: Epoch
     ) -> Joint:
-        """The joint of the measurement and of the state as ``belief`` has it, by a regression over
-        the belief ``about``.
+        """The joint of the measurement and of the state with the prior ``belief``, by a regression
+        over the belief ``about``.
         """
         space = self.motion.space
         return linearized_over(
@@ -519,14 +522,15 @@ def linearized_over(
     space: Space,
     draw: Callable[[Any, Belief], Joint],
 ) -> Joint:
-    """The joint that ``draw(rule, belief)`` gives, with the state as ``belief`` has it and the
-    model linearized over ``about``.
+    """The joint that ``draw(rule, belief)`` gives: the state has the prior ``belief``, the model is
+    linearized over ``about``.
     """
     if isinstance(rule, Taylor):
         return draw(
             Taylor(rule.step, about=about.mean),
             broadcast_to_runs("about", about.mean.shape[:-1], belief),
         )
+    # The matrix of a linear model is the same everywhere.
     if about is belief or by_matrix(model, rule):
         return draw(rule, belief)
     return regressed(draw(rule, about), belief, space.minus(belief.mean, about.mean))
@@ -534,16 +538,16 @@ def linearized_over(
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SingleDraw(Sequential):
-    """Predict and update on one set of points: the augmented form of [Merwe2004], without drawing
-    anew in between.
+    """Predict and update with one set of points: the augmented form of [Merwe2004], without drawing
+    new points in between.
 
     Noise goes through the points: ``f(x, epoch, *noise)`` and ``h(f(x), epoch, *noise)`` both get
     all the noises of the motion and then of its only sensor. Additive process noise would not reach
-    the measurement, and is not offered. An epoch with ``dt == 0`` is an ordinary update. Make it of
-    a filter: ``SingleDraw.of(celnav.ukf(motion, sensor))``.
+    the measurement, so it is refused. An epoch with ``dt == 0`` is an ordinary update. Make one
+    from a filter: ``SingleDraw.of(celnav.ukf(motion, sensor))``.
 
-    joint_noise: roots of the noises that reach both functions instead, where those of process and
-        measurement are correlated.
+    joint_noise: roots of noises that reach both functions instead, for process and measurement
+        noises that are correlated.
 
     >>> filter = celnav.ukf(celnav.Motion(f, augment=[np.eye(6)]), gps)
     >>> filter = celnav.filters.sequential.SingleDraw.of(filter)
@@ -557,7 +561,7 @@ class SingleDraw(Sequential):
 
     @classmethod
     def of(cls, filter: Sequential) -> SingleDraw:
-        """The same filter, drawing once."""
+        """The same filter with a single draw."""
         require_sequential("filter", filter)
         if (
             len(filter.sensors) != 1
@@ -629,7 +633,7 @@ class SingleDraw(Sequential):
 
     def outputs(self, x: Array, epoch: Epoch, *noise: Array) -> tuple[Array, Array]:
         """The measurement and the state at the end of the interval, both from the points at its
-        beginning.
+        start.
         """
         y = evaluate(self.motion, x, epoch, noise)
         return evaluate(self.sensors[0], y.copy(order="K"), epoch, noise), y

@@ -1,10 +1,10 @@
 """The fixed-interval smoother [Rauch1965; sigma points: Sarkka2008] for every rule, form and space.
 
-It is the core's conditioning once more: with ``g = (f, identity)`` the next state is a measurement
-of the present one. The belief about the present state given the next, and what is left open about
-the next one carried back by the gain, are independent; their sum is the smoothed belief. No
-covariances are subtracted, so it stays a square-root smoother, and a gain that is not optimal costs
-variance, not honesty.
+It uses the filter's conditioning with ``g = (f, identity)``: the next state is a measurement of the
+present one. Two parts are independent: the belief about the present state given the next state, and
+the remaining uncertainty of the next state, carried back by the gain. Their sum is the smoothed
+belief. No covariances are subtracted, so the smoother stays in square-root form, and a gain that is
+not optimal increases the variance but leaves the covariance consistent.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ FORWARD_ONLY: dict[type, str] = {
     FixedLag: "which smooths its last epochs by filter.track(state); "
     "smooth a track of its own filter",
 }
-"""Filters of which a track cannot be smoothed: why, and which one takes their place."""
+"""Filters whose tracks cannot be smoothed: the reason, and the filter to use instead."""
 
 
 def smooth(
@@ -62,21 +62,21 @@ def smooth(
 ) -> Track:
     """Estimates of all states given *all* measurements, from the track of a filter.
 
-    track: of ``run(..., keep="cov")``, every epoch stored.
-    filter: the filter of the track, which has it unless it was pickled. It predicts, then updates,
-        as `celnav.ukf` and its siblings do. In place of `celnav.colored` smooth `celnav.augmented`,
-        in place of `celnav.two_stage` a filter with the bias as a state, in place of `celnav.imm`
-        one of its models.
+    track: of ``run(..., keep="cov")``, with every epoch stored.
+    filter: the filter of the track; the track has it unless it was pickled. It predicts, then
+        updates, as `celnav.ukf` and its siblings do. Instead of `celnav.colored` smooth
+        `celnav.augmented`, instead of `celnav.two_stage` a filter with the bias as a state, instead
+        of `celnav.imm` one of its models.
     gains: store the gains ``(T, ..., n, n)``, ``extra["gain"]``: the k-th acts from epoch k + 1 to
         k, the last is 0.
-    on_failure: "raise" a `FilterError` if the smoother loses a run, or "flag" it (nan from there
+    on_failure: "raise" a `FilterError` if the smoother fails in a run, or "flag" it (nan from there
         *back*, and ``failed_at``).
 
-    engine, jobs: of the way back, as `celnav.run` has them; gains are numpy's.
+    engine, jobs: of the backward pass, as in `celnav.run`; gains need numpy.
 
     Returns the track with smoothed mean, std and covariances; all else remains the filter's. A run
-    that the filter lost is smoothed up to its last good epoch. Directions of the predicted state
-    that are known (a singular covariance) carry nothing back.
+    in which the filter failed is smoothed up to its last good epoch. Directions in which the
+    predicted state has no uncertainty (a singular covariance) carry nothing back.
 
     >>> smoothed = celnav.smooth(celnav.run(filter, prior, times, z, keep="cov"))
     """
@@ -110,16 +110,19 @@ def smooth(
     lost = np.isnan(filtered.mean).any(-1)
     G = np.zeros(cov.shape) if gains else None
     if len(mean) > 1:
-        known = form(mean[-2::-1], cov[-2::-1]), mean[:0:-1, ..., :1]
+        # Beliefs before each interval, and one component of the mean after it, in reverse order.
+        about = form(mean[-2::-1], cov[-2::-1]), mean[:0:-1, ..., :1]
         backward: Any = (
             [
-                epoch._replace(z=None, truth=None, about=(form(*belief), there, epoch.about))
-                for epoch, *belief, there in zip(epochs[:0:-1], *known[0], known[1], strict=True)
+                epoch._replace(z=None, truth=None, about=(form(*belief), mean_after, epoch.about))
+                for epoch, *belief, mean_after in zip(
+                    epochs[:0:-1], *about[0], about[1], strict=True
+                )
             ]
             if not isinstance(epochs, Epochs)
-            else epochs.backward(known)
+            else epochs.backward(about)
         )
-        way = run(
+        backward_track = run(
             backwards(chosen, gains),
             form(mean[-1], np.broadcast_to(cov[-1], (*batch, n, n))),
             backward,
@@ -129,13 +132,13 @@ def smooth(
             engine=engine,
             jobs=jobs,
         )
-        assert way.belief is not None
-        mean[:-1], cov[:-1] = way.belief.mean[::-1], way.belief[1][::-1]
+        assert backward_track.belief is not None
+        mean[:-1], cov[:-1] = backward_track.belief.mean[::-1], backward_track.belief[1][::-1]
         if G is not None:
-            G[:-1] = way.extra["gain"][::-1]
+            G[:-1] = backward_track.extra["gain"][::-1]
     broken = np.asarray(np.isnan(mean).any(-1) & ~lost)
     if broken.any():
-        k = len(broken) - 1 - np.argmax(broken[::-1], 0)  # from there back
+        k = len(broken) - 1 - np.argmax(broken[::-1], 0)  # the last epoch that failed, per run
         first = np.unravel_index(np.argmax(np.where(broken.any(0), k, -1)), batch)
         if on_failure == "raise":
             epoch = epochs[int(k[first]) + 1]
@@ -154,9 +157,7 @@ def smooth(
 
 
 class Smoothed(NamedTuple):
-    """State of the way back: the belief given everything, and the gain that led to it, if that is
-    kept.
-    """
+    """State of the backward pass: the belief given all measurements, and, if stored, its gain."""
 
     belief: Belief
     gain: Array | None = None
@@ -164,10 +165,10 @@ class Smoothed(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Backward:
-    """The way back as a filter, over the epochs in reverse.
+    """The backward pass as a filter, over the epochs in reverse.
 
-    ``epoch.about`` has the filter's belief before the interval, a component of its mean after it,
-    nan where it is lost there, and what the epoch itself is about.
+    ``epoch.about`` has the filter's belief before the interval, a component of its mean after it
+    (nan where the filter has failed there), and the ``about`` of the epoch itself.
     """
 
     filter: Sequential
@@ -179,12 +180,14 @@ class Backward:
         return Smoothed(prior, np.zeros(prior[1].shape) if self.gains else None)
 
     def step(self, state: Smoothed, epoch: Epoch) -> tuple[Smoothed, tuple[Info, ...]]:
-        """The belief at the beginning of an epoch's interval given everything."""
-        before, there, about = epoch.about
+        """The belief at the start of an epoch's interval, given all measurements."""
+        before, mean_after, about = epoch.about
         after, gain = state.belief, np.eye(before[1].shape[-1])
         if not is_zero_interval(epoch):
             after, gain = back(self.filter, before, after, epoch._replace(about=about))
-        lost = np.isnan(there)
+        # Where the filter failed after the interval, the filter's belief before it is the last good
+        # one.
+        lost = np.isnan(mean_after)
         if not is_concretely_true(~lost.any()):
             form, here = self.filter.form, lost[..., None]
             mean = np.where(lost, before.mean, after.mean)
@@ -197,33 +200,33 @@ class Backward:
 
 @lru_cache(maxsize=16)
 def backwards(filter: Sequential, gains: bool) -> Backward:
-    """The way back of a filter; of the same one the same, of which machine code is kept."""
+    """The backward pass of a filter; cached, so that its machine code is kept."""
     return Backward(filter, gains)
 
 
 def back(filter: Sequential, before: Belief, after: Belief, epoch: Epoch) -> tuple[Belief, Array]:
-    """The belief before an epoch's interval given everything, from the one given the past and the
-    smoothed one after it.
+    """The belief before an epoch's interval given all measurements, and the gain, from the belief
+    given the past and the smoothed belief after the interval.
     """
+    # x_s = x + G (x_s' - f), and P_s = (P - G S S' G') + G P_s' G' with G = cov(x, f) (S S')^+.
     form, space = filter.form, filter.motion.space
     both = filter.transition(before, epoch, after.mean)
     center = both.measurement.center
     if (both.sign < 0.0).any():
-        # What the next state tells exactly, such as a constant, cancels to round-off, from which no
-        # negative columns can be taken
-        # away: the round-off counts as the noise that it is.
+        # A state that the next one determines exactly, such as a constant, cancels to round-off,
+        # from which negative columns cannot be downdated: the round-off is added as noise.
         size = np.sqrt(np.vecdot(both.state.columns, both.state.columns))
         both = both._replace(
             process_noise=(0, NEGLIGIBLE * size[..., None] * np.eye(size.shape[-1]))
         )
 
     inner, info, _ = condition(form, both, space, gain=partial(pseudo_gain, center=center))
-
     gain = info.gain()
 
     def carried(to: Array, at: Array, root: Array) -> Array:
         return root if space.transport is None else space.transport(space.minus(to, at)) @ root
 
     ahead = carried(inner.mean, before.mean, gain @ carried(center, after.mean, after.sqrt_cov))
-    lost = ~np.isfinite(after.mean).all(-1, keepdims=True)  # not a next state that was not measured
+    # Conditioning treats nan in the smoothed next state as not measured; here it is a failure.
+    lost = ~np.isfinite(after.mean).all(-1, keepdims=True)
     return form(np.where(lost, np.nan, inner.mean), form.sum(inner[1], ahead)), gain

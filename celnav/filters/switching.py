@@ -1,4 +1,6 @@
-"""Filters that take turns: before each step it is chosen, run by run, which one makes it."""
+"""Filters that alternate: before each step, a function chooses for each run which filter makes
+it.
+"""
 
 from __future__ import annotations
 
@@ -19,8 +21,8 @@ __all__ = ["Switching"]
 
 
 class SwitchingState(NamedTuple):
-    """State of a `Switching`; ``chosen (...)``: numbers of the filters that made the last step,
-    None before the first.
+    """State of a `Switching`; ``chosen (...)``: numbers of the filters of the last step, None
+    before the first.
     """
 
     belief: Any
@@ -30,16 +32,16 @@ class SwitchingState(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Switching:
-    """Filters of which one makes each step of a run; nothing but mean and covariance passes from
-    one to the next.
+    """Filters of which one makes each step of a run; only mean and covariance pass from one to the
+    next.
 
     filters: ``number ->`` filter: of the same motion, sensors and form, with different rules and
         without hooks. Number 0 starts.
     choose: ``(belief, epoch, chosen) ->`` numbers ``(...)`` of the filters for a step, from the
-        belief before it; ``chosen``: those of the step before, None at the first.
+        belief before it; ``chosen``: the numbers of the previous step, None at the first.
 
-    The step of a run is bit for bit that of its filter. All runs together cost as much as every
-    filter that one of them has chosen.
+    The step of a run is bit for bit that of its filter. A step costs as much as all the filters
+    chosen by at least one run.
 
     >>> filters = [celnav.ghkf(motion, gps), celnav.ekf(motion, gps)]
     >>> narrow = lambda belief, epoch, chosen: (belief.std[..., 0] < 0.1).astype(int)
@@ -83,11 +85,11 @@ class Switching:
             if belief is None:
                 belief, infos = after.belief, more
             else:
-                own = chosen == number
+                mask = chosen == number
                 belief = type(belief)(
-                    *(pick(own, b, a) for a, b in zip(belief, after.belief, strict=True))
+                    *(pick(mask, b, a) for a, b in zip(belief, after.belief, strict=True))
                 )
-                infos = tuple(merged(own, a, b) for a, b in zip(infos, more, strict=True))
+                infos = tuple(merged(mask, a, b) for a, b in zip(infos, more, strict=True))
         return SwitchingState(
             belief, state.memory, np.broadcast_to(chosen, belief.mean.shape[:-1])
         ), infos

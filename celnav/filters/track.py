@@ -1,4 +1,4 @@
-"""What a run leaves behind: the `Track`, and the collector that fills it."""
+"""The result of a run: the `Track`, and the collector that fills it."""
 
 from __future__ import annotations
 
@@ -31,29 +31,29 @@ class Track:
     """The record of a run, time-major: ``(T, ..., n)``, the batch axes of the runs between time and
     component.
 
-    ``print(track.report(truth))`` judges it.
+    ``print(track.report(truth))`` evaluates it.
 
     times: ``(T,)`` s, of the epochs stored. mean: ``(T, ..., N)``. std: ``(T, ..., n)``. None: not
         kept.
-    belief: means and covariances in the filter's form, where ``run(keep="cov")`` kept them; see
+    belief: means and covariances in the filter's form, if ``run(keep="cov")`` stored them; see
         `cov`.
     innovation, whitened, used: ``(T, ..., m)`` of all sensors side by side, m the most that they
-        had at an epoch: innovations, nan where not measured; whitened ones, 0 where not used; bool,
-            which components took part.
+        had at an epoch: innovations, nan where not measured; whitened innovations, 0 where not
+        used; bool, the components that were used.
     sensors: how many of these components each sensor has, in their order.
-    columns: names of the measurements' columns, where they came as a table of pandas.
+    columns: names of the measurements' columns, if they came as a table of pandas.
     log_likelihood: ``(...)`` of all measurements, also of epochs not stored.
     events: counts ``(...)`` over all epochs: "missing" and "rejected" components, "redone" steps.
-        Where ``z`` was None, as many are missing as that sensor has at other epochs.
+        If ``z`` was None, as many are missing as that sensor has at other epochs.
     failed_at: ``(...)`` index of the first epoch at which a run is not finite, -1 for none.
-    extra: what ``run(also=...)`` gave; and "R" of a filter with hooks: ``(T, ..., m)``, the
-        variances of the measurement noise as they left them, such as those that `variational_bayes`
+    extra: the arrays from ``run(also=...)``; and "R" of a filter with hooks: ``(T, ..., m)``, the
+        variances of the measurement noise after the hooks, such as those that `variational_bayes`
         estimates, of all sensors with hooks side by side.
-    reduced: what ``run(reduce=...)`` ended with.
-    engine: what flew it, "numpy", "compiled" or "cuda"; with ``run(engine="auto")`` also why it was
-        not compiled.
-    filter, epochs: for `celnav.smooth`; the epochs have lost their measurements, and a track that
-        was pickled its filter.
+    reduced: the final value of ``run(reduce=...)``.
+    engine: the engine that ran it, "numpy", "compiled" or "cuda"; with ``run(engine="auto")`` also
+        why it was not compiled.
+    filter, epochs: for `celnav.smooth`; the epochs have no measurements, and a track that was
+        pickled has no filter.
 
     >>> track.nis.sum() / track.dof.sum()  # 1 of a consistent filter
     >>> track.to_csv("track.csv")
@@ -86,13 +86,13 @@ class Track:
             "one run" if not batch else f"{batch[0]} runs" if len(batch) == 1 else f"runs {batch}"
         )
         lost = f", {count} lost" if count else ""
-        kept = ", ".join(
+        stored = ", ".join(
             name
             for name in ("mean", "std", "belief", "innovation")
             if getattr(self, name) is not None
         )
         span = f"{len(self.times)} epochs from {self.times[0]:g} to {self.times[-1]:g} s"
-        return f"Track({span}, {runs}{lost}; {kept or 'no rows'} stored)"
+        return f"Track({span}, {runs}{lost}; {stored or 'no rows'} stored)"
 
     @property
     def nis(self) -> Array:
@@ -128,24 +128,23 @@ class Track:
         space: Space | None = None,
         level: float = 0.95,
     ) -> Report:
-        """How it did against the truth, a `celnav.show.report.Report`; NEES needs covariances, of
-        ``run(keep="cov")``.
+        """The accuracy with respect to the truth, a `celnav.show.report.Report`; NEES needs
+        covariances from ``run(keep="cov")``.
 
-        truth: ``(T, ..., N)`` at the track's epochs, nan where it is not known; ``(T, N)`` may be
-            that of all runs. Where states are vectors it may be of their first components only:
-            biases and colored noise that a filter estimates besides have none.
+        truth: ``(T, ..., N)`` at the track's epochs, nan where it is not known; ``(T, N)`` may
+            serve all runs. For vector states it may have only the first components, without biases
+            and colored noise that a filter estimates besides.
         names: ``(n,)`` of the components of the error. start: s; earlier epochs are left out.
-        space: that of the states; None: the one that the track's filter says. level: of intervals
-            and bands.
+        space: of the states; None: the space of the track's filter. level: of intervals and bands.
 
-        Errors are estimate minus truth. What is not finite, of a run that is lost, is left out;
-        what was before counts.
+        Errors are estimate minus truth. Values of a failed run that are not finite are left out;
+        values before the failure count.
 
         >>> report = celnav.run(filter, prior, times, z, keep="cov").report(truth)
         >>> print(report)
         >>> report.figure().savefig("report.png")
         """
-        from celnav.show.report import report  # above this room, but here is where one looks for it
+        from celnav.show.report import report  # of a higher room, but users look for it here
 
         return report(self, truth, names=names, start=start, space=space, level=level)
 
@@ -156,7 +155,7 @@ class Track:
         return [*self.columns] if len(self.columns) == count else [f"z{i}" for i in range(count)]
 
     def to_dataframe(self, names: list[str] | None = None) -> pd.DataFrame:
-        """A row for each stored epoch and run (batch axes count as one): time, run, means,
+        """A row for each stored epoch and run (batch axes count as one): time, run, means, standard
         deviations, NIS. Needs pandas.
 
         ``names``: of the state's components; default ``x0, x1, ...``.
@@ -198,9 +197,9 @@ class Track:
         return columns if self.whitened is None else columns | {"nis": self.nis.ravel()}
 
 
-def _stored(name: str, value: Any, what: str) -> Any:
+def _stored(name: str, value: Any, quantity: str) -> Any:
     if value is None:
-        raise ValueError(f"{name}: this track stored no {what}")
+        raise ValueError(f"{name}: this track stored no {quantity}")
     return value
 
 
@@ -211,22 +210,20 @@ KEEP = {
     "mean": ("mean", *INNOVATIONS),
     "nothing": (),
 }
-"""Rows of a track, by the word for them."""
+"""Rows of a track, by keyword."""
 NAMED = {
     "mean": ("mean",),
     "std": ("std",),
     "cov": ("mean", "std", "cov"),
     **dict.fromkeys(INNOVATIONS, INNOVATIONS),
 }
-"""Rows that can be asked for, and what comes with them."""
+"""Rows that can be requested, and the rows that come with them."""
 _BLANK = {"innovation": np.nan, "whitened": 0.0, "used": False, "R": np.nan}
-"""What stands for components that a sensor has at other epochs."""
+"""Values of components that a sensor has only at other epochs."""
 
 
 def rows_of(keep: Any) -> tuple[str, ...]:
-    """Names of the rows that ``celnav.run(keep=...)`` asks for, by one word for them or by their
-    own.
-    """
+    """Names of the rows for ``celnav.run(keep=...)``, which is one keyword or names of rows."""
     if isinstance(keep, str) or not isinstance(keep, Iterable):
         return KEEP[choice("keep", keep, tuple(KEEP))]
     asked = list(keep)
@@ -238,7 +235,7 @@ def rows_of(keep: Any) -> tuple[str, ...]:
 
 
 class Collector:
-    """Gathers some ``rows`` of a `Track`, of each ``every``-th epoch; sums go over every epoch."""
+    """Collects some ``rows`` of a `Track` at each ``every``-th epoch; sums cover every epoch."""
 
     def __init__(self, every: int, rows: Collection[str]):
         self._every, self._kept, self._count = every, rows, 0
@@ -262,7 +259,7 @@ class Collector:
     def add(
         self, epoch: Epoch, belief: Belief, infos: tuple[Info, ...], extra: dict[str, Any]
     ) -> tuple[int, ...] | None:
-        """Take one step in. Returns the index of the first run that it newly lost, or None."""
+        """Add one step. Returns the index of the first run that fails in it, or None."""
         self._form = type(belief)
         for i, info in enumerate(infos):
             self._sum(i, info)
@@ -270,9 +267,8 @@ class Collector:
             self._store(epoch, belief, infos, extra)
         self._count += 1
         batch = belief.mean.shape[:-1]
-        if (
-            self._failed_at.shape != batch
-        ):  # the first epoch, or runs that only a later measurement has
+        # At the first epoch, or if a later measurement adds axes of runs.
+        if self._failed_at.shape != batch:
             self._failed_at = np.broadcast_to(self._failed_at, batch).copy()
         if not any_lost(belief):
             return None
@@ -318,7 +314,7 @@ class Collector:
                     self._rows[name, i][row] = value
 
     def track(self, reduced: Any, filter: Any) -> Track:
-        """Everything gathered, stacked over time."""
+        """The collected rows, stacked over time."""
         if not self._count:
             raise ValueError("epochs: expected at least one, got none")
         try:
@@ -355,15 +351,15 @@ class Collector:
         )
 
     def _stacked(self, name: str, axes: int = 1) -> Array | None:
-        """Rows over time, of all sensors side by side, broadcast to the batch of the last."""
-        parts = []
+        """Rows over time, all sensors side by side, broadcast to the batch of the last epoch."""
+        blocks = []
         for key in sorted(key for key in self._rows if key[0] == name):
             rows = self._rows.pop(key)
-            one, width = next(iter(rows.values())), max(row.shape[-1] for row in rows.values())
-            shape = len(self._times), *self._failed_at.shape, *one.shape[-axes:-1], width
-            part = np.full(shape, _BLANK.get(name, np.nan), one.dtype)
+            first, width = next(iter(rows.values())), max(row.shape[-1] for row in rows.values())
+            shape = len(self._times), *self._failed_at.shape, *first.shape[-axes:-1], width
+            block = np.full(shape, _BLANK.get(name, np.nan), first.dtype)
             while rows:  # one copy at a time, not two of everything
                 k, row = rows.popitem()
-                part[k, ..., : row.shape[-1]] = row
-            parts.append(part)
-        return parts[0] if len(parts) == 1 else np.concatenate(parts, -1) if parts else None
+                block[k, ..., : row.shape[-1]] = row
+            blocks.append(block)
+        return blocks[0] if len(blocks) == 1 else np.concatenate(blocks, -1) if blocks else None

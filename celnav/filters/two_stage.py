@@ -1,10 +1,10 @@
-"""Two-stage filters: a filter that knows of no bias, a second one that estimates the bias from what
-the first leaves over.
+"""Two-stage filters: a first filter that ignores the bias, and a second one that estimates the bias
+from the innovations of the first.
 
-The first stage runs as if the bias were zero. A sensitivity ``Lambda`` says what a unit of bias
-does to its estimate; its innovation, less what the sensitivity explains, is the measurement of the
-second stage [Friedland1969]. For a constant bias, or one that walks at random [Hsieh1999], both
-together are the augmented Kalman filter.
+The first stage runs as if the bias were zero. A sensitivity ``Lambda`` is the derivative of its
+estimate with respect to the bias. Its innovation, less what the sensitivity explains, is the
+measurement of the second stage [Friedland1969]. For a constant bias, or a bias that is a random
+walk [Hsieh1999], both stages together are the augmented Kalman filter.
 """
 
 from __future__ import annotations
@@ -45,19 +45,19 @@ Slope = Array | Callable[[Array, Epoch], Array]
 ``(mean, epoch) -> matrix``.
 """
 LINEAR = Taylor()
-# part of a deviation below which a direction of the bias is taken for known: the round-off of many
-# steps
+# fraction of a standard deviation below which a direction of the bias counts as known: the
+# round-off of many steps
 KNOWN = 1e-6
 
 
 class Stage(NamedTuple):
-    """What a first stage did in a step: its innovation ``(..., m)``, the root ``(..., m, m)`` of
-    that one's covariance, the gain ``(..., n, m)``, the measurement's Jacobian ``H (..., m, n)``
-    and which components took part ``(..., m)``.
+    """What a first stage computed in a step: its innovation ``(..., m)``, the root ``(..., m, m)``
+    of the innovation covariance, the gain ``(..., n, m)``, the measurement's Jacobian
+    ``H (..., m, n)`` and which components were used ``(..., m)``.
 
     Omega: ``(..., n, m)``, how the measurement itself enters the prediction; None if it does not.
-    lag: ``(m, m)``, what of the last measurement is taken off this one, and before:
-        ``(..., m, n)``, that one's H; None without.
+    lag: ``(m, m)``, the factor of the last measurement that is subtracted from this one, and
+        before: ``(..., m, n)``, the H of the last measurement; None without.
     """
 
     innovation: Array
@@ -72,8 +72,8 @@ class Stage(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Plain:
-    """A first stage by an ordinary filter of one sensor: any rule, either form, hooks included.
-    Vector states only.
+    """A first stage made of an ordinary filter of one sensor: any rule, either form, hooks
+    included. Vector states only.
     """
 
     filter: Sequential
@@ -96,7 +96,7 @@ class Plain:
         ), moved.state.jacobian()
 
     def update(self, state: State, epoch: Epoch) -> tuple[State, Stage | None, Info]:
-        """State given the measurement, and what was done."""
+        """State given the measurement, its `Stage` and its `Info`."""
         after, infos = self.filter.update(state, epoch)
         info: Any = infos[0]
         if info.sqrt_S is None:
@@ -111,8 +111,8 @@ class Plain:
 
 
 class TwoStageState(NamedTuple):
-    """State of the first stage, bias ``(..., p)``, sensitivity ``(..., n, p)``, last measurement's
-    Gamma, memory of the boost.
+    """State of the first stage, bias ``(..., p)``, sensitivity ``(..., n, p)``, Gamma of the last
+    measurement, memory of the boost.
     """
 
     first: Any
@@ -123,20 +123,23 @@ class TwoStageState(NamedTuple):
 
     @property
     def belief(self) -> Any:
-        """State and bias ``(..., n + p)``, corrected: what the augmented filter would have."""
-        free, own, Lambda = self.first.belief, self.bias, self.Lambda
-        mean = side_by_side([free.mean + matvec(Lambda, own.mean), own.mean])
+        """State and bias ``(..., n + p)``, corrected: the belief of the augmented filter."""
+        # x = x_free + Lambda b, with b independent of the error of x_free.
+        free, bias, Lambda = self.first.belief, self.bias, self.Lambda
+        mean = side_by_side([free.mean + matvec(Lambda, bias.mean), bias.mean])
         if isinstance(free, SquareRoot):
             return SquareRoot(
-                mean, tria(block([[free.sqrt_cov, Lambda @ own.sqrt_cov], [0, own.sqrt_cov]]))
+                mean, tria(block([[free.sqrt_cov, Lambda @ bias.sqrt_cov], [0, bias.sqrt_cov]]))
             )
-        cross = Lambda @ own.cov
-        return type(free)(mean, block([[free.cov + cross @ Lambda.mT, cross], [cross.mT, own.cov]]))
+        cross = Lambda @ bias.cov
+        return type(free)(
+            mean, block([[free.cov + cross @ Lambda.mT, cross], [cross.mT, bias.cov]])
+        )
 
 
 class Boost(NamedTuple):
-    """What a boost sees: the innovation less what the bias explains ``(..., m)``, its covariance;
-    both of the first stage alone.
+    """Arguments of a boost: the innovation less what the bias explains ``(..., m)`` and its
+    covariance; the innovation and covariance of the first stage alone.
     """
 
     residual: Array
@@ -158,19 +161,19 @@ def two_stage(
 ) -> TwoStage:
     """A filter of a state and, in a second stage, a bias of the measurement.
 
-    motion, sensor: what the first stage believes, which knows of no bias.
+    motion, sensor: the models of the first stage, without the bias.
     Gamma: ``(..., m, p)``, derivative of the measurement with respect to the bias, or a function
-    ``(mean, epoch)`` of it. bias: what is known of the bias ``(p,)`` at the start.
-    Qb: covariance ``(p, p)`` of the steps of a bias that walks at random; None: it is constant.
-    boost: ``(memory, Boost) -> (memory, factors (..., p))``: the gain of the bias stage is that of
-        a covariance inflated by the factors, while the covariance itself is not; for one, see
-        `celnav.papers.tstdkf.method.strong_tracking`.
+    ``(mean, epoch)`` of it. bias: the prior of the bias ``(p,)``.
+    Qb: covariance ``(p, p)`` of the steps of a random-walk bias; None: the bias is constant.
+    boost: ``(memory, Boost) -> (memory, factors (..., p))``: the gain of the bias stage is computed
+        from a covariance inflated by the factors; the covariance itself is not inflated. For an
+        example see `celnav.papers.tstdkf.method.strong_tracking`.
     rule, options: of the first stage, as in `celnav.sigma_point`.
 
-    The prior is about the state alone, the filter's belief about state and bias, ``(..., n + p)``.
-    Innovations, NIS and likelihood are those of both stages, what the augmented filter would have;
-    gain and Jacobian are of the first. What runs of a linear model share, covariances and
-    sensitivity, has no axis of runs if the prior's covariance has none.
+    The prior is about the state alone; the filter's belief is about state and bias,
+    ``(..., n + p)``. Innovations, NIS and likelihood are those of both stages, as in the augmented
+    filter; gain and Jacobian are those of the first stage. Covariances and sensitivity that the
+    runs of a linear model share have no axis of runs if the prior's covariance has none.
 
     >>> bias = celnav.Gaussian(np.zeros(3), np.eye(3))
     >>> filter = celnav.two_stage(motion, sensor, np.eye(3), bias)
@@ -182,7 +185,7 @@ def two_stage(
 
 @dataclass(frozen=True, eq=False)
 class TwoStage:
-    """What `two_stage` makes; `of` makes one of any first stage."""
+    """The filter of `two_stage`; `of` makes one from any first stage."""
 
     first: Any
     Gamma: Slope
@@ -201,11 +204,11 @@ class TwoStage:
         Qb: ArrayLike | None = None,
         boost: Any = None,
     ) -> TwoStage:
-        """A filter of any first stage, such as `Plain`; other arguments as in `two_stage`.
+        """A filter from any first stage, such as `Plain`; other arguments as in `two_stage`.
 
         ``first.start(prior)`` gives a state with a ``belief``, ``first.predict(state, epoch)`` the
-        state after the interval and the transition matrix (None where it does not move),
-        ``first.update(state, epoch)`` state, `Stage` (None where nothing was measured) and `Info`.
+        state after the interval and the transition matrix (None if there is no interval),
+        ``first.update(state, epoch)`` state, `Stage` (None if nothing was measured) and `Info`.
         """
         if isinstance(first, Sequential) or not all(
             hasattr(first, name) for name in ("start", "predict", "update")
@@ -229,90 +232,93 @@ class TwoStage:
         return cls(first, slope, bias, walk=walk, boost=boost)
 
     def start(self, prior: Gaussian) -> TwoStageState:
-        known = self.first.start(prior)
-        *batch, n = known.belief.mean.shape
-        own, p = type(known.belief).of(self.bias), self.bias.mean.shape[-1]
-        runs = np.broadcast_shapes(own.mean.shape[:-1], own[1].shape[:-2])
+        first = self.first.start(prior)
+        *batch, n = first.belief.mean.shape
+        bias, p = type(first.belief).of(self.bias), self.bias.mean.shape[-1]
+        runs = np.broadcast_shapes(bias.mean.shape[:-1], bias[1].shape[:-2])
         pairs = zip(runs[::-1], batch[::-1], strict=False)
         if len(runs) > len(batch) or any(a not in (1, b) for a, b in pairs):
             raise ValueError(f"bias: expected one, or one for each run, {tuple(batch)}, got {runs}")
         # Covariance and sensitivity get an axis of runs where the models' matrices have one.
         return TwoStageState(
-            known, own._replace(mean=np.broadcast_to(own.mean, (*batch, p))), np.zeros((n, p))
+            first, bias._replace(mean=np.broadcast_to(bias.mean, (*batch, p))), np.zeros((n, p))
         )
 
     def step(self, state: TwoStageState, epoch: Epoch) -> tuple[TwoStageState, tuple[Info, ...]]:
         first, Phi = self.first.predict(state.first, epoch)
-        own, Lambda = state.bias, state.Lambda
+        bias, Lambda = state.bias, state.Lambda
         if Phi is not None:
             Lambda = Phi @ Lambda
             if self.walk is not None:
-                first, own, Lambda = _walked(first, own, Lambda, self.walk)
+                first, bias, Lambda = _walked(first, bias, Lambda, self.walk)
         first, stage, info = self.first.update(first, epoch)
         if stage is None:
-            return TwoStageState(first, own, Lambda, state.Gamma, state.memory), (info,)
+            return TwoStageState(first, bias, Lambda, state.Gamma, state.memory), (info,)
         Gamma = self.Gamma
         if callable(Gamma):
             Gamma = matrices_of("Gamma", Gamma, first.belief.mean, epoch)
-        direct = here = numbers("Gamma", Gamma, (..., stage.used.shape[-1], own.mean.shape[-1]))
+        direct = here = numbers("Gamma", Gamma, (..., stage.used.shape[-1], bias.mean.shape[-1]))
+        # Gamma* = Gamma - Phi (Gamma_last + H_last Lambda_last) for differenced measurements.
         if state.Gamma is not None and stage.lag is not None:
             direct = here - stage.lag @ (state.Gamma + stage.before @ state.Lambda)
         if stage.Omega is not None:
             Lambda = Lambda - stage.Omega @ (direct + stage.H @ Lambda)
+        # S = H Lambda + Gamma, (..., m, p): the derivative of the first innovation to the bias.
         S = np.where(stage.used[..., None], stage.H @ Lambda + direct, 0.0)
         # The bias given the innovation of the first stage, of which S is the Jacobian.
-        seen = joint(
+        bias_joint = joint(
             LINEAR,
-            own,
-            ((matvec(S, own.mean), S), KEEP),
+            bias,
+            ((matvec(S, bias.mean), S), KEEP),
             z=stage.innovation,
             measurement_noise=stage.sqrt_S,
         )
-        given: Any = condition(type(own), seen, EUCLIDEAN)
-        after, both, _ = given
+        conditioned: Any = condition(type(bias), bias_joint, EUCLIDEAN)
+        after, both, _ = conditioned
         memory = state.memory
         if self.boost is not None:
             boost = Boost(
                 both.innovation, outer(both.sqrt_S), stage.innovation, outer(stage.sqrt_S)
             )
             memory, factors = check_return("boost", self.boost(memory, boost), "memory, factors")
-            root = np.sqrt(numbers("boost", factors, (..., own.mean.shape[-1])))
+            root = np.sqrt(numbers("boost", factors, (..., bias.mean.shape[-1])))
             after = after._replace(
-                mean=own.mean + _boosted(own.cov, root, S, stage.sqrt_S, both.innovation)
+                mean=bias.mean + _boosted(bias.cov, root, S, stage.sqrt_S, both.innovation)
             )
-        # What a hook left out keeps the innovation of the first stage.
+        # A component that a hook left out keeps the innovation of the first stage.
         innovation = np.where(stage.used, both.innovation, np.asanyarray(info.innovation))
         info = info._replace(innovation=innovation, whitened=both.whitened, sqrt_S=both.sqrt_S)
+        # Lambda+ = Lambda - K S, with the gain K of the first stage.
         return TwoStageState(first, after, Lambda - stage.gain @ S, here, memory), (info,)
 
 
 def _boosted(M: Array, d: Array, S: Array, root: Array, residual: Array) -> Array:
-    """What a residual moves a bias of covariance ``D M D``: by
-    ``D M (I + D W D M)^-1 D S' R^-1 residual``, ``W = S' R^-1 S``.
+    """The change of a bias of covariance ``D M D`` by a residual:
+    ``D M (I + D W D M)^-1 D S' R^-1 residual``, with ``W = S' R^-1 S`` and ``D = diag(d)``.
     """
     Y, p = solve_lower(root, S), d.shape[-1]
-    terms = (Y.mT @ Y)[..., :, None, :] * M.mT[
-        ..., None, :, :
-    ]  # W D M is linear in d, by a matrix that runs may share
+    # W D M is linear in d: a matrix (p p, p), which runs may share, times d.
+    terms = (Y.mT @ Y)[..., :, None, :] * M.mT[..., None, :, :]
     WDM = matvec(terms.reshape(*terms.shape[:-3], p * p, p), d).reshape(*d.shape, p)
     white = d * matvec(Y.mT, whiten(root, residual))
     return d * matvec(M, np.linalg.solve(np.eye(p) + d[..., None] * WDM, white[..., None])[..., 0])
 
 
-def _walked(first: Any, own: Any, Lambda: Array, walk: Array) -> tuple[Any, Any, Array]:
+def _walked(first: Any, bias: Any, Lambda: Array, walk: Array) -> tuple[Any, Any, Array]:
     """First stage, bias and sensitivity after a step of the bias [Hsieh1999].
 
-    The bias before its step is conditioned on the one after it: what the sensitivity still
-    explains, and what is left over.
+    The bias before its step is conditioned on the bias after it: the sensitivity explains a part,
+    and the rest becomes noise of the first stage.
     """
-    form, eye = type(own), np.eye(own.mean.shape[-1])
-    both = joint(LINEAR, own, ((own.mean, eye), KEEP), z=own.mean, measurement_noise=walk)
+    form, eye = type(bias), np.eye(bias.mean.shape[-1])
+    both = joint(LINEAR, bias, ((bias.mean, eye), KEEP), z=bias.mean, measurement_noise=walk)
     left, info, _ = condition(form, both, EUCLIDEAN, gain=partial(pseudo_gain, least=KNOWN))
 
-    after, less = form(own.mean, form.sum(own[1], walk)), Lambda @ info.gain()
+    # Lambda' = Lambda G with G = M (M + Q_b)^+; P' = P + Lambda (M - G M) Lambda'.
+    after, less = form(bias.mean, form.sum(bias[1], walk)), Lambda @ info.gain()
     belief = first.belief
     free = type(belief)(
-        belief.mean + matvec(Lambda - less, own.mean),
+        belief.mean + matvec(Lambda - less, bias.mean),
         type(belief).sum(belief[1], Lambda @ left.sqrt_cov),
     )
     return first._replace(belief=free), after, less

@@ -1,8 +1,8 @@
-"""Gaussians: what is known, and what a function makes of it.
+"""Gaussians: beliefs about a state, and what a function makes of their mean and covariance.
 
-`linalg` small matrices and the two forms of a covariance · `spaces`, `attitude` what a difference
-is · `belief` what is known · `rules`, `sparse_grid` what a function of a Gaussian has for mean and
-covariance · `checks` what comes from outside.
+`linalg` small matrices and the two forms of a covariance · `spaces`, `attitude` the differences
+of states · `belief` checked Gaussians · `rules`, `sparse_grid` the mean and covariance of a
+function of a Gaussian · `checks` the checks of arguments.
 """
 
 from celnav.lazy import modules

@@ -5,8 +5,8 @@ Conventions. ``q = [rho, q4]``; ``matrix(q)`` takes inertial components to body 
 ``matrix(multiply(q, p)) == matrix(q) @ matrix(p)``; an error is ``multiply(q, inverse(q_hat))``, in
 body axes. These are the inverse of scipy's rotations: ``Rotation.from_quat(q).as_matrix()`` is the
 transpose of ``matrix(q)``. All functions take leading batch axes, are several times as fast as
-scipy's objects, and smooth at the identity. Only `unit`, `from_euler` and what makes a space check
-what they are given.
+scipy's objects, and smooth at the identity. Only `unit`, `from_euler` and `attitude` check their
+arguments.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ _TINY = 1e-300
 
 
 def _rows(count: int, like: Array, of: Array) -> Array:
-    """Empty components ``(count, ...)`` of a vector, each in one piece of memory of the same order
-    as ``like``.
+    """Empty components ``(count, ...)`` of a vector, each contiguous in memory, in the axis order
+    of ``like``.
     """
     if like.flags.f_contiguous and not like.flags.c_contiguous:
         return np.empty((count, *like.shape[::-1]), like=of).transpose(
@@ -90,9 +90,11 @@ def multiply(q: Array, p: Array) -> Array:
     if a.ndim != b.ndim:
         ndim = max(a.ndim, b.ndim)
         a, b = (c.reshape(4, *(1,) * (ndim - c.ndim), *c.shape[1:]) for c in (a, b))
+    # (4, 4, ...): pairs[i, j] = q_i p_j.
     pairs = a[:, None] * b[None]
     # One matrix product for all components: an order of magnitude fewer calls than sixteen products
     # and their sums.
+    # Transposing batch axes that lie in Fortran order avoids a copy by the reshape.
     backwards = not pairs.flags.c_contiguous
     if backwards:
         pairs = pairs.transpose((0, 1, *range(pairs.ndim - 1, 1, -1)))
@@ -106,8 +108,9 @@ def inverse(q: Array) -> Array:
 
 
 def positive(q: Array) -> Array:
-    """The one of q and -q, which are the same attitude, whose scalar is not negative,
-    ``(..., 4)``."""
+    """Whichever of q and -q, which are the same attitude, has a scalar part that is not negative:
+    ``(..., 4)``.
+    """
     return np.asanyarray(q * np.copysign(1.0, q[..., 3:]))
 
 
@@ -141,8 +144,8 @@ def exp(phi: Array) -> Array:
     """Quaternion ``(..., 4)`` of a rotation vector ``(..., 3)`` rad."""
     vector = component_major(phi)
     quarter = np.maximum(0.25 * np.sqrt(_square(vector)), _TINY)
-    # By the tangent of a quarter of the angle: as exact as sine and cosine, and several times as
-    # fast.
+    # With t = tan(theta / 4): rho = 2 t / (1 + t^2) phi / theta, q4 = (1 - t^2) / (1 + t^2).
+    # A tangent is as exact as a sine and a cosine, and several times as fast.
     t = np.tan(quarter)
     t2 = t * t
     rows = _rows(4, np.asanyarray(t), vector)
@@ -163,6 +166,7 @@ def log(q: Array) -> Array:
     sine = np.linalg.norm(p[..., :3], axis=-1, keepdims=True)
     angle = 2.0 * np.arctan2(sine, p[..., 3:])
     small = sine < 1e-9
+    # The limit of angle / sin(angle / 2) at 0 is 2.
     factor = np.where(small, 2.0, angle / np.where(small, 1.0, sine))
     return np.asanyarray(factor * p[..., :3])
 

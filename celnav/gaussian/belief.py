@@ -1,5 +1,4 @@
-"""Gaussians that somebody knows (`Gaussian`), and the checks of covariances that come from
-outside."""
+"""Checked Gaussian beliefs (`Gaussian`), and the checks of covariances that a user passes."""
 
 from __future__ import annotations
 
@@ -26,12 +25,13 @@ __all__ = ["Gaussian", "nees"]
 
 @dataclass(frozen=True, eq=False)
 class Gaussian:
-    """A Gaussian that somebody knows: the prior of a filter, say. It is checked here, once.
+    """A Gaussian, such as the prior of a filter. Its arguments are checked here, once.
 
-    mean: ``(..., N)``; a run of a batch has a mean of its own.
-    cov: covariance ``(..., n, n)``, which may be singular. It may be one ``(n, n)`` for many means:
-        a filter whose matrices, constant or of the epoch, are the same for all runs then carries
-        one, until these miss different measurements. A number is that multiple of the identity.
+    mean: ``(..., N)``; each run of a batch has its own mean.
+    cov: covariance ``(..., n, n)``, which may be singular. One ``(n, n)`` may serve many means: a
+        filter whose matrices are the same for all runs (constant or per epoch) then propagates one
+        covariance, until the runs miss different measurements. A number is that multiple of the
+        identity.
     sqrt_cov: a lower triangular root of the covariance, or a standard deviation, instead of it.
 
     >>> Gaussian([7000.0, 0.0], np.diag([1.0, 1e-4])).std
@@ -88,7 +88,7 @@ class Gaussian:
 
 
 def mask_failed(belief: Belief) -> Belief:
-    """The belief, nan as a whole in runs that are lost."""
+    """The belief, with nan throughout in the runs that have failed (`lost`)."""
     if not belief[1].dtype.hasobject and not any_lost(belief):
         return belief
     lost = belief.lost()
@@ -99,10 +99,11 @@ def mask_failed(belief: Belief) -> Belief:
 
 
 def any_lost(belief: Belief) -> bool:
-    """Whether any run is `lost`, most often decided without looking at each."""
-    plain = isfinite(
-        np.add.reduce(belief[0], None) + np.add.reduce(belief[1], None)
-    )  # what overflows is seen below
+    """Whether any run has failed (`lost`); mostly decided by two sums, without a look at each
+    run.
+    """
+    # A sum may overflow although no entry is infinite: the last line decides that case.
+    plain = isfinite(np.add.reduce(belief[0], None) + np.add.reduce(belief[1], None))
     if plain and (
         isinstance(belief, SquareRoot)
         or np.minimum.reduce(belief.cov.diagonal(0, -2, -1), None, initial=0.0) >= 0.0
@@ -112,8 +113,8 @@ def any_lost(belief: Belief) -> bool:
 
 
 def symmetric(cov: ArrayLike, name: str, n: int | None = None) -> tuple[Array, Array]:
-    """A covariance, symmetrized at round-off, and its lower root; ValueError names it if it is
-    none.
+    """A covariance, symmetrized at round-off, and its lower root; ValueError names the argument if
+    it is not a covariance.
     """
     P = finite(name, cov)
     expected = "symmetric positive semidefinite" + (f" ({n}, {n})" if n is not None else "")
@@ -121,14 +122,16 @@ def symmetric(cov: ArrayLike, name: str, n: int | None = None) -> tuple[Array, A
         alone = f"; [[{P:g}]] of one component, {P:g} * np.eye(n) of n alike" if P.ndim == 0 else ""
         hint = alone or ("; variances alone are np.diag(...)" if P.ndim == 1 else "")
         raise ValueError(f"{name}: expected {expected}, got shape {P.shape}{hint}")
-    if P.dtype.hasobject:  # what is recorded is checked when it is flown
+    if P.dtype.hasobject:  # traced numbers are checked when the compiled step runs
         return P, semidefinite_root(P)
     scale = np.sqrt(np.abs(P.diagonal(0, -2, -1)))
     skew = np.abs(P - P.mT)
+    # |P_ij - P_ji| is compared with sigma_i sigma_j, so that units do not matter.
     if (skew > 1e-8 * scale[..., :, None] * scale[..., None, :] + 1e-300).any():
         raise ValueError(f"{name}: expected {expected}, got asymmetry {skew.max():.3g}")
     P = 0.5 * (P + P.mT)
-    root = semidefinite_root(P, LEFT_OVER)  # what filters in covariance form believe is taken back
+    # The covariance form of a filter leaves round-off of this size in its own results.
+    root = semidefinite_root(P, LEFT_OVER)
     if not np.isfinite(root).all():
         raise ValueError(
             f"{name}: expected {expected}, smallest eigenvalue {np.linalg.eigvalsh(P).min():.3g}"

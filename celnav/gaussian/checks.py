@@ -1,7 +1,7 @@
-"""What comes from outside: numbers, arrays, choices, functions; each error names the argument, what
-was expected and what came.
+"""Checks of arguments: numbers, arrays, choices, functions. Each error names the argument, what was
+expected and what was passed.
 
-A thing is checked once, where it is made. What filters call at every step is not checked there.
+An argument is checked once, where an object is made, and not in the calls of each filter step.
 """
 
 from __future__ import annotations
@@ -25,40 +25,41 @@ Shape = tuple[Any, ...]
 
 
 def numbers(name: str, value: Any, shape: Shape | None = None) -> Array:
-    """``value`` as float64, which may be the same array; what is masked, and None among others,
-    becomes nan.
+    """``value`` as float64, possibly the same array; masked entries, and None within a list, become
+    nan.
 
-    ValueError names what is of another `Shape`, or no real numbers: dates and durations too, whose
-    unit would be their own.
+    ValueError if the array does not have this `Shape`, or does not hold real numbers. Dates and
+    durations are refused too, because they carry their own unit.
     """
-    found: Array = (
+    array: Array = (
         value
         if type(value) is np.ndarray and value.dtype == np.float64
         else _as_floats(name, value)
     )
-    if shape is not None and not _fits(found.shape, shape):
+    if shape is not None and not _fits(array.shape, shape):
         axes = ", ".join(
             "..." if axis is ... else "any" if axis is None else str(axis) for axis in shape
         )
         raise ValueError(
-            f"{name}: expected shape ({axes}{',' * (len(shape) == 1)}), got {found.shape}"
+            f"{name}: expected shape ({axes}{',' * (len(shape) == 1)}), got {array.shape}"
         )
-    return found
+    return array
 
 
 def _as_floats(name: str, value: Any) -> Any:
-    if (found := recorded(value)) is not None:
-        return found
+    if (traced := recorded(value)) is not None:
+        return traced
     kind = "none"
     try:
         if isinstance(value, list | tuple) and any(
-            isinstance(part, np.ma.MaskedArray) for part in value
+            isinstance(item, np.ma.MaskedArray) for item in value
         ):
             value = np.ma.stack(value)
         array = value if isinstance(value, np.ma.MaskedArray) else np.asarray(value)
         kind = array.dtype.kind if value is not None else kind
+        # Booleans, integers, unsigned integers, floats; or objects that convert, such as None.
         if kind in "biuf" or (
-            kind == "O" and not any(isinstance(part, str | bytes) for part in array.flat)
+            kind == "O" and not any(isinstance(item, str | bytes) for item in array.flat)
         ):
             return np.ma.filled(array.astype(np.float64), np.nan)
     except (TypeError, ValueError, OverflowError):
@@ -74,7 +75,7 @@ def _as_floats(name: str, value: Any) -> Any:
 
 def _has_none(value: Any) -> bool:
     return isinstance(value, list | tuple) and any(
-        part is None or _has_none(part) for part in value
+        item is None or _has_none(item) for item in value
     )
 
 
@@ -84,6 +85,7 @@ def _fits(lengths: tuple[int, ...], shape: Shape) -> bool:
         lengths = lengths[max(len(lengths) - len(shape), 0) :]
     if lengths == shape:
         return True
+    # A letter stands for the same length on each of its axes.
     letters: dict[str, int] = {}
     return len(lengths) == len(shape) and all(
         length > 0 and letters.setdefault(axis, length) == length
@@ -109,16 +111,16 @@ def finite(name: str, value: Any, shape: Shape | None = None) -> Array:
 
 
 def as_matrix(name: str, value: Any, n: int | None) -> Array:
-    """A finite matrix; a number stands for that multiple of the identity ``(n, n)``, None: for
-    itself.
+    """A finite matrix; a number stands for that multiple of the identity ``(n, n)``, or for itself
+    if n is None.
     """
     array = finite(name, value)
     return array if array.ndim or n is None else array * np.eye(n)
 
 
 def unmasked(name: str, value: Any) -> Any:
-    """What a model gave; ValueError names the model if some of it is masked: what is missing at one
-    point has no mean.
+    """What a model returned; ValueError names the model if an entry is masked, because the mean
+    over points needs every entry.
     """
     if isinstance(value, np.ma.MaskedArray) and np.ma.is_masked(value):
         raise ValueError(
@@ -138,12 +140,12 @@ def number(
     below: float = inf,
 ) -> float:
     """A finite number from ``least`` to ``most`` and between ``above`` and ``below``; ValueError
-    names it if it is none.
+    otherwise.
     """
     try:
-        found = float(finite(name, value, ()))
-        if least <= found <= most and above < found < below:
-            return found
+        candidate = float(finite(name, value, ()))
+        if least <= candidate <= most and above < candidate < below:
+            return candidate
     except ValueError:
         pass
     bounds = {"of at least": least, "above": above, "of at most": most, "below": below}
@@ -153,11 +155,11 @@ def number(
 
 
 def integer(name: str, value: Any, least: int = 1, most: int | None = None) -> int:
-    """A whole number from ``least`` to ``most``, which may have come as a float; ValueError names
-    it if it is none.
+    """A whole number from ``least`` to ``most``, which may be of type float; ValueError
+    otherwise.
     """
-    found = as_integer(value)
-    if found is None or found < least or (most is not None and found > most):
+    candidate = as_integer(value)
+    if candidate is None or candidate < least or (most is not None and candidate > most):
         bounds = "an integer" + (
             f" of at least {least}" if most is None else f" from {least} to {most}"
         )
@@ -165,11 +167,11 @@ def integer(name: str, value: Any, least: int = 1, most: int | None = None) -> i
             f"{name}: expected {'a positive integer' if (least, most) == (1, None) else bounds}, "
             f"got {value!r:.80}"
         )
-    return found
+    return candidate
 
 
 def as_integer(value: Any) -> int | None:
-    """An integer that may have come as a float; None for anything else."""
+    """The integer equal to ``value``, which may be of type float; None for anything else."""
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value[()]
     if isinstance(value, int) and not isinstance(value, bool):  # of any size
@@ -181,30 +183,28 @@ def as_integer(value: Any) -> int | None:
 def integers(
     name: str, value: Any, least: int = 0, most: int | None = None, count: int | None = None
 ) -> tuple[int, ...]:
-    """Whole numbers from ``least`` to ``most``, ``count`` of them; ValueError names them if they
-    are none.
-    """
+    """Whole numbers from ``least`` to ``most``, ``count`` of them; ValueError otherwise."""
     parts = np.asarray(value, dtype=object)
-    found = [None] if parts.ndim != 1 else [as_integer(part) for part in parts]
+    candidates = [None] if parts.ndim != 1 else [as_integer(item) for item in parts]
     out = tuple(
-        part
-        for part in found
-        if part is not None and least <= part and (most is None or part <= most)
+        item
+        for item in candidates
+        if item is not None and least <= item and (most is None or item <= most)
     )
-    if len(out) != len(found) or count not in (None, len(out)):
+    if len(out) != len(candidates) or count not in (None, len(out)):
         bounds = "positive integers" if least == 1 else f"integers of at least {least}"
-        what = ("" if count is None else f"{count} ") + (
+        expected = ("" if count is None else f"{count} ") + (
             bounds if most is None else f"integers from {least} to {most}"
         )
-        raise ValueError(f"{name}: expected {what}, got {value!r:.80}")
+        raise ValueError(f"{name}: expected {expected}, got {value!r:.80}")
     return out
 
 
-def choice(name: str, value: Any, known: Iterable[Any]) -> Any:
-    """One of the ``known`` words or numbers; ValueError lists them, and says which one may be
-    meant.
+def choice(name: str, value: Any, options: Iterable[Any]) -> Any:
+    """The ``value`` if it is one of the ``options`` (words or numbers); ValueError lists them, and
+    suggests the closest.
     """
-    names = list(known)
+    names = list(options)
     value = value[()] if isinstance(value, np.ndarray) else value
     if (value is None or np.isscalar(value)) and value in names:
         return value
@@ -216,8 +216,8 @@ def choice(name: str, value: Any, known: Iterable[Any]) -> Any:
 
 
 def sequence(name: str, value: Any, example: str, least: int = 0) -> list[Any]:
-    """The parts of a list or of what can be made one, but no text or table; ValueError names it,
-    with an ``example``.
+    """The items of an iterable as a list; ValueError for text, a table or a scalar, with an
+    ``example``.
     """
     try:
         if not isinstance(value, str | bytes | dict):
@@ -235,23 +235,23 @@ def together(**batches: tuple[int, ...]) -> tuple[int, ...]:
     try:
         return np.broadcast_shapes(*batches.values())
     except ValueError:
-        told = ", ".join(map(str, batches.values()))
+        shapes = ", ".join(map(str, batches.values()))
         raise ValueError(
-            f"{', '.join(batches)}: expected batch axes that go together, got {told}"
+            f"{', '.join(batches)}: expected batch axes that go together, got {shapes}"
         ) from None
 
 
 def broadcast_batches(
-    name: str, batch: tuple[int, ...], own: tuple[int, ...], whose: str
+    name: str, batch: tuple[int, ...], other: tuple[int, ...], whose: str
 ) -> tuple[int, ...]:
-    """Joint batch axes of an argument and of what it goes with; ValueError names it if they do not
-    broadcast.
+    """Joint batch axes of an argument and of its partner, ``whose`` axes are ``other``; ValueError
+    if they do not broadcast.
     """
     try:
-        return np.broadcast_shapes(batch, own)
+        return np.broadcast_shapes(batch, other)
     except ValueError:
         raise ValueError(
-            f"{name}: batch axes {batch} do not go with those of {whose}, {own}"
+            f"{name}: batch axes {batch} do not go with those of {whose}, {other}"
         ) from None
 
 
@@ -268,8 +268,8 @@ def function(name: str, value: Any, arguments: str, hint: str = "") -> Any:
 
 
 def instance(name: str, value: Any, of: Any, expected: str) -> Any:
-    """An object of a class, or of one of several; ValueError names it, and says what was
-    ``expected``, with an example.
+    """An object of the class or classes ``of``; ValueError says what was ``expected``, with an
+    example.
     """
     if not isinstance(value, of):
         raise ValueError(f"{name}: expected {expected}, got {describe(value)}")
@@ -277,7 +277,7 @@ def instance(name: str, value: Any, of: Any, expected: str) -> Any:
 
 
 def describe(value: Any) -> str:
-    """What came, in a word or two: a function or class by its name, anything else by its type."""
+    """A short description: a function or class by its name, anything else by its type."""
     if isinstance(value, type):
         return f"class {value.__name__}"
     return (
@@ -288,11 +288,11 @@ def describe(value: Any) -> str:
 
 
 def accepts(function: Any, count: int) -> bool:
-    """Whether something can be called with so many arguments, as far as one can tell."""
+    """Whether something can be called with ``count`` arguments, as far as its signature tells."""
     try:
         signature(function).bind(*(None,) * count)
     except TypeError:
         return False
-    except ValueError:  # a function of C may not say
+    except ValueError:  # some functions of C have no signature
         return callable(function)
     return True

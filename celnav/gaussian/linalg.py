@@ -3,9 +3,9 @@
 
 Every function accepts leading batch axes (a Monte-Carlo block of runs) and treats the last two as a
 matrix. Roots are *lower* triangular with a non-negative diagonal, ``P = L @ L.mT``; "columns" means
-any ``(..., n, q)`` array ``A`` that stands for ``P = A @ A.mT``. A matrix of a batch that has no
-root becomes nan, its neighbors are untouched. A single matrix goes to LAPACK directly, since
-numpy's batched functions spend most of a small one's time on preparations. A form owns its algebra.
+any ``(..., n, q)`` array ``A`` with ``P = A @ A.mT``. A matrix of a batch that has no root becomes
+nan, and the others are not affected. A single matrix goes to LAPACK directly, since numpy's batched
+functions spend most of a small one's time on preparations. Each form has its own algebra.
 """
 
 from __future__ import annotations
@@ -26,42 +26,42 @@ Array = NDArray[Any]
 blas, lapack = Late("scipy.linalg.blas"), Late("scipy.linalg.lapack")
 EPS = float(np.finfo(np.float64).eps)
 NEGLIGIBLE = 1e-12
-"""Part of the largest standard deviation, or variance, below which a value is round-off."""
+"""Fraction of the largest standard deviation, or variance, below which a value is round-off."""
 PRECISE = 1e3
 """Ratio of an innovation's σ to that of its noise beyond which a difference of covariances loses
 too many digits.
 """
 LEFT_OVER = PRECISE**2 * EPS
-"""Part of a covariance that is round-off after such a difference."""
+"""Fraction of a covariance that is round-off after such a difference."""
 POSITIVE: Array = np.broadcast_to(1.0, 1)
 """The sign of columns that all count with +1."""
 
 
 def is_concretely_true(condition: Any) -> bool:
-    """Whether a condition on numbers holds; False while a step is recorded, where it is not known:
-    for shortcuts and checks.
+    """Whether a condition on numbers holds; False while a step is recorded, where the numbers are
+    not known yet. For shortcuts and checks.
     """
     return isinstance(condition, bool | np.bool_) and bool(condition)
 
 
 def matvec(A: Array, x: Array) -> Array:
-    """Product ``(..., n)`` of matrices ``(..., n, m)`` and vectors ``(..., m)``: one for all of
-    them where the matrix is.
+    """Product ``(..., n)`` of matrices ``(..., n, m)`` and vectors ``(..., m)``; a single matrix
+    multiplies all vectors at once.
     """
     return np.asanyarray(x @ A.mT if A.ndim == 2 else (A @ x[..., None])[..., 0])
 
 
 def outer(A: Array) -> Array:
-    """``A @ A.mT``, the covariance of columns ``(..., n, q)``; symmetric to rounding."""
+    """``A @ A.mT``, the covariance of the columns ``A (..., n, q)``; symmetric to rounding."""
     return np.asanyarray(A @ A.mT)
 
 
 def side_by_side(parts: Sequence[Array]) -> Array:
     """Arrays ``(..., k)`` joined along their last axis; their batch axes broadcast."""
-    batches = {part.shape[:-1] for part in parts}
+    batches = {array.shape[:-1] for array in parts}
     if len(batches) > 1:
         batch = np.broadcast_shapes(*batches)
-        parts = [np.broadcast_to(part, (*batch, part.shape[-1])) for part in parts]
+        parts = [np.broadcast_to(array, (*batch, array.shape[-1])) for array in parts]
     return np.concatenate(parts, -1)
 
 
@@ -69,13 +69,14 @@ def tria(A: Array) -> Array:
     """Lower root ``L (..., n, n)``, diagonal >= 0, of the columns ``A (..., n, q)``:
     ``L @ L.mT == A @ A.mT``, by QR.
 
-    No product ``A @ A.mT`` is formed, so half of the digits that a Cholesky factorization would
-    lose are kept.
+    The product ``A @ A.mT`` is not formed, because its Cholesky factorization would lose half of
+    the digits.
     """
     if A.dtype.hasobject:
         return np.asanyarray(recorded.tria(A))
     n, q = A.shape[-2:]
     if q < n:
+        # QR needs q >= n: columns of zeros change nothing.
         A = np.concatenate([A, np.zeros((*A.shape[:-1], n - q))], -1)
     if A.ndim == 2:
         R = lapack.dgeqrfp(A.T)[0][:n]  # its diagonal is not negative
@@ -100,6 +101,7 @@ def solve_lower(L: Array, B: Array) -> Array:
     """
     if L.dtype.hasobject or B.dtype.hasobject:
         return np.asanyarray(recorded.solve_lower(L, B))
+    # Row i: X_i = (B_i - sum over j < i of L_ij X_j) / L_ii.
     diagonal = L.diagonal(0, -2, -1)
     if L.ndim == B.ndim == 2 and diagonal.all():
         # LAPACK's dtrtrs would start threads, however small the matrix.
@@ -122,9 +124,10 @@ def whiten(L: Array, x: Array) -> Array:
 
 
 def solve_right(L: Array, U: Array) -> Array:
-    """Solve ``K @ L = U`` for lower triangular ``L (..., n, n)`` and ``U (..., k, n)``: a gain from
-    what it makes of a root.
+    """Solve ``K @ L = U`` for lower triangular ``L (..., n, n)`` and ``U (..., k, n)``: the gain
+    K from ``U = K @ L``.
     """
+    # L' K' = U'; reversing rows and columns makes the upper triangular L' lower triangular.
     flipped = L[..., ::-1, ::-1].mT
     return solve_lower(flipped, U.mT[..., ::-1, :])[..., ::-1, :].mT
 
@@ -142,8 +145,8 @@ def _root(P: Array) -> Array | None:
 
 
 def _scaled(P: Array) -> tuple[Array, Array]:
-    """Scales ``(..., n)``, and P in units of them, which weighs kilometers and radians alike; what
-    is not finite is minus one.
+    """Scales ``(..., n)``, and P in units of them, so that kilometers and radians count alike; a
+    matrix that is not finite becomes -I, which is indefinite.
     """
     diagonal = P.diagonal(0, -2, -1)
     scale = np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
@@ -160,7 +163,7 @@ def cholesky(P: Array) -> Array:
     root = _root(P)
     if root is not None or P.ndim == 2:
         return np.full(P.shape, np.nan) if root is None else root
-    # LAPACK gives up on the whole block: find the culprits, keep the rest.
+    # LAPACK rejects the whole batch: find the matrices that have no root, keep the others.
     bad = np.linalg.eigvalsh(_scaled(P)[1])[..., :1, None] <= 4 * P.shape[-1] * EPS
     return np.where(bad, np.nan, np.linalg.cholesky(np.where(bad, np.eye(P.shape[-1]), P)))
 
@@ -179,16 +182,18 @@ def semidefinite_root(P: Array, round_off: float = 64 * EPS) -> Array:
         std = np.sqrt(P.diagonal(0, -2, -1))
         if (root.diagonal(0, -2, -1) > least * std).all():
             return root
+    # C = D^-1 P D^-1 with D the standard deviations; L = tria(D V sqrt(lambda)) from C = V lambda
+    # V'.
     scale, C = _scaled(P)
     eigenvalues, vectors = np.linalg.eigh(C)
-    nothing = 4 * C.shape[-1] * EPS  # what is left of a variance that is none
+    nothing = 4 * C.shape[-1] * EPS  # the round-off that a variance of zero leaves
     indefinite = eigenvalues[..., 0] < -round_off * C.shape[-1] * np.maximum(
         eigenvalues[..., -1], 1.0
     )
-    kept = np.where(eigenvalues > nothing, eigenvalues, 0.0)
-    root = tria(scale[..., None] * vectors * np.sqrt(kept)[..., None, :])
+    clipped = np.where(eigenvalues > nothing, eigenvalues, 0.0)
+    root = tria(scale[..., None] * vectors * np.sqrt(clipped)[..., None, :])
     singular = eigenvalues[..., :1, None] <= nothing
-    if not singular.all():  # the neighbors get what they would get alone
+    if not singular.all():  # the other matrices get the root that they would get alone
         root = np.where(
             singular, root, np.linalg.cholesky(np.where(singular, np.eye(C.shape[-1]), P))
         )
@@ -197,17 +202,18 @@ def semidefinite_root(P: Array, round_off: float = 64 * EPS) -> Array:
 
 def downdate(L: Array, V: Array) -> Array:
     """Lower root of ``L @ L.mT - V @ V.mT``, all columns of ``V (..., n, k)`` at once; nan exactly
-    where that is indefinite.
+    where this difference is indefinite.
 
-    L may be singular where V adds nothing to its range.
+    L may be singular if the columns of V lie in its range.
     """
+    # L L' - V V' = L (I - W W') L' with L W = V.
     W = solve_lower(L, V)
     root: Array = L @ cholesky(np.eye(L.shape[-1]) - outer(W))
     lost = np.isnan(root[..., 0, 0])
     if root.dtype.hasobject or not lost.any():
         return root
-    # Of what solves L W = V for a singular L the shortest decides, which substitution does not
-    # find.
+    # A singular L has many solutions of L W = V. The shortest decides, and substitution does not
+    # find it: use the pseudoinverse from L = U s Q', in units of the row norms of L.
     lost = np.asanyarray(lost & np.isfinite(L).all((-2, -1)) & np.isfinite(V).all((-2, -1)))[
         ..., None, None
     ]
@@ -215,8 +221,11 @@ def downdate(L: Array, V: Array) -> Array:
     size = np.where(size > 0.0, size, 1.0)
     safe, wanted = np.where(lost, L, 0.0) / size, np.where(lost, V, 0.0) / size
     U, s, Qt = np.linalg.svd(safe)
-    kept = s > NEGLIGIBLE * s[..., :1]
-    W = Qt.mT @ (np.where(kept, 1.0 / np.where(kept, s, 1.0), 0.0)[..., None] * (U.mT @ wanted))
+    significant = s > NEGLIGIBLE * s[..., :1]
+    W = Qt.mT @ (
+        np.where(significant, 1.0 / np.where(significant, s, 1.0), 0.0)[..., None] * (U.mT @ wanted)
+    )
+    # V has a part outside the range of L: the difference is indefinite.
     outside = np.asanyarray(
         (np.abs(wanted - safe @ W) > NEGLIGIBLE * np.maximum(1.0, np.abs(wanted))).any((-2, -1))
     )
@@ -226,7 +235,7 @@ def downdate(L: Array, V: Array) -> Array:
 
 def block(rows: Sequence[Sequence[Any]]) -> Array:
     """Block matrix of matrices ``(..., k, q)`` whose batch axes broadcast; a plain ``0`` is a block
-    of zeros that fits.
+    of zeros of the fitting size.
     """
     heights, widths = [0] * len(rows), [0] * len(rows[0])
     batches, like = set(), np.empty(0)
@@ -247,16 +256,17 @@ def block(rows: Sequence[Sequence[Any]]) -> Array:
 
 
 def sigma_deviations(E: Array, nodes: Array, batch: int) -> Array:
-    """``E @ node`` of every node: points ``(p, ..., n)`` from ``E (..., n, k)`` and
-    ``nodes (k, p)``, for ``batch`` axes of runs.
+    """``E @ node`` for every node: points ``(p, ..., n)`` from ``E (..., n, k)`` and
+    ``nodes (k, p)``, with ``batch`` axes of runs.
 
-    Components lie first in memory, which models are fast on, and all runs take part in n products,
-    not each in one of its own.
+    Components come first in memory, the fast order for models, and all runs take part in n matrix
+    products instead of one product each.
     """
     axes = E.ndim - 2
     if not axes:
         points = (E @ nodes).T
         return points.reshape(len(points), *(1,) * batch, points.shape[-1]) if batch else points
+    # (n, ..., k) @ (k, p) -> (n, ..., p), then a view (p, ..., n).
     D = E.transpose((axes, *range(axes), axes + 1)) @ nodes
     points = D.transpose((axes + 1, *range(1, axes + 1), 0))
     return (
@@ -270,8 +280,8 @@ def sigma_deviations(E: Array, nodes: Array, batch: int) -> Array:
 class SquareRoot(NamedTuple):
     """A belief in square-root form: ``mean (..., N)`` and a lower root ``sqrt_cov (..., n, n)``.
 
-    Nothing but QR factorizations touches the root. Columns of negative sign are taken away by one
-    block downdate.
+    The root changes by QR factorizations only. Columns of negative sign are subtracted by one block
+    downdate.
     """
 
     mean: Array
@@ -294,12 +304,12 @@ class SquareRoot(NamedTuple):
 
     @staticmethod
     def rounding() -> float:
-        """Part of a standard deviation that is round-off."""
+        """Fraction of a standard deviation that is round-off."""
         return EPS
 
     @staticmethod
     def marginal(A: Array, sign: Array) -> Array:
-        """Root of the columns ``A (..., n, q)``, which count with their ``sign``."""
+        """Root of the covariance ``A @ diag(sign) @ A.mT`` of the columns ``A (..., n, q)``."""
         if len(sign) == 1:
             return tria(A)
         return downdate(tria(A[..., sign > 0.0]), A[..., sign < 0.0])
@@ -311,14 +321,15 @@ class SquareRoot(NamedTuple):
         """Condition the last rows of ``A (..., m + n, q)`` on the first ``m``.
 
         Returns the root ``S (..., m, m)`` of the first rows, ``U = K @ S (..., n, m)`` and the root
-        of the rest. With a prescribed ``gain`` K ``(..., n, m)`` the rest is that of
-        ``last - K @ first`` (Joseph form). The covariance form has a shortcut where it is given
-        ``prior_factor``, the covariance of the last rows, and ``noise (..., m, s)``, the columns
-        that only the first rows have.
+        of the last rows given the first. With a prescribed ``gain`` K ``(..., n, m)`` that root is
+        the root of ``last - K @ first`` (Joseph form). The covariance form has a shortcut if it is
+        given ``prior_factor``, the covariance of the last rows, and ``noise (..., m, s)``, the
+        columns that only the first rows have.
         """
         if gain is not None:
             S = cls.marginal(A[..., :m, :], sign)
             return S, gain @ S, cls.marginal(A[..., m:, :] - gain @ A[..., :m, :], sign)
+        # L = [[S, 0], [U, root of the rest]]
         L = cls.marginal(A, sign)
         return L[..., :m, :m], L[..., m:, :m], L[..., m:, m:]
 
@@ -329,30 +340,31 @@ class SquareRoot(NamedTuple):
 
     @staticmethod
     def sum(root: Array, columns: Array) -> Array:
-        """Root of the sum of two independent parts, one of them given by its columns."""
+        """Root of the sum of two independent covariances, the second given by its columns."""
         return tria(block([[root, columns]]))
 
     @staticmethod
     def mixed(roots: Sequence[Array], weights: Array, columns: Array) -> Array:
-        """Root of covariances that count with their ``weights (..., k)``, and of columns
+        """Root of the sum of covariances times their ``weights (..., k)``, and of the columns
         ``(..., n, k)`` between their means.
         """
         scale = np.sqrt(weights)[..., None, None, :]
         return tria(block([[*(root * scale[..., i] for i, root in enumerate(roots)), columns]]))
 
     def lost(self) -> Array:
-        """Runs ``(...)`` that are not finite."""
+        """Runs ``(...)`` that have failed: an entry is not finite."""
         return np.asanyarray(
             ~(np.isfinite(self.mean).all(-1) & np.isfinite(self.sqrt_cov).all((-2, -1)))
         )
 
 
 class Covariance(NamedTuple):
-    """A belief in covariance form: ``mean (..., N)`` and ``cov (..., n, n)``. What its parts do is
-    said at `SquareRoot`.
+    """A belief in covariance form: ``mean (..., N)`` and ``cov (..., n, n)``. `SquareRoot`
+    documents the methods.
 
-    Fewer operations, half of the digits: only the innovation covariance is factored, and the
-    state's where a rule needs a root or a measurement is precise.
+    It needs fewer operations and keeps half of the digits. Only the innovation covariance is
+    factored; the state's covariance is factored too if a rule needs its root, or if a measurement
+    is precise.
     """
 
     mean: Array
@@ -398,8 +410,8 @@ class Covariance(NamedTuple):
         prior_factor: Array | None = None,
         noise: Array | None = None,
     ) -> tuple[Array, Array, Array]:
-
-        Z, X = A[..., :m, :], A[..., m:, :]
+        # U = K S = P_xz S^-T, and the rest is P - U U'.
+        Z, X = A[..., :m, :], A[..., m:, :]  # (..., m, q), (..., n, q)
         S = cholesky(cls.marginal(Z, sign))
         if gain is not None:
             return S, gain @ S, cls.marginal(X - gain @ Z, sign)
@@ -407,6 +419,7 @@ class Covariance(NamedTuple):
             return S, *cls._condition_columns(A, sign, S)
         U = solve_lower(S, (Z * sign) @ X.mT).mT
         left = prior_factor - outer(U)
+        # Where the state's uncertainty dominates the noise, P - U U' loses too many digits.
         precise = S.diagonal(0, -2, -1) > PRECISE * np.sqrt(np.vecdot(noise, noise))
         if not is_concretely_true(~precise.any()):
             U, left = rarely(precise.any(-1), cls._condition_columns, (A, sign, S), (U, left))
@@ -417,9 +430,11 @@ class Covariance(NamedTuple):
         """``U = K @ S`` and the conditioned covariance of the last rows, from the innovation root
         S.
 
-        The explained part is subtracted from the columns. A difference of covariances would lose
+        The explained part is subtracted from the columns: a difference of covariances would lose
         half of the digits.
         """
+        # W = S^-1 Z (..., m, q), so that W sign W' = I; U = X sign W'; the rest has columns X - U
+        # W.
         m = S.shape[-1]
         Z, X = A[..., :m, :], A[..., m:, :]
         W = solve_lower(S, Z)
@@ -428,32 +443,29 @@ class Covariance(NamedTuple):
 
     @staticmethod
     def transported(matrix: Array, cov: Array) -> Array:
-
         return np.asanyarray(matrix @ cov @ matrix.mT)
 
     @staticmethod
     def sum(cov: Array, columns: Array) -> Array:
-
         return np.asanyarray(cov + outer(columns))
 
     @staticmethod
     def mixed(covs: Sequence[Array], weights: Array, columns: Array) -> Array:
-
         scale = weights[..., None, None, :]
         return np.asanyarray(
             sum([cov * scale[..., i] for i, cov in enumerate(covs)], outer(columns))
         )
 
     def lost(self) -> Array:
-        """Runs ``(...)`` that are not finite, or have a negative variance beyond round-off of the
-        matrix's largest.
+        """Runs ``(...)`` that have failed: not finite, or a negative variance beyond round-off of
+        the largest variance.
         """
         finite = np.isfinite(self.mean).all(-1) & np.isfinite(self.cov).all((-2, -1))
         return np.asanyarray(~(finite & _negligible(self.cov.diagonal(0, -2, -1)).all(-1)))
 
 
 def _negligible(variances: Array) -> Array:
-    """Which variances are not negative, or no more than by round-off."""
+    """Which variances are at least zero, up to round-off."""
     return np.asanyarray(
         variances >= -NEGLIGIBLE * np.abs(variances).max(-1, keepdims=True, initial=0.0)
     )

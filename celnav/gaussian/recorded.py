@@ -1,7 +1,7 @@
-"""The kernels of `celnav.gaussian.linalg` that look at numbers on their way, for numbers that are
-not known yet.
+"""Kernels of `celnav.gaussian.linalg` that branch on their numbers, rewritten for traced numbers,
+whose values are not known yet.
 
-One matrix each: while a step is recorded there is no axis of runs. What is known to be zero costs
+They take one matrix, because a recorded step has no axis of runs. Entries known to be zero cost
 nothing.
 """
 
@@ -19,12 +19,12 @@ from celnav.tape.tape import emit, total
 Array = Any
 SUMS = 4
 LONG = 20_000
-"""Operations of a factorization that is written out: a loop takes a third more time, but no longer
-to compile.
+"""Operations of a factorization above which it is compiled as a loop. A loop takes a third more
+time to run, but no longer to compile.
 """
 LONG_SOLUTION = 10_000
-"""Likewise of a triangular system."""
-SMALLEST = 1e-290  # squares below are no reflection
+"""The same limit for a triangular system."""
+SMALLEST = 1e-290  # a smaller square of the rest is treated as zero: no reflection
 
 
 def _zero(x: Any) -> bool:
@@ -32,7 +32,7 @@ def _zero(x: Any) -> bool:
 
 
 def _product(a: list[Any], b: list[Any]) -> Any:
-    """Of two rows; in several sums, none of which waits for another."""
+    """Product of two rows, in several partial sums, so that no sum waits for another."""
     return total(
         total(emit("mul", x, y) for x, y in zip(a[k::SUMS], b[k::SUMS], strict=True))
         for k in range(SUMS)
@@ -40,8 +40,8 @@ def _product(a: list[Any], b: list[Any]) -> Any:
 
 
 class Mirror(NamedTuple):
-    """A reflection that takes a row ``(a, rest)`` to ``(length, 0, ...)``; ``there``: whether there
-    is a rest, if that is known.
+    """A reflection that takes a row ``(a, rest)`` to ``(length, 0, ...)``; ``there``: whether the
+    rest differs from zero (False if that is known in advance).
     """
 
     a: Any
@@ -53,23 +53,25 @@ class Mirror(NamedTuple):
 
 
 def _mirror(a: Any, rest: list[Any]) -> Mirror:
-    """By I - v v' / (length (length - a)), where v is the row but v_i = a - length = -s / (length +
-    a): of these two forms the one without cancellation."""
+    """Householder reflection ``I - v v' / (length (length - a))`` of a row, where v is the row but
+    its first entry is ``a - length = -s / (length + a)``: the form without cancellation is used.
+    """
     if not rest:
         return Mirror(a, rest, emit("abs", a), 0.0, 0.0, False)
     s = _product(rest, rest)
     length = emit("sqrt", s if _zero(a) else emit("add", s, emit("mul", a, a)))
-    there = emit("lt", SMALLEST, emit("mul", length, length) if _zero(a) else s)
+    has_rest = emit("lt", SMALLEST, emit("mul", length, length) if _zero(a) else s)
     inverse = emit("div", 1.0, length)
     if _zero(a):
-        return Mirror(a, rest, length, inverse, inverse, there)
+        return Mirror(a, rest, length, inverse, inverse, has_rest)
+    # a > 0: length - a = s / (length + a); else length - a = length + |a|.
     grown, positive = emit("add", length, emit("abs", a)), emit("lt", 0.0, a)
     scale = emit("div", emit("select", positive, grown, 1.0), emit("select", positive, s, grown))
-    return Mirror(a, rest, length, inverse, scale, there)
+    return Mirror(a, rest, length, inverse, scale, has_rest)
 
 
 def _reflected(mirror: Mirror, along: Any, rest: list[Any]) -> tuple[Any, list[Any]]:
-    """What becomes of another row."""
+    """The first entry and the rest of another row after the reflection."""
     turned = emit("mul", emit("copysign", 1.0, mirror.a), along)
     if mirror.there is False:
         return turned, rest
@@ -79,6 +81,7 @@ def _reflected(mirror: Mirror, along: Any, rest: list[Any]) -> tuple[Any, list[A
         if _zero(mirror.a) or _zero(along)
         else emit("add", across, emit("mul", mirror.a, along))
     )
+    # (x, y)' -> (inner / length, y - d rest) with d = (across / (length - a) - x) / length.
     d = emit("mul", emit("sub", emit("mul", across, mirror.scale), along), mirror.inverse)
     first = emit("select", mirror.there, emit("mul", inner, mirror.inverse), turned)
     if _zero(d):
@@ -94,6 +97,7 @@ def tria(A: Array) -> Array:
     5.1].
     """
     n, q = A.shape
+    # Entries known to be zero stay the number 0.0, so that they emit no operation.
     rows = [[A[i, j] for j in range(q)] + [0.0] * max(n - q, 0) for i in range(n)]
     tape, L = tape_of(A), TracedArray((n, n))
     if (
@@ -117,17 +121,18 @@ def tria(A: Array) -> Array:
 
 
 @cache
-def _rolled(there: tuple[tuple[bool, ...], ...]) -> tuple[Loop, list[tuple[int, int]]]:
-    """The same as loops over rows, and the places that it fills; ``there``: what is not known to be
-    zero.
+def _rolled(nonzero: tuple[tuple[bool, ...], ...]) -> tuple[Loop, list[tuple[int, int]]]:
+    """`tria` as loops over rows, and the places of L that it fills; ``nonzero``: the entries that
+    are not known to be zero.
     """
-    n, q = len(there), len(there[0])
-    full: Array = np.array(there)
+    n, q = len(nonzero), len(nonzero[0])
+    full: Array = np.array(nonzero)
     stages, places = list[LoopBody](), list[tuple[int, int]]()
-    left, kept = n * q, n * q + n * n
+    # Memory: the rows (n, q), then L (n, n) from root_at, then the three numbers of a mirror.
+    root_at, mirror_at = n * q, n * q + n * n
     for i in range(n):
         rest, below = i + 1 + np.flatnonzero(full[i, i + 1 :]), np.any(full[i + 1 :], axis=0)
-        pivot = {"pivot": (i * q, 0), "kept": (kept, 0)}
+        pivot = {"pivot": (i * q, 0), "kept": (mirror_at, 0)}
 
         def row(
             stage: Recorder, place: str, which: Array, i: int = i, rest: Array = rest
@@ -137,30 +142,34 @@ def _rolled(there: tuple[tuple[bool, ...], ...]) -> tuple[Loop, list[tuple[int, 
             )
             return first, others
 
-        stage = Recorder(1, left=(left + i * n + i, 0), **pivot)
+        # First the pivot row i, which defines the reflection.
+        stage = Recorder(1, left=(root_at + i * n + i, 0), **pivot)
         mirror = _mirror(*row(stage, "pivot", full[i]))
         stage.put("left", 0, mirror.length)
         for k, x in enumerate((mirror.inverse, mirror.scale, mirror.there)):
             stage.put("kept", k, x)
         stages.append(stage.stage())
         places.append((i, i))
+        # Then the rows below it, one loop whose addresses advance by q and by n.
         if below[[i, *rest]].any():
             stage = Recorder(
-                n - i - 1, row=((i + 1) * q, q), left=(left + (i + 1) * n + i, n), **pivot
+                n - i - 1, row=((i + 1) * q, q), left=(root_at + (i + 1) * n + i, n), **pivot
             )
             a, others = row(stage, "pivot", full[i])
             mirror = mirror._replace(a=a, rest=others)
             if mirror.there is not False:
-                inverse, scale, known = (stage.take("kept", k) for k in range(3))
-                mirror = mirror._replace(inverse=inverse, scale=scale, there=emit("ne", known, 0.0))
+                inverse, scale, has_rest = (stage.take("kept", k) for k in range(3))
+                mirror = mirror._replace(
+                    inverse=inverse, scale=scale, there=emit("ne", has_rest, 0.0)
+                )
             first, moved = _reflected(mirror, *row(stage, "row", below))
             stage.put("left", 0, first)
             for j, x in zip(rest.tolist(), moved, strict=True):
                 stage.put("row", j, x)
             stages.append(stage.stage())
             places += [(r, i) for r in range(i + 1, n)]
-            full[i + 1 :, rest] = True
-    return Loop(stages, kept + 3, [left + i * n + j for i, j in places]), places
+            full[i + 1 :, rest] = True  # a reflection fills in
+    return Loop(stages, mirror_at + 3, [root_at + i * n + j for i, j in places]), places
 
 
 def cholesky(P: Array) -> Array:
@@ -178,8 +187,8 @@ def cholesky(P: Array) -> Array:
 
 
 def semidefinite_root(P: Array, nothing: float, round_off: float) -> Array:
-    """Lower root of a matrix that may be singular: a pivot that is no more than ``nothing`` of its
-    variance has a column of zeros, one that is negative by more than ``round_off`` of it is lost.
+    """Lower root of a matrix that may be singular. A pivot of at most ``nothing`` times its
+    variance gives a column of zeros; a pivot below ``-round_off`` times its variance gives nan.
     """
     n = len(P)
     L = TracedArray((n, n))
@@ -189,6 +198,7 @@ def semidefinite_root(P: Array, nothing: float, round_off: float) -> Array:
             for i in range(j, n)
         ]
         size = emit("abs", P[j, j])
+        # left[0] is the pivot P_jj minus the sum of L_jk^2.
         positive = emit("lt", emit("mul", nothing, size), left[0])
         root = emit("sqrt", emit("select", positive, left[0], 1.0))
         absent = emit(
@@ -200,12 +210,13 @@ def semidefinite_root(P: Array, nothing: float, round_off: float) -> Array:
 
 
 def solve_lower(L: Array, B: Array) -> Array:
-    """``L^-1 B``, by substitution; what a zero on the diagonal gives is not finite."""
+    """``L^-1 B``, by substitution; a zero on the diagonal gives results that are not finite."""
     n = len(L)
+    # One division for each row; the columns of B need only products.
     inverse = [emit("div", 1.0, L[i, i]) for i in range(n)]
 
     def column(b: Array) -> Array:
-        """The solution ``(..., n)`` of one of B, both as rows."""
+        """The solution ``(..., n)`` for columns of B, passed and returned as rows."""
         X = TracedArray(b.shape)
         for i in range(n):
             for k in np.ndindex(*b.shape[:-1]):

@@ -1,9 +1,9 @@
-"""Rules: what a function of a Gaussian has for a mean and a covariance.
+"""Rules for the mean and the covariance of a function of a Gaussian.
 
-A `Rule` is data, nodes and weights; `Taylor` linearizes. Both say at which points to evaluate the
-function, and what image its values there make. A rule is made for a dimension by a function with
-the field's name: `unscented`, `cubature`, `gauss_hermite`, `simplex`, `tensor_product`;
-`celnav.smolyak` makes sparse grids. It also answers filterpy's interface, so that it works as
+A `Rule` is data: nodes and weights. `Taylor` linearizes. Both give the points at which to evaluate
+the function, and the `Image` that its values make. A function with the field's name makes a rule
+for a dimension: `unscented`, `cubature`, `gauss_hermite`, `simplex`, `tensor_product`;
+`celnav.smolyak` makes sparse grids. A rule also has filterpy's interface, so it works as
 ``points=`` of ``filterpy.kalman.UnscentedKalmanFilter``.
 """
 
@@ -52,14 +52,13 @@ __all__ = [
 ]
 
 MAX_POINTS = 1_000_000
-ROUND_OFF = 1e-3  # part of a model's values that round-off may have in their weighted mean
+ROUND_OFF = 1e-3  # fraction of a model's values that round-off may reach in their weighted mean
 
 
 class Image(NamedTuple):
     """One output of a function of a Gaussian.
 
-    center: ``(..., N)``, the image of the center. shift: ``(..., k)``, the mean's distance from
-        there.
+    center: ``(..., N)``, the image of the center. shift: ``(..., k)``, from there to the mean.
     columns: ``(..., k, q)``, deviations about the mean: the covariance is
         ``columns @ diag(sign) @ columns.mT``, see `Joint`.
     jacobian: ``() -> (..., k, n)``, the statistical Jacobian ``cov(y, x) cov(x)^-1``.
@@ -77,11 +76,11 @@ class Rule:
     nodes: ``(p, n)``; node 0 is the center (its weights may be 0).
     wm: ``(p,)`` weights of the mean; they sum to 1, and ``sum wm nodes = 0``.
     wc: ``(p,)`` weights of the covariance (None: ``wm``); ``sum wc nodes nodes' = I``. They may be
-        negative. A rule without nodes in some dimension is a quadrature, but no filter takes it: it
-        would lose that variance.
+        negative. A rule without nodes in some dimension is a quadrature, but filters refuse it,
+        because it would lose the variance of that dimension.
 
-    They are read-only then; ``n`` is the dimension, ``sign (q,)`` -1 for columns of negative
-    weight, else 1; one 1 stands for all where no weight is negative.
+    The arrays are read-only after construction. ``n`` is the dimension. ``sign (q,)`` is -1 for
+    columns of negative weight and 1 otherwise; ``(1,)`` if no weight is negative.
 
     >>> rule = celnav.Rule([[0.0], [1.0], [-1.0]], [0.0, 0.5, 0.5])
     """
@@ -111,8 +110,8 @@ class Rule:
         self._idle = np.flatnonzero(~covered).tolist()
         for array in (self.nodes, self.wm, self.wc):
             array.flags.writeable = False
-        # Means and columns are taken relative to the image of the center, so its mean weight never
-        # plays a part.
+        # Means and columns are relative to the image of the center, so its mean weight has no
+        # effect.
         used = (self.wm != 0.0) | (self.wc != 0.0)
         used[0] = self.wc[0] != 0.0
         self._used: Any = (
@@ -127,9 +126,8 @@ class Rule:
         self.sign = np.where(negative, -1.0, 1.0) if negative.any() else POSITIVE
         self.sign.flags.writeable = False
         self._transposed = np.ascontiguousarray(self.nodes.T)
-        self._unit = (
-            self.nodes[used] * self._scale[:, None]
-        ).T  # (n, q), the columns of the unit Gaussian itself
+        # (n, q), the columns of the unit Gaussian itself
+        self._unit = (self.nodes[used] * self._scale[:, None]).T
 
     def __repr__(self) -> str:
         center = " and a center of weight 0" if self.num_sigmas() < len(self.nodes) else ""
@@ -141,7 +139,7 @@ class Rule:
         self, mean: Array, root: Array, space: Space = EUCLIDEAN, augment: Sequence[Array] = ()
     ) -> list[Array]:
         """Points ``(p, ..., N)`` of ``N(mean, root @ root.mT)``, and ``(p, ..., k)`` of each noise
-        whose root is in ``augment``.
+        whose root is in ``augment``. The first dimensions of the rule are the state's.
         """
         first, batch = root.shape[-1], max(mean.ndim - 1, root.ndim - 2)
         total = first if not augment else first + sum(E.shape[-1] for E in augment)
@@ -165,9 +163,10 @@ class Rule:
         return points
 
     def image(self, y: Array, space: Space, root: Array) -> Image:
-        """What a function with the values ``y (p, ..., M)`` at the points makes of
-        ``N(mean, root @ root.mT)``.
+        """The `Image` of ``N(mean, root @ root.mT)`` under a function with the values
+        ``y (p, ..., M)`` at the points.
         """
+        # shift = sum wm (y - center); columns = sqrt(|wc|) (y - center - shift).
         center = y[0] if space.mean is None else space.mean(y, self.wm)
         values = (y if space is EUCLIDEAN else space.minus(y, center))[self._used]
         values = values.T if values.ndim == 2 else points_last(values)  # (..., k, q)
@@ -181,10 +180,12 @@ class Rule:
         return Image(center, shift, columns, partial(self._jacobian, columns, root))
 
     def kept(self, root: Array, augment: Sequence[Array]) -> Array:  # noqa: ARG002
-        """Columns ``(..., n, q)`` of the state itself, where it is kept as it is."""
+        """Columns ``(..., n, q)`` of the state itself, where a function leaves it unchanged."""
         return np.asanyarray(root @ self._unit[: root.shape[-1]])
 
     def _jacobian(self, columns: Array, root: Array) -> Array:
+        # cov(y, x) = columns sign (root unit)', so J = cov(y, x) P^-1 solves J root = columns sign
+        # unit'.
         cross = (columns * self.sign) @ self._unit[: root.shape[-1]].T
         return solve_right(root, cross)
 
@@ -225,12 +226,12 @@ class Rule:
 class Taylor:
     """First-order expansion about the mean: the rule that makes a filter an extended Kalman filter.
 
-    It serves any dimension. Where a `Motion` or a `Sensor` has a ``jacobian`` that is used; else
-    central differences along the columns of the root are.
+    It serves any dimension. It uses the ``jacobian`` of a `Motion` or a `Sensor` that has one, and
+    central differences along the columns of the root otherwise.
 
     step: length of the difference, in standard deviations.
     about: ``(..., N)``, the point to expand about instead of the mean, as an iterated filter does.
-        The belief stays where it is: its mean is mapped by the linear function.
+        The belief does not move: the linear function maps its mean.
 
     >>> filter = celnav.sigma_point(motion, gps, rule=celnav.Taylor())  # celnav.ekf(motion, gps)
     """
@@ -250,8 +251,8 @@ class Taylor:
         """The center and its neighbors ``(p, ..., N)``; noise points ``(p, ..., k)`` vary in their
         own directions only.
 
-        With a center of its own, the way from there to the mean is a direction like those of the
-        columns, after them.
+        With ``about``, the difference from there to the mean is one more direction, after the
+        columns of the root.
         """
         center = mean if self.about is None else self.about
         if center.shape[-1:] != mean.shape[-1:]:
@@ -264,6 +265,7 @@ class Taylor:
             first, *noise = along(center, roots)
             return [space.plus(center, first), *noise]
         total, batch = sum(E.shape[-1] for E in roots), max(center.ndim - 1, root.ndim - 2)
+        # Columns: the center, then + step, then - step in each direction.
         directions = self.step * np.hstack([np.zeros((total, 1)), np.eye(total), -np.eye(total)])
         deviations, first = [], 0
         for E in roots:
@@ -282,6 +284,7 @@ class Taylor:
         if y.dtype.hasobject:
             (center,), _ = at_zero(y)
             return self._linear(center, at_zero(space.minus(y[0], center))[1], root)
+        # (y(+ step) - y(- step)) / (2 step), one column (..., k) per direction.
         d = space.minus(y, y[0])
         total = (len(d) - 1) // 2
         return self._linear(
@@ -292,6 +295,7 @@ class Taylor:
         shift = np.zeros(columns.shape[-2])
         if self.about is not None:
             n = root.shape[-1]
+            # Column n is the image of mean - about; the noises follow it.
             shift, columns = (
                 columns[..., n],
                 np.concatenate([columns[..., :n], columns[..., n + 1 :]], -1),
@@ -312,7 +316,7 @@ class Taylor:
 
 
 class AnyDimension:
-    """A rule for whatever dimension comes, made once for each by a function ``n -> rule``."""
+    """A rule for any dimension; a function ``n -> rule`` makes it once for each."""
 
     def __init__(self, make: Callable[[int], Any]):
         self.make, self._rules = make, dict[int, Any]()
@@ -341,7 +345,7 @@ class AnyDimension:
 
 # -- made for a dimension --------------------------------------------------------------------------
 def check_point_count(name: str, points: int, n: int) -> None:
-    """Refuse points before they are made: more than `MAX_POINTS`, or more numbers than
+    """Raise ValueError before points are made: for more than `MAX_POINTS`, or more numbers than
     `celnav.gaussian.checks.LIMIT`.
     """
     if points > MAX_POINTS or points * n > LIMIT:
@@ -373,6 +377,7 @@ def unscented(n: int, alpha: float = 1.0, beta: float = 0.0, kappa: float = 0.0)
         number("beta", beta),
         number("kappa", kappa, above=-n),
     )
+    # c = n + lambda: the points lie at a distance sqrt(c) on the axes.
     c = alpha**2 * (n + kappa)
     wm = np.full(2 * n + 1, 0.5 / c)
     wm[0] = 1.0 - n / c
@@ -418,6 +423,7 @@ def cubature(n: int, degree: int = 3) -> Rule:
     check_point_count("n", 2 * n if degree == 3 else 2 * n * n + 1, n)
     if degree == 3:
         return Rule(_axes(n, float(np.sqrt(n))), np.r_[0.0, np.full(2 * n, 0.5 / n)])
+    # Points (+-1, +-1) on each pair of axes.
     pairs = np.zeros((2 * n * (n - 1), n))
     signs = product(combinations(range(n), 2), product((1.0, -1.0), repeat=2))
     for row, ((i, j), (s, t)) in zip(pairs, signs, strict=True):
@@ -437,9 +443,8 @@ def gauss_hermite(n: int, order: int = 3) -> Rule:
     Rule(n=3, points=27, negative weights=0)
     """
     n, size = integer("n", n), integer("order", order, 2, 100)
-    if (
-        count := size ** min(n, 20)
-    ) > MAX_POINTS:  # 2**20 are too many already, 2**1000000000 has 300 million digits
+    # min: 2**20 points are too many already, and 2**1000000000 has 300 million digits.
+    if (count := size ** min(n, 20)) > MAX_POINTS:
         many = f"order: {size}**{n} = {count}" if n <= 20 else f"n: {size}**{n}"
         raise ValueError(f"{many} points exceed the limit of {MAX_POINTS}")
     x, w = np.polynomial.hermite_e.hermegauss(size)
@@ -452,13 +457,13 @@ def gauss_hermite(n: int, order: int = 3) -> Rule:
 
 
 def tensor_product(*rules: Rule) -> Rule:
-    """Rule of the joint of independent parts: every node of each rule with every node of the
+    """Rule for the joint of independent Gaussians: every node of each rule with every node of the
     others.
 
-    For a model that is nonlinear in the first k states only and, given these, linear in the other n
-    - k, the product ``tensor_product(gauss_hermite(k, m), simplex(n - k))`` has
-    ``m**k (n - k + 1)`` points and gives exactly what the full tensor rule of ``m**n`` points gives
-    (the marginalized rule; with lower roots and the nonlinear states first).
+    If a model is nonlinear in the first k states only and, given these, linear in the other n - k,
+    the product ``tensor_product(gauss_hermite(k, m), simplex(n - k))`` has ``m**k (n - k + 1)``
+    points and gives exactly the result of the full tensor rule of ``m**n`` points (the marginalized
+    rule; it needs lower roots and the nonlinear states first).
 
     >>> rule = celnav.gaussian.rules.tensor_product(celnav.gauss_hermite(2, 3), celnav.simplex(4))
     """
@@ -473,10 +478,11 @@ def tensor_product(*rules: Rule) -> Rule:
     wm: Array = np.ones(1)
     wc: Array = np.ones(1)
     for rule in rules:
-        kept = (rule.wm != 0.0) | (rule.wc != 0.0)
-        at = rule.nodes[kept]
+        used = (rule.wm != 0.0) | (rule.wc != 0.0)
+        at = rule.nodes[used]
+        # (p q, n + k): every node with every node of the next rule; the weights multiply.
         nodes = np.concatenate([np.repeat(nodes, len(at), 0), np.tile(at, (len(nodes), 1))], 1)
-        wm, wc = np.kron(wm, rule.wm[kept]), np.kron(wc, rule.wc[kept])
+        wm, wc = np.kron(wm, rule.wm[used]), np.kron(wc, rule.wc[used])
     return _centered(nodes, wm, wc)
 
 
@@ -498,7 +504,7 @@ def from_filterpy(points: Any) -> Rule:
 
 
 def _centered(nodes: Array, wm: Array, wc: Array) -> Rule:
-    """Rule with its center first: moved there, or added with weight 0."""
+    """Rule with its center first: the center is moved there, or added with weight 0."""
     nearest = int(np.argmin(np.abs(nodes).sum(-1)))
     if np.abs(nodes[nearest]).max() > 1e-12:
         return Rule(np.vstack([np.zeros(nodes.shape[-1]), nodes]), np.r_[0.0, wm], np.r_[0.0, wc])

@@ -1,9 +1,9 @@
-"""State and measurement spaces: what a sum, a difference and a mean are; and points with their
-components first.
+"""State and measurement spaces define the sum, the difference and the mean of points; and views of
+points with their components first.
 
-A filter does its algebra on differences (tangent vectors of dimension ``n``); a space says how they
-relate to points (arrays whose last axis has length ``N``, which need not equal ``n``). Vectors need
-nothing; angles wrap; attitudes retract.
+A filter does its algebra on differences (tangent vectors of dimension ``n``); a space relates them
+to points (arrays whose last axis has length ``N``, which need not equal ``n``). For vectors these
+are plain sums and differences; angles wrap; attitudes retract.
 """
 
 from __future__ import annotations
@@ -54,15 +54,13 @@ EUCLIDEAN = Space()
 def wrap(angle: Any) -> Any:
     """Angle in radians, wrapped to ``[-pi, pi)``."""
     wrapped = (np.asanyarray(angle) + np.pi) % (2.0 * np.pi) - np.pi
-    return np.where(wrapped == np.pi, -np.pi, wrapped)[
-        ()
-    ]  # just below -pi the remainder rounds up to a full turn
+    # Just below -pi the remainder rounds up to a full turn.
+    return np.where(wrapped == np.pi, -np.pi, wrapped)[()]
 
 
 def angles(components: Iterable[int] | None = None) -> Space:
-    """Vectors of which some ``components`` (None: all) are angles in radians, wrapped to
+    """Vectors in which the ``components`` (None: all) are angles in radians, wrapped to
     ``[-pi, pi)``.
-
     >>> h = lambda x, epoch: np.arctan2(x[..., 1:2], x[..., :1])
     >>> bearing = celnav.Sensor(h, R=[[1e-4]], space=celnav.angles([0]))
     """
@@ -120,6 +118,7 @@ def product(*factors: tuple[Space, int, int]) -> Space:
     points = np.cumsum([0, *(N for _, N, _ in factors)]).tolist()
     tangents = np.cumsum([0, *(n for _, _, n in factors)]).tolist()
     spaces = [space for space, _, _ in factors]
+    # One slice of the points' axis and one of the tangents' axis for each space.
     places = map(slice, points, points[1:]), map(slice, tangents, tangents[1:])
     joined = _Product(tuple(zip(spaces, *places, strict=True)), points[-1], tangents[-1])
     curved = any(space.transport is not None for space in spaces)
@@ -151,6 +150,7 @@ class _Product(NamedTuple):
         return side_by_side([space.minus(b[..., at], a[..., at]) for space, at, _ in self.parts])
 
     def transport(self, tangent: Array) -> Array:
+        # Block diagonal, one block per space.
         matrix = np.zeros((*tangent.shape[:-1], self.n, self.n), like=tangent)
         for space, _, by in self.parts:
             matrix[..., by, by] = (
@@ -185,16 +185,16 @@ def components_first(x: Array) -> Array:
 
 
 def points_last(x: Array) -> Array:
-    """``(n, ...)`` with the component axis last, as a view: what undoes `components_first`."""
+    """``(n, ...)`` with the component axis last, as a view: the inverse of `components_first`."""
     return x.transpose((*range(1, x.ndim), 0))
 
 
 def component_major(x: Array) -> Array:
-    """`components_first`, each component in one piece of memory, which models are fast on: sigma
-    points lie so, what does not is copied.
+    """`components_first`, with each component contiguous in memory, the fast order for models.
+    Sigma points have this order already; other arrays are copied.
     """
     if x.ndim == 1:
         return x
     first = components_first(x)
-    part = first[0].flags
-    return first if part.c_contiguous or part.f_contiguous else np.ascontiguousarray(first)
+    flags = first[0].flags
+    return first if flags.c_contiguous or flags.f_contiguous else np.ascontiguousarray(first)

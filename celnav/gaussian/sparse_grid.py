@@ -26,16 +26,14 @@ from celnav.gaussian.rules import MAX_POINTS, Rule, check_point_count
 __all__ = ["integrates", "point_count", "smolyak"]
 
 ORDERS = (1, 3, 7, 15, 31, 63)
-"""Points of the one-dimensional rules of level 1, 2, ...: a level more doubles the number and the
-degree.
+"""Points of the one-dimensional rules of level 1, 2, ...: each level doubles the number of points
+and the degree.
 """
 DELAYED = (1, 3, 3, 7, 7, 7, 15)
-"""Orders that rise only when the total degree of the isotropic rule asks for it: fewer points,
-nested in parts.
+"""Orders that rise only when the total degree of the isotropic rule needs it: fewer points, which
+are partly nested.
 """
-CANCELED = (
-    1e-12  # a merged weight is nothing if it is this small against the sum of its absolute terms
-)
+CANCELED = 1e-12  # a merged weight below this fraction of the sum of its absolute terms is zero
 Polynomial = dict[int, float]  # coefficients by power
 
 
@@ -114,9 +112,8 @@ def integrates(
     _, depth, g, sizes = _checked(len(numbers), level, weights, orders)
     if any(a % 2 for a in numbers):
         return True
-    lowest = [
-        sum(2 * m - 1 < a for m in sizes) for a in numbers
-    ]  # a level less; the number of levels where none suffices
+    # For each power the lowest sufficient level minus 1, or the number of levels if none suffices.
+    lowest = [sum(2 * m - 1 < a for m in sizes) for a in numbers]
     return max(lowest) < depth and sum(k * c for k, c in zip(lowest, g, strict=True)) <= (
         depth - 1
     ) * min(g)
@@ -133,9 +130,8 @@ def index_set(level: int, weights: Sequence[int]) -> dict[tuple[int, ...], int]:
         raise ValueError("weights: expected at least one, got none")
     _, depth, g, _ = _checked(count, level, weights, ORDERS)
     budget, c = (depth - 1) * min(g), np.ones(1)
-    for (
-        weight
-    ) in g:  # a coefficient depends on the slack alone: [t^slack] prod_j (1 - t^g_j) / (1 - t)
+    # A coefficient depends on the slack alone: [t^slack] prod_j (1 - t^g_j) / (1 - t).
+    for weight in g:
         c = np.convolve(c, [1, *[0] * (weight - 1), -1])
     every = product(*(range(1, budget // weight + 2) for weight in g))
     slack = {
@@ -165,12 +161,13 @@ def _checked(
 
 @lru_cache(maxsize=64)
 def univariate(order: int) -> tuple[Array, Array]:
-    """Gauss-Hermite nodes ``x > 0``, ascending, and weights ``(order // 2 + 1,)``, that of the node
-    0 (or 0) first.
+    """Gauss-Hermite nodes ``x > 0``, ascending, and weights ``(order // 2 + 1,)``; the first weight
+    belongs to the node 0, and is 0 if the order is even.
     """
     x, w = np.polynomial.hermite_e.hermegauss(order)
     w = w / w.sum()
     half = order // 2
+    # The mean of x and -(-x) makes the rule exactly symmetric.
     nodes, weights = (
         0.5 * (x[order - half :] - x[:half][::-1]),
         0.5 * (w[order - half :] + w[:half][::-1]),
@@ -181,19 +178,21 @@ def univariate(order: int) -> tuple[Array, Array]:
 def _nodes(sizes: Sequence[int]) -> tuple[Polynomial, list[_Node]]:
     """The polynomial of the node 0, and the other nodes, by first level."""
     center: Polynomial = {}
-    found: dict[tuple[int, int], _Node] = {}
+    distinct: dict[tuple[int, int], _Node] = {}
     for level, size in enumerate(sizes):
         x, w = univariate(size)
         nodes = [
-            found.setdefault((size, i), _Node(level, value, {}))
+            distinct.setdefault((size, i), _Node(level, value, {}))
             for i, value in enumerate(x.tolist())
         ]
         for series, weight in zip(
             (center, *(node.series for node in nodes)), w.tolist(), strict=True
         ):
             _add(series, level, weight)
+            # d(v, l) = w(v, l) - w(v, l - 1): a weight enters with + at its level, with - at the
+            # next.
             _add(series, level + 1, -weight)
-    return center, list(found.values())
+    return center, list(distinct.values())
 
 
 def _add(series: Polynomial, power: int, value: float) -> None:
@@ -215,16 +214,17 @@ def _patterns(
     level: int, g: tuple[int, ...], sizes: tuple[int, ...]
 ) -> tuple[tuple[float, ...], tuple[_Pattern, ...]]:
     """Values of the nodes, and the patterns whose weight does not cancel, the center first. A class
-    is channels of one weight.
+    is the channels of one weight g.
     """
     budget = (level - 1) * min(g)
     center, nodes = _nodes(sizes)
     classes = [(c, g.count(c)) for c in sorted(set(g))]
 
     def weight(choice: tuple[tuple[int, ...], ...], of: Callable[[float], float]) -> float:
-        """Weight of the points with these nodes in each class, of coefficients as they are or
-        absolute.
+        """Weight of the points with these nodes in each class; ``of`` is applied to coefficients
+        (float or abs).
         """
+        # The sum of the coefficients of prod_j sum_l d(p_j, l) t^(g_j (l - 1)) up to the budget.
         total: Polynomial = {0: 1.0}
         for (c, count), chosen in zip(classes, choice, strict=True):
             idle, *active = (
@@ -235,31 +235,31 @@ def _patterns(
                 total = _times(total, series, budget)
         return sum(total.values())
 
-    found = []
+    patterns = []
     for picked in product(*(list(_multisets(nodes, budget // c, count)) for c, count in classes)):
         if sum(c * cost for (c, _), (cost, _) in zip(classes, picked, strict=True)) > budget:
             continue
         choice = tuple(chosen for _, chosen in picked)
-        own = weight(choice, float)
-        canceled = abs(own) <= CANCELED * weight(choice, abs)
-        if not canceled or not any(choice):  # a rule has its center first, be its weight 0
-            # Ways to give the nodes of each class, and a sign to each, to different ones of its
-            # channels.
-            alike = prod(factorial(chosen.count(i)) for chosen in choice for i in set(chosen))
+        pattern_weight = weight(choice, float)
+        canceled = abs(pattern_weight) <= CANCELED * weight(choice, abs)
+        if not canceled or not any(choice):  # a rule keeps its center, even with weight 0
+            # The number of ways to assign the nodes of each class, with a sign each, to different
+            # channels of the class.
+            repeats = prod(factorial(chosen.count(i)) for chosen in choice for i in set(chosen))
             ways = prod(
                 perm(count, len(chosen)) << len(chosen)
                 for (_, count), chosen in zip(classes, choice, strict=True)
             )
-            found.append(_Pattern(choice, 0.0 if canceled else own, ways // alike))
-    found.sort(key=lambda p: sum(map(len, p.nodes)))
-    return tuple(node.value for node in nodes), tuple(found)
+            patterns.append(_Pattern(choice, 0.0 if canceled else pattern_weight, ways // repeats))
+    patterns.sort(key=lambda p: sum(map(len, p.nodes)))
+    return tuple(node.value for node in nodes), tuple(patterns)
 
 
 def _multisets(
     nodes: Sequence[_Node], budget: int, most: int, first: int = 0
 ) -> Iterator[tuple[int, tuple[int, ...]]]:
     """Choices of at most ``most`` nodes, ascending and with repetition, whose levels fit the
-    budget: ``(cost, nodes)``.
+    budget, as ``(cost, nodes)``.
     """
     yield 0, ()
     if not most:
@@ -282,7 +282,8 @@ def _rule(n: int, level: int, g: tuple[int, ...], sizes: tuple[int, ...]) -> Rul
     )
     row = 0
     for pattern in patterns:
-        each = [
+        # Per class: which channels are active, and which of the chosen nodes each of them has.
+        placements = [
             [
                 (where, which)
                 for where in combinations(members, len(chosen))
@@ -290,8 +291,12 @@ def _rule(n: int, level: int, g: tuple[int, ...], sizes: tuple[int, ...]) -> Rul
             ]
             for members, chosen in zip(channels, pattern.nodes, strict=True)
         ]
+        # (number of placements, 2, active channels): the channels, and the indices of their nodes.
         placed = np.array(
-            [[sum(part, ()) for part in zip(*way, strict=True)] for way in product(*each)],
+            [
+                [sum(tuples, ()) for tuples in zip(*placement, strict=True)]
+                for placement in product(*placements)
+            ],
             dtype=int,
         )
         active = placed.shape[-1]

@@ -1,8 +1,8 @@
-"""Physics, of which no filter knows.
+"""Physical models, which do not depend on filters.
 
-`orbit` and `sightings` of a satellite · `pulsar` and `ephemeris` of its X-ray timings · `gnss` and
-`pseudorange` of a receiver · `earth` and `inertial` of an aircraft · `gyro` of attitudes · `motion`
-of vehicles and targets · `noise`.
+`orbit` and `sightings` of a satellite · `pulsar` and `ephemeris` for its X-ray timing · `gnss` and
+`pseudorange` for a receiver · `earth` and `inertial` for an aircraft · `gyro` for attitudes ·
+`motion` of vehicles and targets · `noise`.
 """
 
 from celnav.lazy import modules

@@ -1,5 +1,5 @@
-"""The ellipsoid WGS-84 (radii of curvature, rotation, normal gravity), axes that turn with the
-Earth, an aircraft's flight.
+"""The ellipsoid WGS-84 (radii of curvature, rotation, normal gravity), Earth-fixed axes, and an
+aircraft's flight.
 
 Units: m, s, rad.
 """
@@ -22,7 +22,7 @@ ECCENTRICITY_SQUARED = FLATTENING * (2.0 - FLATTENING)
 ROTATION_RATE = 7.2921151467e-5  # rad/s
 SPIN = np.array([0.0, 0.0, ROTATION_RATE])
 GRAVITY_PARAMETER = 3.986004418e14  # m^3/s^2
-STANDARD_GRAVITY = 9.80665  # m/s^2, what a "g" of an accelerometer is
+STANDARD_GRAVITY = 9.80665  # m/s^2, the unit g of an accelerometer
 
 
 def meridian_radius(latitude: ArrayLike) -> Array:
@@ -40,7 +40,7 @@ def transverse_radius(latitude: ArrayLike) -> Array:
 
 
 def radii(latitude: ArrayLike, height_m: ArrayLike) -> tuple[Array, Array]:
-    """Meters in a radian of arc along and across the meridian at a height: ``R_M + h`` and
+    """Meters per radian of arc along and across the meridian at a height: ``R_M + h`` and
     ``R_N + h``, of the arguments' shape.
     """
     return meridian_radius(latitude) + height_m, transverse_radius(latitude) + height_m
@@ -72,20 +72,22 @@ def transport_rate(velocity: Array, latitude: ArrayLike, height_m: ArrayLike) ->
     ``velocity (..., 2 or 3)`` m/s.
     """
     north, east = radii(latitude, height_m)
+    # (-v_N / (R_M + h), v_E / (R_N + h), v_E tan(L) / (R_N + h))
     spin = velocity[..., 0] / east
     return np.stack([-velocity[..., 1] / north, spin, spin * np.tan(latitude)], -1)
 
 
 def inertial_forces(position: Array, velocity: Array, spin: Array = SPIN) -> Array:
-    """Centrifugal and Coriolis acceleration ``(..., 3)`` m/s^2 on axes that turn by
-    ``spin (..., 3)`` rad/s; m, m/s on these.
+    """Centrifugal and Coriolis acceleration ``(..., 3)`` m/s^2 on axes that rotate with
+    ``spin (..., 3)`` rad/s; position and velocity in m, m/s on these axes.
     """
+    # -w x (w x r) - 2 w x v
     return np.asanyarray(-_cross(spin, 2.0 * velocity + _cross(spin, position)))
 
 
 def _cross(a: Array, b: Array) -> Array:
-    """Vector products, recorded numbers too."""
-    (x, y, z), (u, v, w) = ([part[..., i] for i in range(3)] for part in (a, b))
+    """Vector products, also of traced numbers."""
+    (x, y, z), (u, v, w) = ([vector[..., i] for i in range(3)] for vector in (a, b))
     return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], -1)
 
 
@@ -97,23 +99,24 @@ def orientation(tt: ArrayLike, ut1: ArrayLike, pole: tuple[float, float] = (0.0,
         and y of its motion, rad.
     """
     with needed_by("celnav.models.earth.orientation", "papers"):
-        import erfa  # only who asks for it has it imported
+        import erfa  # imported only on request
 
-    one, two = finite("tt", tt, (..., 2)), finite("ut1", ut1, (..., 2))
+    tt_days, ut1_days = finite("tt", tt, (..., 2)), finite("ut1", ut1, (..., 2))
     xp, yp = finite("pole", pole, (2,))
-    return np.asarray(erfa.c2t06a(one[..., 0], one[..., 1], two[..., 0], two[..., 1], xp, yp))
+    return np.asarray(
+        erfa.c2t06a(tt_days[..., 0], tt_days[..., 1], ut1_days[..., 0], ut1_days[..., 1], xp, yp)
+    )
 
 
 def spin(orientations: Array, interval: float) -> Array:
-    """Rotation ``(T - 1, 3)`` rad/s of axes from one ``interval`` (s) to the next, on these axes:
-    precession, nutation and all.
+    """Rotation ``(T - 1, 3)`` rad/s of axes from one ``interval`` (s) to the next, on these axes,
+    including precession and nutation.
 
-    orientations: ``(T, 3, 3)``, as `orientation` has them, of turns below a right angle.
+    orientations: ``(T, 3, 3)``, as from `orientation`, with turns below a right angle.
     """
-    given = finite("orientations", orientations, ("T", 3, 3))
-    turn = (
-        given[:-1] @ given[1:].mT
-    )  # of vectors that stay, seen from the axes: the other way round
+    rotations = finite("orientations", orientations, ("T", 3, 3))
+    # Fixed vectors, seen from the axes, turn the other way round.
+    turn = rotations[:-1] @ rotations[1:].mT
     sine = 0.5 * np.stack(
         [
             turn[:, 2, 1] - turn[:, 1, 2],
@@ -160,13 +163,13 @@ def turning_flight(
     turn_rate: float,
     substep: float = 0.5,
 ) -> Flight:
-    """A `Flight`, level, at ``times (T,)`` s, increasing, with constant acceleration along the
-    track and a constant turn.
+    """A level `Flight` at increasing ``times (T,)`` s, with constant acceleration along the track
+    and a constant turn.
 
-    From a place (rad, m) at the first time, there with ``speed`` m/s and ``heading`` rad, clockwise
-    from north; acceleration in m/s^2, turn rate in rad/s. The position is integrated by Runge-Kutta
-    steps of at most ``substep`` seconds (to 1e-12 rad in 500 s). ValueError where the flight comes
-    within a degree of a pole.
+    It starts from a place (rad, m) at the first time with ``speed`` m/s and ``heading`` rad,
+    clockwise from north; acceleration in m/s^2, turn rate in rad/s. The position is integrated by
+    Runge-Kutta steps of at most ``substep`` seconds (to 1e-12 rad in 500 s). ValueError if the
+    flight comes within a degree of a pole.
     """
     t = finite("times", times, ("T",))
     if (np.diff(t) <= 0.0).any():
@@ -209,6 +212,7 @@ def turning_flight(
     front = np.stack([np.sin(psi), np.cos(psi), np.zeros_like(psi)], -1)
     up = np.broadcast_to([0.0, 0.0, 1.0], front.shape)
     attitude, velocity = np.stack([right, front, up], -1), v[:, None] * front
+    # f = v' + (2 w_ie + w_en) x v - g, on east, north, up axes.
     change = acceleration * front + (v * turn_rate)[:, None] * right
     rotation = 2.0 * earth_rate(latitudes) + transport_rate(velocity, latitudes, height_m)
     force = change + np.cross(rotation, velocity)

@@ -1,10 +1,11 @@
-"""Where Sun, Moon and planets are, and when: JPL's ephemerides, barycentric, ICRS axes, and their
-time, TDB. Units: km, km/s.
+"""Positions of Sun, Moon and planets from JPL's ephemerides, barycentric, ICRS axes, in their time
+scale, TDB. Units: km, km/s.
 
-`de421` needs no files but those of the package; `Kernel` reads any such SPK file. Planets are their
-systems' barycenters, except the Earth. An instant is a Julian date TDB in two parts, so that
-centuries keep their microseconds; the scale is in the type. Leap seconds and the difference of TDB
-and TT come from ERFA. An offline machine in years to come keeps its table and is warned by it.
+`de421` needs only the files of the package; `Kernel` reads any such SPK file. Planets are the
+barycenters of their systems, except the Earth. An instant is a Julian date TDB in two parts, so
+that centuries keep their microseconds; the type fixes the scale. Leap seconds and the difference of
+TDB and TT come from ERFA. A machine that stays offline for years keeps ERFA's old table, which
+warns.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ GM = {
     "neptune": 6836535.0,
     "pluto": 977.0,
 }
-"""Gravitational parameters of DE421, km^3/s^2; planets beyond the Earth with their moons."""
+"""Gravitational parameters of DE421, km^3/s^2; planets beyond the Earth include their moons."""
 BODIES = tuple(GM)
 _SPK = {
     "sun": ((0, 10),),
@@ -70,7 +71,7 @@ class BodyState(NamedTuple):
 
 
 class Kernel:
-    """A binary SPK file; ValueError names one that is none or is cut off.
+    """A binary SPK file; ValueError if it is not one or is cut off.
 
     >>> date = celnav.models.ephemeris.from_utc("2015-10-17")
     >>> position, velocity = Kernel("de440.bsp").state("mars", date)
@@ -82,7 +83,7 @@ class Kernel:
         try:
             self._spk = SPK(DAF(BytesIO(content)))
             size = 8 * (self._spk.daf.free - 1)
-        except Exception as error:  # jplephem raises whatever the bytes lead it to
+        except Exception as error:  # jplephem raises many types of errors for wrong bytes
             raise ValueError(f"{self.path}: expected a binary SPK ephemeris ({error})") from None
         if len(content) < size:
             raise ValueError(
@@ -90,8 +91,8 @@ class Kernel:
             )
 
     def state(self, body: str, date: Tdb) -> BodyState:
-        """`BodyState` of one of `BODIES` at dates of any shape ``(...)``; ValueError for one that
-        the file does not have.
+        """`BodyState` of one of `BODIES` at dates of any shape ``(...)``; ValueError for a body
+        that the file does not have.
         """
         choice("body", body, BODIES)
         present = [b for b in sorted(BODIES) if all(pair in self._spk.pairs for pair in _SPK[b])]
@@ -103,16 +104,18 @@ class Kernel:
         day, rest = np.broadcast_arrays(
             np.asarray(date.day, dtype=np.float64), np.asarray(date.rest, dtype=np.float64)
         )
+        # Days from the start of the data; this order of operations keeps the digits of the rest.
         since = ((day - first) + rest).ravel()
         outside = since[~((since >= 0.0) & (since <= last - first))]  # nan too
         if outside.size:
             covered = f"between {first} and {last}, which {self.path} covers"
             raise ValueError(f"date: expected JD TDB {covered}, got {outside[0] + first:.6f}")
-        found = (
+        # Each segment gives position and rate (3, K); the segments of a body add up.
+        computed = (
             segment.compute_and_differentiate(day.ravel(), rest.ravel()) for segment in segments
         )
         position, rate = (
-            np.add.reduce(parts).T.reshape(*day.shape, 3) for parts in zip(*found, strict=True)
+            np.add.reduce(parts).T.reshape(*day.shape, 3) for parts in zip(*computed, strict=True)
         )
         return BodyState(position, rate / DAY_S)
 
@@ -136,7 +139,7 @@ class Tdb(NamedTuple):
     rest: Array | float
 
     def after(self, seconds: ArrayLike) -> Tdb:
-        """The `Tdb` so many ``seconds (...)`` later."""
+        """The `Tdb` that is ``seconds (...)`` later."""
         return Tdb(self.day, self.rest + numbers("seconds", seconds) / DAY_S)
 
     def since(self, other: Tdb) -> Array:
@@ -149,13 +152,13 @@ class Tdb(NamedTuple):
 
 def from_tt(day: ArrayLike, rest: ArrayLike = 0.0) -> Tdb:
     """`Tdb` of a Julian date ``day + rest`` in terrestrial time, at the center of the Earth."""
-    one, two = finite("day", day), finite("rest", rest)
-    return Tdb(one, two + erfa.dtdb(one, two, 0.0, 0.0, 0.0, 0.0) / DAY_S)
+    days, rests = finite("day", day), finite("rest", rest)
+    return Tdb(days, rests + erfa.dtdb(days, rests, 0.0, 0.0, 0.0, 0.0) / DAY_S)
 
 
 def from_utc(instant: str | datetime) -> Tdb:
     """`Tdb` of an instant in UTC: "2015-10-17T04:00:00" (leap seconds too: 23:59:60), or a datetime
-    that knows its zone.
+    with a time zone.
     """
     when, leap = instant, "23:59:60" in str(instant)
     if isinstance(instant, str):

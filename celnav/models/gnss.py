@@ -18,17 +18,16 @@ from celnav.gaussian.linalg import Array
 
 GRAVITY_PARAMETER = 3.986004418e14  # m^3/s^2
 ROTATION_RATE = 7.2921150e-5  # rad/s
-GPS_GRAVITY_PARAMETER, GPS_ROTATION_RATE = (
-    3.986005e14,
-    7.2921151467e-5,
-)  # with which GPS's elements are made
+# GPS's elements are made with these.
+GPS_GRAVITY_PARAMETER, GPS_ROTATION_RATE = 3.986005e14, 7.2921151467e-5
 LIGHT = 299792458.0  # m/s
 B1I_HZ, L1_HZ = 1561.098e6, 1575.42e6
 WEEK_S = 604800.0
 GPS_AHEAD_S = 14.0
 GEO_NUMBERS = frozenset({*range(1, 6), *range(59, 64)})
 TILT = np.radians(5.0)
-"""Of the plane that a geostationary orbit's elements refer to: without it their node would be lost.
+"""Tilt of the plane to which a geostationary orbit's elements refer: without it the node would be
+undefined.
 """
 
 
@@ -37,11 +36,11 @@ class Broadcast:
     """Broadcast elements of satellites, each field ``(S,)``; angles in rad, lengths in m, times in
     s.
 
-    number: of the satellite, C01 is 1. gps: 1 of GPS's, 0 of BeiDou's. toe, toc: reference times of
+    number: of the satellite, C01 is 1. gps: 1 for GPS, 0 for BeiDou. toe, toc: reference times of
         orbit and clock, BDT.
     sqrt_a, e, i0, Omega0, omega, M0, delta_n, Omega_dot, i_dot, cuc, cus, crc, crs, cic, cis: of
         the orbit.
-    a0, a1, a2: of the clock. tgd: group delay of B1I or L1. health: 0 if well.
+    a0, a1, a2: of the clock. tgd: group delay of B1I or L1. health: 0 if healthy.
     """
 
     number: Array
@@ -118,11 +117,11 @@ def satellites(broadcast: Broadcast, t: Array | float) -> SatelliteState:
     derivatives.
     """
     b, t = broadcast, np.asarray(t, dtype=np.float64)
-    tk, dt = (
-        (since - WEEK_S * np.round(since / WEEK_S)) for since in (t - b.toe, t - b.toc)
-    )  # within half a week
+    # Times since the reference, within half a week.
+    tk, dt = ((since - WEEK_S * np.round(since / WEEK_S)) for since in (t - b.toe, t - b.toc))
     root_mu = np.sqrt(np.where(b.gps, GPS_GRAVITY_PARAMETER, GRAVITY_PARAMETER))
     spin = np.where(b.gps, GPS_ROTATION_RATE, ROTATION_RATE)
+    # Kepler's equation E - e sin E = M; shrunk = r / a, and E' = n / shrunk.
     n = root_mu / b.sqrt_a**3 + b.delta_n
     E = eccentric_anomaly(b.M0 + n * tk, b.e)
     sin_E, cos_E = np.sin(E), np.cos(E)
@@ -146,13 +145,12 @@ def satellites(broadcast: Broadcast, t: Array | float) -> SatelliteState:
     x, y = r * np.cos(u), r * np.sin(u)
     x_dot, y_dot = r_dot * np.cos(u) - y * u_dot, r_dot * np.sin(u) + x * u_dot
 
-    # In space, about a node that turns with the Earth; that of a geostationary orbit stays in the
-    # tilted plane until the end.
+    # In space, about a node that rotates with the Earth; the node of a geostationary orbit stays in
+    # the tilted plane until the end.
     geo = b.geostationary
     turning = b.Omega_dot - np.where(geo, 0.0, spin)
-    node = (
-        b.Omega0 + turning * tk - spin * np.mod(b.toe + GPS_AHEAD_S * b.gps, WEEK_S)
-    )  # of the week of its own time
+    # Seconds of the week in the satellite's own time scale.
+    node = b.Omega0 + turning * tk - spin * np.mod(b.toe + GPS_AHEAD_S * b.gps, WEEK_S)
     cos_O, sin_O, cos_i, sin_i = np.cos(node), np.sin(node), np.cos(i), np.sin(i)
     across, across_dot = y * cos_i, y_dot * cos_i - y * sin_i * i_dot
     P = np.stack([x * cos_O - across * sin_O, x * sin_O + across * cos_O, y * sin_i], -1)
@@ -172,8 +170,9 @@ def satellites(broadcast: Broadcast, t: Array | float) -> SatelliteState:
 
 
 def eccentric_anomaly(mean: Array, e: Array) -> Array:
-    """Eccentric anomaly (rad) of a mean one, by Newton's method, to round-off for any e
-    below 0.9."""
+    """Eccentric anomaly (rad) of a mean anomaly by Newton's method, to round-off for any e below
+    0.9.
+    """
     E = mean + e * np.sin(mean)
     for _ in range(8):
         E = E - (E - e * np.sin(E) - mean) / (1.0 - e * np.cos(E))
@@ -189,7 +188,7 @@ def tilted(vectors: Array, angle: float) -> Array:
 
 
 def turned(vectors: Array, angle: Array) -> Array:
-    """``R_z(angle)`` times vectors ``(..., 3)``: into a frame that has turned by the angle
+    """``R_z(angle)`` times vectors ``(..., 3)``: into a frame that has rotated by the angle
     ``(...)``.
     """
     x, y, z = np.moveaxis(vectors, -1, 0)
@@ -199,6 +198,6 @@ def turned(vectors: Array, angle: Array) -> Array:
 
 
 def spun(places: Array, rate: Array | float) -> Array:
-    """Velocities of places ``(..., 3)`` that turn about the axis z by a rate ``(...)`` rad/s."""
+    """Velocities of places ``(..., 3)`` that rotate about the z axis at a rate ``(...)`` rad/s."""
     x, y, z = np.moveaxis(places, -1, 0)
     return np.stack([-y * rate, x * rate, np.zeros_like(z)], -1)

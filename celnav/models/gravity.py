@@ -1,10 +1,10 @@
 """Gravity by spherical harmonics, in Earth-fixed axes, without a singularity at the poles
 [Cunningham1970]. Units: m, s.
 
-The potential is a sum of solid harmonics, and each derivative of one is a sum of those of the next
-degree [Montenbruck2000, Eq. 3.33]. So acceleration and gradient are fields of coefficients
-themselves, made once; at a place only the harmonics are evaluated, by recursion over the degree
-with all orders together.
+The potential is a sum of solid harmonics. Each derivative of a harmonic is a sum of harmonics of
+the next degree [Montenbruck2000, Eq. 3.33]. So acceleration and gradient are fields of coefficients
+themselves, computed once; at a place only the harmonics are evaluated, by recursion over the degree
+for all orders together.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from celnav.gaussian.checks import finite, instance, integer, number
 from celnav.gaussian.linalg import Array
 
 MOST_DEGREE = 2190
-"""Of what a file may have; its coefficients take 80 MB."""
+"""The largest degree of a file; its coefficients take 80 MB."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,9 +29,9 @@ class Gravity:
     """A field of gravity: ``gm`` m^3/s^2, ``radius`` m of reference, coefficients ``C``,
     ``S (N + 1, N + 1)`` by degree and order.
 
-    Coefficients are fully normalized; those with an order above the degree are not looked at. The
-    acceleration is that of the masses alone: rotating axes have more
-        (`celnav.models.earth.inertial_forces`).
+    Coefficients are fully normalized; those with an order above the degree are ignored. The
+    acceleration is that of the masses alone; on rotating axes add
+    `celnav.models.earth.inertial_forces`.
 
     >>> field = celnav.models.gravity.read("EGM2008.gfc", degree=8)
     >>> field.acceleration(np.array([6.8e6, 0.0, 0.0]))  # m/s^2
@@ -84,13 +84,14 @@ class Gravity:
     @cached_property
     def _second(self) -> Array:
         """Coefficients ``(6, 2, N + 3, N + 3)`` of the derivatives xx, xy, xz, yy, yz, zz."""
-        x, y, z = (_derivatives(part) for part in _derivatives(np.stack([self.C, self.S])))
+        x, y, z = (_derivatives(field) for field in _derivatives(np.stack([self.C, self.S])))
         return (self.gm / self.radius**3) * np.concatenate([x, y[1:], z[2:]])
 
     def _sum(self, fields: Array, position: Array) -> Array:
-        """Values ``(..., k)`` of fields of coefficients ``(k, 2, N + 1, N + 1)`` at places."""
+        """Values ``(..., k)`` at places of fields with coefficients ``(k, 2, N + 1, N + 1)``."""
         place = np.moveaxis(position, -1, 0)
         harmonics = _harmonics(place.reshape(3, -1) / self.radius, fields.shape[-1] - 1)
+        # (k, coefficients) @ (coefficients, places)
         values = fields.reshape(len(fields), -1) @ harmonics.reshape(-1, harmonics.shape[-1])
         return np.asanyarray(np.moveaxis(values.reshape(-1, *place.shape[1:]), 0, -1))
 
@@ -104,6 +105,7 @@ def _harmonics(place: Array, degree: int) -> Array:
     out = np.zeros((2, degree + 1, degree + 1, place.shape[-1]), like=place)
     out[0, 0, 0] = np.sqrt(inverse)
     for n, (once, twice, corner) in enumerate(_recursion(degree), 1):
+        # Degree n from degrees n - 1 and n - 2 for orders below n; order n from order n - 1.
         out[:, n, :n] = (once * z) * out[:, n - 1, :n]
         if n > 1:
             out[:, n, : n - 1] -= (twice * inverse) * out[:, n - 2, : n - 1]
@@ -114,7 +116,7 @@ def _harmonics(place: Array, degree: int) -> Array:
 
 @cache
 def _recursion(degree: int) -> list[tuple[Array, Array, float]]:
-    """Factors that lead to each degree n from 1: of degree n - 1 ``(n, 1)`` and n - 2
+    """Factors of the recursion to each degree n from 1: of degree n - 1 ``(n, 1)`` and of n - 2
     ``(n - 1, 1)`` by order, and to order n.
     """
     factors = []
@@ -134,18 +136,16 @@ def _recursion(degree: int) -> list[tuple[Array, Array, float]]:
 
 
 def _derivatives(coefficients: Array) -> Array:
-    """Of a field ``(2, N + 1, N + 1)`` by x, y and z, times the radius: ``(3, 2, N + 2, N + 2)``
-    [Montenbruck2000, Eq. 3.33].
+    """Derivatives of a field ``(2, N + 1, N + 1)`` by x, y and z, times the radius:
+    ``(3, 2, N + 2, N + 2)`` [Montenbruck2000, Eq. 3.33].
     """
     N = coefficients.shape[-1]
     n, m = np.mgrid[:N, :N]
     C, S = np.where(m <= n, coefficients, 0.0)
-    S, m = (
-        np.where(m > 0, S, 0.0),
-        np.minimum(m, n),
-    )  # the sine of order 0 is none, whatever its coefficient
-    # A harmonic's normalization over that of the next degree, times the factor of the equation, by
-    # what becomes of the order.
+    # There is no sine of order 0, whatever its coefficient.
+    S, m = np.where(m > 0, S, 0.0), np.minimum(m, n)
+    # The normalization of a harmonic over that of the next degree, times the factor of the
+    # equation, if the order rises, falls or stays.
     scale = (2 * n + 1) / (2 * n + 3)
     up = np.sqrt(scale * (n + m + 1) * (n + m + 2) * np.where(m == 0, 2.0, 1.0)) * 0.5
     down = np.sqrt(scale * (n - m + 1) * (n - m + 2) * np.where(m == 1, 2.0, 1.0)) * 0.5
@@ -160,16 +160,16 @@ def _derivatives(coefficients: Array) -> Array:
 def read(path: str | Path, degree: int | None = None) -> Gravity:
     """The `Gravity` in a file of ICGEM's format, ``.gfc``, to a degree or all of it.
 
-    Rates and other parts that change with time are not taken: records but ``gfc`` and ``gfct`` are
+    Rates and other time-dependent terms are ignored: records other than ``gfc`` and ``gfct`` are
     skipped.
 
     Raises
     ------
-    InputError: naming file and line, of what is no such file. OSError: if it cannot be read.
+    InputError: naming file and line, if it is not such a file. OSError: if it cannot be read.
     """
     most = MOST_DEGREE if degree is None else integer("degree", degree, 0, MOST_DEGREE)
     head: dict[str, str] = {}
-    found: list[tuple[int, int, float, float]] = []
+    records: list[tuple[int, int, float, float]] = []
     body = False
     lines = (
         Path(instance("path", path, str | os.PathLike, "a path, such as 'EGM2008.gfc'"))
@@ -194,21 +194,21 @@ def read(path: str | Path, degree: int | None = None) -> Gravity:
                     f"got {line[:60]!r}"
                 )
             if n <= most:
-                found.append((n, m, c, s))
+                records.append((n, m, c, s))
     if not body:
         raise InputError(
             f"{path}: expected a gravity field in ICGEM's format, with a line end_of_head, got none"
         )
-    return _field(path, head, found, degree)
+    return _field(path, head, records, degree)
 
 
 def _field(
     path: str | Path,
     head: dict[str, str],
-    found: list[tuple[int, int, float, float]],
+    records: list[tuple[int, int, float, float]],
     degree: int | None,
 ) -> Gravity:
-    """A field of what a file has."""
+    """The field from the records of a file."""
     sizes = []
     for key in ("earth_gravity_constant", "radius"):
         try:
@@ -219,12 +219,12 @@ def _field(
             ) from None
     if (norm := head.get("norm", "fully_normalized")) != "fully_normalized":
         raise InputError(f"{path}: norm: expected fully_normalized, got {norm!r}")
-    highest = max((n for n, *_ in found), default=-1)
+    highest = max((n for n, *_ in records), default=-1)
     if highest < (degree or 0):
         raise InputError(
             f"{path}: expected coefficients to degree {degree or 0}, got them to {highest}"
         )
     C, S = np.zeros((2, highest + 1, highest + 1))
-    for n, m, c, s in found:
+    for n, m, c, s in records:
         C[n, m], S[n, m] = c, s
     return Gravity(sizes[0], sizes[1], C, S)

@@ -1,7 +1,7 @@
-"""Rate gyros with drift [Farrenkopf1978]: what they measure, how an attitude is propagated with
-them, what accuracy settles; and the rotation of a rigid satellite, which they measure.
+"""Rate gyros with drift [Farrenkopf1978]: their measurements, the propagation of an attitude with
+them, and the steady-state accuracy; and the rotation of a rigid satellite, which they measure.
 
-A gyro gives the mean rate of an interval plus drift plus white noise,
+A gyro measures the mean rate of an interval plus drift plus white noise,
 ``measured = rate + beta + eta_v``; the drift is a Gauss-Markov process or a random walk. States are
 ``(..., 7)``: quaternion (see `celnav.gaussian.attitude`) and drift in rad/s; their errors
 ``(..., 6)``: rotation vector in body axes, and drift.
@@ -49,15 +49,15 @@ class Gyro:
         bias_instability: float = 0.0,
         tau: float = np.inf,
     ) -> Gyro:
-        """From the numbers of a data sheet [IEEE1997]; the drift walks at random, or is a
-        Gauss-Markov process.
+        """A `Gyro` from a data sheet [IEEE1997]; the drift is a random walk, or a Gauss-Markov
+        process.
 
         angle_random_walk: N, deg/h^(1/2); a noise density of x deg/s/Hz^(1/2) is one of 60 x
             deg/h^(1/2).
         rate_random_walk: K, deg/h^(3/2).
-        bias_instability: B, deg/h, taken for the deviation of a drift of correlation time ``tau``
-            s: its Allan deviation peaks at 0.62 B, after 1.9 tau, where that of flicker noise is
-                0.66 B throughout.
+        bias_instability: B, deg/h, used as the standard deviation of a drift with correlation time
+            ``tau`` s: its Allan deviation peaks at 0.62 B, after 1.9 tau, where the Allan deviation
+            of flicker noise is 0.66 B throughout.
 
         >>> celnav.models.gyro.Gyro.datasheet(0.3, bias_instability=5.0, tau=600.0)
         """
@@ -70,22 +70,22 @@ class Gyro:
                 "rate_random_walk: expected 0 where bias_instability is given, got "
                 f"{rate_random_walk!r}"
             )
-        time = number("tau", tau, above=0.0)  # a deviation without it is no process
+        time = number("tau", tau, above=0.0)  # a standard deviation alone does not define a process
         return cls(
             float(white), float(np.radians(bias_instability / 3600.0) * np.sqrt(2.0 / time)), time
         )
 
     def factor(self, dt: float) -> float:
-        """What is left of the drift after ``dt`` seconds."""
+        """Factor by which the drift decays in ``dt`` seconds."""
         return float(np.exp(-dt / self.tau))
 
     def rate_std(self, dt: float) -> float:
-        """Deviation of the white noise of a sample over ``dt`` seconds, rad/s."""
+        """Standard deviation of the white noise of a sample over ``dt`` seconds, rad/s."""
         return self.sigma_v / float(np.sqrt(dt))
 
     def drift_std(self, dt: float) -> float:
-        """Deviation of the drift's change over ``dt`` seconds, rad/s; of the stationary drift,
-        ``sigma_u sqrt(tau / 2)``.
+        """Standard deviation of the drift's change over ``dt`` seconds, rad/s; for the stationary
+        drift, ``sigma_u sqrt(tau / 2)``.
         """
         if np.isinf(self.tau):
             return self.sigma_u * float(np.sqrt(dt))
@@ -97,14 +97,15 @@ class Gyro:
         """
         drift = np.empty((len(walk) + 1, *walk.shape[1:]))
         drift[0], factor, deviation = start, self.factor(dt), self.drift_std(dt)
-        for k, one in enumerate(walk):
-            drift[k + 1] = factor * drift[k] + deviation * one
+        for k, draw in enumerate(walk):
+            drift[k + 1] = factor * drift[k] + deviation * draw
         return drift
 
     def process_noise(self, dt: float) -> Array:
         """Covariance ``(6, 6)`` of the errors of rotation vector and drift over ``dt`` seconds
         [Crassidis2003].
         """
+        # [[sigma_v^2 T + sigma_u^2 T^3 / 3, -sigma_u^2 T^2 / 2], [., sigma_u^2 T]] on each axis.
         u2 = self.sigma_u**2
         angle, both, drift = (
             self.sigma_v**2 * dt + u2 * dt**3 / 3.0,
@@ -114,7 +115,7 @@ class Gyro:
         return np.kron([[angle, both], [both, drift]], np.eye(3))
 
     def measure(self, q: Array, drift: Array, noise: Array, dt: float) -> Array:
-        """Samples ``(T - 1, ..., 3)`` rad/s of attitudes ``q (T, ..., 4)`` with ``drift`` and
+        """Samples ``(T - 1, ..., 3)`` rad/s from attitudes ``q (T, ..., 4)`` with ``drift`` and
         standard normal ``noise``.
         """
         q, dt = unit(q, "q"), number("dt", dt, above=0.0)
@@ -122,9 +123,10 @@ class Gyro:
             raise ValueError(
                 f"q: expected attitudes (T, ..., 4) at two epochs or more, got shape {q.shape}"
             )
+        # Rotation vectors (T - 1, ..., 3) in body axes.
         turns = log(multiply(q[1:], inverse(q[:-1])))
         drift, noise = finite("drift", drift, (..., 3)), finite("noise", noise, (..., 3))
-        # Drifts of all T attitudes, where there is an axis of time: the last has no sample.
+        # If the drift has an axis of time with all T attitudes, the last one has no sample.
         if drift.ndim >= max(turns.ndim, noise.ndim) and len(drift) == len(q):
             drift = drift[:-1]
         together(q=turns.shape[:-1], drift=drift.shape[:-1], noise=noise.shape[:-1])
@@ -137,6 +139,7 @@ class Gyro:
         and ``rate_noise``.
         """
         drift = x[..., 4:]
+        # q' = exp(w dt) (x) q
         q = multiply(exp((measured - drift - rate_noise) * dt), x[..., :4])
         return side_by_side([q, self.factor(dt) * drift])
 
@@ -152,6 +155,7 @@ class Gyro:
         square = T @ T
         # The matrix of a rotation vector, and its integral over the interval.
         matrix = np.zeros((*turn.shape[:-1], 6, 6), like=turn)
+        # exp(-[turn x]), and minus its integral over the interval.
         matrix[..., :3, :3] = eye - np.sinc(angle / np.pi) * T + first * square
         matrix[..., :3, 3:] = -dt * (eye - first * T + second * square)
         matrix[..., 3:, 3:] = self.factor(dt) * eye
@@ -159,7 +163,7 @@ class Gyro:
 
 
 def preintegrate(measured: Array, drift: Array, dt: float) -> Array:
-    """One sample ``(..., 3)`` rad/s that turns as far as samples ``(k, ..., 3)`` do together, given
+    """One sample ``(..., 3)`` rad/s with the same turn as samples ``(k, ..., 3)`` together, given
     the drift ``(..., 3)``.
     """
     measured, drift, dt = (
@@ -190,8 +194,8 @@ class SteadyState(NamedTuple):
 
 
 def steady_state(sigma_n: float, gyro: Gyro, interval: float) -> SteadyState:
-    """What a filter settles at: attitude measured to ``sigma_n`` rad each ``interval`` s, drift a
-    random walk [Farrenkopf1978].
+    """The steady state of a filter: attitude measured to ``sigma_n`` rad each ``interval`` s, with
+    a random-walk drift [Farrenkopf1978].
     """
     sigma_n, interval = (
         number("sigma_n", sigma_n, above=0.0),
@@ -206,8 +210,8 @@ def steady_state(sigma_n: float, gyro: Gyro, interval: float) -> SteadyState:
     Su, Sv = u * T**1.5 / sigma_n, v * np.sqrt(T) / sigma_n
     small = Sv**2 / 4.0 + Su**2 / 48.0
     g = np.sqrt(1.0 + small)
-    # zeta - 1 without its 1: the difference of squares would lose the digits that a good gyro is
-    # about.
+    # zeta - 1, without subtracting 1: the difference of squares would lose the digits that matter
+    # for a good gyro.
     excess = small / (g + 1.0) + Su / 4.0 + 0.5 * np.sqrt(2.0 * g * Su + Sv**2 + Su**2 / 3.0)
     zeta = 1.0 + excess
     before = sigma_n * np.sqrt(excess * (zeta + 1.0))
@@ -225,8 +229,8 @@ class Body:
 
     inertia: ``(3, 3)``, body axes; ValueError for one that no distribution of mass has. wheels:
         ``(3,)``, angular momentum of the wheels. torque: ``(3,)``, constant.
-    orbit_rate: rad/s; the inertial frame is the orbital one at t = 0 (x along the velocity, z to
-        nadir).
+    orbit_rate: rad/s; the inertial frame equals the orbital frame at t = 0 (x along the velocity,
+        z to nadir).
     """
 
     inertia: Any
@@ -241,7 +245,7 @@ class Body:
         small, middle, large = np.linalg.eigvalsh(self.inertia).tolist()
         if not np.allclose(self.inertia, self.inertia.T) or small <= 0.0:
             raise ValueError("inertia: expected a symmetric positive definite (3, 3)")
-        if large > 1.001 * (small + middle):  # a flat plate attains it, and numbers are rounded
+        if large > 1.001 * (small + middle):  # a flat plate has equality, up to rounding
             got = f"{small:.6g}, {middle:.6g} and {large:.6g}"
             raise ValueError(
                 "inertia: expected principal moments none of which is larger than the two others "
@@ -258,6 +262,7 @@ class Body:
         q, w = x[..., :4], x[..., 4:]
         turning = 0.5 * multiply(np.concatenate([w, np.zeros_like(w[..., :1])], -1), q)
         c = self.nadir(q, t)
+        # J w' = 3 n^2 c x J c + torque - w x (J w + h), with c the nadir and h the wheels.
         gradient = 3.0 * self.orbit_rate**2 * matvec(cross(c), matvec(self.inertia, c))
         torque = gradient + self.torque - matvec(cross(w), matvec(self.inertia, w) + self.wheels)
         return np.concatenate(

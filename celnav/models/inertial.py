@@ -1,10 +1,10 @@
-"""A strapdown inertial navigation system, its errors at large misalignment, and what star sensors
-and SAR see of them.
+"""A strapdown inertial navigation system, its errors at large misalignment, and their measurements
+by star sensors and SAR.
 
 State of the errors ``(..., 13)``: misalignment phi (3, rad), errors of the east and north velocity
 (2, m/s), of longitude and latitude (2, rad), gyro drift eps (3, rad/s), accelerometer bias nabla
-(3, m/s^2); computed minus true [Liang2014]. Frames: n east, north, up; n' the same as the system
-computes it; b the body. The misalignment are the Euler angles of
+(3, m/s^2); computed minus true [Liang2014]. Frames: n east, north, up; n' the same as computed by
+the system; b the body. The misalignment is the Euler angles of
 ``C_n^n' = C_y(phi_y) C_x(phi_x) C_z(phi_z)``. Given phi, the dynamics are linear in the other ten
 states, and the measurements are nonlinear in phi only. `mechanize` steps the whole system, with
 which this model must agree.
@@ -47,12 +47,12 @@ STATES = (
     "nabla_z",
 )
 SINGULAR = np.radians(89.0)
-"""The Euler angles end at phi_x = 90 degrees: sigma points beyond this mean nothing."""
+"""The Euler angles are singular at phi_x = 90 degrees: sigma points beyond this are meaningless."""
 FLIGHT = "a Flight, such as celnav.models.earth.turning_flight(times, ...)"
 
 
 class Navigation(NamedTuple):
-    """What the system knows during an interval: inputs of the error model.
+    """The system's own values during an interval: inputs of the error model.
 
     attitude: ``(..., 3, 3)``, C_b^n', computed. force: ``(..., 3)`` m/s^2, measured, on the axes
         n'.
@@ -82,6 +82,7 @@ def navigation(flight: Flight, at: Array | int | slice, phi: Array, bias: Array)
             f"at: expected numbers of epochs below {count}, one, several or a slice, got {at!r:.80}"
         ) from None
     attitude = misalignment_matrix(phi) @ true
+    # Accelerometers measure in body axes; the computed attitude resolves this on n'.
     force = matvec(attitude, flight.force[at] + bias)
     return Navigation(
         attitude, force, flight.velocity[at, :2], flight.latitude[at], flight.height_m
@@ -117,7 +118,7 @@ def misalignment_angles(C: Array) -> Array:
 
 
 def _dot(row: Iterable[Array], v: Iterable[Array]) -> Array:
-    """A row of a matrix times a vector: batches of sigma points are several times as fast by
+    """A row of a matrix times a vector: for batches of sigma points several times as fast by
     components as by small products.
     """
     (a, b, c), (x, y, z) = row, v
@@ -152,7 +153,7 @@ def _rates(X: Array, nav: Navigation) -> Array:
     d_ie = 0.0, -ie[2] * dL, ie[1] * dL
     d_en = -Vy / north, Vx / east, Vx * (tanL / east) + dL * (vx * secL * secL / east)
 
-    # Rotation of n' against n, on the axes n', and what it makes of the angles.
+    # Rotation of n' against n, on the axes n', and the resulting rates of the angles.
     rate, drift, bias = ie + en, X[DRIFT], X[BIAS]
     wx, wy, wz = (
         rate[i] - _dot(C[i], rate) - _dot(Cb[i], drift) + (d_ie[i] + d_en[i]) for i in range(3)
@@ -160,6 +161,7 @@ def _rates(X: Array, nav: Navigation) -> Array:
     (sx, sy, _), (cx, cy, _) = s, c
     turn = cy * wz - sy * wx
     out = np.zeros_like(X, shape=np.broadcast_shapes(X.shape, (13, *wx.shape)))
+    # Rates of the Euler angles from the rotation w on the axes n'.
     out[0], out[1], out[2] = cy * wx + sy * wz, wy - (sx / cx) * turn, turn / cx
 
     # Velocity: f' - C' (f' - C_b^n' nabla), Coriolis terms of the error and of the rates' errors.
@@ -175,7 +177,7 @@ def advance(x: Array, nav: Navigation, dt: float) -> Array:
     """State ``(..., 13)`` after ``dt`` seconds, inputs at the middle of the interval; linear in all
     but phi.
 
-    It is not looked at whether a point has come near to phi_x = 90 degrees, see `SINGULAR`.
+    A point near phi_x = 90 degrees is not detected, see `SINGULAR`.
     """
     X = component_major(x)
     rate = _rates(X, nav)
@@ -199,6 +201,7 @@ def star_residuals(x: Array, attitude: Array, stars: Array) -> Array:
     out = np.empty_like(phi, shape=(3 * stars.shape[-2], *shape))
     for k, r in enumerate(components_first(stars.mT)):
         star = components_first(r)
+        # (C_n^n' - I) r on n', then on body axes.
         moved = [_dot(C[i], star) - star[i] for i in range(3)]
         for i in range(3):
             out[3 * k + i] = _dot(back[i], moved)
@@ -206,11 +209,11 @@ def star_residuals(x: Array, attitude: Array, stars: Array) -> Array:
 
 
 def wahba_misalignment(z: Array, attitude: Array, stars: Array) -> Array:
-    """Misalignment ``(..., 3)`` that fits measured star residuals ``z (..., 3 k)`` best: Wahba's
+    """Misalignment ``(..., 3)`` that best fits measured star residuals ``z (..., 3 k)``: Wahba's
     problem, by SVD [Markley1988].
 
     ``stars (..., k, 3)``: unit vectors. ValueError if all are parallel (``|r_i x r_j| < 1e-3``):
-    a rotation about them is free.
+    a rotation about them would be free.
     """
     directions = finite("stars", stars, (..., "k", 3))
     k, length = directions.shape[-2], np.linalg.norm(directions, axis=-1)
@@ -226,16 +229,17 @@ def wahba_misalignment(z: Array, attitude: Array, stars: Array) -> Array:
         )
     z, attitude = finite("z", z, (..., 3 * k)), finite("attitude", attitude, (..., 3, 3))
     body = z.reshape(*z.shape[:-1], k, 3)
-    seen = np.einsum("...ij,...kj->...ki", attitude, body) + directions  # C_n^n' r on n'
+    rotated = np.einsum("...ij,...kj->...ki", attitude, body) + directions  # C_n^n' r on n'
     U, _, Vt = np.linalg.svd(
-        np.einsum("...ki,...kj->...ij", seen, np.broadcast_to(directions, seen.shape))
+        np.einsum("...ki,...kj->...ij", rotated, np.broadcast_to(directions, rotated.shape))
     )
+    # The nearest rotation is U diag(1, 1, det(U V')) V'.
     U[..., :, -1] *= np.sign(np.linalg.det(U @ Vt))[..., None]
     return misalignment_angles(U @ Vt)
 
 
 class Solution(NamedTuple):
-    """What the system computes, ``(T, ...)``: attitude C_b^n' ``(T, 3, 3)``, velocity ``(T, 2)``
+    """The computed navigation, ``(T, ...)``: attitude C_b^n' ``(T, 3, 3)``, velocity ``(T, 2)``
     m/s, longitude, latitude rad.
     """
 
@@ -266,17 +270,18 @@ def mechanize(flight: Flight, attitude: Array, drift: Array, bias: Array) -> Sol
         flight.height_m,
         (slice(0, -2, 2), slice(1, None, 2), slice(2, None, 2)),
     )
-    # What is measured in the middle of each step: by the gyros the body's rotation against inertial
-    # space.
+    # Measurements in the middle of each step: the gyros measure the body's rotation against
+    # inertial space.
     L, b = flight.latitude[middle], flight.attitude
     spin = earth.earth_rate(L) + earth.transport_rate(flight.velocity[middle], L, h)
     turn = Rotation.from_matrix(b[first].mT @ b[last]).as_rotvec()
     gyros, forces = turn / dt + matvec(b[middle].mT, spin) + drift, flight.force[middle] + bias
 
     def after(dt: float, start: Solution, at: Solution, gyro: Array, force: Array) -> Solution:
-        """What the system computes ``dt`` seconds after the start, with the rates that it has
-        elsewhere.
+        """The computed solution ``dt`` seconds after the ``start``, with the rates of the solution
+        ``at``.
         """
+        # C' = exp(-w_in dt) C exp(w_ib dt), and v' = C f - (2 w_ie + w_en) x v.
         ie, en = earth.earth_rate(at.latitude), earth.transport_rate(at.velocity, at.latitude, h)
         change = at.attitude @ force - np.cross(2.0 * ie + en, np.append(at.velocity, 0.0))
         body, axes = (

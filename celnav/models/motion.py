@@ -2,9 +2,9 @@
 acceleration, coordinated turns.
 
 Each is a `celnav.Motion` whose noise is white in continuous time and exact over an interval of any
-length: two steps are one step over both. States have positions first, then velocities, then
-accelerations, each with all axes: ``[x, y, vx, vy]``. Units are those of the user; below they are m
-    and s. Intervals may differ from epoch to epoch and from run to run (``epoch.dt``).
+length: two steps equal one step over both. States have positions first, then velocities, then
+accelerations, each with all axes: ``[x, y, vx, vy]``. Units are the user's; below they are m and s.
+Intervals may differ from epoch to epoch and from run to run (``epoch.dt``).
 """
 
 from __future__ import annotations
@@ -48,17 +48,18 @@ def constant_acceleration(dim: int, q: ArrayLike) -> Motion:
 
 
 def known_turn(rate: float, q: float) -> Motion:
-    """A turn in the plane at a known rate: velocities ``[vx, vy]`` rotate, white noise accelerates;
-    states ``(..., 4)``.
+    """A turn in the plane at a known rate: velocities ``[vx, vy]`` rotate, and the acceleration is
+    white noise; states ``(..., 4)``.
 
     rate: rad/s, from x to y; 0 is `constant_velocity`.
     q: spectral density of the acceleration, m^2/s^3.
 
     >>> motion = celnav.models.motion.known_turn(rate=np.radians(3.0), q=0.1)
     """
-    given, amplitude = np.array(number("rate", rate)), np.sqrt(number("q", q, 0.0))
+    turn_rate, amplitude = np.array(number("rate", rate)), np.sqrt(number("q", q, 0.0))
     return Motion(
-        Linear(partial(_known_turn, given)), sqrt_Q=partial(_known_turn_noise, given, amplitude)
+        Linear(partial(_known_turn, turn_rate)),
+        sqrt_Q=partial(_known_turn_noise, turn_rate, amplitude),
     )
 
 
@@ -71,12 +72,12 @@ def _known_turn_noise(rate: Array, amplitude: Array, _mean: Array, epoch: Any) -
 
 
 def coordinated_turn(q: float, q_rate: float) -> Motion:
-    """A turn in the plane at a rate that walks at random, the last component; states ``(..., 5)``,
+    """A turn in the plane at a random-walk rate, the last component; states ``(..., 5)``,
     ``[x, y, vx, vy, rate]``.
 
-    q: spectral density of the acceleration, m^2/s^3, exact for the rate that is believed. q_rate:
-    that of the rate's change, rad^2/s^3; what changes within an interval turns the vehicle from its
-    end on.
+    q: spectral density of the acceleration, m^2/s^3, exact for the estimated rate. q_rate: spectral
+    density of the rate's change, rad^2/s^3; a change within an interval turns the vehicle only from
+    the end of the interval on.
 
     >>> motion = celnav.models.motion.coordinated_turn(q=0.1, q_rate=1e-5)
     """
@@ -85,6 +86,7 @@ def coordinated_turn(q: float, q_rate: float) -> Motion:
 
 
 def _turn(x: Array, epoch: Any) -> Array:
+    # p' = p + [[a, -b], [b, a]] v, and v' = [[c, -s], [s, c]] v.
     a, b, c, s, _, _ = _angles(x[..., 4], epoch.dt)
     vx, vy = x[..., 2], x[..., 3]
     parts = (
@@ -103,6 +105,7 @@ def _turn_jacobian(mean: Array, epoch: Any) -> Array:
     zero = 0.0 * a
     one = zero + 1.0
     rows = (
+        # Rows x, y, vx, vy, rate; the last column is the derivative with respect to the rate.
         (one, zero, a, -b, da * vx - db * vy),
         (zero, one, b, a, db * vx + da * vy),
         (zero, zero, c, -s, -T * (s * vx + c * vy)),
@@ -114,6 +117,7 @@ def _turn_jacobian(mean: Array, epoch: Any) -> Array:
 
 def _turn_noise(amplitude: Array, change: Array, mean: Array, epoch: Any) -> Array:
     T = _interval(epoch)
+    # (..., 5, 5): noise of the acceleration, and of the rate in the last column.
     pushed = _WIDER @ _pushed(mean[..., 4], T) @ _WIDER.T
     return np.asanyarray(amplitude * pushed + change * np.sqrt(T) * _LAST)
 
@@ -144,16 +148,17 @@ def _interval(epoch: Any) -> Array:
 
 
 def _chain(dim: int, order: int, q: ArrayLike) -> Motion:
-    """White noise that is integrated so many times, on each axis."""
+    """White noise integrated ``order`` times on each axis."""
     axes = integer("dim", dim, 1, MOST_AXES)
     densities = finite("q", q)
     if densities.shape not in ((), (axes,)) or (densities < 0.0).any():
         raise ValueError(
             f"q: expected a density that is not negative, or {axes} of them, got {q!r:.80}"
         )
+    # F = sum over k of T^k / k! on the k-th block above the diagonal.
     terms = [np.kron(np.eye(order, k=k) / factorial(k), np.eye(axes)) for k in range(order)]
-    # Over T the noise is T^(a + 1/2) times that over 1 s in what is integrated a times more than
-    # what it drives.
+    # Over T the noise is T^(a + 1/2) times the noise over 1 s, for a quantity that integrates the
+    # driven one a times.
     a = np.arange(order)[::-1]
     once = [factorial(k) for k in a.tolist()]
     root = np.linalg.cholesky(1.0 / (np.multiply.outer(once, once) * (np.add.outer(a, a) + 1.0)))
@@ -179,8 +184,9 @@ def _polynomial(terms: tuple[Array, ...], epoch: Any) -> Array:
 
 
 def _series(theta: Array) -> tuple[Array, Array]:
-    """``(1 - cos theta) / theta^2`` and ``(theta - sin theta) / theta^3``, with all digits
-    about 0."""
+    """``(1 - cos theta) / theta^2`` and ``(theta - sin theta) / theta^3``, without loss of digits
+    near 0.
+    """
     square = theta * theta
     small = square < 1e-2
     safe = np.where(small, 1.0, theta)
@@ -198,8 +204,8 @@ def _series(theta: Array) -> tuple[Array, Array]:
 
 
 def _angles(rate: Array, T: Any) -> tuple[Array, ...]:
-    """Over an interval: ``sin(rate T) / rate``, ``(1 - cos(rate T)) / rate``, cosine and sine; of
-    the first two the derivatives.
+    """Over an interval: ``sin(rate T) / rate``, ``(1 - cos(rate T)) / rate``, cosine and sine; and
+    the derivatives of the first two with respect to the rate.
     """
     theta = rate * T
     first, second = _series(theta)
@@ -221,12 +227,12 @@ def _turned(rate: Array, T: Array) -> Array:
 
 
 def _pushed(rate: Array, T: Array) -> Array:
-    """Root ``(..., 4, 4)`` of the covariance that white acceleration of density 1 leaves in a turn:
+    """Root ``(..., 4, 4)`` of the covariance from white acceleration of density 1 during a turn:
     two columns for each block.
     """
     theta = rate[..., None, None] * T
     first, second = _series(theta)
-    own = np.sqrt(2.0 * second - first * first - (theta * second) ** 2)
+    residual = np.sqrt(2.0 * second - first * first - (theta * second) ** 2)
     return np.asanyarray(
-        np.sqrt(T) * (T * (first * _PP - theta * second * _PP_J + own * _PV) + _VP)
+        np.sqrt(T) * (T * (first * _PP - theta * second * _PP_J + residual * _PV) + _VP)
     )

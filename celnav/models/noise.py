@@ -28,8 +28,8 @@ def stationary_covariance(Phi: ArrayLike, R: ArrayLike) -> Array:
 
 
 def effective_covariance(Phi: ArrayLike, R: ArrayLike) -> Array:
-    """Covariance ``(m, m)`` of white noise with a stationary one's spectrum at frequency 0,
-    ``(I - Phi)^-1 R (I - Phi)^-T``.
+    """Covariance ``(m, m)`` of white noise whose spectrum equals that of the stationary sequence at
+    frequency 0, ``(I - Phi)^-1 R (I - Phi)^-T``.
     """
     stationary_covariance(Phi, R)
     phi = finite("Phi", Phi)
@@ -50,6 +50,7 @@ def ar1(Phi: ArrayLike, increments: ArrayLike, first: ArrayLike) -> Array:
     V = np.empty((len(increments) + 1, *batch, m))
     V[0] = first
     factors = Phi.diagonal(0, -2, -1)
+    # A diagonal Phi needs no matrix products.
     if not (Phi - factors[..., None] * np.eye(m)).any():
         for k, zeta in enumerate(increments):
             np.add(factors * V[k], zeta, out=V[k + 1])
@@ -73,6 +74,7 @@ def van_loan(
     n = len(f)
     g = finite("G", G, (n, "k"))
     q = g @ symmetric(spectral_density, "spectral_density", g.shape[1])[1]
+    # exp([[-F, G q G'], [0, F']] dt) = [[., Phi^-1 Q], [0, Phi']]
     exponential = expm(np.block([[-f, q @ q.T], [np.zeros((n, n)), f.T]]) * dt)
     transition = exponential[n:, n:].T
     noise = transition @ exponential[:n, n:]
@@ -94,15 +96,15 @@ class Noise(NamedTuple):
 
     @property
     def whites(self) -> tuple[tuple[Array, Array], ...]:
-        """Covariances ``((q, q), (m, m))`` for a filter that takes both noises for white: the
-        driving ones, and the stationary.
+        """Covariances ``((q, q), (m, m))`` for a filter that treats both noises as white: those of
+        the driving noises, and the stationary ones.
         """
         return (self.E, self.Xi), (self.Q + self.J @ self.V @ self.J.mT, self.V)
 
 
 def ar1_noise(F: ArrayLike, L: ArrayLike, J: ArrayLike, Xi: ArrayLike, E: ArrayLike) -> Noise:
-    """Checked, as a `Noise`; ValueError for ``F`` or ``L`` that is not diagonal with magnitudes
-    below 1, and for no covariance.
+    """A checked `Noise`; ValueError if ``F`` or ``L`` is not diagonal with magnitudes below 1, or
+    if ``Xi`` or ``E`` is not a covariance.
     """
     xi, e = finite("Xi", Xi, ("m", "m")), finite("E", E, ("q", "q"))
     m, q = len(xi), len(e)
@@ -115,6 +117,7 @@ def ar1_noise(F: ArrayLike, L: ArrayLike, J: ArrayLike, Xi: ArrayLike, E: ArrayL
     if np.linalg.eigvalsh(symmetric(xi, "Xi", m)[0])[0] <= 0.0:
         raise ValueError("Xi: expected a positive definite covariance")
     symmetric(e, "E", q)
+    # A diagonal AR(1): V_ij = Xi_ij / (1 - F_i F_j).
     V, Q = (
         cov / (1.0 - np.outer(a.diagonal(), a.diagonal()))
         for cov, a in zip((xi, e), colors, strict=True)

@@ -1,9 +1,8 @@
-"""Orbits about the Earth: what pulls, steps short and long, Kepler elements. Units: km, km/s, s,
-rad.
+"""Orbits about the Earth: forces, short and long steps, Kepler elements. Units: km, km/s, s, rad.
 
-States are ``(..., 6)``, position then velocity in an Earth-centered inertial equatorial frame. What
-filters call at every step takes arrays as they are and checks none: `acceleration`, `third_body`,
-    `step` (seconds), `advance` and `flow` (minutes).
+States are ``(..., 6)``, position then velocity in an Earth-centered inertial equatorial frame. The
+functions that filters call at every step do not check their arguments: `acceleration`,
+`third_body`, `step` (seconds), `advance` and `flow` (minutes).
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ from celnav.gaussian.spaces import component_major, points_last
 
 
 class UnitWarning(UserWarning):
-    """A number that is possible but looks as if it were in another unit."""
+    """A number that is possible but looks as if it had another unit."""
 
 
 def warn_of_degrees(name: str, angles: ArrayLike) -> None:
@@ -37,7 +36,7 @@ def warn_of_degrees(name: str, angles: ArrayLike) -> None:
 @dataclass(frozen=True)
 class Earth:
     """Gravity and size: ``mu`` km^3/s^2, equatorial ``radius_km``, ``j2`` (0: two bodies only);
-    numbers, or one of each run.
+    numbers, or one for each run.
     """
 
     mu: float = 398600.4418
@@ -60,6 +59,7 @@ def acceleration(position: Array, earth: Earth = EARTH) -> Array:
     """Gravity of two bodies and J2, km/s^2, for positions with the *component axis first*,
     ``(3, ...)`` [Sun2015, Eq. 38].
     """
+    # a_x = k x (1 + 3/2 J2 (R / r)^2 (1 - 5 z^2 / r^2)), k = -mu / r^3; in a_z the 1 - 5 is 3 - 5.
     squares = position * position
     inverse = 1.0 / np.add.reduce(squares)
     k = (-earth.mu * inverse) * np.sqrt(inverse)
@@ -73,8 +73,7 @@ def third_body(position: Array, body: Array, gm: float) -> Array:
     """Acceleration ``(..., 3)`` of a satellite at ``position (..., 3)`` by a ``body (..., 3)`` of
     ``gm`` km^3/s^2, both geocentric.
 
-    In the form that does not subtract attractions which are nearly the same [Battin1987, Eqs.
-    8.60-8.62].
+    This form does not subtract two nearly equal attractions [Battin1987, Eqs. 8.60-8.62].
     """
     q = ((position * (position - 2.0 * body)).sum(-1) / np.square(body).sum(-1))[..., None]
     f = q * (3.0 + q * (3.0 + q)) / (1.0 + (1.0 + q) ** 1.5)
@@ -91,6 +90,7 @@ def step(state: Array, dt: float, earth: Earth = EARTH) -> Array:
     """
     x = component_major(state)
     position, velocity, half = x[:3], x[3:], 0.5 * dt
+    # Runge-Kutta for r'' = a(r), with the velocities of the stages eliminated.
     ahead, end = position + half * velocity, position + dt * velocity
     a1 = acceleration(position, earth)
     a2 = acceleration(ahead, earth)
@@ -108,6 +108,7 @@ def transition(state: Array, dt: float, earth: Earth = EARTH) -> Array:
     exact to 1e-9).
     """
     h = np.repeat([1.0, 1e-3], 3)
+    # (12, 6): plus and minus a step along each axis.
     shifted = np.concatenate([np.diag(h), -np.diag(h)])
     y = step(state[..., None, :] + shifted, dt, earth)
     return (y[..., :6, :] - y[..., 6:, :]).mT / (2.0 * h)
@@ -186,11 +187,12 @@ def to_elements(state: ArrayLike, earth: Earth = EARTH) -> Array:
     """Kepler elements ``(..., 6)`` (a km, e, i, raan, argp, true anomaly in rad, angles in [0, 2
     pi)) of bound orbits.
 
-    For a circular orbit the perigee, for an equatorial one the node, is taken at angle 0.
+    For a circular orbit the perigee, and for an equatorial one the node, is set to angle 0.
     """
     x = check_orbit(state, earth=earth)
     r, v = x[..., :3], x[..., 3:]
     radius = np.linalg.norm(r, axis=-1, keepdims=True)
+    # h = r x v, and e = v x h / mu - r / |r| points to the perigee.
     h = np.cross(r, v)
     size = np.linalg.norm(h, axis=-1)
     e = np.cross(v, h) / earth.mu - r / radius
@@ -201,7 +203,7 @@ def to_elements(state: ArrayLike, earth: Earth = EARTH) -> Array:
     perigee = np.where((eccentricity < 1e-11)[..., None], node, e)
 
     def angle(start: Array, end: Array) -> Array:
-        """From start to end, in the sense of the motion."""
+        """Angle from start to end, in the direction of the motion."""
         return np.asanyarray(
             np.arctan2(np.vecdot(np.cross(start, end), h) / size, np.vecdot(start, end))
             % (2.0 * np.pi)
@@ -215,10 +217,10 @@ def to_elements(state: ArrayLike, earth: Earth = EARTH) -> Array:
     )
 
 
-# -- long steps, and the derivatives that filters ask for ------------------------------------------
-# A step is one polynomial through the accelerations at Gauss-Lobatto nodes, found by Picard
-# iteration. All nodes of all runs are
-# evaluated together: few calls on long arrays, where Runge-Kutta makes many on short ones.
+# -- long steps, and the derivatives that filters need
+# ---------------------------------------------- A step is one polynomial through the accelerations
+# at Gauss-Lobatto nodes, found by Picard iteration. All nodes of all runs are evaluated together:
+# few calls on long arrays, where Runge-Kutta makes many on short ones.
 class Flow(NamedTuple):
     """State ``(..., 6)`` after a step, transition ``Phi (..., 6, 6)`` and the effect
     ``G (..., 6, 6)`` of a held disturbance.
@@ -233,8 +235,8 @@ class Flow(NamedTuple):
 
 
 class Nodes(NamedTuple):
-    """Gauss-Lobatto nodes ``(N,)`` of [0, 1], and ``(N, N)`` what integrates once and twice from 0
-    to each, to degree N - 1.
+    """Gauss-Lobatto nodes ``(N,)`` of [0, 1], and the matrices ``(N, N)`` that integrate once and
+    twice from 0 to each node, to degree N - 1.
     """
 
     at: Array
@@ -245,9 +247,8 @@ class Nodes(NamedTuple):
 def _lobatto(count: int) -> Nodes:
     top = np.eye(count)[-1]
     x = np.concatenate([[-1.0], np.sort(legendre.legroots(legendre.legder(top)).real), [1.0]])
-    series = np.linalg.solve(
-        legendre.legvander(x, count - 1), np.eye(count)
-    )  # of the polynomials that are 1 at one node
+    # Legendre coefficients of the polynomials that are 1 at one node and 0 at the others.
+    series = np.linalg.solve(legendre.legvander(x, count - 1), np.eye(count))
     once = 0.5 * legendre.legint(series, lbnd=-1.0)
     twice = 0.5 * legendre.legint(once, lbnd=-1.0)
     return Nodes(
@@ -259,7 +260,7 @@ NODES = _lobatto(6)
 ROUNDS, ROUNDS_PHI = 6, 3
 """Picard iterations of the orbit and of its transition."""
 Extra = Callable[[Array, Array], Array]
-"""Further accelerations ``(3, N, runs)`` km/s^2 of positions of that shape, ``N`` times ``(N,)`` s
+"""Further accelerations ``(3, N, runs)`` km/s^2 at positions of that shape, ``N`` times ``(N,)`` s
 into the step.
 """
 
@@ -276,6 +277,7 @@ def gradient(position: Array, earth: Earth = EARTH) -> Array:
     plain = cube * (1.0 + k * (1.0 - 5.0 * s))
     outer = cube * inverse * (-3.0 - 5.0 * k + 35.0 * k * s)
     mixed = -10.0 * cube * k * inverse * z
+    # da/dr = plain I + outer r r', plus terms in z; symmetric.
     out = np.empty((3, *position.shape), like=position)
     out[0, 0], out[1, 1] = plain + outer * x * x, plain + outer * y * y
     out[0, 1] = out[1, 0] = outer * x * y
@@ -291,12 +293,12 @@ def advance(state: Array, dt: float, earth: Earth = EARTH, extra: Extra | None =
 
 
 def flow(state: Array, dt: float, earth: Earth = EARTH, extra: Extra | None = None) -> Flow:
-    """`Flow`: `advance` and its derivatives, exact to 2e-8 for 300 s in a low orbit; they leave out
-    the gradient of ``extra``.
+    """`Flow`: `advance` and its derivatives, exact to 2e-8 for 300 s in a low orbit, without the
+    gradient of ``extra``.
     """
     r, end = _orbit(state, dt, earth, extra)
     A = gradient(r, earth)
-    # Positions Y and velocities Z of the transition's columns at the nodes: Y'' = A Y, to begin
+    # Positions Y and velocities Z of the transition's columns at the nodes: Y'' = A Y, starting
     # with Y = [I, t I].
     times, i = dt * NODES.at[:, None], np.arange(3)
     twice, once = dt * dt * NODES.twice, dt * NODES.once
@@ -309,8 +311,8 @@ def flow(state: Array, dt: float, earth: Earth = EARTH, extra: Extra | None = No
     Z = once @ bent
     Z[i, 3 + i] += 1.0
     last = np.concatenate([Y[:, :, -1], Z[:, :, -1]])
-    # The inverse of the transition, which is symplectic, is made of its blocks: its mean is made of
-    # their means.
+    # The transition is symplectic, so its inverse is made of its blocks, and the mean of the
+    # inverse of their means: G = Phi times the integral of Phi^-1.
     y, z = NODES.once[-1] @ Y, NODES.once[-1] @ Z
     a, b, c, d = (np.swapaxes(block, 0, 1) for block in (y[:, :3], y[:, 3:], z[:, :3], z[:, 3:]))
     inverse = np.concatenate([np.concatenate([d, -b], 1), np.concatenate([-c, a], 1)])
@@ -328,6 +330,7 @@ def _orbit(state: Array, dt: float, earth: Earth, extra: Extra | None) -> tuple[
     start = x[:3, None] + times[:, None] * x[3:, None]
     r = x[:3, None] + np.zeros_like(start)
     twice, once = dt * dt * NODES.twice, dt * NODES.once[-1]
+    # Picard: r = r0 + v0 t + the double integral of a(r).
     for _ in range(ROUNDS):
         a = acceleration(r, earth)
         if extra is not None:

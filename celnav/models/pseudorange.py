@@ -1,9 +1,9 @@
-"""Pseudoranges and their rates: where satellites were when they sent, and what a receiver then
-measures.
+"""Pseudoranges and their rates: satellite positions at emission, and the measurements of a
+receiver.
 
 Positions are Earth-fixed at the time of reception, m; clocks are in m (times the speed of light).
 The state of a receiver is ``(p, v, b, d)``: position, velocity, clock bias and drift; with a second
-system of satellites ``(p, v, b, d, o)``, of which ranges have the bias ``b + o``. A measurement has
+system of satellites ``(p, v, b, d, o)``, whose ranges have the bias ``b + o``. A measurement has
 all ranges first, then all rates.
 """
 
@@ -26,7 +26,7 @@ from celnav.models.gnss import (
 
 
 class Sources(NamedTuple):
-    """Satellites as a receiver sees them: positions ``q (..., S, 3)`` m at emission in the
+    """Satellites relative to a receiver: positions ``q (..., S, 3)`` m at emission in the
     Earth-fixed frame of reception, and ``w (..., S, 3)`` m/s with which the rate of the range is
     ``e.(w - v)``, e the unit vector to q; clocks (m, m/s).
     """
@@ -43,11 +43,12 @@ def sources(
     """`Sources`: all satellites for a receiver at ``position (..., 3)``, moving by ``velocity``, at
     times of reception ``t (...)``.
 
-    A position that is off by 10 m changes them by less than 1e-5 m, a velocity by 10 m/s hardly at
+    A position error of 10 m changes them by less than 1e-5 m, a velocity error of 10 m/s hardly at
     all.
     """
     when, place = np.asarray(t, dtype=np.float64)[..., None], np.asarray(position)[..., None, :]
     delay = np.asarray(0.08)
+    # Light time: delay = |q - p| / c, with q turned with the Earth by the delay.
     for _ in range(4):
         state = satellites(broadcast, when - delay)
         q = turned(state.position, ROTATION_RATE * delay)
@@ -62,10 +63,10 @@ def emitted(
     position: Array,
     velocity: Array | float = 0.0,
 ) -> Sources:
-    """The same from measured pseudoranges ``(..., S)`` m: the receiver's clock, which says ``t``,
-    cancels.
+    """The same from measured pseudoranges ``(..., S)`` m: the error of the receiver's clock, which
+    shows ``t``, cancels.
 
-    The Earth turns by the geometric delay; a ``position (..., 3)`` that is off by a kilometer moves
+    The Earth turns during the geometric delay; a ``position (..., 3)`` error of a kilometer moves
     satellites by a centimeter.
     """
     when = np.asarray(t, dtype=np.float64)[..., None]
@@ -99,7 +100,8 @@ def _beside(velocity: Array | float) -> Any:
 def _seen(
     state: SatelliteState, q: Array, delay: Array, place: Array, velocity: Array | float
 ) -> Sources:
-    """With the Doppler effect of the satellite's own motion folded into its velocity."""
+    """`Sources`, with the Doppler effect of the satellite's own motion included in its velocity."""
+    # The rate of the range is e.(v_s - v) / (1 + e.v_i / c), with v_i the inertial velocity.
     moved = turned(state.velocity, ROTATION_RATE * delay)
     inertial = moved + spun(q, ROTATION_RATE)
     away = q - place
@@ -129,6 +131,7 @@ def jacobian(x: Array, q: Array, w: Array, second: Array | None = None) -> Array
     away, relative = q - x[..., None, :3], w - x[..., None, 3:6]
     distance = np.linalg.norm(away, axis=-1, keepdims=True)
     e = away / distance
+    # d(e.u)/dp = -(u - (e.u) e) / distance, with u the relative velocity.
     across = (relative - (e * relative).sum(-1, keepdims=True) * e) / distance
     one, zero = np.ones_like(distance), np.zeros_like(distance)
     ranges = np.concatenate([-e, np.zeros_like(e), one, zero], -1)

@@ -1,5 +1,5 @@
-"""X-ray pulsars: where they are, how well their pulses are timed, and what a timing says of a
-position. Units: km, s.
+"""X-ray pulsars: directions, timing accuracy, and the information of a timing about a position.
+Units: km, s.
 
 The measurement of a pulsar is the delay of a pulse between spacecraft and solar-system barycenter,
 times the speed of light: km. Positions are barycentric, ICRS axes.
@@ -69,9 +69,9 @@ class Pulsar:
     def timing_std(
         self, seconds: float, area_cm2: float = AREA_CM2, background: float = BACKGROUND
     ) -> float:
-        """Deviation (s) of a pulse's time of arrival after so many seconds of observation.
+        """Standard deviation (s) of a pulse's time of arrival after ``seconds`` of observation.
 
-        ``W / (2 SNR)`` with the signal-to-noise ratio of the pulsed photons among all others
+        ``W / (2 SNR)``, with the ratio of the pulsed photons to the noise of all photons
         [Sheikh2006].
         """
         seconds, area_cm2 = (
@@ -97,7 +97,7 @@ def known() -> dict[str, Pulsar]:
 
 
 def pulsars(names: Sequence[str]) -> list[Pulsar]:
-    """Pulsars of `known` by name, in a list; ValueError names one that is not there."""
+    """Pulsars of `known` by name, in a list; ValueError for an unknown name."""
     table = known()
     return [
         table[choice("pulsar", name, table)] for name in sequence("names", names, '["B1937+21"]')
@@ -108,7 +108,7 @@ class Timing:
     """The delays of several pulsars, as functions of a barycentric position [Sheikh2006]: Roemer,
     parallax and Shapiro terms.
 
-    Delays have their whole number of periods. Who measures a phase only knows the rest, which is a
+    Delays include their whole number of periods. A measured phase gives only the rest, which is a
     position within half a period (234 km for B1937+21) at best: see `uncounted`. ValueError if
     three directions or more lie in one plane.
 
@@ -131,8 +131,8 @@ class Timing:
 
     @property
     def uncounted(self) -> Space:
-        """Measurement space (``Sensor(..., space=)``) of pulses that nobody counted: innovations
-        fold into half a period.
+        """Measurement space (``Sensor(..., space=)``) of pulses that are not counted: innovations
+        are folded into half a period.
         """
         periods = LIGHT_KM_S * np.array([p.period_s for p in self.pulsars])
         return Space(minus=partial(_within_half_a_period, periods))
@@ -143,22 +143,23 @@ class Timing:
         """
         b = -np.asarray(sun)
         along, of_b = position @ self.directions.T, b @ self.directions.T
-        square, cross = (part.sum(-1)[..., None] for part in (np.square(position), b * position))
+        square, cross = (terms.sum(-1)[..., None] for terms in (np.square(position), b * position))
+        # n.r + ((n.r)^2 - r^2 + 2 (n.b)(n.r) - 2 b.r) / (2 D), where b is minus the Sun's position.
         parallax = (along * along - square + 2.0 * of_b * along - 2.0 * cross) / (
             2.0 * self.distances
         )
         return np.asanyarray(along + parallax + self.shapiro(position, sun))
 
     def shapiro(self, position: Array, sun: Array) -> Array:
-        """Shapiro delay ``(..., m)`` km as usually printed, with ``|r| + |b|`` for the ``|r + b|``
-        of `shapiro_exact`.
+        """Shapiro delay ``(..., m)`` km as usually printed, with ``|r| + |b|`` instead of
+        ``|r + b|`` in `shapiro_exact`.
         """
         ratio = self._reach(position) / self._reach(-np.asarray(sun))
         return np.asanyarray(2.0 * GM_SUN / LIGHT_KM_S**2 * np.log(np.abs(ratio + 1.0)))
 
     def shapiro_exact(self, position: Array, sun: Array) -> Array:
-        """Shapiro delay ``(..., m)`` km between the barycenter and the position, with the distance
-        from the Sun as it is.
+        """Shapiro delay ``(..., m)`` km between the barycenter and the position, with the true
+        distance from the Sun.
         """
         b = -np.asarray(sun)
         return np.asanyarray(
@@ -179,6 +180,7 @@ class Timing:
             along * n - position[..., None, :] + of_b * n - b[..., None, :]
         ) / self.distances[:, None]
         unit = position[..., None, :] / radius
+        # The gradient of log(n.r + |r| + n.b + |b|).
         shapiro = 2.0 * GM_SUN / LIGHT_KM_S**2 * (n + unit) / (along + radius + of_b + far)
         return np.asanyarray(n + parallax + shapiro)
 

@@ -47,18 +47,14 @@ def angles(position: Array, stars: Array, radius_km: float = EARTH.radius_km) ->
 
 
 def visible(position: Array, stars: Array, radius_km: float = EARTH.radius_km) -> Array:
-    """Which stars ``(..., k)`` the Earth does not hide from positions ``(..., 3)``; True where in
-    view.
-    """
+    """Mask ``(..., k)`` of the stars that the Earth does not hide from positions ``(..., 3)``."""
     A = angles(position, stars, radius_km)
     # Seen from the satellite the Earth's center lies opposite to the position vector.
     return np.asanyarray(np.pi - A[..., :-1] > 0.5 * A[..., -1:])
 
 
 def observe(position: Array, stars: Array, radius_km: float = EARTH.radius_km) -> Array:
-    """`angles`, with nan for each star that the Earth hides: a filter skips those components by
-    itself.
-    """
+    """`angles`, with nan for each star that the Earth hides: a filter skips these components."""
     A = angles(position, stars, radius_km)
     A[..., :-1] = np.where(visible(position, stars, radius_km), A[..., :-1], np.nan)
     return A
@@ -70,6 +66,7 @@ def limb(position: Array, toward: Array, radius_km: float = EARTH.radius_km) -> 
     """
     r = np.linalg.norm(position, axis=-1, keepdims=True)
     up = position / r
+    # The horizontal part of the direction, in the plane of the limb points.
     along = toward - np.sum(toward * up, -1, keepdims=True) * up
     along, sine = along / np.linalg.norm(along, axis=-1, keepdims=True), radius_km / r
     return radius_km * np.stack(
@@ -89,9 +86,9 @@ def position(
     41-42, corrected].
 
     A: angles, ``A3`` between 0 and pi; nan components give nan. separation: between the stars, rad.
-    hemisphere: +1 or -1, the sign of z ``(...)``: the angles cannot tell.
-    strict: raise ValueError for angles that no position has, as noise may leave them; otherwise nan
-        stands there.
+    hemisphere: +1 or -1, the sign of z ``(...)``, which the angles do not determine.
+    strict: raise ValueError for angles that no position has, which noise may cause; otherwise they
+        give nan.
     """
     measured = numbers("A", A, (..., 3))
     if np.isinf(measured).any():
@@ -115,6 +112,7 @@ def position(
             f"A: expected an angular diameter between 0 and pi, got {diameter.min():.6g} to "
             f"{diameter.max():.6g}"
         )
+    # cos A1 = u_x, cos A2 = u_x cos s + u_y sin s, and r = R / sin(A3 / 2).
     ux, c2 = np.cos(measured[..., 0]), np.cos(measured[..., 1])
     uy = (c2 - ux * np.cos(separation)) / np.sin(separation)
     square = 1.0 - ux * ux - uy * uy
@@ -138,12 +136,11 @@ def jacobian(
     place = position(A, separation, hemisphere, radius_km=radius_km)
     r = np.linalg.norm(place, axis=-1, keepdims=True)
     u = place / r
-    if (
-        np.abs(u[..., 2]) < 1e-7
-    ).any():  # z comes of a root: nearer than that there is only rounding
+    # z is a square root: closer to 0 there is only rounding.
+    if (np.abs(u[..., 2]) < 1e-7).any():
         raise ValueError("A: expected a position off the plane of the stars, got z = 0")
     A1, A2, A3 = np.moveaxis(numbers("A", A), -1, 0)
-    # Derivatives of the unit vector with respect to both sides, then those along it.
+    # Derivatives of the unit vector with respect to A1 and A2, then of the radius to A3, along it.
     ux = np.stack([-np.sin(A1), np.zeros_like(A1)], -1)
     uy = np.stack([np.sin(A1) / np.tan(separation), -np.sin(A2) / np.sin(separation)], -1)
     uz = -(u[..., :1] * ux + u[..., 1:2] * uy) / u[..., 2:]
@@ -152,8 +149,8 @@ def jacobian(
 
 
 def pseudo_position_covariance(position_km: Array, separation: float, sigma: ArrayLike) -> Array:
-    """Covariance ``(..., 3, 3)`` km^2 of the pseudo-position for angle deviations ``sigma (3,)``
-    rad, with a warning beyond 1.
+    """Covariance ``(..., 3, 3)`` km^2 of the pseudo-position for standard deviations ``sigma (3,)``
+    rad of the angles, with a warning above 1.
     """
     deviations, position_km = (
         finite("sigma", sigma, (3,)),
@@ -165,6 +162,7 @@ def pseudo_position_covariance(position_km: Array, separation: float, sigma: Arr
             "angles are in radians"
         )
         warnings.warn(text, UnitWarning, stacklevel=2)
+    # P = J diag(sigma^2) J', so J diag(sigma) is a root of it.
     half = deviations * jacobian(
         angles(position_km, star_directions(separation)), separation, np.sign(position_km[..., 2])
     )

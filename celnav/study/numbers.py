@@ -214,8 +214,8 @@ def given(label: str, value: float, accept: Bounds = (None, None)) -> Decided:
 def operations(
     label: str, a: str, b: str, accept: Bounds = (None, None), compare: Any = np.divide
 ) -> Decided:
-    """Operations of a step of one filter over those of another, as the part "operations" has counted
-    them (`celnav.study.operations.counted`), or how else they are compared."""
+    """Operations of a step of one filter over those of another, as the part "operations" has
+    counted them (`celnav.study.operations.counted`), or how else they are compared."""
     return lambda r: Number(
         label, float(compare(r.get("operations", a)[0], r.get("operations", b)[0])), accept
     )

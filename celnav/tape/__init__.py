@@ -1,5 +1,5 @@
-"""Arithmetic that is recorded once and made into machine code: numbers that remember how they came
-about, and their compilers.
+"""Arithmetic that is recorded once and compiled: numbers that remember the operations that made
+them, and the compilers.
 
-Nothing here knows of filters.
+This room does not depend on filters.
 """

@@ -1,5 +1,5 @@
-"""A tape as C: one C99 function without loops, branches or memory of its own, that needs nothing
-but ``math.h``.
+"""A tape as C: one C99 function without loops, branches or memory of its own, which needs only
+``math.h``.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ _INFIX = {
 
 
 def function(kernel: Kernel, name: str, places: dict[str, str], comment: Sequence[str]) -> str:
-    """The definition of a function of a kernel; ``places``: the names of its arguments that stand
-    for its places, "rows" too.
+    """The C function of a kernel; ``places``: the names of its arguments for each place, including
+    "rows".
     """
     tape, results = kernel.tape, kernel.results()
     lines = [f"/* {comment[0]}", *(f" * {line}" for line in comment[1:]), " */"] if comment else []
@@ -47,7 +47,7 @@ def function(kernel: Kernel, name: str, places: dict[str, str], comment: Sequenc
 
 
 def arguments(places: dict[str, str]) -> str:
-    """Of the function: what it only reads is const."""
+    """The arguments of the function; const if they are only read."""
     return ", ".join(
         f"{'' if place in ('state', 'rows') else 'const '}double *{name}"
         for place, name in places.items()
@@ -55,7 +55,7 @@ def arguments(places: dict[str, str]) -> str:
 
 
 def _value(tape: Tape, i: int) -> str:
-    """The name of a number, or the number in hexadecimal digits, which lose nothing."""
+    """The name of a number, or its value in hexadecimal digits, which are exact."""
     op, *at = tape.ops[i]
     if op != "const":
         return f"t{i}"

@@ -1,4 +1,4 @@
-"""A device of NVIDIA's, through its driver by ctypes: memory, and flights by the programs of
+"""An NVIDIA device, through its driver by ctypes: memory, and runs by the programs of
 `celnav.tape.ptx`.
 """
 
@@ -16,19 +16,19 @@ from numpy.typing import NDArray
 
 from celnav.tape.ptx import TARGET
 
-THREADS = 64  # of a block: registers are what they are short of
-MOST = 1 << 32  # bytes that are copied at once, which the host holds too
+THREADS = 64  # of a block: registers are the scarce resource
+MOST = 1 << 32  # bytes copied at once, which the host must hold, too
 _ERROR_LOG, _ERROR_LOG_SIZE = 5, 6  # options of the driver's compiler
 _MAJOR, _MINOR = 75, 76  # attributes of a device: its compute capability
 
 
 class CudaError(RuntimeError):
-    """There is no driver or no device, or a call of it failed; the message says which and how."""
+    """There is no driver or no device, or a call of the driver failed; the message says which."""
 
 
 @cache
 def device() -> Device:
-    """The first device that CUDA_VISIBLE_DEVICES leaves."""
+    """The first device in CUDA_VISIBLE_DEVICES."""
     return Device(_driver())
 
 
@@ -44,19 +44,19 @@ def _driver() -> Any:
 
 
 class Device:
-    """A device, and the programs that it has been given."""
+    """A device, and the programs loaded on it."""
 
     def __init__(self, driver: Any):
         self.driver, self._entries = driver, dict[str, Any]()
-        number, self._context, found = ctypes.c_int(), ctypes.c_void_p(), list[int]()
+        number, self._context, capability = ctypes.c_int(), ctypes.c_void_p(), list[int]()
         self._do("cuInit", ctypes.c_uint(0))
         self._do("cuDeviceGet", ctypes.byref(number), ctypes.c_int(0))
         for attribute in (_MAJOR, _MINOR):
             value = ctypes.c_int()
             self._do("cuDeviceGetAttribute", ctypes.byref(value), ctypes.c_int(attribute), number)
-            found.append(value.value)
-        if tuple(found) < TARGET:
-            least, its = (".".join(map(str, version)) for version in (TARGET, found))
+            capability.append(value.value)
+        if tuple(capability) < TARGET:
+            least, its = (".".join(map(str, version)) for version in (TARGET, capability))
             raise CudaError(
                 f"engine='cuda': expected a device of compute capability {least} or higher, got "
                 f"{its}"
@@ -64,7 +64,7 @@ class Device:
         self._do("cuDevicePrimaryCtxRetain", ctypes.byref(self._context), number)
 
     def entry(self, program: str) -> Any:
-        """The entry of a program, which the driver compiles when it first sees it."""
+        """The entry of a program, which the driver compiles at its first use."""
         if program not in self._entries:
             self._do("cuCtxSetCurrent", self._context)
             module, entry, log = (
@@ -89,8 +89,8 @@ class Device:
         return self._entries[program]
 
     def room(self) -> int:
-        """Bytes that a flight may take: half of what is free, because the threads' own memory comes
-        out of it too.
+        """Bytes that a run may use: half of the free memory, because the memory of the threads
+        comes out of it, too.
         """
         self._do("cuCtxSetCurrent", self._context)
         free, whole = ctypes.c_size_t(), ctypes.c_size_t()
@@ -109,9 +109,9 @@ class Device:
         """
         state, shared, own, rows = arrays
         self._do("cuCtxSetCurrent", self._context)
-        given: tuple[NDArray[Any], ...] = kinds, at, state, shared, own
-        with self._memory([x.nbytes for x in (*given, rows)]) as places:
-            for place, x in zip(places, given, strict=False):
+        inputs: tuple[NDArray[Any], ...] = kinds, at, state, shared, own
+        with self._memory([x.nbytes for x in (*inputs, rows)]) as places:
+            for place, x in zip(places, inputs, strict=False):
                 self._do(
                     "cuMemcpyHtoD_v2",
                     place,
@@ -124,6 +124,7 @@ class Device:
                 *map(ctypes.c_int64, (shared.shape[1], width, int(at.max()) + 1, runs, steps)),
             ]
             pointers = (ctypes.c_void_p * len(values))(*map(ctypes.addressof, values))
+            # Blocks in three dimensions, threads in three dimensions, bytes of shared memory.
             grid = (-(-runs // THREADS), 1, 1, THREADS, 1, 1, 0)
             self._do("cuLaunchKernel", entry, *map(ctypes.c_uint, grid), None, pointers, None)
             self._do("cuCtxSynchronize")
@@ -137,7 +138,7 @@ class Device:
 
     @contextmanager
     def _memory(self, sizes: Sequence[int]) -> Iterator[list[ctypes.c_uint64]]:
-        """Places of so many bytes each, which are given back at the end, however that comes."""
+        """Blocks of device memory of the given sizes, freed at the end in any case."""
         places = list[ctypes.c_uint64]()
         try:
             for size in sizes:
@@ -150,8 +151,8 @@ class Device:
                 self.driver.cuMemFree_v2(place)
 
     def _do(self, name: str, *arguments: Any, log: Any = None, asked: int | None = None) -> None:
-        """Call a function of the driver; its error, with what the compiler's ``log`` says, or how
-        many bytes were ``asked`` for.
+        """Call a function of the driver; an error includes the compiler's ``log``, or the number of
+        bytes ``asked`` for.
         """
         status = getattr(self.driver, name)(*arguments)
         if status == 0:

@@ -1,8 +1,8 @@
-"""Derivatives of what is on a tape, by the chain rule forward: exact, where differences would cost
-half of the digits.
+"""Derivatives of the operations on a tape, by the chain rule in forward mode: exact, where
+differences would cost half of the digits.
 
-`along` and `at_zero` differentiate by variables of a model, `with_slopes` a whole step by a
-parameter of its filter.
+`along` and `at_zero` differentiate with respect to variables of a model, `with_slopes` a whole step
+with respect to a parameter of its filter.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from celnav.tape.routine import Loop
 from celnav.tape.tape import Scalar, Tape, TracedScalar, emit, operands
 
 Slopes = dict[int, Scalar]
-"""Derivatives with respect to some variables, by their number; of the others it is 0."""
+"""Derivatives with respect to some variables, by their number; all others are 0."""
 Carried = tuple[Scalar, Slopes]
 """A value and its derivatives."""
 
 
 def along(center: Any, roots: Sequence[Any]) -> list[Any]:
-    """One point ``(1, n)`` of each root ``(n, q)``, its columns times variables that are 0, which
-    `at_zero` differentiates by.
+    """One point ``(1, n)`` for each root ``(n, q)``: its columns times variables that are 0, with
+    respect to which `at_zero` differentiates.
     """
     tape = tape_of(center, *roots)
     assert tape is not None
@@ -41,19 +41,20 @@ def along(center: Any, roots: Sequence[Any]) -> list[Any]:
 
 
 def at_zero(y: Any) -> tuple[TracedArray, TracedArray]:
-    """Values ``(...)`` of numbers where the tape's last variables are 0, and their derivatives
+    """Values ``(...)`` of numbers at zero of the tape's last variables, and their derivatives
     ``(..., count)`` there.
     """
-    found = next((x for x in y.flat if isinstance(x, TracedScalar)), None)
-    count = len(found.tape.variables) if found is not None else 0
+    first = next((x for x in y.flat if isinstance(x, TracedScalar)), None)
+    count = len(first.tape.variables) if first is not None else 0
     value, slope = TracedArray(y.shape), TracedArray((*y.shape, count))
-    if found is None:
+    if first is None:
         value[...] = y
         return value, slope
-    known: dict[int, Carried] = {x.i: (0.0, {k: 1.0}) for k, x in enumerate(found.tape.variables)}
+    # Variable k has value 0 and derivative 1 with respect to itself.
+    duals: dict[int, Carried] = {x.i: (0.0, {k: 1.0}) for k, x in enumerate(first.tape.variables)}
     for at in np.ndindex(*y.shape):
         value[at], slopes = (
-            _carried(y[at], known) if isinstance(y[at], TracedScalar) else (y[at], {})
+            _carried(y[at], duals) if isinstance(y[at], TracedScalar) else (y[at], {})
         )
         for k, x in slopes.items():
             slope[(*at, k)] = x
@@ -61,96 +62,101 @@ def at_zero(y: Any) -> tuple[TracedArray, TracedArray]:
 
 
 def with_slopes(kernel: Kernel, seeds: Collection[int]) -> Kernel:
-    """The step that carries with each number of its state the derivative by one parameter; it keeps
-    no rows.
+    """The step that also propagates the derivative of each number of its state with respect to one
+    parameter; it stores no rows.
 
     Number ``i`` of the state stands at ``2 i``, its derivative after it. seeds: the numbers before
     the step, by index, whose derivative may not be 0.
     """
-    tape, known = kernel.tape, dict[int, Carried]()
+    tape, duals = kernel.tape, dict[int, Carried]()
     inputs = [(place, 2 * at if place == "state" else at) for place, at in kernel.inputs]
     for number, (place, at) in enumerate(kernel.inputs):
         if place == "state" and at in seeds:
             x = tape.node("in", number)
-            known[x.i] = x, {0: tape.input()}
+            duals[x.i] = x, {0: tape.input()}
             inputs.append(("state", 2 * at + 1))
     state = []
     for at, y in kernel.state:
         slopes = (
-            _carried(y, known, _SMOOTH)[1] if isinstance(y, TracedScalar) and not y.logical else {}
+            _carried(y, duals, _SMOOTH)[1] if isinstance(y, TracedScalar) and not y.logical else {}
         )
+        # A number that depends on no seed has slope 0.
         state += [(2 * at, y), (2 * at + 1, slopes.get(0, 0.0))]
     return Kernel(tape, inputs, state, [])
 
 
 def _carried(
-    x: TracedScalar, known: dict[int, Carried], partials: Mapping[str, Partials] | None = None
+    x: TracedScalar, duals: dict[int, Carried], partials: Mapping[str, Partials] | None = None
 ) -> Carried:
-    """Value and derivatives of a number; ``known``: those found already; ``partials``: of
-    operations, None: `_PARTIALS`.
+    """Value and derivatives of a number; ``duals``: those of earlier numbers; ``partials``: partial
+    derivatives of the operations, None: `_PARTIALS`.
     """
+    # Without recursion: an operation waits on the stack until its operands are done.
     tape, stack = x.tape, [x.i]
     memory: dict[int, list[Carried] | None] = {}
     while stack:
         i = stack[-1]
-        if i in known or i in memory:
+        if i in duals or i in memory:
             stack.pop()
             continue
         op = tape.ops[i]
-        missing = [a for a in operands(op) if a not in known and a not in memory]
+        missing = [a for a in operands(op) if a not in duals and a not in memory]
         if missing:
             stack += missing
             continue
         name, *arguments = op
         if name == "call":
-            given = [known[a] for a in arguments[1:]]
+            inputs = [duals[a] for a in arguments[1:]]
             same = all(
-                _same(tape, a, value) for a, (value, _) in zip(arguments[1:], given, strict=True)
+                _same(tape, a, value) for a, (value, _) in zip(arguments[1:], inputs, strict=True)
             )
             memory[i] = (
                 None
-                if same and not any(slopes for _, slopes in given)
-                else _inside(arguments[0], given, partials or _PARTIALS)
+                if same and not any(slopes for _, slopes in inputs)
+                else _inside(arguments[0], inputs, partials or _PARTIALS)
             )
         elif name == "part":
+            # None: the arguments of the call are unchanged and have no derivatives.
             cells = memory[arguments[0]]
-            known[i] = (TracedScalar(tape, i), {}) if cells is None else cells[arguments[1]]
+            duals[i] = (TracedScalar(tape, i), {}) if cells is None else cells[arguments[1]]
         elif name in ("in", "const"):
-            known[i] = (TracedScalar(tape, i) if name == "in" else arguments[0], {})
+            duals[i] = (TracedScalar(tape, i) if name == "in" else arguments[0], {})
         else:
-            values, slopes = [known[a][0] for a in arguments], [known[a][1] for a in arguments]
+            values, slopes = [duals[a][0] for a in arguments], [duals[a][1] for a in arguments]
             same = all(_same(tape, a, value) for a, value in zip(arguments, values, strict=True))
+            # The operation is emitted again as it was recorded: within a model, or not.
             tape.model = tape.modeled[i]
             value = TracedScalar(tape, i) if same else emit(name, *values)
             tape.model = False
-            known[i] = (value, _chained(name, value, values, slopes, partials or _PARTIALS))
-    return known[x.i]
+            duals[i] = (value, _chained(name, value, values, slopes, partials or _PARTIALS))
+    return duals[x.i]
 
 
 def _inside(
-    routine: Loop, given: Sequence[Carried], partials: Mapping[str, Partials]
+    routine: Loop, inputs: Sequence[Carried], partials: Mapping[str, Partials]
 ) -> list[Carried]:
-    """Cells of a routine after it, row by row."""
-    cells: list[Any] = [*given, *[None] * (routine.cells - len(given))]
+    """Cells of a routine after it, computed row by row."""
+    cells: list[Any] = [*inputs, *[None] * (routine.cells - len(inputs))]
     for stage in routine.stages:
+        # The loop is unrolled: each row is emitted once, on the cells left by the previous row.
         for row in range(stage.rows):
             at = {place: first + row * stride for place, (first, stride) in stage.places.items()}
-            known: list[Carried] = []
+            duals: list[Carried] = []
             for name, *arguments in stage.tape.ops:
                 if name == "in":
                     place, index = stage.inputs[arguments[0]]
-                    known.append(cells[at[place] + index])
+                    duals.append(cells[at[place] + index])
                 elif name == "const":
-                    known.append((arguments[0], {}))
+                    duals.append((arguments[0], {}))
                 else:
                     values, slopes = (
-                        [known[a][0] for a in arguments],
-                        [known[a][1] for a in arguments],
+                        [duals[a][0] for a in arguments],
+                        [duals[a][1] for a in arguments],
                     )
                     value = emit(name, *values)
-                    known.append((value, _chained(name, value, values, slopes, partials)))
+                    duals.append((value, _chained(name, value, values, slopes, partials)))
             for place, index, x in stage.results:
-                cells[at[place] + index] = known[x.i]
+                cells[at[place] + index] = duals[x.i]
     return cells
 
 
@@ -165,13 +171,17 @@ def _chained(
     slopes: list[Slopes],
     partials: Mapping[str, Partials],
 ) -> Slopes:
-    """Derivatives of an operation."""
+    """Derivatives of an operation: the sum of its partial derivatives times the operands'
+    slopes.
+    """
     if name == "select":
+        # The condition has no derivative.
         _, a, b = slopes
         return {
             k: emit("select", values[0], a.get(k, 0.0), b.get(k, 0.0))
             for k in sorted(a.keys() | b.keys())
         }
+    # dv = sum over the operands of (partial derivative) times (slope).
     out: Slopes = {}
     for partial, slope in zip(partials.get(name, ()), slopes, strict=False):
         if slope:
@@ -228,4 +238,4 @@ _PARTIALS: dict[str, Partials] = {
 _SMOOTH = _PARTIALS | {
     "sqrt": (lambda v, _a: emit("select", emit("eq", v, 0.0), 0.0, emit("div", 0.5, v)),)
 }
-"""The length of a row of zeros, which a singular root has, stays 0."""
+"""The square root has slope 0 at 0: a row of zeros, which a singular root has, keeps length 0."""

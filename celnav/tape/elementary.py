@@ -1,11 +1,11 @@
-"""Functions of the C library as arithmetic on a tape: all runs of a vector at once, and on any
+"""Functions of the C library as arithmetic on a tape: for all runs of a vector at once, and on any
 device.
 
-`expand_elementary` writes a tape anew with them. They are within two units in the last place of the
-C library's (three for the tangent and for hyperbolic sine and tangent), a power ``x^y`` within
-``2 + 2 |y log x|`` units. Whole powers of whole numbers, and their logarithms to base 2 and 10, are
-exact, and so are remainders. An argument of sine and cosine beyond 1e14 rad, and a remainder of
-2^53 periods, give nan: a run that is lost is flown again by the numpy engine.
+`expand_elementary` rewrites a tape with them. They are within two units in the last place of the C
+library's (three for the tangent and for hyperbolic sine and tangent), a power ``x^y`` within
+``2 + 2 |y log x|`` units. Whole powers of whole numbers, logarithms of powers of 2 and 10 to these
+bases, and remainders are exact. An argument of sine and cosine beyond 1e14 rad, and a remainder of
+2^53 periods, give nan: the run fails, and the numpy engine runs it again.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from math import factorial, inf, nan, pi
 
 from celnav.tape.tape import Scalar, Tape, TracedScalar, as_number, emit
 
-FARTHEST = 1e14  # rad; one float is a hundredth of a radian from the next there
+FARTHEST = 1e14  # rad; there neighboring floats are a hundredth of a radian apart
 LOG10_2 = (3.01029995663611771306e-01, 3.69423907715893078616e-13)
 LN2 = (6.93147180369123816490e-01, 1.90821492927058770002e-10)
 HALF_PI = (1.5707963267948966, 6.123233995736766e-17, -1.4973849048591833e-33)
-"""As sums, the first of which is as much as a float holds (of the logarithm: with zeros at its
-end).
+"""As sums, the first term of which has as many digits as a float holds (those of logarithms end
+with zeros).
 """
 _SINE = (
     -1.66666666666666324348e-01,
@@ -69,29 +69,33 @@ _ATAN_BELOW = (
 def expand_elementary(
     tape: Tape, outputs: Sequence[TracedScalar]
 ) -> tuple[Tape, dict[int, Scalar]]:
-    """A tape without these functions, and what has become of each number that the outputs need."""
+    """A tape without these functions, and the new number for each number that the outputs need."""
     new = Tape()
-    known: dict[int, Scalar] = {}
+    mapped: dict[int, Scalar] = {}
     for i in tape.needed(outputs):
         name, *at = tape.ops[i]
         if name == "in":
-            known[i] = new.node("in", at[0])
-            new.absent[known[i].i] = tape.absent[i]
+            mapped[i] = new.node("in", at[0])
+            new.absent[mapped[i].i] = tape.absent[i]
         elif name == "const":
-            known[i] = at[0]
+            mapped[i] = at[0]
         elif name == "call":
-            known[i] = new.node(
-                name, at[0].lowered(), *(new.lift(as_number(known[a])).i for a in at[1:])
+            mapped[i] = new.node(
+                name, at[0].lowered(), *(new.lift(as_number(mapped[a])).i for a in at[1:])
             )
         elif name == "part":
-            known[i] = new.node(name, known[at[0]].i, at[1])
+            mapped[i] = new.node(name, mapped[at[0]].i, at[1])
         else:
-            own = EXPANSIONS.get(name)
-            values = [known[a] for a in at]
-            known[i] = own(*values) if own else new.node(name, *(new.lift(x).i for x in values))
-        if i in tape.sharp and type(known[i]) is TracedScalar:
-            new.sharp.add(known[i].i)
-    return new, known
+            expansion = EXPANSIONS.get(name)
+            values = [mapped[a] for a in at]
+            mapped[i] = (
+                expansion(*values)
+                if expansion
+                else new.node(name, *(new.lift(x).i for x in values))
+            )
+        if i in tape.sharp and type(mapped[i]) is TracedScalar:
+            new.sharp.add(mapped[i].i)
+    return new, mapped
 
 
 def _polynomial(x: Scalar, coefficients: Sequence[float]) -> Scalar:
@@ -106,15 +110,17 @@ def _select(condition: Scalar, a: Scalar, b: Scalar) -> Scalar:
 
 
 def _quarters(x: Scalar) -> tuple[Scalar, Scalar, Scalar, Scalar]:
-    """Sine and cosine of what is left of an angle after whole quarters of a turn, their number
+    """Sine and cosine of the remainder of an angle after whole quarters of a turn, their number
     modulo 4, and whether it is odd.
     """
+    # x = n pi/2 + r; pi/2 is a sum of three floats, so that r keeps its digits.
     n = emit("rint", emit("mul", x, 2.0 / pi))
     r = x
-    for part in HALF_PI:
-        r = emit("sub", r, emit("mul", n, part))
+    for term in HALF_PI:
+        r = emit("sub", r, emit("mul", n, term))
     r = _select(emit("le", emit("abs", x), FARTHEST), r, nan)
     z = emit("mul", r, r)
+    # sin r = r + r z P(z), and cos r = 1 - z / 2 + z^2 Q(z), with z = r^2.
     sine = emit("add", r, emit("mul", emit("mul", r, z), _polynomial(z, _SINE)))
     cosine = emit(
         "add",
@@ -140,7 +146,7 @@ def cos(x: Scalar) -> Scalar:
 
 
 def exp(x: Scalar) -> Scalar:
-    """Exponential: of ``x = n ln 2 + r``, 2 to the n times a polynomial of r."""
+    """Exponential: with ``x = n ln 2 + r``, 2 to the n times a polynomial of r."""
     n = emit(
         "rint",
         emit(
@@ -163,6 +169,7 @@ def exp(x: Scalar) -> Scalar:
 def exp2(x: Scalar) -> Scalar:
     """Two to the power of a number."""
     n = emit("rint", _select(emit("lt", emit("abs", x), 1100.0), x, emit("copysign", 1100.0, x)))
+    # 2^x = 2^n exp((x - n) ln 2)
     value = _times_pow2(_polynomial(emit("mul", emit("sub", x, n), 0.6931471805599453), _EXP), n)
     return _select(
         emit("lt", x, -1074.0), 0.0, _select(emit("lt", x, 1024.0), value, emit("mul", x, inf))
@@ -170,18 +177,19 @@ def exp2(x: Scalar) -> Scalar:
 
 
 def _times_pow2(x: Scalar, n: Scalar) -> Scalar:
-    """``x 2^n``, in two factors, since one of them may not be a normal number."""
+    """``x 2^n``, in two factors, since one factor need not be a normal number."""
     half = emit("floor", emit("mul", n, 0.5))
     return emit("mul", emit("mul", x, emit("pow2", half)), emit("pow2", emit("sub", n, half)))
 
 
 def _less_one(x: Scalar) -> tuple[Scalar, Scalar]:
-    """Numbers m and n, with which the exponential less one is ``m 2^n``:
-    ``m = (e^r - 1) + (1 - 2^-n)``, of ``x = n ln 2 + r``.
+    """Numbers m and n, so that the exponential less one is ``m 2^n``: with ``x = n ln 2 + r``,
+    ``m = (e^r - 1) + (1 - 2^-n)``.
     """
     x = _select(emit("lt", 800.0, emit("abs", x)), emit("copysign", 800.0, x), x)
     n = emit("rint", emit("mul", x, 1.4426950408889634))
     r = emit("sub", emit("sub", x, emit("mul", n, LN2[0])), emit("mul", n, LN2[1]))
+    # For |n| > 60 the term 2^-n is negligible or dominant: its exponent may be clipped.
     clipped = _select(emit("lt", 60.0, emit("abs", n)), emit("copysign", 60.0, n), n)
     return emit(
         "add",
@@ -191,19 +199,18 @@ def _less_one(x: Scalar) -> tuple[Scalar, Scalar]:
 
 
 def expm1(x: Scalar) -> Scalar:
-    """Exponential less one."""
+    """Exponential minus one."""
     return _select(emit("lt", x, -40.0), -1.0, _times_pow2(*_less_one(x)))
 
 
 def sinh(x: Scalar) -> Scalar:
-    """Hyperbolic sine: ``t + t / (2 t + 1)``, with t half of the exponential less one."""
+    """Hyperbolic sine: ``t + t / (2 t + 1)``, with t half of the exponential minus one."""
     size = emit("abs", x)
     m, n = _less_one(size)
     t = _times_pow2(m, emit("sub", n, 1.0))
     rest = _select(emit("lt", t, 1e20), emit("div", t, emit("add", emit("add", t, t), 1.0)), 0.0)
-    return emit(
-        "copysign", _select(emit("lt", size, 1e-9), size, emit("add", t, rest)), x
-    )  # half of a small number may have lost a bit
+    # Half of a very small number may have lost a bit: return the number itself.
+    return emit("copysign", _select(emit("lt", size, 1e-9), size, emit("add", t, rest)), x)
 
 
 def cosh(x: Scalar) -> Scalar:
@@ -214,7 +221,7 @@ def cosh(x: Scalar) -> Scalar:
 
 
 def tanh(x: Scalar) -> Scalar:
-    """Hyperbolic tangent: ``t / (t + 2)``, with t the exponential of 2 x less one."""
+    """Hyperbolic tangent: ``t / (t + 2)``, with t the exponential of 2 x minus one."""
     size = emit("abs", x)
     t = _times_pow2(*_less_one(emit("add", size, size)))
     return emit(
@@ -223,7 +230,7 @@ def tanh(x: Scalar) -> Scalar:
 
 
 def log1p(x: Scalar) -> Scalar:
-    """Logarithm of one more: of the sum as it is rounded, and what that lacks."""
+    """Logarithm of 1 + x: the logarithm of the rounded sum, plus a correction for its rounding."""
     more = emit("add", 1.0, x)
     inside = emit("and", emit("lt", 0.0, more), emit("lt", more, inf))
     return emit(
@@ -234,9 +241,10 @@ def log1p(x: Scalar) -> Scalar:
 
 
 def cbrt(x: Scalar) -> Scalar:
-    """Cube root, by logarithm, and a step of Newton's."""
+    """Cube root, by logarithm and one Newton step."""
     size = emit("abs", x)
     y = exp(emit("mul", log(size), 1.0 / 3.0))
+    # Newton: y - (y - |x| / y^2) / 3
     y = emit("sub", y, emit("mul", emit("sub", y, emit("div", size, emit("mul", y, y))), 1.0 / 3.0))
     return _select(
         emit("and", emit("lt", 0.0, size), emit("lt", size, inf)), emit("copysign", y, x), x
@@ -244,14 +252,17 @@ def cbrt(x: Scalar) -> Scalar:
 
 
 def _near_one(x: Scalar) -> tuple[Scalar, Scalar, Scalar, Scalar]:
-    """Of ``x = 2^k m``, with m near 1: k, and numbers f, a and b, with which
-    ``log m = f - (a - b)``, by ``2 artanh``.
+    """For ``x = 2^k m``, with m near 1: k, and numbers f, a and b with ``log m = f - (a - b)``, by
+    ``2 artanh``.
     """
+    # With s = f / (2 + f): log(1 + f) = f - (f^2 / 2 - s (f^2 / 2 + R(s^2))).
     small = emit("lt", x, 1e-300)
+    # Very small numbers, which may be subnormal, are scaled by 2^54.
     whole = _select(small, emit("mul", x, 2.0**54), x)
     k = emit("exponent", whole)
     m = _times_pow2(whole, emit("neg", k))
     large = emit("lt", 1.4142135623730951, m)
+    # Keep m between sqrt(1/2) and sqrt(2).
     m, k = _select(large, emit("mul", 0.5, m), m), emit("add", k, _select(large, 1.0, 0.0))
     k = emit("sub", k, _select(small, 54.0, 0.0))
     f = emit("sub", m, 1.0)
@@ -262,7 +273,7 @@ def _near_one(x: Scalar) -> tuple[Scalar, Scalar, Scalar, Scalar]:
 
 
 def _logarithm(x: Scalar, value: Scalar) -> Scalar:
-    """The value where x is positive and finite."""
+    """The value if x is positive and finite."""
     value = _select(emit("lt", x, inf), value, x)
     return _select(emit("lt", 0.0, x), value, _select(emit("eq", x, 0.0), -inf, nan))
 
@@ -270,29 +281,31 @@ def _logarithm(x: Scalar, value: Scalar) -> Scalar:
 def log(x: Scalar) -> Scalar:
     """Logarithm."""
     k, f, a, b = _near_one(x)
+    # log x = k ln 2 + f - (a - b), with ln 2 as the sum of two floats.
     rest = emit("sub", a, emit("add", b, emit("mul", k, LN2[1])))
     return _logarithm(x, emit("sub", emit("mul", k, LN2[0]), emit("sub", rest, f)))
 
 
 def log2(x: Scalar) -> Scalar:
-    """Logarithm to base 2, exact of its powers."""
+    """Logarithm to base 2, exact for powers of 2."""
     k, f, a, b = _near_one(x)
-    part = emit("mul", emit("sub", f, emit("sub", a, b)), 1.4426950408889634)
-    return _logarithm(x, emit("add", k, part))
+    fraction = emit("mul", emit("sub", f, emit("sub", a, b)), 1.4426950408889634)
+    return _logarithm(x, emit("add", k, fraction))
 
 
 def log10(x: Scalar) -> Scalar:
-    """Logarithm to base 10, exact of its powers."""
+    """Logarithm to base 10, exact for powers of 10."""
     k, f, a, b = _near_one(x)
-    part = emit("mul", emit("sub", f, emit("sub", a, b)), 0.4342944819032518)
-    part = emit("add", emit("mul", k, LOG10_2[1]), part)
-    return _logarithm(x, emit("add", emit("mul", k, LOG10_2[0]), part))
+    fraction = emit("mul", emit("sub", f, emit("sub", a, b)), 0.4342944819032518)
+    fraction = emit("add", emit("mul", k, LOG10_2[1]), fraction)
+    return _logarithm(x, emit("add", emit("mul", k, LOG10_2[0]), fraction))
 
 
 def power(x: Scalar, y: Scalar) -> Scalar:
     """``x^y``: by squares for whole y below 128, by logarithm for others."""
     size, whole = emit("abs", x), emit("eq", emit("floor", y), y)
     rest, square, product = emit("abs", y), x, 1.0
+    # The bits of |y|, the lowest first; the rest is 0 if |y| < 128.
     for _ in range(7):
         half = emit("floor", emit("mul", 0.5, rest))
         odd = emit("eq", emit("sub", rest, emit("add", half, half)), 1.0)
@@ -300,6 +313,7 @@ def power(x: Scalar, y: Scalar) -> Scalar:
         rest, square = half, emit("mul", square, square)
     product = _select(emit("lt", y, 0.0), emit("div", 1.0, product), product)
     value = _select(emit("eq", size, 1.0), 1.0, exp(emit("mul", y, log(size))))
+    # A negative x needs a whole y, and an odd y makes the result negative.
     half = emit("mul", 0.5, y)
     value = _select(
         emit("lt", x, 0.0),
@@ -312,19 +326,19 @@ def power(x: Scalar, y: Scalar) -> Scalar:
 
 
 def fmod(x: Scalar, y: Scalar) -> Scalar:
-    """Remainder of the sign of x: exact, since what a fused product leaves of a quotient is."""
+    """Remainder with the sign of x: exact, because a fused multiply-add leaves no rounding."""
     size, period = emit("abs", x), emit("abs", y)
     ratio = emit("div", size, period)
+    # |x| - floor(|x| / |y|) |y|
     left = emit("fma", emit("floor", ratio), emit("neg", period), size)
-    left = _select(
-        emit("lt", left, 0.0), emit("add", left, period), left
-    )  # the ratio was rounded up
+    # The ratio may have been rounded up.
+    left = _select(emit("lt", left, 0.0), emit("add", left, period), left)
     left = _select(emit("lt", ratio, 2.0**53), left, nan)
     return emit("copysign", _select(emit("lt", size, period), size, left), x)
 
 
 def hypot(x: Scalar, y: Scalar) -> Scalar:
-    """Length: squares that would leave the range of floats are taken of scaled numbers."""
+    """Length of a vector; numbers are scaled if their squares would leave the range of floats."""
     square = emit("add", emit("mul", x, x), emit("mul", y, y))
     far, near = emit("lt", 1e300, square), emit("lt", square, 1e-280)
     down, up = (_select(far, c, _select(near, 1.0 / c, 1.0)) for c in (2.0**-600, 2.0**600))
@@ -336,6 +350,7 @@ def atan2(y: Scalar, x: Scalar) -> Scalar:
     """Angle of a point, from -pi to pi."""
     across, along = emit("abs", y), emit("abs", x)
     steep = emit("lt", along, across)
+    # Reduce to 0 <= t <= 1, then to |t| <= 0.66 by atan t = pi/4 + atan((t - 1) / (t + 1)).
     low, high = _select(steep, along, across), _select(steep, across, along)
     t = emit("div", low, _select(emit("eq", high, 0.0), 1.0, high))
     t = _select(emit("and", emit("eq", low, inf), emit("eq", high, inf)), 1.0, t)
@@ -345,13 +360,14 @@ def atan2(y: Scalar, x: Scalar) -> Scalar:
     ratio = emit("div", emit("mul", z, _polynomial(z, _ATAN)), _polynomial(z, _ATAN_BELOW))
     angle = emit("add", emit("mul", t, ratio), t)
     angle = emit("add", angle, _select(beyond, 0.25 * pi, 0.0))
+    # For |y| > |x| the ratio was inverted; for x < 0 the angle is beyond pi / 2.
     angle = _select(steep, emit("sub", 0.5 * pi, angle), angle)
     behind = emit("lt", emit("copysign", 1.0, x), 0.0)
     return emit("copysign", _select(behind, emit("sub", pi, angle), angle), y)
 
 
 def _root(x: Scalar) -> Scalar:
-    """Of ``1 - x^2``, by factors: it keeps its digits near 1."""
+    """``sqrt(1 - x^2)`` by factors, which keeps its digits near 1."""
     return emit("sqrt", emit("mul", emit("sub", 1.0, x), emit("add", 1.0, x)))
 
 

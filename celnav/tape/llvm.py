@@ -5,7 +5,7 @@ A `Kernel` is one step. Its numbers come from, and go to, four places::
     state   (blocks, S, lanes)       what a run carries from step to step; read and written
     shared  (steps, E)               inputs that all runs have in common
     own     (steps, M, runs)         inputs of each run
-    rows    (rows stored, runs, n)   what is kept of a step, an array for each field
+    rows    (rows stored, runs, n)   the stored results of a step, an array for each field
     cells   (C, lanes)               the memory of routines
 
 `run_loop` takes blocks of ``lanes`` runs, one after the other, through all steps. Every operation
@@ -33,17 +33,17 @@ from celnav.tape.tape import Tape, TracedScalar, operands
 
 LIBM = tuple(EXPANSIONS)
 LINE = 64  # bytes
-# blocks that go through an epoch together: what is stored of neighbors then lies on the same pages
-# of memory
+# blocks that go through an epoch together: the stored results of neighbors then share pages of
+# memory
 TILE = 16
-# lines of a module that are compiled without optimization: a tenth of the time, and code that takes
-# a third more
+# lines of a module above which it is compiled without optimization: a tenth of the time, for code
+# that runs a third longer
 QUICK = 30_000
 BLOCK = 500  # lines of a basic block
 SIZE = {"double": 8, "i8": 1}
-"""Bytes of what is kept."""
+"""Bytes of a stored number."""
 LOADED = ("in", "part", "const")
-TURNS = 8  # sums that are added up in turn: half of the registers of a processor
+TURNS = 8  # sums that are interleaved: half of the registers of a processor
 _BINARY = {"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv"}
 _COMPARED = {"lt": "olt", "le": "ole", "eq": "oeq", "ne": "une"}
 
@@ -51,10 +51,10 @@ _COMPARED = {"lt": "olt", "le": "ole", "eq": "oeq", "ne": "une"}
 def source(kernel: Kernel, lanes: int, fused: bool) -> str:
     """LLVM assembly of a kernel: ``step(state, shared, own, rows, runs, cells, at)``.
 
-    rows: pointers to the fields, where row and run of the first lane stand ``at``; nothing is
-        stored where that is negative.
+    rows: pointers to the fields. ``at``: the position of row and run of the first lane; nothing is
+        stored if it is negative.
     """
-    if fused:  # without that their ranges are reduced less exactly than the C library does it
+    if fused:  # without fused products ranges would be reduced less exactly than in the C library
         kernel = kernel.lowered()
     tape, results = kernel.tape, kernel.results()
     code = _Code(lanes, fused, kernel.inputs)
@@ -62,14 +62,16 @@ def source(kernel: Kernel, lanes: int, fused: bool) -> str:
     for place, at, x in results:
         if place == "state":
             code.store(place, at, x.i)
+    # Without a row to store, the step ends here.
     code.lines += ["%none = icmp slt i64 %at, 0", "br i1 %none, label %done, label %keep", "keep:"]
     code.keep(kernel, [x.i for place, _, x in results if place == "rows"])
     called, functions, routines = code.called, list[str](), dict(code.routines)
+    # Routines that a routine calls are appended while the loop runs.
     for routine in (pending := list(routines)):
         for k, stage in enumerate(routine.stages):
             inner = _stage(stage, routine.own, lanes, fused)
             called |= inner.called
-            pending += [each for each in inner.routines if each not in routines]
+            pending += [callee for callee in inner.routines if callee not in routines]
             routines |= inner.routines
             functions += [
                 f"define internal void @{routine.name}.{k}(ptr noalias %cells) noinline",
@@ -115,16 +117,17 @@ def source(kernel: Kernel, lanes: int, fused: bool) -> str:
 
 
 def _suffix(kind: str, lanes: int) -> str:
-    """What a vector of numbers of a kind is called in the name of a function."""
+    """The suffix of a function's name for a vector of numbers of a kind."""
     name = {"double": "f64", "i8": "i8"}[kind]
     return f"v{lanes}{name}" if lanes > 1 else name
 
 
-def _stage(stage: Any, own: int, lanes: int, fused: bool) -> _Code:
-    """Lines of a loop over the rows of a stage; ``own``: cells of its routine."""
-    code = _Code(lanes, fused, stage.inputs, own)
+def _stage(stage: Any, cells: int, lanes: int, fused: bool) -> _Code:
+    """Lines of a loop over the rows of a stage; ``cells``: those of its routine."""
+    code = _Code(lanes, fused, stage.inputs, cells)
     code.lines += ["start:", "br label %loop", "loop:", "%r = phi i64 [0, %start], [%r1, %end]"]
     for place, (first, stride) in stage.places.items():
+        # Address of a place: (first + row * stride) * lanes numbers after the first cell.
         code.lines.append(f"%{place}o = mul i64 %r, {stride * lanes}")
         code.lines.append(f"%{place}a = add i64 %{place}o, {first * lanes}")
         code.lines.append(f"%{place} = getelementptr double, ptr %cells, i64 %{place}a")
@@ -143,19 +146,20 @@ def _stage(stage: Any, own: int, lanes: int, fused: bool) -> _Code:
 
 def _fused(needed: Sequence[int], tape: Tape, uses: Counter[int]) -> dict[int, int]:
     """Sums ``i`` whose term ``j`` is a product used nowhere else: both are one operation."""
-    found, ops = {}, tape.ops
+    joined, ops = {}, tape.ops
     for i in needed:
         if ops[i][0] in ("add", "sub") and i not in tape.sharp:
+            # Numbers that decide a jump keep numpy's rounding of the product.
             products = [j for j in reversed(ops[i][1:]) if ops[j][0] == "mul" and uses[j] == 1]
             if products:
-                found[i] = products[0]
-    return found
+                joined[i] = products[0]
+    return joined
 
 
 def _sums(
     needed: Sequence[int], tape: Tape, uses: Counter[int], joined: dict[int, int]
 ) -> list[list[int]]:
-    """Operations in an order in which they can be done, sums of products together, at their last
+    """Operations in a valid order, with each chain of a sum of products as one unit, at its last
     product.
     """
     within, units = set(joined.values()), dict[int, list[int]]()  # by their last operation
@@ -163,6 +167,7 @@ def _sums(
         if i in within or tape.ops[i][0] in LOADED:
             continue
         before = [a for a in operands(tape.ops[i]) if a != joined.get(i)] if i in joined else []
+        # A sum continues the unit of its previous term, if nothing else uses that term.
         begun = (
             units.pop(before[0]) if before and uses[before[0]] == 1 and before[0] in units else []
         )
@@ -171,10 +176,10 @@ def _sums(
 
 
 def _in_turn(units: Sequence[list[int]], tape: Tape, joined: dict[int, int]) -> Iterator[int]:
-    """The operations, those of neighboring sums in turn.
+    """The operations, interleaved for neighboring sums.
 
-    What several sums multiply, such as a state that a matrix takes, is then taken from memory once,
-    and no sum waits for itself.
+    A number that several sums multiply, such as a state that a matrix multiplies, is then loaded
+    once, and no sum waits for its own previous term.
     """
     group, members = list[list[int]](), set[int]()
 
@@ -186,8 +191,9 @@ def _in_turn(units: Sequence[list[int]], tape: Tape, joined: dict[int, int]) -> 
 
     for unit in units:
         needs = {a for i in unit for j in (i, joined.get(i, i)) for a in operands(tape.ops[j])}
-        alike = bool(group) and len(unit) == len(group[0])
-        if len(group) == TURNS or not alike or not needs.isdisjoint(members):
+        same_length = bool(group) and len(unit) == len(group[0])
+        # A unit that needs a result of the group comes after the group.
+        if len(group) == TURNS or not same_length or not needs.isdisjoint(members):
             yield from taken()
         group.append(unit)
         members |= set(unit)
@@ -197,8 +203,8 @@ def _in_turn(units: Sequence[list[int]], tape: Tape, joined: dict[int, int]) -> 
 class _Code:
     """Lines of a function, as they are written.
 
-    called: functions of the C library that it calls, and routines. cells: how many cells of memory
-    are in use before its first call.
+    called: functions of the C library that it calls. routines: those that it calls. cells: how many
+    cells of memory are in use before its first call.
     """
 
     def __init__(self, lanes: int, fused: bool, inputs: Sequence[tuple[str, int]], cells: int = 0):
@@ -208,16 +214,17 @@ class _Code:
         self.every = "<" + ", ".join(["i1 true"] * lanes) + ">"
         self.blocks, self.cells = 0, cells
         self.called, self.routines = set[str](), dict[Any, None]()
-        self.memory = dict[int, int]()  # where that of a call begins
+        self.memory = dict[int, int]()  # first cell of each call
         self.loaded = set[int]()
 
     def body(self, tape: Tape, outputs: Sequence[TracedScalar]) -> None:
-        """All operations that outputs need."""
+        """All operations that the outputs need."""
         self.ops, needed = tape.ops, tape.needed(outputs)
         uses = Counter(a for i in needed for a in operands(tape.ops[i]))
         uses.update(x.i for x in outputs)
         joined = _fused(needed, tape, uses) if self.fused else {}
         for i in _in_turn(_sums(needed, tape, uses, joined), tape, joined):
+            # Load operands just before they are used.
             for a in (i, *(operands(self.ops[i])), *(operands(self.ops[joined.get(i, i)]))):
                 self.take(a)
             name, *at = self.ops[i]
@@ -231,7 +238,7 @@ class _Code:
             self.take(x.i)
 
     def take(self, i: int) -> None:
-        """Load a number where it is first used."""
+        """Load a number before its first use."""
         name, *at = self.ops[i]
         if name not in LOADED or i in self.loaded:
             return
@@ -242,7 +249,7 @@ class _Code:
             self.load(i, "cells", self.memory[at[0]] + at[1])
 
     def call(self, i: int, routine: Any, *arguments: int) -> None:
-        """A routine, on memory of its own."""
+        """Call a routine with its own part of the memory."""
         self.routines[routine] = None
         self.memory[i] = self.cells
         if routine.rare:
@@ -254,9 +261,10 @@ class _Code:
                     f"%c{i}bits = bitcast <{self.lanes} x i1> %c{i}any to i{self.lanes}"
                 )
                 self.lines.append(f"%c{i}some = icmp ne i{self.lanes} %c{i}bits, 0")
-            some = f"%c{i}some" if self.lanes > 1 else f"%c{i}any"
-            self.lines += [f"br i1 {some}, label %rare{i}, label %usual{i}", f"rare{i}:"]
+            taken = f"%c{i}some" if self.lanes > 1 else f"%c{i}any"
+            self.lines += [f"br i1 {taken}, label %rare{i}, label %usual{i}", f"rare{i}:"]
         for k, a in enumerate(arguments):
+            # The arguments are the first cells of the routine's memory.
             self.address(f"%c{i}_{k}", "cells", self.cells + k)
             self.lines.append(f"store {self.vector} {self.value(a)}, ptr %c{i}_{k}, align 8")
             self.divide()
@@ -269,8 +277,8 @@ class _Code:
         self.cells += routine.cells
 
     def divide(self) -> None:
-        """Go on in another basic block after a while: the time that one takes to compile grows
-        faster than its length.
+        """Start a new basic block after some lines: its compile time grows faster than its
+        length.
         """
         if len(self.lines) <= BLOCK * (self.blocks + 1):
             return
@@ -289,7 +297,7 @@ class _Code:
         )
 
     def address(self, name: str, place: str, at: int) -> None:
-        """Where a number lies."""
+        """The address of a number."""
         if place == "own":
             self.lines.append(f"{name}o = mul i64 %runs, {at}")
             self.lines.append(f"{name} = getelementptr double, ptr %{place}, i64 {name}o")
@@ -300,8 +308,9 @@ class _Code:
             )
 
     def load(self, i: int, place: str, at: int) -> None:
-        """Take a number from where it lies."""
+        """Load a number from its place."""
         self.address(f"%p{i}", place, at)
+        # A shared number is broadcast to all lanes.
         if place == "shared" and self.lanes > 1:
             self.lines += [
                 f"%s{i} = load double, ptr %p{i}, align 8",
@@ -313,13 +322,13 @@ class _Code:
         self.lines.append(f"%t{i} = load {self.vector}, ptr %p{i}, align 8")
 
     def store(self, place: str, at: int, i: int) -> None:
-        """Hand a result on."""
+        """Store a result of the state."""
         name = f"%{place}{at}_{i}"
         self.address(name, place, at)
         self.lines.append(f"store {self.vector} {self.value(i)}, ptr {name}, align 8")
 
     def keep(self, kernel: Kernel, values: Sequence[int]) -> None:
-        """Store what is kept: of each field the numbers of a run stand side by side."""
+        """Store the rows: in each field the numbers of a run stand side by side."""
         columns, count = kernel.columns(), kernel.fields or (len(kernel.rows),)
         cell = ["i8" if field in kernel.flags else "double" for field in range(len(count))]
         for field, n in enumerate(count):
@@ -330,26 +339,27 @@ class _Code:
                 f"%row{field} = getelementptr {cell[field]}, ptr %field{field}, i64 %from{field}",
             ]
         for k, ((field, j), i) in enumerate(zip(columns, values, strict=True)):
-            kept, value, kind = f"%kept{k}", self.value(i), cell[field]
+            slot, value, kind = f"%kept{k}", self.value(i), cell[field]
             vector = f"<{self.lanes} x {kind}>" if self.lanes > 1 else kind
             if kind == "i8":
-                one = vector.replace("i8", "i1")
+                truth = vector.replace("i8", "i1")
                 self.lines += [
                     f"%true{k} = fcmp une {self.vector} {value}, zeroinitializer",
-                    f"%flag{k} = zext {one} %true{k} to {vector}",
+                    f"%flag{k} = zext {truth} %true{k} to {vector}",
                 ]
                 value = f"%flag{k}"
             if self.lanes == 1:
                 self.lines += [
-                    f"{kept} = getelementptr {kind}, ptr %row{field}, i64 {j}",
-                    f"store {kind} {value}, ptr {kept}",
+                    f"{slot} = getelementptr {kind}, ptr %row{field}, i64 {j}",
+                    f"store {kind} {value}, ptr {slot}",
                 ]
                 continue
+            # The rows of neighboring runs are count[field] numbers apart.
             places = ", ".join(f"i64 {lane * count[field] + j}" for lane in range(self.lanes))
             self.lines += [
-                f"{kept} = getelementptr {kind}, ptr %row{field}, <{self.lanes} x i64> <{places}>",
+                f"{slot} = getelementptr {kind}, ptr %row{field}, <{self.lanes} x i64> <{places}>",
                 f"call void @llvm.masked.scatter.{_suffix(kind, self.lanes)}.v{self.lanes}p0("
-                f"{vector} {value}, <{self.lanes} x ptr> {kept}, i32 {SIZE[kind]}, "
+                f"{vector} {value}, <{self.lanes} x ptr> {slot}, i32 {SIZE[kind]}, "
                 f"<{self.lanes} x i1> {self.every})",
             ]
 
@@ -361,6 +371,7 @@ class _Code:
         put = self.lines.append
         if product is not None:
             a, b = (self.value(j) for j in self.ops[product][1:])
+            # fma(a, b, c): the product a b and the other term c; a difference negates a or c.
             first = arguments[0] == product
             c = value[1] if first else value[0]
             if name == "sub" and first:
@@ -397,7 +408,7 @@ class _Code:
             put(f"%t{i} = call {vector} {called}({', '.join(f'{vector} {x}' for x in value)})")
 
     def bits(self, i: int, name: str, x: str) -> None:
-        """Two to a whole number, or the exponent of a number, by the bits of a float."""
+        """Two to a whole number, or the exponent of a number, from the bits of a float."""
         whole = f"<{self.lanes} x i64>" if self.lanes > 1 else "i64"
 
         def all_of(kind: str, value: str) -> str:
@@ -406,9 +417,8 @@ class _Code:
             )
 
         put, vector = self.lines.append, self.vector
-        if (
-            name == "pow2"
-        ):  # 1.5 2^52 has the number in its last bits, and 1 is the exponent field 1023
+        # 1.5 2^52 has the number in its last bits, and 1.0 has the exponent field 1023.
+        if name == "pow2":
             put(f"%w{i} = fadd {vector} {x}, {all_of('double', '0x4338000000000000')}")
             put(f"%x{i} = bitcast {vector} %w{i} to {whole}")
             put(f"%y{i} = shl {whole} %x{i}, {all_of('i64', '52')}")
@@ -418,9 +428,8 @@ class _Code:
         put(f"%w{i} = bitcast {vector} {x} to {whole}")
         put(f"%x{i} = lshr {whole} %w{i}, {all_of('i64', '52')}")
         put(f"%y{i} = and {whole} %x{i}, {all_of('i64', '2047')}")
-        put(
-            f"%z{i} = or {whole} %y{i}, {all_of('i64', '4841369599423283200')}"
-        )  # 2^52 with the field in its last bits
+        # 2^52 with the field in its last bits
+        put(f"%z{i} = or {whole} %y{i}, {all_of('i64', '4841369599423283200')}")
         put(f"%v{i} = bitcast {whole} %z{i} to {vector}")
         put(f"%t{i} = fsub {vector} %v{i}, {all_of('double', '0x43300000000003FF')}")
 
@@ -434,12 +443,12 @@ def _libm(name: str, lanes: int, vector: str) -> str:
     lines.append(f"define internal {vector} @{name}.{suffix}({arguments}) noinline {{")
     last = "undef"
     for k in range(lanes):
-        given = []
+        passed = []
         for j in range(count):
             if lanes > 1:
                 lines.append(f"%a{k}_{j} = extractelement {vector} %x{j}, i32 {k}")
-            given.append(f"double %a{k}_{j}" if lanes > 1 else f"double %x{j}")
-        lines.append(f"%r{k} = call double @{name}({', '.join(given)})")
+            passed.append(f"double %a{k}_{j}" if lanes > 1 else f"double %x{j}")
+        lines.append(f"%r{k} = call double @{name}({', '.join(passed)})")
         if lanes > 1:
             lines.append(f"%v{k} = insertelement {vector} {last}, double %r{k}, i32 {k}")
         last = f"%v{k}" if lanes > 1 else f"%r{k}"
@@ -519,7 +528,7 @@ def toolchain() -> Any:
 
 @cache
 def features() -> dict[str, bool]:
-    """Of this processor."""
+    """Features of this processor."""
     return dict(toolchain().get_host_cpu_features())
 
 
@@ -530,9 +539,7 @@ def lanes() -> int:
 
 
 def aligned(shape: tuple[int, ...]) -> Any:
-    """An array of floats that begins where a line of the cache does: no vector then lies across
-    two.
-    """
+    """An array of floats that begins at a line of the cache, so that no vector lies across two."""
     size = 8 * int(np.prod(shape))
     memory = np.empty(size + LINE, np.uint8)
     first = -memory.ctypes.data % LINE
@@ -540,7 +547,7 @@ def aligned(shape: tuple[int, ...]) -> Any:
 
 
 def compiled(text: str, name: str) -> int:
-    """Address of the function of a ``name``."""
+    """Address of the function with this ``name``."""
     binding = toolchain()
     module = binding.parse_assembly(text)
     module.verify()
@@ -557,13 +564,13 @@ def compiled(text: str, name: str) -> int:
 
 
 _ENGINES: list[Any] = []
-"""They own the machine code, which stays as long as the process."""
+"""The owners of the machine code, which stays as long as the process."""
 _ADDRESSES: dict[tuple[bytes, int], int] = {}
-"""Of kernels, by the hash of their operations, and lanes."""
+"""Addresses of kernels, by the hash of their operations and the lanes."""
 
 
 def kernel_address(kernel: Kernel, lanes: int) -> int:
-    """Of its compiled function; the same is compiled once."""
+    """Address of the compiled function; equal kernels are compiled once."""
     key = digest(kernel), lanes
     if key not in _ADDRESSES:
         _ADDRESSES[key] = compiled(source(kernel, lanes, features().get("fma", False)), "step")
@@ -572,14 +579,13 @@ def kernel_address(kernel: Kernel, lanes: int) -> int:
 
 @cache
 def run_loop() -> Any:
-    """The function that takes blocks of runs through steps; Python's lock is free while it
-    works."""
+    """The function that takes blocks of runs through steps; it runs without Python's lock."""
     return _FLY(compiled(LOOP.replace("@TILE", str(TILE)), "fly"))
 
 
 @cache
 def _with_arguments() -> Any:
-    """The same with its arguments in an array: to hand over one takes a fifth of the time."""
+    """The same with its arguments in one array, which takes a fifth of the time to pass."""
     kinds = ["ptr"] * _POINTERS + ["i64"] * _SIZES
     lines = [LOOP.replace("@TILE", str(TILE)), "define void @call(ptr %given) {"]
     for i, kind in enumerate(kinds):
@@ -587,26 +593,29 @@ def _with_arguments() -> Any:
             f"%p{i} = getelementptr i64, ptr %given, i64 {i}",
             f"%a{i} = load {kind}, ptr %p{i}",
         ]
-    given = ", ".join(f"{kind} %a{i}" for i, kind in enumerate(kinds))
-    return _CALL(compiled("\n".join([*lines, f"call void @fly({given})", "ret void", "}"]), "call"))
+    passed = ", ".join(f"{kind} %a{i}" for i, kind in enumerate(kinds))
+    return _CALL(
+        compiled("\n".join([*lines, f"call void @fly({passed})", "ret void", "}"]), "call")
+    )
 
 
 def caller(
     kernel: int, state: Any, shared: Any, own: Any, fields: Any, cells: Any
 ) -> Callable[[], None]:
-    """What takes all blocks of ``state`` through one step whenever it is called, on these buffers.
+    """A function that takes all blocks of ``state`` through one step on these buffers.
 
     fields: addresses of the rows, of one row each.
     """
     blocks, size, lanes = state.shape
+    # One epoch of one kind, stored in row 0.
     once = np.array([kernel], np.uint64), np.zeros(1, np.int32), np.zeros(1, np.int64)
     buffers = *once, state, shared, own, fields, cells
     width = blocks * lanes
     sizes = size, len(shared), len(own), width, 0, width, lanes, 0, blocks, 1
-    given = np.array([*(x.ctypes.data for x in buffers), *sizes], np.int64)
-    step, address = _with_arguments(), ctypes.c_void_p(given.ctypes.data)
+    passed = np.array([*(x.ctypes.data for x in buffers), *sizes], np.int64)
+    step, address = _with_arguments(), ctypes.c_void_p(passed.ctypes.data)
 
-    def call(_alive: Any = (given, buffers)) -> None:
+    def call(_alive: Any = (passed, buffers)) -> None:
         step(address)
 
     return call

@@ -1,7 +1,7 @@
-"""Arrays of numbers that are not known yet: run numpy code on them once, and its arithmetic is on a
-`Tape`.
+"""Arrays of numbers whose values are not known yet: numpy code runs on them once, and its
+arithmetic is recorded on a `Tape`.
 
-numpy's functions work on `TracedArray` as they do on floats: products of matrices, sums, sines,
+numpy's functions work on a `TracedArray` as they do on floats: products of matrices, sums, sines,
 comparisons, choices with ``np.where``.
 """
 
@@ -29,17 +29,18 @@ from celnav.tape.tape import (
 )
 
 LONG = 1000
-"""Operations that are written out even so, where rows are treated alike."""
+"""Operations below which code that treats rows alike is written out, not looped."""
 LONG_PRODUCT = 10_000
-"""Likewise of a product of matrices."""
+"""The same limit for a product of matrices."""
 SORTED = 64
-"""Numbers that are sorted, by half as many exchanges as their square."""
+"""The most numbers that are sorted; it takes half as many exchanges as their square."""
 
 
 def _maximum(a: Scalar, b: Scalar) -> Scalar:
-    """The larger one, nan if one of them is."""
+    """The larger number, nan if either is nan."""
     if type(a) is not TracedScalar:
         a, b = b, a
+    # b is a known number that is not nan: only a may be nan.
     if type(b) is not TracedScalar and b == b:
         return emit("select", emit("lt", a, b), b, a)
     return emit("select", emit("lt", a, b), b, emit("select", emit("ne", b, b), b, a))
@@ -50,17 +51,20 @@ def _minimum(a: Scalar, b: Scalar) -> Scalar:
 
 
 def _fmax(a: Scalar, b: Scalar) -> Scalar:
-    """The larger one, or the one that is not nan."""
+    """The larger number, or the one that is not nan."""
+    # A comparison with nan is false: if a is nan, b is selected.
     return emit("select", emit("or", emit("le", b, a), emit("ne", b, b)), a, b)
 
 
 def _power(x: Scalar, y: Scalar) -> Scalar:
     if type(y) is TracedScalar or type(x) is not TracedScalar:
         return emit("pow", x, y)
+    # Half-integer powers: squares, and a square root for an odd half.
     half = 2.0 * float(y)
     if half != int(half) or abs(half) > 128:
         return emit("pow", x, y)
     out: Scalar = emit("sqrt", x) if int(half) % 2 else 1.0
+    # x^|y| by repeated squaring.
     count, square = int(abs(half)) // 2, x
     while count:
         if count % 2:
@@ -70,9 +74,10 @@ def _power(x: Scalar, y: Scalar) -> Scalar:
 
 
 def _remainder(x: Scalar, y: Scalar) -> Scalar:
-    """Python's ``x % y``, of the sign of y."""
+    """Python's ``x % y``, with the sign of y."""
     left = emit("fmod", x, y)
     opposite = emit("lt", emit("mul", left, emit("copysign", 1.0, y)), 0.0)
+    # fmod has the sign of x: add y if the signs differ.
     zero = emit("copysign", 0.0, y)
     return emit(
         "select", opposite, emit("add", left, y), emit("select", emit("eq", left, 0.0), zero, left)
@@ -80,12 +85,13 @@ def _remainder(x: Scalar, y: Scalar) -> Scalar:
 
 
 def _floor_divide(x: Scalar, y: Scalar) -> Scalar:
-    """Python's ``x // y``, as numpy makes it of the remainder: ``floor(x / y)`` may be one more."""
+    """Python's ``x // y`` by the remainder, as in numpy: ``floor(x / y)`` may be one more."""
     left, ratio = emit("fmod", x, y), emit("div", x, y)
     whole = emit("div", emit("sub", x, left), y)
     opposite = emit("lt", emit("mul", left, emit("copysign", 1.0, y)), 0.0)
     whole = emit("select", opposite, emit("sub", whole, 1.0), whole)
     down = emit("floor", whole)
+    # (x - left) / y is whole up to rounding: take the nearest whole number.
     down = emit("select", emit("lt", 0.5, emit("sub", whole, down)), emit("add", down, 1.0), down)
     down = emit("select", emit("eq", whole, 0.0), emit("copysign", 0.0, ratio), down)
     return emit("select", emit("eq", y, 0.0), ratio, down)
@@ -106,8 +112,9 @@ def _heaviside(x: Scalar, at_zero: Scalar) -> Scalar:
 
 
 def _logaddexp(x: Scalar, y: Scalar) -> Scalar:
+    # log(e^x + e^y) = max(x, y) + log(1 + e^-|x - y|)
     rest = emit("log1p", emit("exp", emit("neg", emit("abs", emit("sub", x, y)))))
-    rest = emit("select", emit("eq", x, y), emit("log", 2.0), rest)  # of two infinities too
+    rest = emit("select", emit("eq", x, y), emit("log", 2.0), rest)  # also for equal infinities
     return emit("add", _maximum(x, y), rest)
 
 
@@ -208,13 +215,14 @@ _TRUTH: dict[Any, Callable[..., Scalar]] = {
     np.maximum: _op("or"),
     np.minimum: _op("and"),
 }
-"""Of truth values alone, where that is another function."""
+"""Functions of truth values alone, if they differ from those of numbers."""
 
 
 @cache
 def _of_truth(ufunc: Any) -> Callable[..., Scalar]:
-    """A function of truth values alone, for which numpy chooses the type: not every one is
-    float64."""
+    """A function of truth values alone. numpy chooses the type of its result, which need not be
+    float64.
+    """
     try:
         kind = ufunc.resolve_dtypes((np.dtype(bool),) * ufunc.nin + (None,) * ufunc.nout)[-1]
     except TypeError:
@@ -237,7 +245,7 @@ def _scalar(ufunc: Any) -> Callable[..., Scalar]:
     """A function of single numbers."""
 
     def function(*arguments: Scalar) -> Scalar:
-        if len(arguments) != ufunc.nin:  # as of round(x, 2) and pow(x, y, z)
+        if len(arguments) != ufunc.nin:  # from round(x, 2) and pow(x, y, z)
             raise cannot_compile(f"numpy.{ufunc.__name__} is recorded of {ufunc.nin} operands only")
         truth = all(map(is_logical, arguments))
         return (_of_truth(ufunc) if truth else _UFUNCS[ufunc])(*arguments)
@@ -247,8 +255,8 @@ def _scalar(ufunc: Any) -> Callable[..., Scalar]:
 
 # -- arrays of them --------------------------------------------------------------------------------
 class TracedArray(np.ndarray):
-    """An array of `TracedScalar` and of floats that are known; numpy's functions take it as they
-    take arrays of floats.
+    """An array of `TracedScalar` and of known floats; numpy's functions treat it like an array of
+    floats.
     """
 
     def __new__(cls, shape: tuple[int, ...]) -> TracedArray:
@@ -261,20 +269,22 @@ class TracedArray(np.ndarray):
         return _ufunc(ufunc, method, inputs, options)
 
     def __array_function__(self, function: Any, types: Any, arguments: Any, options: Any) -> Any:
-        own = _FUNCTIONS.get(function)
-        if own is not None:
-            return own(*arguments, **options)
+        replacement = _FUNCTIONS.get(function)
+        if replacement is not None:
+            return replacement(*arguments, **options)
         if function.__module__ != "numpy" or function.__name__ not in _PLAIN.split():
             raise cannot_compile(
                 f"{function.__module__}.{function.__name__} cannot be recorded; "
                 "numpy.where and arithmetic can"
             )
-        found = super().__array_function__(function, types, arguments, options)
-        return type(found)(map(traced, found)) if type(found) in (tuple, list) else traced(found)
+        result = super().__array_function__(function, types, arguments, options)
+        return (
+            type(result)(map(traced, result)) if type(result) in (tuple, list) else traced(result)
+        )
 
     def astype(self, dtype: Any, *arguments: Any, **options: Any) -> Any:  # noqa: ARG002
-        """As floats, whole numbers or truth values; they stay numbers of full precision, so no
-        other type will do.
+        """As floats, whole numbers or truth values. They stay numbers of full precision, so no
+        other type is accepted.
         """
         kind = _as_float64(dtype, np.int64, np.int32, np.bool_)
         floats = traced(_each(_logical if kind.kind == "b" else as_number, self.view(np.ndarray)))
@@ -287,8 +297,7 @@ class TracedArray(np.ndarray):
             raise _explained(error, at) from None
 
     def __setitem__(self, at: Any, value: Any) -> None:
-        """As numpy: of truth values where all that is there are truth values, of floats
-        otherwise."""
+        """As numpy: truth values if the array holds only truth values, floats otherwise."""
         value = _each(_logical if _is_truth(self) else as_number, _bare(value))
         try:
             super().__setitem__(at, value if value.ndim else value[()])
@@ -296,7 +305,7 @@ class TracedArray(np.ndarray):
             raise _explained(error, at) from None
 
     def tobytes(self, *_arguments: Any) -> Any:
-        """They are not known yet."""
+        """Raise `CannotCompile`: the numbers are not known yet."""
         raise cannot_compile(
             "numbers that are known only when the filter runs are written as bytes"
         )
@@ -304,17 +313,17 @@ class TracedArray(np.ndarray):
     __bytes__ = tobytes
 
     def any(self, *arguments: Any, **options: Any) -> Any:
-        """Whether one of them is true."""
+        """Whether any number is true."""
         return np.logical_or.reduce(self, *_axis(arguments, options), **options)
 
     def all(self, *arguments: Any, **options: Any) -> Any:
-        """Whether all of them are true."""
+        """Whether all numbers are true."""
         return np.logical_and.reduce(self, *_axis(arguments, options), **options)
 
 
 def _explained(error: IndexError, at: Any) -> Exception:
-    """What is wrong with an index; one that is known only when the filter runs is none."""
-    if all(recorded(part) is None for part in (at if isinstance(at, tuple) else (at,))):
+    """The error for an index; `CannotCompile` if its value is known only when the filter runs."""
+    if all(recorded(index) is None for index in (at if isinstance(at, tuple) else (at,))):
         return error
     return cannot_compile(
         "an index or a mask is known only when the filter runs; choose by numpy.where, and put a "
@@ -323,8 +332,9 @@ def _explained(error: IndexError, at: Any) -> Exception:
 
 
 def _as_float64(dtype: Any, *others: Any) -> Any:
-    """A type that numbers can have; they stay numbers of full precision, so no other type
-    will do."""
+    """A type that numbers can have. They stay numbers of full precision, so no other type is
+    accepted.
+    """
     kind = np.dtype(dtype)
     if kind not in (np.float64, np.object_, *others):
         raise cannot_compile(f"numbers are recorded as float64, not as {kind}")
@@ -336,7 +346,7 @@ def _axis(arguments: Any, options: dict[str, Any]) -> tuple[Any, ...]:
 
 
 def traced(array: Any) -> Any:
-    """An array of objects as `TracedArray`; one by itself too."""
+    """An array of objects as `TracedArray`; also a single `TracedScalar`."""
     if isinstance(array, TracedScalar):
         array = np.asarray(array, object)
     return (
@@ -347,14 +357,14 @@ def traced(array: Any) -> Any:
 
 
 def tape_of(*arrays: Any) -> Tape | None:
-    """The tape on which some of the numbers of arrays are; None where all are known."""
+    """The tape that holds numbers of the arrays; None if all are known."""
     return next(
         (x.tape for array in arrays for x in _bare(array).flat if isinstance(x, TracedScalar)), None
     )
 
 
 def recorded(value: Any) -> Any:
-    """What holds a `TracedScalar`, as `TracedArray`; None where nothing does."""
+    """A value that holds a `TracedScalar`, as `TracedArray`; None for any other."""
     if isinstance(value, TracedScalar | TracedArray):
         return np.asanyarray(value, object).view(TracedArray)
     if isinstance(value, list | tuple) or getattr(
@@ -367,13 +377,13 @@ def recorded(value: Any) -> Any:
 
 
 def _bare(x: Any) -> Any:
-    """As a plain array of objects."""
+    """A plain array of objects."""
     array = np.asarray(x, object) if isinstance(x, TracedScalar) else np.asarray(x)
     return array if array.dtype.hasobject else array.astype(object)
 
 
 def _each(function: Callable[[Scalar], Scalar], array: Any) -> Any:
-    """A plain array of what a function makes of each element."""
+    """A plain array of a function's results for each element."""
     return np.asarray(np.frompyfunc(function, 1, 1)(array), object)
 
 
@@ -390,42 +400,42 @@ def _operand(x: Any) -> Any:
     return _each(as_number, bare)
 
 
-@np.errstate(
-    all="ignore"
-)  # from numpy 2.5 on a comparison with nan within a function of ours would warn
+# From numpy 2.5 on a comparison with nan within a function of ours would warn.
+@np.errstate(all="ignore")
 def _ufunc(ufunc: Any, method: str, inputs: Sequence[Any], options: dict[str, Any]) -> Any:
-    given, where = options.pop("out", None), options.pop("where", True)
+    outs, where = options.pop("out", None), options.pop("where", True)
     dtype = options.pop("dtype", None)
     _as_float64(dtype, np.int64, np.bool_) if method == "reduce" else _as_float64(dtype)
     options.pop("order", None), options.pop("casting", None)
     if ufunc in (np.matmul, np.vecdot) and method == "__call__":
-        found = traced(_products(ufunc, *map(_operand, inputs)))
-    elif ufunc.__name__ in ("clip", "real"):  # the latter is what numpy 2.5 makes of x.real
-        found = inputs[0] if ufunc.nin == 1 else np.minimum(np.maximum(*inputs[:2]), inputs[2])
+        result = traced(_products(ufunc, *map(_operand, inputs)))
+    elif ufunc.__name__ in ("clip", "real"):  # numpy 2.5 turns x.real into the latter
+        result = inputs[0] if ufunc.nin == 1 else np.minimum(np.maximum(*inputs[:2]), inputs[2])
     elif ufunc is np.divmod and method == "__call__":
         return np.floor_divide(*inputs), np.remainder(*inputs)
     elif ufunc not in _UFUNCS:
         raise cannot_compile(f"numpy.{ufunc.__name__} cannot be recorded")
     elif method == "__call__":
         function = np.frompyfunc(_scalar(ufunc), ufunc.nin, 1)
-        found = traced(function(*map(_operand, inputs), **options))
+        result = traced(function(*map(_operand, inputs), **options))
     elif method == "reduce" and ufunc in _REDUCED:
-        return _reduced(ufunc, inputs[0], dtype=dtype, out=given, where=where, **options)
+        return _reduced(ufunc, inputs[0], dtype=dtype, out=outs, where=where, **options)
     elif method == "accumulate" and ufunc in _REDUCED:
         array, *more = map(_operand, inputs)
         array = _each(_REDUCED[ufunc], array)
-        found = traced(np.frompyfunc(_scalar(ufunc), 2, 1).accumulate(array, *more, **options))
+        result = traced(np.frompyfunc(_scalar(ufunc), 2, 1).accumulate(array, *more, **options))
     else:
         raise cannot_compile(f"numpy.{ufunc.__name__}.{method} cannot be recorded")
-    if given is None and where is True:
-        return found
-    (out,) = given or (None,)
+    if outs is None and where is True:
+        return result
+    # With out= or where= the result is written into the caller's array.
+    (out,) = outs or (None,)
     if out is None or not out.dtype.hasobject:
         raise cannot_compile(
             "a number that is known only when the filter runs is written into an array of floats, "
             "or into none; numpy.stack or numpy.empty_like(x) makes one for it"
         )
-    out[...] = found if where is True else _where(where, found, out)
+    out[...] = result if where is True else _where(where, result, out)
     return out
 
 
@@ -433,7 +443,7 @@ _REDUCED: dict[Any, Callable[..., Scalar]] = {
     **dict.fromkeys((np.add, np.multiply, np.maximum, np.minimum, np.fmax, np.fmin), as_number),
     **dict.fromkeys((np.logical_and, np.logical_or), _logical),
 }
-"""What is reduced or accumulated, and what becomes of its elements first."""
+"""The functions that can be reduced or accumulated, and the conversion of their elements."""
 _EMPTY = {np.add: 0.0, np.multiply: 1.0, np.logical_and: True, np.logical_or: False}
 
 
@@ -447,7 +457,7 @@ def _reduced(
     initial: Any = np._NoValue,
     where: Any = True,
 ) -> Any:
-    """Over one axis, several or all (None)."""
+    """The reduction over one axis, several or all (None)."""
     if where is not True or out is not None:
         raise cannot_compile(f"numpy.{ufunc.__name__} over a part cannot be recorded")
     bare = _bare(array)
@@ -459,8 +469,9 @@ def _reduced(
         if axis is None
         else tuple(np.atleast_1d(np.array(axis, int)) % max(bare.ndim, 1))
     )
-    kept = [i for i in range(bare.ndim) if i not in axes]
-    rows = bare.transpose([*axes, *kept]).reshape(-1, *(bare.shape[i] for i in kept))
+    remaining = [i for i in range(bare.ndim) if i not in axes]
+    # (reduced axes flattened, remaining axes...)
+    rows = bare.transpose([*axes, *remaining]).reshape(-1, *(bare.shape[i] for i in remaining))
     first = [initial] if initial is not None and initial is not np._NoValue else []
     if ufunc in _EMPTY and not len(rows):
         first = first or [_EMPTY[ufunc]]
@@ -474,13 +485,14 @@ def _reduced(
 
 
 def _products(ufunc: Any, a: Any, b: Any) -> Any:
-    """Sums of products, of what is not known to be zero."""
+    """Sums of products, without the terms that are known to be zero."""
     if _is_truth(a) and _is_truth(b):
         raise cannot_compile(
             "products of matrices of truth values are none of floats; multiply by 1.0"
         )
     if ufunc is np.vecdot:
         return _contracted(np.broadcast_arrays(a, b))
+    # A vector becomes a matrix of one row or column, whose axis is removed at the end.
     columns, row = b.ndim == 1, a.ndim == 1
     a, b = a[None] if row else a, b[:, None] if columns else b
     if a.ndim == b.ndim == 2 and 2 * a.size * b.shape[1] >= LONG_PRODUCT:
@@ -499,7 +511,7 @@ def _products(ufunc: Any, a: Any, b: Any) -> Any:
 
 
 def _product(a: Any, b: Any) -> Any:
-    """Of two matrices, in pairs of rows and columns."""
+    """Product of two matrices, as sums over pairs of rows and columns."""
     return _contracted(
         np.broadcast_arrays(a[..., :, None, :], np.swapaxes(b, -1, -2)[..., None, :, :])
     )
@@ -507,6 +519,7 @@ def _product(a: Any, b: Any) -> Any:
 
 def _contracted(pair: Sequence[Any]) -> Any:
     a, b = pair
+    # (..., k), (..., k) -> (...)
     out = np.empty(a.shape[:-1], object)
     for at in np.ndindex(*a.shape[:-1]):
         out[at] = total(
@@ -516,9 +529,7 @@ def _contracted(pair: Sequence[Any]) -> Any:
 
 
 def in_model(function: Callable[..., Any], x: Any, *arguments: Any) -> Any:
-    """What a function of a model makes of an array; while it is recorded, with the values that
-    numpy gives.
-    """
+    """The result of a model's function for an array; while it is recorded, with numpy's values."""
     tape = tape_of(x) if x.dtype.hasobject else None
     if tape is None or tape.model:
         return function(x, *arguments)
@@ -530,22 +541,22 @@ def in_model(function: Callable[..., Any], x: Any, *arguments: Any) -> Any:
 
 
 def present(x: Any) -> Any:
-    """Whether components were measured: are not nan.
+    """Whether components were measured, that is, are not nan.
 
-    While a step is recorded those may be missing that are so in its epochs: a run whose model makes
-    nan itself is lost, and flown again by numpy.
+    While a step is recorded, only numbers of its epochs may be missing: a run whose model makes nan
+    itself fails, and numpy runs it again.
     """
     if not x.dtype.hasobject:
         return x == x
 
-    def there(v: Scalar) -> Scalar:
+    def is_present(v: Scalar) -> Scalar:
         return emit("eq", v, v) if type(v) is not TracedScalar or v.tape.absent[v.i] else True
 
-    return traced(_each(there, _bare(x)))
+    return traced(_each(is_present, _bare(x)))
 
 
 def known_alike(a: Any, b: Any) -> bool:
-    """Whether arrays are known to be the same: of the same numbers."""
+    """Whether arrays are known to hold the same numbers."""
     if not a.dtype.hasobject:
         return np.array_equal(a, b)
     pairs = zip(_bare(a).flat, _bare(b).flat, strict=False)
@@ -557,10 +568,10 @@ def _key(x: Scalar) -> Any:
 
 
 def each_row(function: Callable[..., Any], *points: Any, least: int = LONG) -> Any:
-    """Values ``(p, m)`` of a function at points ``(p, n)``, each of its values that of one point.
+    """Values ``(p, m)`` of a function at points ``(p, n)``, each row depending on one point only.
 
-    It is recorded for one of them. Code of ``least`` operations or more becomes a loop over the
-    points; what is shorter is written out, where what points have in common is done once.
+    The function is recorded for one point. Code of ``least`` operations or more becomes a loop over
+    the points; shorter code is written out, so that operations common to points are done once.
     """
     tape, count = tape_of(*points), len(points[0])
     if tape is None or count == 1 or not tape.rolled:
@@ -568,12 +579,14 @@ def each_row(function: Callable[..., Any], *points: Any, least: int = LONG) -> A
     widths = [x.shape[-1] for x in points]
     variables = [tape.node("var", len(tape.ops)) for _ in range(sum(widths))]
     ends = np.cumsum(widths)
-    one = [
+    # One point (1, n) of variables stands for all points.
+    symbols = [
         np.array([variables[end - n : end]], object).view(TracedArray)
         for end, n in zip(ends, widths, strict=True)
     ]
-    y = function(*one)
+    y = function(*symbols)
     outputs = [tape.lift(as_number(x)) for x in np.asarray(y, object).flat]
+    # (p, number of variables): the values of the variables at each point.
     rows = np.concatenate([_bare(x) for x in points], -1)
     left = (
         rolled_loop(tape, variables, outputs, rows.tolist(), least)
@@ -593,16 +606,17 @@ def rarely(
     """``np.where(condition, function(*arrays), usual)`` for each matrix, with a rare condition
     ``(...)``.
 
-    Machine code calls the function only if the condition holds for a run of the vector.
+    The compiled code calls the function only if the condition holds for a run of the vector.
     """
     condition, tape = traced(np.asanyarray(condition)), tape_of(condition)
     if tape is None or not tape.rolled:
-        found = function(*arrays)
+        results = function(*arrays)
     else:
-        given = {x.i: x for array in arrays for x in _bare(array).flat if type(x) is TracedScalar}
-        first = 1 + len(given)
+        inputs = {x.i: x for array in arrays for x in _bare(array).flat if type(x) is TracedScalar}
+        first = 1 + len(inputs)
+        # Memory: the condition, the inputs, then the results.
         stage = Recorder(1, given=(1, 0), made=(first, 0))
-        inside = {i: stage.take("given", k, tape.absent[i]) for k, i in enumerate(given)}
+        inside = {i: stage.take("given", k, tape.absent[i]) for k, i in enumerate(inputs)}
         images = [
             traced(_each(lambda x: inside[x.i] if type(x) is TracedScalar else x, _bare(array)))
             if recorded(array) is not None
@@ -615,11 +629,11 @@ def rarely(
         sizes = [array.size for array in made]
         cells = range(first, first + sum(sizes))
         routine = Loop([stage.stage()], cells.stop, cells, rare=True)
-        left = np.array(routine(tape, [condition.item(), *given.values()]), object)
+        left = np.array(routine(tape, [condition.item(), *inputs.values()]), object)
         parts = np.split(left, np.cumsum(sizes)[:-1])
-        found = [traced(x.reshape(array.shape)) for x, array in zip(parts, made, strict=True)]
+        results = [traced(x.reshape(array.shape)) for x, array in zip(parts, made, strict=True)]
     return tuple(
-        np.where(condition[..., None, None], x, y) for x, y in zip(found, usual, strict=True)
+        np.where(condition[..., None, None], x, y) for x, y in zip(results, usual, strict=True)
     )
 
 
@@ -627,6 +641,7 @@ def rarely(
 @np.errstate(all="ignore")
 def _where(condition: Any, a: Any, b: Any) -> Any:
     a, b = _operand(a), _operand(b)
+    # Truth values mixed with numbers count as numbers.
     if not (_is_truth(a) and _is_truth(b)):
         a, b = (_each(as_number, x) for x in (a, b))
     choose = np.frompyfunc(lambda c, x, y: emit("select", _logical(c), x, y), 3, 1)
@@ -641,30 +656,32 @@ def _select(conditions: Any, choices: Any, default: Any = 0.0) -> Any:
 
 @np.errstate(all="ignore")
 def _interp(x: Any, xp: Any, fp: Any, left: Any = None, right: Any = None) -> Any:
-    """The line from the last knot that is not beyond x."""
+    """Linear interpolation, on the line from the last knot that is not beyond x."""
     xp, fp = _bare(xp).tolist(), _bare(fp).tolist()
     slopes = [
         emit("div", emit("sub", fp[j + 1], fp[j]), emit("sub", xp[j + 1], xp[j]))
         for j in range(len(xp) - 1)
     ]
 
-    def one(v: Scalar) -> Scalar:
+    def interpolated(v: Scalar) -> Scalar:
         y = fp[0] if left is None else left
+        # Each knot at or below v replaces the line of the previous one.
         for knot, f, slope in zip(xp, fp, [*slopes, 0.0], strict=True):
             line = emit("add", emit("mul", slope, emit("sub", v, knot)), f)
             y = emit("select", emit("le", knot, v), line, y)
         y = emit("select", emit("lt", xp[-1], v), fp[-1] if right is None else right, y)
         return emit("select", emit("ne", v, v), v, y)
 
-    return traced(_each(one, _bare(x)))
+    return traced(_each(interpolated, _bare(x)))
 
 
 def _sort(x: Any, axis: Any = -1) -> Any:
-    """By exchange of neighbors, nan last."""
+    """Sorting by exchange of neighbors, nan last."""
     moved = np.ravel(x) if axis is None else np.moveaxis(x, axis, 0)
     rows = list(moved)
     if len(rows) > SORTED:
         raise cannot_compile(f"numpy.sort is recorded for at most {SORTED} numbers")
+    # Each pass moves the largest remaining number to `end`.
     for end in range(len(rows) - 1, 0, -1):
         for j in range(end):
             a, b = rows[j : j + 2]
@@ -677,6 +694,7 @@ def _median(x: Any, axis: Any = None, keepdims: bool = False) -> Any:
     ordered = 1.0 * _sort(x, axis)
     n, along = ordered.shape[axis or 0], 0 if axis is None else axis
     low, high, last = (np.take(ordered, [k], along) for k in ((n - 1) // 2, n // 2, n - 1))
+    # nan is sorted last: the last number shows whether there is one.
     middle = np.where(np.isnan(last), last, low if n % 2 else (low + high) / 2.0)
     if axis is None:
         return middle.reshape((1,) * np.ndim(x)) if keepdims else middle[0]
@@ -688,33 +706,36 @@ def _nan_to_num(
 ) -> Any:
     x, most = traced(_bare(x)), np.finfo(float).max
     high, low = (
-        bound if given is None else given for given, bound in ((posinf, most), (neginf, -most))
+        bound if value is None else value for value, bound in ((posinf, most), (neginf, -most))
     )
-    found = np.where(np.isnan(x), nan, np.where(x == inf, high, np.where(x == -inf, low, x)))
+    result = np.where(np.isnan(x), nan, np.where(x == inf, high, np.where(x == -inf, low, x)))
     if copy:
-        return found
-    x[...] = found
+        return result
+    x[...] = result
     return x
 
 
 def _einsum(subscripts: str, *operands: Any, **_options: Any) -> Any:
     """By broadcasting: each operand's axes in the order of all letters, then a product and a
-    sum."""
+    sum.
+    """
     left, right = subscripts.replace(" ", "").split("->")
-    parts, bare = left.split(","), [_bare(x) for x in operands]
-    more = [x.ndim - len(part.replace("...", "")) for part, x in zip(parts, bare, strict=True)]
+    terms, bare = left.split(","), [_bare(x) for x in operands]
+    more = [x.ndim - len(term.replace("...", "")) for term, x in zip(terms, bare, strict=True)]
+    # Capital letters stand for the axes of an ellipsis, counted from the last one.
     free = "".join(chr(ord("A") + i) for i in range(max(more)))
     named = [
-        part.replace("...", free[max(more) - count :])
-        for part, count in zip(parts, more, strict=True)
+        term.replace("...", free[max(more) - count :])
+        for term, count in zip(terms, more, strict=True)
     ]
     right = right.replace("...", free)
-    letters = right + "".join(sorted({c for part in named for c in part} - set(right)))
+    letters = right + "".join(sorted({c for term in named for c in term} - set(right)))
     whole: Any = 1.0
-    for part, x in zip(named, bare, strict=True):
-        order = [part.index(c) for c in letters if c in part]
+    for term, x in zip(named, bare, strict=True):
+        # The axes in the order of all letters, with an axis of length 1 for each missing letter.
+        order = [term.index(c) for c in letters if c in term]
         whole = whole * traced(
-            x.transpose(order)[tuple(slice(None) if c in part else None for c in letters)]
+            x.transpose(order)[tuple(slice(None) if c in term else None for c in letters)]
         )
     summed = tuple(range(len(right), len(letters)))
     return np.add.reduce(whole, summed) if summed else whole
@@ -758,6 +779,7 @@ def _norm(x: Any, ord: Any = None, axis: Any = None, keepdims: bool = False) -> 
 
 def _solve(A: Any, b: Any) -> Any:
     A, b = _bare(A), _bare(b)
+    # A vector b (n,) is one right-hand side (n, 1).
     columns = b[:, None] if b.ndim == 1 else b
     batch = np.broadcast_shapes(A.shape[:-2], columns.shape[:-2])
     A, columns = (np.broadcast_to(x, (*batch, *x.shape[-2:])) for x in (A, columns))
@@ -768,13 +790,14 @@ def _solve(A: Any, b: Any) -> Any:
 
 
 def _eliminated(A: Any, b: Any) -> Any:
-    """``A^-1 b`` by elimination with the largest pivot, chosen without a branch: rows are exchanged
-    by selection.
+    """``A^-1 b`` by Gaussian elimination with partial pivoting; rows are exchanged by selection,
+    without a branch.
     """
     rows = [[*A[i], *b[i]] for i in range(len(A))]
     for i in range(len(rows)):
         below = [j for j in range(i + 1, len(rows)) if not is_known(rows[j][i], 0.0)]
         for j in below:
+            # Exchange rows i and j if row j has the larger pivot.
             larger = emit("lt", emit("abs", rows[i][i]), emit("abs", rows[j][i]))
             both = [
                 (emit("select", larger, y, x), emit("select", larger, x, y))
@@ -782,6 +805,7 @@ def _eliminated(A: Any, b: Any) -> Any:
             ]
             rows[i], rows[j] = [p for p, _ in both], [q for _, q in both]
         for j in below:
+            # Row j minus a multiple of row i has a zero below the pivot.
             factor = emit("div", rows[j][i], rows[i][i])
             rows[j] = [
                 emit("sub", y, emit("mul", factor, x))
@@ -789,6 +813,7 @@ def _eliminated(A: Any, b: Any) -> Any:
             ]
     n, X = len(rows), np.empty(b.shape, object)
     for k in range(b.shape[-1]):
+        # Back substitution, from the last unknown on.
         for i in reversed(range(n)):
             left = emit(
                 "sub",
@@ -830,9 +855,7 @@ roll rollaxis rot90 round shape sinc size split squeeze stack std sum swapaxes t
 take_along_axis tensordot tile trace transpose trapezoid tril tril_indices_from triu
 triu_indices_from unstack vander var vdot vsplit vstack
 """
-"""numpy's functions that are right as they are, of objects: those that do not ask what type they
-get.
-"""
+"""numpy's functions that work unchanged on objects, because they do not depend on the type."""
 
 
 # -- one of them by itself -------------------------------------------------------------------------
@@ -850,8 +873,8 @@ def _operator(function: Callable[..., Any], swapped: bool = False) -> Any:
 
 
 def _python(ufunc: Any) -> Callable[..., Scalar]:
-    """The operator of single numbers, where Python's truth values are whole numbers and numpy's are
-    not.
+    """The operator of single numbers, for which Python's truth values are whole numbers, but
+    numpy's are not.
     """
 
     def function(*arguments: Scalar) -> Scalar:
@@ -900,13 +923,13 @@ for _name, _of in _BINARY.items():
 for _name, _swapped in (("divmod", False), ("rdivmod", True)):
     _pair = lambda x, y: (_floor_divide(x, y), _remainder(x, y))  # noqa: E731
     setattr(TracedScalar, f"__{_name}__", _operator(_pair, _swapped))
-for _of in _UFUNCS:  # an array of objects that has lost its class calls methods of these names
+for _of in _UFUNCS:  # a plain array of objects calls methods of these names
     if not hasattr(TracedScalar, _of.__name__):
         setattr(TracedScalar, _of.__name__, _operator(_scalar(_of)))
 
 
 def _through(_self: TracedScalar, function: Any, _types: Any, arguments: Any, options: Any) -> Any:
-    """numpy's functions of single numbers: as of arrays without axes."""
+    """numpy's functions of single numbers: as for arrays without axes."""
 
     def whole(x: Any) -> Any:
         return (

@@ -1,14 +1,13 @@
 """Kernels as PTX, the assembly language of NVIDIA's devices: each thread takes one run through all
 epochs.
 
-A step is the function that `celnav.tape.llvm` writes, of one run; around it stands a loop over the
-epochs, which all threads go through together. Neighboring threads read and write neighboring
-numbers::
+A step is the function that `celnav.tape.llvm` writes, for one run, inside a loop over the epochs
+that all threads go through together. Neighboring threads read and write neighboring numbers::
 
     state   (S, runs)                what a run carries from step to step, in registers meanwhile
     shared  (steps, E)               inputs that all runs have in common
     own     (steps, M, runs)         inputs of each run
-    rows    (rows stored, runs, n)   what is kept of a step, one field after the other
+    rows    (rows stored, runs, n)   the stored results of a step, one field after the other
 """
 
 from __future__ import annotations
@@ -19,8 +18,8 @@ from celnav.tape import llvm
 from celnav.tape.kernel import Kernel, digest
 
 TARGET, TRIPLE = (7, 0), "nvptx64-nvidia-cuda"
-"""Compute capability of the oldest device that will do; the driver compiles for the one that is
-there.
+"""Compute capability of the oldest device that suffices; the driver compiles for the present
+one.
 """
 _ARGUMENTS = (
     "ptr %kinds, ptr %at, ptr %state, ptr %shared, ptr %own, ptr %rows, "
@@ -102,11 +101,11 @@ done:
 
 
 def program(kernels: Sequence[Kernel], size: int) -> str:
-    """PTX of the entry ``entry(kinds, at, state, shared, own, rows, E, M, K, runs, steps)``; the
-    same is made once.
+    """PTX of the entry ``entry(kinds, at, state, shared, own, rows, E, M, K, runs, steps)``; equal
+    programs are made once.
 
-    kernels: which of them each epoch takes say its ``kinds``, and ``at`` which row it stores, -1
-        for none. size: S.
+    kernels: ``kinds`` is the kernel of each epoch, and ``at`` the row that it stores, -1 for none.
+        size: S.
     """
     key = tuple(digest(kernel) for kernel in kernels), size
     if key not in _PROGRAMS:
@@ -118,10 +117,11 @@ _PROGRAMS: dict[tuple[tuple[bytes, ...], int], str] = {}
 
 
 def source(kernels: Sequence[Kernel], size: int) -> str:
-    """LLVM assembly of a program; the steps stand in the loop itself, where a state of registers is
-    all the memory they need.
+    """LLVM assembly of a program; the steps are inlined in the loop, so that registers are all the
+    memory that a state needs.
     """
     binding, text = llvm.toolchain(), _FLY + _ENTRY
+    # Templates with the number of their copies; # is the number of the copy.
     parts = {
         "@ARGUMENTS": (_ARGUMENTS, 1),
         "@SIZE": (str(size), 1),
@@ -135,21 +135,23 @@ def source(kernels: Sequence[Kernel], size: int) -> str:
     ]
     parts |= {"@CELLS": (str(max(kernel.cells for kernel in kernels)), 1)}
     parts |= {"@COUNT": (str(len(fields)), 1), "@FIELDS": ("\n".join(where), 1)}
-    parts |= {name: (part, len(kernels)) for name, part in (("@CASES", _CASE), ("@STEPS", _STEP))}
-    for name, (part, count) in parts.items():
-        text = text.replace(name, "\n".join(part.replace("#", str(i)) for i in range(count)))
+    parts |= {name: (piece, len(kernels)) for name, piece in (("@CASES", _CASE), ("@STEPS", _STEP))}
+    for name, (piece, count) in parts.items():
+        text = text.replace(name, "\n".join(piece.replace("#", str(i)) for i in range(count)))
     declared = (
         f"declare void @step{i}(ptr noalias, ptr, ptr, ptr, i64, ptr noalias, i64)"
         for i in range(len(kernels))
     )
     module = binding.parse_assembly("\n".join([*declared, text]))
     for i, kernel in enumerate(kernels):
-        part = binding.parse_assembly(llvm.source(kernel, 1, True))
-        part.get_function("step").name = f"step{i}"
-        module.link_in(part)
+        # Each step is compiled as a module and linked under its own name.
+        step_module = binding.parse_assembly(llvm.source(kernel, 1, True))
+        step_module.get_function("step").name = f"step{i}"
+        module.link_in(step_module)
     for function in module.functions:
         if not function.is_declaration and function.name != "entry":
             function.linkage = "internal"
+    # Everything is inlined into the entry, so that the state stays in registers.
     for name in ("fly", *(f"step{i}" for i in range(len(kernels)))):
         module.get_function(name).add_function_attribute("alwaysinline")
     module.verify()
@@ -157,7 +159,7 @@ def source(kernels: Sequence[Kernel], size: int) -> str:
 
 
 def assembled(text: str) -> str:
-    """PTX of LLVM assembly."""
+    """PTX from LLVM assembly."""
     binding = llvm.toolchain()
     binding.initialize_all_targets()
     binding.initialize_all_asmprinters()

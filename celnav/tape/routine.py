@@ -1,8 +1,8 @@
 """Routines that machine code calls: loops, which would be slow to compile unrolled, and rare
 branches.
 
-A `Loop` is called with numbers, which are the first cells of its memory, and leaves others
-there. On a `Tape` its call is one operation.
+A `Loop` is called with numbers, which are the first cells of its memory, and leaves its results
+there. On a `Tape` the call is one operation.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from celnav.tape.tape import Scalar, Tape, TracedScalar, as_number, operands
 
 
 class LoopBody(NamedTuple):
-    """Code for a number of ``rows``.
+    """Code for ``rows`` rows.
 
-    places: by name ``(first, stride)``: where a place begins for the first row, and how much later
-        for each of the next.
-    inputs: ``(place, index)`` of each input of the tape. results: ``(place, index, number)`` of
-        what is written.
+    places: by name ``(first, stride)``: the cell at which a place begins for the first row, and the
+        distance to the next row.
+    inputs: ``(place, index)`` of each input of the tape. results: ``(place, index, number)`` of the
+        numbers written.
     """
 
     rows: int
@@ -35,8 +35,8 @@ class LoopBody(NamedTuple):
 class Loop:
     """Stages that share a memory. The arguments are in its first cells.
 
-    own: number of cells of the routine. The cells of routines that it calls follow, ``cells`` in
-        all.
+    own: number of cells of the routine. The cells of the routines that it calls follow; ``cells``
+        is the total.
     left: cells that are returned. rare: whether the call is skipped if the first argument is 0 for
     every run of the vector. The returned cells are then undefined.
     """
@@ -49,7 +49,7 @@ class Loop:
 
     @cached_property
     def name(self) -> str:
-        """Made of its operations: what does the same has the same name."""
+        """A name made of its operations: equal routines have equal names."""
         parts = [
             (s.rows, s.places, s.inputs, [(p, i, x.i) for p, i, x in s.results], s.tape.key)
             for s in self.stages
@@ -67,24 +67,24 @@ class Loop:
         return hash(self.name)
 
     def lowered(self) -> Loop:
-        """With elementary functions as arithmetic."""
+        """The loop with elementary functions as arithmetic."""
         stages = []
         for stage in self.stages:
-            tape, known = expand_elementary(stage.tape, [x for *_, x in stage.results])
+            tape, mapped = expand_elementary(stage.tape, [x for *_, x in stage.results])
             results = [
-                (place, i, tape.lift(as_number(known[x.i]))) for place, i, x in stage.results
+                (place, i, tape.lift(as_number(mapped[x.i]))) for place, i, x in stage.results
             ]
             stages.append(stage._replace(tape=tape, results=results))
         return Loop(stages, self.own, self.left, self.rare)
 
     def __call__(self, tape: Tape, arguments: Iterable[Scalar]) -> list[TracedScalar]:
-        """What is left of arguments, on a tape."""
+        """The returned cells of a call on a tape."""
         call = tape.node("call", self, *(tape.lift(as_number(x)).i for x in arguments))
         return [tape.node("part", call.i, cell) for cell in self.left]
 
 
 class Recorder:
-    """A stage while it is recorded: numbers are taken from places, and written there."""
+    """A stage while it is recorded: numbers are read from places, and written to them."""
 
     def __init__(self, rows: int, **places: tuple[int, int]):
         self.rows, self.places, self.tape = rows, places, Tape()
@@ -92,18 +92,18 @@ class Recorder:
         self._taken = dict[tuple[str, int], TracedScalar]()
 
     def take(self, place: str, index: int, absent: bool = False) -> TracedScalar:
-        """The number in a place of the row."""
+        """The number at an index of a place of the row."""
         if (place, index) not in self._taken:
             self.inputs.append((place, index))
             self._taken[place, index] = self.tape.input(absent)
         return self._taken[place, index]
 
     def put(self, place: str, index: int, value: Scalar) -> None:
-        """Write a number there."""
+        """Write a number to an index of a place."""
         self.results.append((place, index, self.tape.lift(as_number(value))))
 
     def stage(self) -> LoopBody:
-        """What was recorded."""
+        """The recorded stage."""
         return LoopBody(self.rows, self.places, self.tape, self.inputs, self.results)
 
 
@@ -114,12 +114,13 @@ def rolled_loop(
     rows: Sequence[Sequence[Scalar]],
     least: int,
 ) -> list[TracedScalar] | None:
-    """Numbers that come of variables, for rows of values of these, one row after the other; None:
-    it is better written out.
+    """The outputs as functions of the variables, evaluated for rows of values by a loop; None if it
+    is better written out.
 
-    least: operations of all rows together that are worth a loop.
+    least: operations of all rows together above which a loop is worth it.
     """
     body, inside, ops = list[int](), {x.i for x in variables}, tape.ops
+    # The body: operations that depend on the variables.
     for i in tape.needed(outputs):
         if any(a in inside for a in operands(ops[i])):
             body.append(i)
@@ -131,17 +132,18 @@ def rolled_loop(
         len(outputs),
         {a for i in body for a in operands(ops[i])} | {x.i for x in outputs},
     )
+    # Memory: common numbers, then the values (rows, n), then the results (rows, m).
     common = sorted(i for i in used - inside if ops[i][0] != "const")
     at, made = len(common), len(common) + n * len(rows)
     stage = Recorder(len(rows), common=(0, 0), given=(at, n), made=(made, m))
-    known = {i: stage.take("common", k, tape.absent[i]) for k, i in enumerate(common)}
-    known |= {x.i: stage.take("given", k) for k, x in enumerate(variables)}
-    known |= {i: stage.tape.lift(ops[i][1]) for i in used - inside if ops[i][0] == "const"}
+    mapped = {i: stage.take("common", k, tape.absent[i]) for k, i in enumerate(common)}
+    mapped |= {x.i: stage.take("given", k) for k, x in enumerate(variables)}
+    mapped |= {i: stage.tape.lift(ops[i][1]) for i in used - inside if ops[i][0] == "const"}
     for i in body:
-        known[i] = stage.tape.node(ops[i][0], *(known[a].i for a in ops[i][1:]))
-        stage.tape.sharp |= {known[i].i} if i in tape.sharp else set()
+        mapped[i] = stage.tape.node(ops[i][0], *(mapped[a].i for a in ops[i][1:]))
+        stage.tape.sharp |= {mapped[i].i} if i in tape.sharp else set()
     for k, x in enumerate(outputs):
-        stage.put("made", k, known[x.i])
+        stage.put("made", k, mapped[x.i])
     cells = made + m * len(rows)
     arguments = [*(TracedScalar(tape, i) for i in common), *(x for row in rows for x in row)]
     return Loop([stage.stage()], cells, range(made, cells))(tape, arguments)

@@ -1,8 +1,8 @@
-"""A tape of operations, and the `TracedScalar` that one of them gives: what is known is computed at
-once, nothing is done twice.
+"""A tape of operations, and the `TracedScalar` that is the result of one. Operations on known
+numbers are computed immediately, and no operation is recorded twice.
 
-What asks for a value that does not exist yet, an ``if`` or a ``float(x)``, raises `CannotCompile`,
-which names the line.
+Code that needs a value that does not exist yet, an ``if`` or a ``float(x)``, raises
+`CannotCompile`, which names the line.
 """
 
 from __future__ import annotations
@@ -20,36 +20,37 @@ from typing import Any, Final
 import numpy as np
 
 Scalar = Any
-"""A `TracedScalar`, or a float or bool that is known already."""
+"""A `TracedScalar`, or a float or bool whose value is known."""
 
 
 class CannotCompile(ValueError):
-    """A computation is not arithmetic on numbers; the message says what it asked for, and on which
+    """A computation is not arithmetic on numbers; the message says what it needed, and on which
     line.
 
-    ``somewhere``: whether the line is not known.
+    ``somewhere``: whether the line is unknown.
     """
 
     somewhere = False
 
 
 class TooLong(CannotCompile):
-    """A computation has more operations than are worth it."""
+    """A computation has too many operations to be worth compiling."""
 
 
-def cannot_compile(what: str) -> CannotCompile:
-    """The error, with the line of the model, or else of the package, that led to it; the tape keeps
-    it.
+def cannot_compile(message: str) -> CannotCompile:
+    """The error, with the line of the model, or else of the package, that led to it; the tape
+    stores it.
 
-    A model may catch it: what is recorded after that is refused all the same.
+    A model may catch it: the recording is refused all the same.
     """
     frame: Any = sys._getframe(1)
     lines = []
+    # The tape is the local variable of this name in the function that records.
     while frame is not None and not isinstance(frame.f_locals.get("tape"), Tape):
         lines.append((frame.f_code.co_filename, frame.f_lineno))
         frame = frame.f_back
     place = place_of(lines)
-    error = CannotCompile(f"{what}; engine='numpy' runs it as it is{place}")
+    error = CannotCompile(f"{message}; engine='numpy' runs it as it is{place}")
     error.somewhere = not place
     if frame is not None:
         tape: Tape = frame.f_locals["tape"]
@@ -58,13 +59,13 @@ def cannot_compile(what: str) -> CannotCompile:
 
 
 def place_of(lines: Sequence[tuple[str, int]]) -> str:
-    """Where a model asked for what cannot be recorded: the innermost line that is the user's."""
+    """The innermost line of the user's code, where a model needed what cannot be recorded."""
     paths = [(Path(name), number) for name, number in lines if not name.startswith("<")]
     package = Path(__file__).parents[1]
-    found = [at for at in paths if package not in at[0].parents and not _is_installed(at[0])]
-    if not found:
+    user_lines = [at for at in paths if package not in at[0].parents and not _is_installed(at[0])]
+    if not user_lines:
         return ""
-    path, number = found[0]
+    path, number = user_lines[0]
     line = linecache.getline(str(path), number).strip()
     return f" ({path.name}, line {number}: {line})" if line else f" ({path.name}, line {number})"
 
@@ -116,14 +117,14 @@ _FOLD: dict[str, Callable[..., Any]] = {
     "not": np.logical_not,
     "select": lambda c, a, b: a if c else b,
 }
-"""What operations do to numbers that are known; "pow2" is two to a whole number, "exponent" the one
-of a normal number.
+"""The operations on known numbers; "pow2" is two to a whole number, "exponent" the exponent of a
+normal number.
 """
-MOST = 400_000  # operations on a tape, those that are not needed in the end included
+MOST = 400_000  # operations on a tape, including those that are not needed in the end
 LOGICAL: Final = frozenset(("lt", "le", "eq", "ne", "and", "or", "not"))
 """Operations whose results are true or false."""
 _SHARP: Final = LOGICAL | {"floor", "rint", "fmod"}
-"""Operations that jump: there a difference of round-off becomes another whole number."""
+"""Operations that jump: there a difference of round-off can become another whole number."""
 _WILD: Final = frozenset(
     (
         "div",
@@ -144,7 +145,7 @@ _WILD: Final = frozenset(
         "fmod",
     )
 )
-"""Operations that can make nan or infinity of moderate numbers."""
+"""Operations that can turn moderate numbers into nan or infinity."""
 _OPERANDS: Final = {
     "in": slice(0),
     "const": slice(0),
@@ -156,23 +157,23 @@ _ALL: Final = slice(1, None)
 
 
 def operands(op: tuple[Any, ...]) -> tuple[int, ...]:
-    """Indices of the earlier operations that one needs."""
+    """Indices of the earlier operations that an operation needs."""
     return op[_OPERANDS.get(op[0], _ALL)]
 
 
 class Tape:
-    """Operations in the order in which they were first done, each once.
+    """Operations in the order in which they were first emitted, each once.
 
     ``ops[i]`` is ``(name, *arguments)``: indices of earlier ones; ``("in", k)`` is the k-th input,
-    ``("const", x)`` a number. ``("call", routine, *arguments)`` leaves a memory,
-    ``("part", i, cell)`` is a cell of it; ``rolled``: whether there may be such. ``cells``: how
-    many numbers the routines have in memory. ``most``: the number of operations beyond which
+    ``("const", x)`` a number. ``("call", routine, *arguments)`` leaves a memory, and
+    ``("part", i, cell)`` is a cell of it; ``rolled``: whether such calls are allowed. ``cells``:
+    how many numbers the routines have in memory. ``most``: the number of operations beyond which
     `TooLong` is raised.
-    ``refusal``: the first thing that was asked for in vain. ``absent[i]``: whether it comes of
-    something that may be missing, nan. ``model``: whether what is recorded now is a model's
-    own arithmetic, which has the values that numpy gives; of what it made, ``wild[i]``: whether it
-    may be nan or infinite, and ``sharp``: numbers that decide a jump, whose products and sums are
-        rounded one by one. ``modeled``: what was recorded so.
+    ``refusal``: the first error of `cannot_compile`. ``absent[i]``: whether the operation depends
+    on an input that may be missing, nan. ``model``: whether the recorded code is a model's own
+    arithmetic, which must have numpy's values; for this code, ``wild[i]``: whether the result may
+    be nan or infinite, and ``sharp``: numbers that decide a jump, whose products and sums are
+    rounded one by one. ``modeled``: the operations of such code.
     """
 
     def __init__(self, rolled: bool = True, most: int = MOST) -> None:
@@ -188,18 +189,19 @@ class Tape:
 
     @property
     def key(self) -> tuple[Any, ...]:
-        """The same for tapes of the same operations."""
+        """A key that is equal for tapes of the same operations."""
         return *self._known, *sorted(self.sharp)
 
     def input(self, absent: bool = False) -> TracedScalar:
-        """A new input, the next in number; ``absent``: it may be nan where something is missing."""
+        """A new input, the next in number; ``absent``: it may be nan for a missing measurement."""
         self._inputs += 1
-        found = self.node("in", self._inputs - 1)
-        self.absent[found.i] = self.wild[found.i] = absent
-        return found
+        number = self.node("in", self._inputs - 1)
+        self.absent[number.i] = self.wild[number.i] = absent
+        return number
 
     def node(self, *op: Any) -> TracedScalar:
-        """The number that an operation gives."""
+        """The result of an operation, recorded unless it is on the tape already."""
+        # The hexadecimal digits distinguish 0.0 from -0.0, and make nan equal to itself.
         key = (op[0], op[1].hex()) if op[0] == "const" else op
         at = self._known.get(key)
         if at is None:
@@ -212,6 +214,7 @@ class Tape:
                 self.absent.append(op[1] != op[1])
                 self.wild.append(not isfinite(op[1]))
             else:
+                # absent and wild propagate from the operands.
                 absent, wild, needs = False, self.model and op[0] in _WILD, operands(op)
                 for a in needs:
                     absent = absent or self.absent[a]
@@ -223,9 +226,9 @@ class Tape:
             self.modeled.append(self.model)
         return TracedScalar(self, at)
 
-    def _sharpen(self, found: Sequence[int]) -> None:
-        """Mark what a jump depends on within a model."""
-        stack = list(found)
+    def _sharpen(self, indices: Sequence[int]) -> None:
+        """Mark the numbers that a jump within a model depends on."""
+        stack = list(indices)
         while stack:
             i = stack.pop()
             if self.modeled[i] and i not in self.sharp:
@@ -233,7 +236,7 @@ class Tape:
                 stack += operands(self.ops[i])
 
     def lift(self, x: Scalar) -> TracedScalar:
-        """A number on the tape, of one that is known."""
+        """The number on this tape; a known number becomes a constant."""
         if type(x) is not TracedScalar:
             return self.node("const", float(x))
         if x.tape is not self:
@@ -242,57 +245,61 @@ class Tape:
             )
         return x
 
-    def needed(self, outputs: Sequence[TracedScalar], given: Container[int] = ()) -> list[int]:
-        """Operations that the outputs depend on, each as late as it can be: few numbers then wait
-        in registers.
+    def needed(self, outputs: Sequence[TracedScalar], provided: Container[int] = ()) -> list[int]:
+        """Operations that the outputs depend on, each as late as possible: few numbers then wait in
+        registers.
 
-        given: operations whose results are known, so that their operands are not needed.
+        provided: operations whose results are known, so that their operands are not needed.
         """
-        seen, order = set[int](), list[int]()
+        # Depth first; ~i marks an operation whose operands have been visited.
+        visited, order = set[int](), list[int]()
         stack = [x.i for x in reversed(outputs)]
         while stack:
             i = stack.pop()
-            if i < 0:  # its operands are done
+            if i < 0:
                 order.append(~i)
-            elif i not in seen:
-                seen.add(i)
+            elif i not in visited:
+                visited.add(i)
                 stack.append(~i)
-                if i not in given:
+                if i not in provided:
                     stack += reversed(operands(self.ops[i]))
         return order
 
 
 def emit(name: str, *arguments: Scalar) -> Scalar:
-    """The result of an operation, done at once where the arguments are known."""
+    """The result of an operation, computed at once if the arguments are known."""
     for x in arguments:
         if type(x) is TracedScalar:
             recording = x.tape
             break
     else:
+        # All arguments are known: compute with numpy.
         with np.errstate(all="ignore"):
-            known = _FOLD[name](*arguments)
-        return known.item() if isinstance(known, np.generic) else known
+            value = _FOLD[name](*arguments)
+        return value.item() if isinstance(value, np.generic) else value
+    # Arithmetic treats truth values as 1 and 0.
     if name not in ("and", "or", "not", "select"):
         arguments = tuple(map(as_number, arguments))
     short = _SHORT.get(name)
-    if short is not None and (found := short(*arguments)) is not None:
-        return found
+    if short is not None and (shortcut := short(*arguments)) is not None:
+        return shortcut
     if name == "select":
         arguments = (arguments[0], *map(as_number, arguments[1:]))
     at = [recording.lift(x).i for x in arguments]
+    # Commutative operations have one order, so that each is recorded once.
     if name in ("add", "mul", "and", "or") and at[0] > at[1]:
         at.reverse()
     return recording.node(name, *at)
 
 
 def is_known(x: Scalar, value: float) -> bool:
-    """Whether a number is known, and this one."""
+    """Whether a number is known and has this value."""
     return type(x) is not TracedScalar and x == value
 
 
 def _is_zero(x: Scalar, beside: Scalar) -> bool:
-    """Whether a number is a known zero that changes nothing in a sum; in a model 0.0 makes 0.0 of
-    -0.0.
+    """Whether a number is a known zero that changes nothing in a sum; in a model 0.0 turns -0.0
+    into 0.0.
     """
     return is_known(x, 0.0) and not (beside.tape.model and copysign(1.0, x) > 0.0)
 
@@ -302,6 +309,7 @@ def _add(a: Scalar, b: Scalar) -> Scalar | None:
         a, b = b, a
     if type(b) is not TracedScalar:
         return a if _is_zero(b, a) else None
+    # a + (-b) = a - b
     if a.name == "neg":
         a, b = b, a
     return emit("sub", a, b._argument(0)) if type(b) is TracedScalar and b.name == "neg" else None
@@ -310,6 +318,7 @@ def _add(a: Scalar, b: Scalar) -> Scalar | None:
 def _sub(a: Scalar, b: Scalar) -> Scalar | None:
     if type(b) is not TracedScalar:
         return a if _is_zero(-float(b), a) else None
+    # 0 - b = -b, except for the sign of a zero, which counts in a model.
     if is_known(a, 0.0) and not b.tape.model:
         return emit("neg", b)
     return emit("add", a, b._argument(0)) if type(b) is TracedScalar and b.name == "neg" else None
@@ -319,9 +328,8 @@ def _mul(a: Scalar, b: Scalar) -> Scalar | None:
     if type(a) is not TracedScalar:
         a, b = b, a
     if type(b) is not TracedScalar:
-        if (
-            b == 0.0
-        ):  # a structural zero: what is not finite in the filter's own algebra shows elsewhere
+        # A structural zero: the filter's own algebra shows numbers that are not finite elsewhere.
+        if b == 0.0:
             return None if a.tape.model and a.tape.wild[a.i] else 0.0
         return a if b == 1.0 else emit("neg", a) if b == -1.0 else None
     return None
@@ -338,13 +346,14 @@ def _select(c: Scalar, a: Scalar, b: Scalar) -> Scalar | None:
     if type(c) is not TracedScalar:
         return a if c else b
     same = type(a) is type(b) is TracedScalar and a.i == b.i
+    # Among truth values: (c and a) or (not c and b).
     if is_logical(a) and is_logical(b):
         return emit("or", emit("and", c, a), emit("and", emit("not", c), b))
     return a if same else None
 
 
 def _joined(neutral: bool) -> Callable[[Scalar, Scalar], Scalar | None]:
-    """ "and" or "or", by the truth value that changes nothing in it."""
+    """The shortcut of "and" or "or"; ``neutral``: the truth value that changes nothing in it."""
 
     def short(a: Scalar, b: Scalar) -> Scalar | None:
         for x, y in ((a, b), (b, a)):
@@ -373,25 +382,25 @@ _SHORT: dict[str, Callable[..., Scalar | None]] = {
 
 
 def is_logical(x: Scalar) -> bool:
-    """Whether it is true or false."""
+    """Whether a number is a truth value."""
     return x.logical if type(x) is TracedScalar else type(x) is bool or type(x) is np.bool_
 
 
 def as_number(x: Scalar) -> Scalar:
-    """What is true or false as 1 or 0."""
+    """A truth value as 1 or 0; any other number unchanged."""
     if type(x) is TracedScalar:
         return emit("select", x, 1.0, 0.0) if x.logical else x
     return float(x) if is_logical(x) else x
 
 
 def total(terms: Any) -> Scalar:
-    """Sum of numbers that are not known to be zero, in their order."""
+    """Sum, in order, of the numbers that are not known to be zero."""
     parts = [x for x in terms if not is_known(x, 0.0)]
     return reduce(partial(emit, "add"), parts) if parts else 0.0
 
 
 class TracedScalar:
-    """A number that is known only when the tape is run."""
+    """A number whose value is known only when the tape runs."""
 
     __slots__ = ("i", "tape")
 
@@ -400,19 +409,19 @@ class TracedScalar:
 
     @property
     def name(self) -> str:
-        """Of the operation that gives it."""
+        """The name of the operation that gives it."""
         return str(self.tape.ops[self.i][0])
 
     @property
     def logical(self) -> bool:
-        """Whether it is true or false."""
+        """Whether it is a truth value."""
         return self.name in LOGICAL
 
     def _argument(self, k: int) -> TracedScalar:
         return TracedScalar(self.tape, self.tape.ops[self.i][1 + k])
 
     def any(self, *_arguments: Any, **_options: Any) -> TracedScalar:
-        """Whether it is not 0, as that of an array of one; `all` is the same."""
+        """Whether it is not 0, as for an array of one; `all` is the same."""
         return self if self.logical else emit("ne", self, 0.0)
 
     def __copy__(self, _memory: Any = None) -> TracedScalar:
@@ -427,9 +436,9 @@ class TracedScalar:
     shape, ndim, dtype = (), 0, np.dtype(object)
 
 
-def _refusing(what: str) -> Callable[..., Any]:
+def _refusing(message: str) -> Callable[..., Any]:
     def method(*_arguments: Any) -> Any:
-        raise cannot_compile(what)
+        raise cannot_compile(message)
 
     return method
 
