@@ -20,7 +20,7 @@ from celnav.files import ForeignFileError, InputError, did_you_mean
 from celnav.filters.run import ENGINES
 from celnav.lazy import require
 from celnav.papers import REAL
-from celnav.papers.own import told
+from celnav.papers.own import explain_error
 from celnav.tape.cuda import CudaError
 
 EXIT = (
@@ -70,14 +70,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if _nobody_reads(error):
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             return 1
-        return _failed(told(error) or _sentence(error), 2 if isinstance(error, BAD_INPUT) else 1)
+        return _failed(
+            explain_error(error) or _sentence(error), 2 if isinstance(error, BAD_INPUT) else 1
+        )
     except MemoryError as error:
         cure = "fewer runs at once, or fewer --jobs, need less"
         return _failed(f"not enough memory ({error}); {cure}", 1)
     except KeyboardInterrupt:
         return _failed("interrupted", 130)
     except Exception as error:
-        if line := told(error):
+        if line := explain_error(error):
             return _failed(line, 1)
         raise
 

@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from celnav.lazy import needed_by
+from celnav.lazy import requires_extra
 
 MANIFEST = ".celnav.json"
 LOCK = ".celnav.lock"
@@ -140,7 +140,7 @@ def locked(folder: str | Path) -> Iterator[None]:
     ------
     BlockingIOError: naming the folder, if another process is there.
     """
-    with needed_by("the lock of a folder", "papers"):
+    with requires_extra("the lock of a folder", "papers"):
         from filelock import FileLock, Timeout
 
     lock = FileLock(Path(folder) / LOCK)

@@ -59,7 +59,7 @@ def modules(
     return getattribute, directory
 
 
-class Late:
+class LazyModule:
     """A module that is imported when a name of it is first asked for."""
 
     def __init__(self, module: str):
@@ -81,7 +81,7 @@ class MissingError(ImportError):
 
 
 @contextmanager
-def needed_by(what: str, extra: str) -> Iterator[None]:
+def requires_extra(what: str, extra: str) -> Iterator[None]:
     """Around imports of packages that an extra brings. MissingError names ``what`` needs the first
     that is not installed.
     """
@@ -93,7 +93,7 @@ def needed_by(what: str, extra: str) -> Iterator[None]:
 
 def require(what: str, extra: str, *packages: str) -> None:
     """Raise `MissingError` if one of the packages is not installed, before work begins."""
-    with needed_by(what, extra):
+    with requires_extra(what, extra):
         for package in packages:
             if find_spec(package) is None:
                 raise ModuleNotFoundError(name=package)

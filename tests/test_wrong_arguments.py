@@ -175,11 +175,11 @@ CALLS = {
     "problem.Problem": (lambda **arguments: problem.Problem(**arguments).draw(deepcopy(RNGS)), DOUBT),
     "problem.Problem.draw": (OWN.draw, dict(rngs=RNGS)),
     "problem.Problem.trial": (OWN.trial, dict(filters=TRIAL.filters, rngs=RNGS, reference="ukf")),
-    "trial.drawn": dict(
+    "trial.trial_from_arrays": dict(
         groups=OWN.groups, filters=TRIAL.filters, prior=PRIOR, times=TIMES, z=np.zeros((5, 2, 2)), truth=np.zeros((5, 2, 2)),
         u=np.zeros((5, 1)), space=spaces.EUCLIDEAN, reference="ukf",
     ),
-    "trial.follow": dict(trial=TRIAL, name="ukf", every=2),
+    "trial.evaluate_filter": dict(trial=TRIAL, name="ukf", every=2),
     "trial.bound": dict(trial=TRIAL, every=2),
     "simulate.simulate": dict(
         motion=MOTION, sensor=SENSOR, prior=PRIOR, times=TIMES, runs=2, seed=0, u=np.zeros((5, 1)), Phi=0.5 * I2
@@ -294,7 +294,7 @@ GAPS = """curve.values bounds.sigma bounds.center trail.points strips.strips arr
 pose.origins pose.quaternions points.points ellipsoids.centers ellipsoids.covariance exact.a"""
 MEANT = {
     "simulate.simulate times": "dates",
-    "trial.drawn times": "dates",
+    "trial.trial_from_arrays times": "dates",
     "attitude.from_euler angles": "nan, infinite",
     "belief.Gaussian mean": "deep",
     "belief.Gaussian.sample size": "empty",
@@ -315,14 +315,14 @@ MEANT = {
     "montecarlo.run_count runs": "a billion, None",
     "problem.Problem groups": "empty",
     "problem.Problem u": "nan, infinite, complex",
-    "trial.drawn groups": "empty",
-    "trial.drawn z": "None, nan",
-    "trial.drawn u": "nan, infinite, complex",
+    "trial.trial_from_arrays groups": "empty",
+    "trial.trial_from_arrays z": "None, nan",
+    "trial.trial_from_arrays u": "nan, infinite, complex",
     "simulate.simulate seed": "a billion",
     "simulate.simulate Phi": "a function",
     "simulate.simulate u": "nan, infinite, complex",
     "trial.bound every": "a billion",
-    "trial.follow every": "a billion",
+    "trial.evaluate_filter every": "a billion",
     "tuning.maximize_likelihood max_iterations": "a billion",
     "attitude.unit q": "nan",
     "gyro.Gyro tau": "infinite",

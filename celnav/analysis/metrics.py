@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike
 
 from celnav.gaussian.checks import LIMIT, function, integer, number, numbers
 from celnav.gaussian.linalg import Array
-from celnav.lazy import Late
+from celnav.lazy import LazyModule
 
-special = Late("scipy.special")
+special = LazyModule("scipy.special")
 
 
 def rms(squares: ArrayLike) -> float:

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple, cast
 from urllib.parse import urlsplit
 
 from celnav.gaussian.checks import integer
-from celnav.lazy import needed_by
+from celnav.lazy import requires_extra
 
 MOST_PROCESSES = 61 if sys.platform == "win32" else 1_000_000
 """Windows waits for no more at once."""
@@ -152,7 +152,7 @@ def _is_address(text: str) -> bool:
 
 @contextmanager
 def _cluster(address: str | None, jobs: int) -> Iterator[Executor]:
-    with needed_by("dask", "cluster"):
+    with requires_extra("dask", "cluster"):
         import distributed
 
     others, dd = set(active_children()), cast(Any, distributed)

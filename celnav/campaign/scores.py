@@ -14,7 +14,7 @@ from scipy.special import gammaincinv, stdtrit
 
 from celnav.analysis.metrics import chi_square_band
 from celnav.gaussian.linalg import Array
-from celnav.study.trial import Followed, Group, squares
+from celnav.study.trial import Evaluation, Group, squares
 
 Scores = dict[str, Array]
 """Sums over runs that did not fail.
@@ -39,7 +39,7 @@ class Failure(NamedTuple):
 
 
 def score(
-    followed: Followed,
+    followed: Evaluation,
     groups: tuple[Group, ...],
     *,
     settle_s: float | None,

@@ -23,7 +23,7 @@ from celnav.show.estimates import Estimate, Group
 from celnav.show.plots import Curve, Plot
 from celnav.show.showcase import Showcase, Space
 from celnav.study.montecarlo import generator
-from celnav.study.trial import Followed, Trial, follow
+from celnav.study.trial import Evaluation, Trial, evaluate_filter
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -37,13 +37,13 @@ def first_run(study: Study) -> Showcase | None:
     """The first run of a mission with the filters that can; None if it cannot be simulated, or no
     filter can.
     """
-    filters: dict[str, Followed] = {}
+    filters: dict[str, Evaluation] = {}
     with contextlib.suppress(Exception):  # what went wrong is among the reasons in the table
         config = study.configurations[0].config
         trial: Trial = load(study.paper).trial(config, [generator(study.seed, STUDY, 0)])
         for name in study.filters:
             with contextlib.suppress(Exception):
-                filters[name] = follow(trial, name)
+                filters[name] = evaluate_filter(trial, name)
     if not filters:
         return None
     some, run = next(iter(filters.items()))

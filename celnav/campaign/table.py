@@ -13,7 +13,7 @@ import numpy as np
 from celnav.campaign.missions import Configuration, Study
 from celnav.campaign.scores import Accuracy, Summary, summarize
 from celnav.campaign.units import Scored
-from celnav.lazy import needed_by
+from celnav.lazy import requires_extra
 
 MOST_LINES = 40
 
@@ -141,7 +141,7 @@ def to_csv(table: dict[str, list[Any]]) -> str:
 
 def to_parquet(table: dict[str, list[Any]]) -> bytes:
     """The same as a Parquet file."""
-    with needed_by("a table as Parquet", "papers"):
+    with requires_extra("a table as Parquet", "papers"):
         import pyarrow as pa
         import pyarrow.parquet as pq
 

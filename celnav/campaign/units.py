@@ -21,16 +21,16 @@ import numpy as np
 from celnav.campaign import missions
 from celnav.campaign.scores import Scores, check_scores, merge, score
 from celnav.gaussian.linalg import Array
-from celnav.lazy import needed_by
+from celnav.lazy import requires_extra
 from celnav.papers import load
 from celnav.papers.own import identity, name_of, place
 from celnav.study.montecarlo import renewed, run_of
 from celnav.study.store import Keyed, code
 from celnav.study.study import Part, Rngs, Study, Unit
-from celnav.study.trial import Noiseless, Trial, bound, follow
+from celnav.study.trial import Noiseless, Trial, bound, evaluate_filter
 from celnav.tape.cuda import CudaError
 
-with needed_by("a campaign or a mission", "papers"):
+with requires_extra("a campaign or a mission", "papers"):
     from threadpoolctl import threadpool_limits
 
 STUDY = 0
@@ -198,7 +198,7 @@ class _Block:
             if name not in trial.filters:
                 return Scored(groups)
             start = process_time()
-            run = follow(trial, name, work.every)
+            run = evaluate_filter(trial, name, work.every)
             seconds = process_time() - start
             limits = dict(work.limits)
             scores, failures = score(run, trial.groups, settle_s=work.settle_s, limits=limits)

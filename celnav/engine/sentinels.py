@@ -38,7 +38,7 @@ from celnav.engine.recording import (
     Engine,
     Shape,
     map_run_constants,
-    places,
+    matrix_entries,
     tree_leaves,
     tree_unflatten,
 )
@@ -211,7 +211,7 @@ def _state(shape: Shape, rows: Array, held: int) -> Any:
     """The state of runs stored as ``rows (..., size)``."""
     arrays, at = [], held
     for dims, role, _ in shape.arrays:
-        index = places(dims, role)
+        index = matrix_entries(dims, role)
         values = rows[..., at : at + len(index)]
         at += len(index)
         if role in ("lower", "symmetric"):

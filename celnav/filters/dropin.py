@@ -28,9 +28,9 @@ from celnav.gaussian.checks import finite, numbers
 from celnav.gaussian.linalg import Array, Covariance, Form, SquareRoot, outer, whiten
 from celnav.gaussian.rules import Rule, from_filterpy
 from celnav.gaussian.spaces import EUCLIDEAN, Space
-from celnav.lazy import needed_by
+from celnav.lazy import requires_extra
 
-with needed_by("celnav.filters.dropin", "filterpy"):
+with requires_extra("celnav.filters.dropin", "filterpy"):
     from filterpy.common import pretty_str
 
 __all__ = ["SigmaPointUKF", "SquareRootUKF"]

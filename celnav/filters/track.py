@@ -16,7 +16,7 @@ from celnav.gaussian.belief import any_lost
 from celnav.gaussian.checks import choice, integer
 from celnav.gaussian.linalg import Array, Belief, SquareRoot
 from celnav.gaussian.spaces import Space
-from celnav.lazy import needed_by
+from celnav.lazy import requires_extra
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -160,7 +160,7 @@ class Track:
 
         ``names``: of the state's components; default ``x0, x1, ...``.
         """
-        with needed_by("Track.to_dataframe", "notebooks"):
+        with requires_extra("Track.to_dataframe", "notebooks"):
             import pandas as pd
 
         return pd.DataFrame(self._columns(names))

@@ -19,11 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from celnav.gaussian import recorded
-from celnav.lazy import Late
+from celnav.lazy import LazyModule
 from celnav.tape.numbers import rarely, traced
 
 Array = NDArray[Any]
-blas, lapack = Late("scipy.linalg.blas"), Late("scipy.linalg.lapack")
+blas, lapack = LazyModule("scipy.linalg.blas"), LazyModule("scipy.linalg.lapack")
 EPS = float(np.finfo(np.float64).eps)
 NEGLIGIBLE = 1e-12
 """Fraction of the largest standard deviation, or variance, below which a value is round-off."""

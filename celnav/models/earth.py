@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from celnav.gaussian.checks import finite, number, numbers
 from celnav.gaussian.linalg import Array, matvec
-from celnav.lazy import needed_by
+from celnav.lazy import requires_extra
 
 SEMI_MAJOR_M = 6378137.0
 FLATTENING = 1.0 / 298.257223563
@@ -98,7 +98,7 @@ def orientation(tt: ArrayLike, ut1: ArrayLike, pole: tuple[float, float] = (0.0,
     tt, ut1: Julian dates in terrestrial time and in UT1, ``(..., 2)``: days and the rest. pole: x
         and y of its motion, rad.
     """
-    with needed_by("celnav.models.earth.orientation", "papers"):
+    with requires_extra("celnav.models.earth.orientation", "papers"):
         import erfa  # imported only on request
 
     tt_days, ut1_days = finite("tt", tt, (..., 2)), finite("ut1", ut1, (..., 2))

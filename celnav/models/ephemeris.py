@@ -23,9 +23,9 @@ from numpy.typing import ArrayLike
 
 from celnav.gaussian.checks import choice, finite, instance, numbers
 from celnav.gaussian.linalg import Array
-from celnav.lazy import needed_by
+from celnav.lazy import requires_extra
 
-with needed_by("celnav.models.ephemeris", "papers"):
+with requires_extra("celnav.models.ephemeris", "papers"):
     import erfa
     from jplephem.daf import DAF
     from jplephem.spk import SPK
@@ -123,7 +123,7 @@ class Kernel:
 @cache
 def de421() -> Kernel:
     """DE421 [Folkner2009], 1899 to 2053, from the package skyfield-data."""
-    with needed_by("de421", "papers"):
+    with requires_extra("de421", "papers"):
         return Kernel(str(files("skyfield_data") / "data" / "de421.bsp"))
 
 

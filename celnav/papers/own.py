@@ -65,7 +65,9 @@ def load(paper: str | Path, *, mission: bool = False) -> ModuleType:
     except Exception as error:
         if isinstance(error, OSError) and error.filename == str(path):
             raise
-        raise InputError(told(error, path) or f"{paper}: {type(error).__name__}: {error}") from None
+        raise InputError(
+            explain_error(error, path) or f"{paper}: {type(error).__name__}: {error}"
+        ) from None
     if wrong := list(_wrong(module, mission)):
         count = "1 thing is" if len(wrong) == 1 else f"{len(wrong)} things are"
         cure = "celnav new FILE.py writes a study that has all"
@@ -169,7 +171,7 @@ def place(error: BaseException, *paths: Path) -> tuple[str, int, str] | None:
     return Path(inside[-1].filename).name, inside[-1].lineno or 0, inside[-1].line or ""
 
 
-def told(error: BaseException, *paths: Path) -> str:
+def explain_error(error: BaseException, *paths: Path) -> str:
     """An error with its `place`; empty if it has none."""
     found = place(error, *paths)
     if found is None:
@@ -291,7 +293,7 @@ def _wrong_study(study: Study, figures: Mapping[str, Any], mission: bool) -> Ite
     try:
         parts = study.parts(1.0)
     except Exception as error:  # whatever a person's function does
-        got = told(error) or f"{type(error).__name__}: {error}"
+        got = explain_error(error) or f"{type(error).__name__}: {error}"
         yield f"parts: expected a function (effort) that gives parts, got an error: {got}"
     else:
         if not isinstance(parts, Mapping) or not parts or not _all([*parts.values()], Part):

@@ -62,7 +62,7 @@ LOOSE, KINDS = ("turning", "push", "field"), ("total", "heading", "inclination")
 UNDISTURBED = range(6)
 
 
-def flown(name: str, config: Flight, _rngs: Sequence[Any]) -> dict[str, Array]:
+def run_filters(name: str, config: Flight, _rngs: Sequence[Any]) -> dict[str, Array]:
     """A filter on all trials, see `celnav.study.study.fly`; and ``judged (T, trials, 3)`` deg, nan
     where the benchmark does not.
     """
@@ -119,7 +119,7 @@ def parts(effort: float, broad: Path) -> dict[str, Part]:
     start.
     """
     config = Flight(Path(broad), part=0.3 + 0.7 * effort)
-    every = {name: Part(partial(flown, name), config, 0, 1, 1, 20.0) for name in filters()}
+    every = {name: Part(partial(run_filters, name), config, 0, 1, 1, 20.0) for name in filters()}
     every["published"] = Part(published, config, cost=0.1)
     return every | ({"settings": Part(probable, config, 0, 1, 1, 40.0)} if effort == 1.0 else {})
 

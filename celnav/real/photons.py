@@ -17,7 +17,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 from celnav.files import InputError
 from celnav.gaussian.linalg import Array
-from celnav.lazy import needed_by
+from celnav.lazy import requires_extra
 from celnav.models.ephemeris import DAY_S, Tdb, de421, from_tt
 from celnav.models.pulsar import LIGHT_KM_S, Pulsar, Timing
 from celnav.real import found
@@ -79,7 +79,7 @@ def table(
     ImportError: where astropy is missing; the message says how to get it. InputError: naming the
     file, if it is none or damaged.
     """
-    with needed_by(f"{path}: a FITS file", "real"):
+    with requires_extra(f"{path}: a FITS file", "real"):
         from astropy.io import fits
 
     content = path.read_bytes()

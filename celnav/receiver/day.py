@@ -96,7 +96,7 @@ def positioned(files: Files, filter: str, mask_deg: float) -> Positioned:
     return Positioned(log, filter, track.mean, track.cov[:, :3, :3], reference)
 
 
-def flown(
+def run_filters(
     files: Files, rngs: Rngs, names: Sequence[str], sigma: float, mask_deg: float
 ) -> dict[str, Array]:
     """Filters on the half day as it is, and with noise of ``sigma`` m added to all ranges for
@@ -214,7 +214,7 @@ JUDGED: dict[str, tuple[str, tuple[float | None, float | None]]] = {
         (1e3, None),
     ),
 }
-"""What is judged of `flown`, and what is accepted."""
+"""What is judged of `run_filters`, and what is accepted."""
 
 
 def judged(found: Mapping[str, Array]) -> dict[str, Array]:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from celnav.lazy import needed_by
+from celnav.lazy import requires_extra
 
-with needed_by("positioning a receiver", "rinex"):
+with requires_extra("positioning a receiver", "rinex"):
     from pymap3d import Ellipsoid, ecef2geodetic, geodetic2ecef
 
 __all__ = ["ELLIPSOID", "ecef2geodetic", "geodetic2ecef"]

@@ -22,7 +22,7 @@ import numpy as np
 
 from celnav.files import MOST_UNPACKED, InputError
 from celnav.gaussian.linalg import Array
-from celnav.lazy import needed_by
+from celnav.lazy import requires_extra
 
 LARGEST_BYTES = 2_000_000_000
 """Of a file, unpacked: a day of a station at a second's rate is half of that."""
@@ -70,7 +70,7 @@ def _decompressed(path: Path, raw: bytes, most: int) -> bytes:
     """By the program of hatanaka, which is stopped after ``most`` bytes: its own function would
     hold all that comes.
     """
-    with needed_by(f"{path}: a log in Hatanaka's compression", "rinex"):
+    with requires_extra(f"{path}: a log in Hatanaka's compression", "rinex"):
         import_module("hatanaka")
         program = files("hatanaka.bin") / ("crx2rnx.exe" if os.name == "nt" else "crx2rnx")
     with (

@@ -17,13 +17,13 @@ from numpy.typing import ArrayLike
 
 import celnav
 from celnav.gaussian.linalg import Array
-from celnav.lazy import needed_by
+from celnav.lazy import requires_extra
 from celnav.models.gnss import GPS_AHEAD_S, WEEK_S
 from celnav.receiver.geodesy import ELLIPSOID, ecef2geodetic
 from celnav.receiver.rinex_text import EPOCH_ZERO
 from celnav.receiver.sky import local_axes
 
-with needed_by("positioning a receiver", "rinex"):
+with requires_extra("positioning a receiver", "rinex"):
     import erfa
 
 if TYPE_CHECKING:

@@ -6,9 +6,9 @@ import io
 from contextlib import AbstractContextManager
 from typing import Any
 
-from celnav.lazy import needed_by
+from celnav.lazy import requires_extra
 
-with needed_by("a figure", "papers"):
+with requires_extra("a figure", "papers"):
     from matplotlib import rc_context
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.backends.backend_svg import FigureCanvasSVG

@@ -8,14 +8,14 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from celnav.lazy import needed_by
+from celnav.lazy import requires_extra
 from celnav.show import claims
 
 
 @cache
 def _templates() -> Any:
     """The templates. What they are given is escaped, and what they are not given is an error."""
-    with needed_by("a page", "papers"):
+    with requires_extra("a page", "papers"):
         from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
     templates = Environment(

@@ -18,10 +18,10 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from celnav.files import InputError, replacing
-from celnav.lazy import needed_by
+from celnav.lazy import requires_extra
 from celnav.show.views import TIMELINE
 
-with needed_by("a picture of a recording", "record"):
+with requires_extra("a picture of a recording", "record"):
     import rerun as rr
     from PIL import Image
     from rerun.experimental import ViewerClient

@@ -26,11 +26,11 @@ from scipy.spatial.transform import Rotation
 from celnav.files import write_bytes
 from celnav.gaussian.checks import finite, instance, number, numbers, sequence
 from celnav.gaussian.linalg import Array
-from celnav.lazy import needed_by
+from celnav.lazy import requires_extra
 from celnav.show import colors
 from celnav.show.views import TIMELINE, blueprint
 
-with needed_by("a recording", "record"):
+with requires_extra("a recording", "record"):
     import rerun as rr
     from rerun.error_utils import strict_mode
 

@@ -15,9 +15,9 @@ from numpy.typing import ArrayLike
 
 from celnav.gaussian.checks import finite, instance, number, numbers
 from celnav.gaussian.linalg import Array
-from celnav.lazy import needed_by
+from celnav.lazy import requires_extra
 
-with needed_by("a recording", "record"):
+with requires_extra("a recording", "record"):
     import rerun as rr
     import rerun.blueprint as rrb
 

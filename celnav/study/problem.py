@@ -28,13 +28,22 @@ from celnav.gaussian.checks import finite, function, instance, integer, number
 from celnav.gaussian.linalg import Array, matvec
 from celnav.gaussian.rules import Taylor
 from celnav.gaussian.spaces import EUCLIDEAN
-from celnav.lazy import Late
+from celnav.lazy import LazyModule
 from celnav.study.montecarlo import generator, normals
-from celnav.study.trial import Group, Noiseless, Trial, bound, check_groups, drawn, follow, squares
+from celnav.study.trial import (
+    Group,
+    Noiseless,
+    Trial,
+    bound,
+    check_groups,
+    evaluate_filter,
+    squares,
+    trial_from_arrays,
+)
 
 __all__ = ["WILD", "Problem", "compare"]
 
-special = Late("scipy.special")
+special = LazyModule("scipy.special")
 WILD = 10.0  # by how much an outlier's noise is larger
 PASSES = 3
 
@@ -152,7 +161,7 @@ class Problem:
         truth, z = self.draw(rngs)
         groups = tuple(self.groups) or (Group("state", "", slice(0, self.n)),)
         more: dict[str, Any] = {"u": self.u, "space": self.motion.space, "reference": reference}
-        return drawn(groups, filters, self.prior, self.times, z, truth, **more)
+        return trial_from_arrays(groups, filters, self.prior, self.times, z, truth, **more)
 
 
 def _image(model: Motion | Sensor, x: Array, epoch: Epoch, m: int | None = None) -> Array:
@@ -220,7 +229,7 @@ def compare(
         trial = problem.trial(made, [generator(seed, 0, run) for run in range(runs)])
         least = _bound(problem)
         for key, filter in made.items():
-            run = follow(trial, key)
+            run = evaluate_filter(trial, key)
             half, n = len(run.times) // 2, run.error.shape[-1]
             sound = np.isfinite(run.nees[half:]).all(0)
             square = squares(trial.groups[:1], run.error)[half:, sound, 0].mean(0)

@@ -27,7 +27,7 @@ from celnav.gaussian.linalg import Array
 from celnav.study.ledger import Claim, Row, Sentence
 from celnav.study.montecarlo import blocks, effort, generator, run_count
 from celnav.study.store import RESULTS, existing
-from celnav.study.trial import Group, Trial, follow, scales
+from celnav.study.trial import Group, Trial, evaluate_filter, scales
 
 __all__ = ["Part", "Results", "Rngs", "Study", "Unit", "When", "fly", "together"]
 
@@ -84,7 +84,7 @@ def fly(
     """
     out: dict[str, Array] = {}
     for name in names:
-        found = follow(trial, name, every)
+        found = evaluate_filter(trial, name, every)
         scale = scales(trial.groups, found.error.shape[-1])
         nis = np.where(found.dof > 0, found.nis, np.nan)
         each = {

@@ -22,16 +22,16 @@ from celnav.gaussian.linalg import Array, Belief, outer
 from celnav.gaussian.spaces import EUCLIDEAN, Space
 
 __all__ = [
-    "Followed",
+    "Evaluation",
     "Group",
     "Noiseless",
     "Trial",
     "bound",
     "check_groups",
-    "drawn",
-    "follow",
+    "evaluate_filter",
     "scales",
     "squares",
+    "trial_from_arrays",
 ]
 
 TOGETHER = 8
@@ -86,7 +86,7 @@ def check_groups(groups: Any, n: int) -> None:
             )
 
 
-def drawn(
+def trial_from_arrays(
     groups: Sequence[Group],
     filters: Mapping[str, Filter],
     prior: Gaussian,
@@ -148,7 +148,7 @@ class Noiseless:
         return np.zeros(shape)
 
 
-class Followed(NamedTuple):
+class Evaluation(NamedTuple):
     """A filter's runs at the ``K`` epochs that were judged; nan where a run has no estimate.
 
     times: ``(K,)`` s. error: ``(K, runs, n)``, and std: what the filter takes for its deviations.
@@ -169,7 +169,7 @@ class Followed(NamedTuple):
     epochs: int
 
 
-def follow(trial: Trial, name: str, every: int = 1) -> Followed:
+def evaluate_filter(trial: Trial, name: str, every: int = 1) -> Evaluation:
     """Run the filter of a name and judge it at each ``every``-th of the epochs that have a truth,
     and at the last.
     """
@@ -232,7 +232,7 @@ def follow(trial: Trial, name: str, every: int = 1) -> Followed:
     times, error, std, normalized, nis, dof, cov = (
         np.concatenate(column) for column in zip(*blocks, strict=True)
     )
-    return Followed(
+    return Evaluation(
         times,
         error,
         std,
@@ -274,7 +274,7 @@ def bound(trial: Trial, every: int = 1) -> Array | None:
     """
     instance("trial", trial, Trial, "a Trial, such as problem.trial(filters, rngs)")
     return (
-        squares(trial.groups, follow(trial, trial.reference, every).std)[:, 0]
+        squares(trial.groups, evaluate_filter(trial, trial.reference, every).std)[:, 0]
         if trial.reference
         else None
     )

@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from celnav.lazy import needed_by
+from celnav.lazy import requires_extra
 from celnav.tape.elementary import EXPANSIONS
 from celnav.tape.kernel import Kernel, digest
 from celnav.tape.tape import Tape, TracedScalar, operands
@@ -516,7 +516,7 @@ _CALL = ctypes.CFUNCTYPE(None, ctypes.c_void_p)
 @cache
 def toolchain() -> Any:
     """llvmlite, ready to compile for this processor."""
-    with needed_by("machine code", "compiled"):
+    with requires_extra("machine code", "compiled"):
         import llvmlite.binding as binding
     binding.initialize_native_target()
     binding.initialize_native_asmprinter()

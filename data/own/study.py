@@ -16,7 +16,7 @@ from celnav.study import numbers
 from celnav.study.ledger import Sentence, statement
 from celnav.study.parameters import Timed, param
 from celnav.study.study import Part, Study, fly
-from celnav.study.trial import drawn
+from celnav.study.trial import trial_from_arrays
 
 TITLE = "A vehicle by range and bearing"
 GROUPS = (celnav.Group("position", "m", slice(0, 2)), celnav.Group("velocity", "m/s", slice(2, 4)))  # what is judged
@@ -57,7 +57,7 @@ def simulate(c, rngs):
 def trial(c, rngs):
     """Filters on what is simulated, and how they are judged."""
     truth, z = simulate(c, rngs)
-    return drawn(GROUPS, filters(c), believed(c)[2], c.times, z, truth)
+    return trial_from_arrays(GROUPS, filters(c), believed(c)[2], c.times, z, truth)
 
 
 def flown(c, rngs):

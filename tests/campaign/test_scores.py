@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import chi2
 
 from celnav.campaign.scores import merge, score, summarize
-from celnav.study.trial import Followed, Group, squares
+from celnav.study.trial import Evaluation, Group, squares
 
 GROUPS = (Group("position", "km", slice(0, 2)), Group("rate", "m/s", slice(2, 3), 1e3))
 STD = np.array([2.0, 1.0, 1e-3])
@@ -18,7 +18,7 @@ def followed(error, nis=None, lost=()):
     K, runs, _ = error.shape
     nees = np.square(error / STD).sum(-1)
     dof = np.full((K, runs), 2)
-    return Followed(
+    return Evaluation(
         np.arange(float(K)),
         error,
         np.broadcast_to(STD, error.shape),

@@ -264,7 +264,7 @@ def test_without_drawing_anew_the_gain_lacks_the_process_noise():
 
 
 def side_by_side(names, cases=None, count=2, **more):
-    return study.flown(
+    return study.run_filters(
         study.Flight(names, cases={"": {}} if cases is None else cases, **more),
         (),
         SHORT,
@@ -322,7 +322,7 @@ def test_a_process_noise_of_each_case_is_that_of_the_case_alone():
 
 
 def test_parts_of_a_number_are_drawn_one_after_the_other():
-    after = study.flown(study.Flight(("ls",)), [SHORT], SHORT, runs(2))["ls/error"]
+    after = study.run_filters(study.Flight(("ls",)), [SHORT], SHORT, runs(2))["ls/error"]
     both = side_by_side(("ls",), {"first/": {}, "second/": {}}, anew=True)
     np.testing.assert_array_equal(after, both["second/ls/error"])
     assert np.abs(after - both["first/ls/error"]).max() > 1.0

@@ -244,7 +244,7 @@ def test_no_method_that_is_accurate_enough_is_told(result):
 
 
 def test_the_block_size_changes_nothing():
-    work, config = partial(study.flown, ("ssukf",)), replace(STANDARD, duration_s=3.0)
+    work, config = partial(study.run_filters, ("ssukf",)), replace(STANDARD, duration_s=3.0)
     whole, *parts = (
         work(config, [generator(0, 0, r) for r in runs])
         for runs in (range(3), range(2), range(2, 3))

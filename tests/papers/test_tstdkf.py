@@ -283,7 +283,7 @@ def test_a_satellite_of_mars():
     np.testing.assert_array_equal(sky(config)[0], de421().state("mars", config.dates).position)
     linear = study.linear(["sine"], 1, ["tkf"], config, runs(2))
     sim = simulate([config], runs(2))
-    other = study.flown(["sine"], sim, filters([config]), ["tkf"])
+    other = study.run_filters(["sine"], sim, filters([config]), ["tkf"])
     for name in ("ekf", "tkf"):
         one, two = (found[f"sine/{name}/error"][20:, :, 0] for found in (linear, other))
         np.testing.assert_allclose(one, two, atol=0.03)
@@ -427,7 +427,7 @@ def test_without_a_scale_the_strong_tracking_stage_is_the_ordinary_one():
         flown["step/aug9 0/error"],
         study.linear(["step"], 12, ["tkf"], config, runs(2))["step/tkf/error"],
     )
-    alone = study.flown(
+    alone = study.run_filters(
         ["step"],
         linearized([replace(config, trend="step")], runs(2)),
         filters(config, LINEAR, on=study.BESIDE),
@@ -548,11 +548,11 @@ def test_the_linear_driver_is_the_nonlinear_one():
         simulate(cases, runs(2)),
         [replace(case, factor="proportional") for case in cases],
     )
-    other = study.flown(
+    other = study.run_filters(
         study.TRENDS, sim, filters(cases, on=study.BESIDE), ("tkf", "tstdkf", "aug")
     )
     other = {key.replace("tstdkf", "C"): value for key, value in other.items()}
-    found = study.flown(study.TRENDS, sim, filters(stronger, on=study.BESIDE), ["tstdkf"])
+    found = study.run_filters(study.TRENDS, sim, filters(stronger, on=study.BESIDE), ["tstdkf"])
     other |= {key.replace("tstdkf", "B"): value for key, value in found.items()}
     for name in ("ekf", "tkf", "tdkf", "C", "B", "aug"):
         for trend in study.TRENDS:
@@ -682,9 +682,9 @@ def test_cases_side_by_side_are_cases_alone():
     config = replace(TABLE_5, days=0.1)
     together = study.five(config, runs(3))
     alone, known = simulate([config], runs(3)), filters([config])
-    fair = study.flown(["1"], alone, {"tkf": known["tkf-fair"]}, ["tkf"])
+    fair = study.run_filters(["1"], alone, {"tkf": known["tkf-fair"]}, ["tkf"])
     np.testing.assert_allclose(together["fair/tkf/error"], fair["1/tkf/error"], rtol=1e-5)
-    exact = study.flown(["1"], alone, known, ["aug"])
+    exact = study.run_filters(["1"], alone, known, ["aug"])
     np.testing.assert_allclose(together["1/aug/error"], exact["1/aug/error"], rtol=1e-5)
     np.testing.assert_allclose(
         study.five(config, runs(3)[2:])["3/tstdkf/error"][:, 0],
@@ -692,7 +692,7 @@ def test_cases_side_by_side_are_cases_alone():
         rtol=1e-5,
     )
     form_b = [replace(config, factor="proportional")]
-    variant = study.flown(
+    variant = study.run_filters(
         ["B"], simulate(form_b, runs(2, 1)), filters(form_b, on=study.BESIDE), ["tstdkf"]
     )
     found = study.apart(study.VARIANTS, ["tstdkf"], config, runs(2, 1))
@@ -728,5 +728,5 @@ def test_a_run_that_is_lost_is_told(sim, engine):
     broken = sim._replace(z=np.where(np.arange(len(sim.z))[:, None, None, None] == 5, 1e300, sim.z))
     token = ENGINE.set(engine)
     with pytest.raises(FilterError, match=r"step \d"), np.errstate(all="ignore"):
-        study.flown(["1", "5"], broken, filters(BOTH), ["tkf"])
+        study.run_filters(["1", "5"], broken, filters(BOTH), ["tkf"])
     ENGINE.reset(token)

@@ -66,7 +66,7 @@ def folder(tmp_path):
 
 def test_a_made_trial_is_followed_and_missing_samples_cost_nothing_but_themselves(folder):
     flight = handheld.Flight(folder, broad.TRIALS[:2])
-    out = broad.flown("mekf", flight, [])
+    out = broad.run_filters("mekf", flight, [])
     errors = out["judged"]
     assert errors.shape[1:] == (2, 3)
     assert np.isnan(errors[: int(5.9 * HZ / 8)]).all()

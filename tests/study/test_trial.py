@@ -14,7 +14,7 @@ from celnav.gaussian.linalg import SquareRoot
 from celnav.papers import PAPERS, csrukf, load
 from celnav.papers.csrukf import study as ledger
 from celnav.study.montecarlo import generator
-from celnav.study.trial import Group, Noiseless, Trial, bound, follow, squares
+from celnav.study.trial import Group, Noiseless, Trial, bound, evaluate_filter, squares
 
 SMALL = {
     "csrukf": {"steps": 40, "phi": 0.8},
@@ -40,7 +40,7 @@ def test_every_filter_of_every_paper_can_be_judged(paper):
     least = bound(noiseless)
     assert {group.name: group.unit for group in trial.groups} == load(paper).JUDGED
     for name in trial.filters:
-        found = follow(trial, name, every=2)
+        found = evaluate_filter(trial, name, every=2)
         n = found.error.shape[-1]
         assert found.error.shape == found.std.shape == (len(found.times), RUNS, n)
         assert found.nees.shape == found.nis.shape == found.dof.shape == (len(found.times), RUNS)
@@ -50,7 +50,7 @@ def test_every_filter_of_every_paper_can_be_judged(paper):
         assert squares(trial.groups, found.error).shape[-1] == len(trial.groups)
     assert (least is None) == (paper == "aukf")
     if least is not None:
-        best = follow(trial, trial.reference)
+        best = evaluate_filter(trial, trial.reference)
         assert least.shape == (len(best.times), len(trial.groups))
         rms, own = (np.sqrt(squares(trial.groups, a).mean((0, 1))) for a in (best.error, best.std))
         np.testing.assert_allclose(own / np.sqrt(least.mean(0)), 1.0, atol=0.05)
@@ -60,9 +60,9 @@ def test_every_filter_of_every_paper_can_be_judged(paper):
 def test_following_twice_gives_the_same_and_every_second_epoch_is_a_part():
     trial, _ = small("csrukf")
     whole, again, part = (
-        follow(trial, "csrukf"),
-        follow(trial, "csrukf"),
-        follow(trial, "csrukf", every=2),
+        evaluate_filter(trial, "csrukf"),
+        evaluate_filter(trial, "csrukf"),
+        evaluate_filter(trial, "csrukf", every=2),
     )
     for name in ("times", "error", "std", "nees", "nis", "dof"):
         np.testing.assert_array_equal(getattr(whole, name), getattr(again, name))
@@ -73,7 +73,9 @@ def test_the_numbers_are_those_of_their_definitions():
     config = replace(csrukf.PRESETS["P"], **SMALL["csrukf"])
     sim = csrukf.simulate(config, [generator(1, 0, r) for r in range(RUNS)])
     track = run(csrukf.filters(config)["srukf"], sim.prior, sim.epochs("srukf"), keep="cov")
-    found = follow(csrukf.trial(config, [generator(1, 0, r) for r in range(RUNS)]), "srukf")
+    found = evaluate_filter(
+        csrukf.trial(config, [generator(1, 0, r) for r in range(RUNS)]), "srukf"
+    )
     error = track.mean - sim.truth
     np.testing.assert_array_equal(found.error, error)
     np.testing.assert_allclose(found.std, track.std, rtol=1e-14)
@@ -103,7 +105,7 @@ def test_the_bound_is_that_of_linear_analysis(phi):
 def test_pseudo_positions_with_the_covariance_of_the_angles_are_worth_as_much_as_the_angles():
     trial, _ = small("csrukf", measured="angles")
     mean = [
-        squares(trial.groups, follow(trial, name).error).mean((0, 1))
+        squares(trial.groups, evaluate_filter(trial, name).error).mean((0, 1))
         for name in ("csrukf-jacobian", "angles")
     ]
     np.testing.assert_allclose(*mean, rtol=0.02)
@@ -134,7 +136,7 @@ def broken(lose_at, back_at=99):
 
 
 def test_a_run_without_estimate_at_the_end_is_lost_and_one_that_comes_back_is_not():
-    gone, returned = follow(broken(3), "f"), follow(broken(2, 4), "f")
+    gone, returned = evaluate_filter(broken(3), "f"), evaluate_filter(broken(2, 4), "f")
     assert gone.lost == [(1, 3.0, "the estimate is not finite")]
     assert returned.lost == []
     np.testing.assert_array_equal(
@@ -157,7 +159,7 @@ def test_a_single_run_needs_no_axis(back_at):
         prior=start,
         epochs=lambda name: epochs(np.arange(6.0), truth=np.ones((6, 2))),
     )
-    found, expected = follow(one, "f"), follow(many, "f")
+    found, expected = evaluate_filter(one, "f"), evaluate_filter(many, "f")
     for name in ("error", "std", "nees"):
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name)[:, 1])
     assert found.lost == [(0, *what) for _, *what in expected.lost]
@@ -167,7 +169,7 @@ def test_a_single_run_needs_no_axis(back_at):
 def test_epochs_without_a_truth_cannot_be_judged():
     trial = broken(9)._replace(epochs=lambda name: epochs(np.arange(3.0)))
     with pytest.raises(ValueError, match="truth"):
-        follow(trial, "f")
+        evaluate_filter(trial, "f")
 
 
 @pytest.mark.parametrize("measured", ["positions", "angles"])
@@ -182,7 +184,7 @@ def test_the_exact_filter_is_consistent_whatever_the_first_noise(measured, first
         prior_position_km=5.0,
     )
     trial = csrukf.trial(config, [generator(2, 0, r) for r in range(200)])
-    found = follow(trial, trial.reference)
+    found = evaluate_filter(trial, trial.reference)
     low, high = chi_square_band(6, 200, level=0.9999)
     assert low < found.nees[0].mean() < high
     assert low < found.nees[-1].mean() < high
@@ -190,12 +192,15 @@ def test_the_exact_filter_is_consistent_whatever_the_first_noise(measured, first
 
 def test_the_last_epoch_is_judged_whatever_lies_between():
     trial, _ = small("csrukf")
-    whole, part = follow(trial, "csrukf"), follow(trial, "csrukf", every=7)
+    whole, part = evaluate_filter(trial, "csrukf"), evaluate_filter(trial, "csrukf", every=7)
     chosen = [0, 7, 14, 21, 28, 35, 40]
     np.testing.assert_array_equal(part.times, whole.times[chosen])
     np.testing.assert_array_equal(part.error, whole.error[chosen])
     np.testing.assert_array_equal(part.nees, whole.nees[chosen])
-    assert list(follow(trial, "csrukf", every=1000).times) == [whole.times[0], whole.times[-1]]
+    assert list(evaluate_filter(trial, "csrukf", every=1000).times) == [
+        whole.times[0],
+        whole.times[-1],
+    ]
 
 
 def test_a_bound_is_given_only_where_the_exact_filter_believes_what_is_simulated():

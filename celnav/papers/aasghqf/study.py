@@ -71,8 +71,8 @@ __all__ = [
     "UNDISTURBED",
     "WEIGHTS",
     "averaged",
-    "flown",
     "grid",
+    "run_filters",
 ]
 
 COMPARED = ("ukf", "sghqf", "aasghqf")  # the paper's three filters
@@ -139,7 +139,7 @@ def judged(config: Config, rngs: Any) -> trials.Trial:
     return shown(simulate(config, rngs))
 
 
-def flown(names: Sequence[str], config: Config, rngs: Rngs) -> dict[str, Array]:
+def run_filters(names: Sequence[str], config: Config, rngs: Rngs) -> dict[str, Array]:
     """Filters by name, at all epochs."""
     return fly(judged(config, rngs), names, cov=True)
 
@@ -214,7 +214,7 @@ def degrees(config: Config, _: Rngs) -> dict[str, Array]:
 
 
 def on_line(names: Sequence[str], config: Config, rngs: Rngs) -> dict[str, Array]:
-    """Filters by `CHOICES`: error and NEES as `flown` has them, and the number of points ``(T,
+    """Filters by `CHOICES`: error and NEES as `run_filters` has them, and the number of points ``(T,
     runs)`` at each epoch."""
     sim = simulate(config, rngs)
     out = {"times": config.times}
@@ -349,9 +349,11 @@ def parts(effort: float = 1.0) -> dict[str, Part]:
     out = {}
     for i, (name, config) in enumerate(PRESETS.items()):
         config = T3 if name == "T3" else flight(config)
-        out[name] = Part(partial(flown, FLOWN), config, i, A.runs, 50, 11.0)
+        out[name] = Part(partial(run_filters, FLOWN), config, i, A.runs, 50, 11.0)
     return out | {
-        MANY: Part(partial(flown, ("ukf", "aasghqf", "nonlinear")), fitted, 0, 200, 100, 11.0),
+        MANY: Part(
+            partial(run_filters, ("ukf", "aasghqf", "nonlinear")), fitted, 0, 200, 100, 11.0
+        ),
         "bound": Part(bound, flight(A)),
         "observability": Part(degrees, T3),
         "fixes": Part(first_fixes, T3),
@@ -359,7 +361,9 @@ def parts(effort: float = 1.0) -> dict[str, Part]:
         "six states": Part(partial(six_states, ("ekf", "ukf", "sghqf")), SIX, 5, 1000, 100, 5.0),
         "tensor": Part(partial(six_states, ("sghqf", "ghqf")), SIX, 5, 400, 100, 10.0),
         "T3, on line": Part(partial(on_line, ("bends",)), T3, 0, A.runs, 50, 2.0),
-        "first fix": Part(partial(flown, ("ukf", "sghqf")), replace(A, steps=1), 1, 1000, 100, 2.0),
+        "first fix": Part(
+            partial(run_filters, ("ukf", "sghqf")), replace(A, steps=1), 1, 1000, 100, 2.0
+        ),
         f"{MANY}, on line": Part(partial(on_line, kinds), fitted, 0, 200, 50, 16.0),
         "A-slow, on line": Part(partial(on_line, tuple(CHOICES)), slow, 2, A.runs, 50, 10.0),
         "turning": Part(partial(on_line, kinds[:1]), scenario.TURNING, 2, 10, 50, 1.0),

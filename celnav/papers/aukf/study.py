@@ -72,7 +72,6 @@ __all__ = [
     "WINDOWS",
     "Flight",
     "counted",
-    "flown",
     "gap",
     "later",
     "medians",
@@ -81,6 +80,7 @@ __all__ = [
     "parts",
     "polar",
     "rms",
+    "run_filters",
     "windows",
 ]
 
@@ -197,7 +197,9 @@ def parts(effort: float = 1.0, rinex: Path | None = None) -> dict[str, Part]:
             for name, flight in draw.items():
                 c = replace(standard, **flight.change)
                 cost = 3e-5 * runs * c.samples * len(flight.names) * len(flight.cases)
-                out[name] = Part(partial(flown, flight, tuple(drawn)), c, number, runs, cost=cost)
+                out[name] = Part(
+                    partial(run_filters, flight, tuple(drawn)), c, number, runs, cost=cost
+                )
             drawn.append(c)
 
     none = Flight(("ls", *THREE), quiet)
@@ -284,7 +286,7 @@ def parts(effort: float = 1.0, rinex: Path | None = None) -> dict[str, Part]:
     out["orbits"] = Part(day.formulas, tuple(STANDARD.times[::100].tolist()))
     if (files := day.found(rinex)) is not None:
         real = partial(
-            day.flown,
+            day.run_filters,
             names=(*THREE, "group"),
             sigma=STANDARD.burst_sigma,
             mask_deg=STANDARD.mask_deg,
@@ -293,7 +295,7 @@ def parts(effort: float = 1.0, rinex: Path | None = None) -> dict[str, Part]:
     return out
 
 
-def flown(flight: Flight, drawn: Sequence[Config], config: Config, rngs: Rngs) -> Arrays:
+def run_filters(flight: Flight, drawn: Sequence[Config], config: Config, rngs: Rngs) -> Arrays:
     """Filters on a configuration, whose random numbers come after those of what was ``drawn``
     before.
 

@@ -145,7 +145,7 @@ def variants(config: Config) -> dict[str, Filter]:
     return out
 
 
-def flown(names: Sequence[str], every: int, config: Config, rngs: Rngs) -> dict[str, Array]:
+def run_filters(names: Sequence[str], every: int, config: Config, rngs: Rngs) -> dict[str, Array]:
     """Filters and variants by name."""
     runs = trial(config, rngs)
     if config.measured == "positions":
@@ -337,7 +337,7 @@ def parts(effort: float = 1.0) -> dict[str, Part]:
     def flights(names: str, config: Config, number: int, runs: int = P.runs) -> Part:
         filters = names.split(", ")
         cost = 8e-6 * config.steps * runs * len(filters)
-        return Part(partial(flown, filters, 1), config, number, runs, 128, cost)
+        return Part(partial(run_filters, filters, 1), config, number, runs, 128, cost)
 
     basic = "srukf, csrukf, csrukf+z0, openloop"
     both = ("srukf", "csrukf")
@@ -345,9 +345,9 @@ def parts(effort: float = 1.0) -> dict[str, Part]:
     walking = replace(P, phi=1.0)
     poor = replace(D, phi=1.0)
     out = {
-        "0.8, many": Part(partial(flown, both, 60), colored, 1, 1600, 200, 16.0),
-        "0, many": Part(partial(flown, both, P.steps), P, 0, 1600, 200, 14.0),
-        "I, many": Part(partial(flown, both[1:], P.steps), walking, 2, 400, 200, 2.0),
+        "0.8, many": Part(partial(run_filters, both, 60), colored, 1, 1600, 200, 16.0),
+        "0, many": Part(partial(run_filters, both, P.steps), P, 0, 1600, 200, 14.0),
+        "I, many": Part(partial(run_filters, both[1:], P.steps), walking, 2, 400, 200, 2.0),
         "0": flights(f"{basic}, srukf-reff, lagged, printed roots", P, 0),
         "0.8": flights(f"{basic}, srukf-reff, phi 0.9, phi 1", colored, 1),
         "I": flights(f"{basic}, srukf-inflated, phi 0.95, phi 0.99", walking, 2),

@@ -88,11 +88,11 @@ __all__ = [
     "changes",
     "counted",
     "field",
-    "flown",
     "integrated",
     "means",
     "points",
     "propagations",
+    "run_filters",
     "to_tangent",
     "total_attitude",
     "total_filter",
@@ -144,7 +144,9 @@ VECTOR = replace(
 
 
 # -- runs of the paper's scenario ------------------------------------------------------------------
-def flown(names: Sequence[str], config: Config, rngs: Rngs, **options: Any) -> dict[str, Array]:
+def run_filters(
+    names: Sequence[str], config: Config, rngs: Rngs, **options: Any
+) -> dict[str, Array]:
     """Filters by name from the paper's initial error; ``options``: see `filters`."""
     return fly(scenario.trial(config, rngs, drawn=False, **options), names, cov=True)
 
@@ -725,8 +727,8 @@ def parts(effort: float = 1.0, duration_s: float | None = None) -> dict[str, Par
     minute = lasting(60.0)
     identical = lasting(1.0 if brief else 3.0, FULL_RATE)
     full_rate = lasting(min(5.0 if brief else 20.0, runs_s), FULL_RATE)
-    paper = partial(flown, ("aukf", "ssukf", "mekf"))
-    augmented = partial(flown, (*SIDES, "mekf"), c=15.0)
+    paper = partial(run_filters, ("aukf", "ssukf", "mekf"))
+    augmented = partial(run_filters, (*SIDES, "mekf"), c=15.0)
     wide = partial(starts, (180.0, 10.0, 1.0, 20.0 / 3600.0), ("ssukf",), None)
     turns = partial(starts, (10.0, 179.0), ("ssukf", "mekf"), np.array([0.48, 0.6, 0.64]))
     return {
@@ -739,7 +741,7 @@ def parts(effort: float = 1.0, duration_s: float | None = None) -> dict[str, Par
         "augmented": Part(augmented, minute, 10, 200, 200, 2.0),
         "drawn": Part(partial(forms, simulate, FORMS[:2]), minute, 11, 1000, 200, 12.0),
         "crossing": Part(partial(forms, turning, FORMS), lasting(20.0), 24, 800, 200, 4.0),
-        "coarse": Part(partial(flown, tuple(SIDES), c=15.0), COARSE, 25, 200, 200, 4.0),
+        "coarse": Part(partial(run_filters, tuple(SIDES), c=15.0), COARSE, 25, 200, 200, 4.0),
         "heads": Part(heads, lasting(heads_s), 26, 400, 200, 28.0),
         "components": Part(by_components, minute, 27, 100),
         "operations": Part(operations, FULL_RATE),

@@ -75,12 +75,12 @@ __all__ = [
     "displaced",
     "ephemerides",
     "five",
-    "flown",
     "linear",
     "nominal_covariances",
     "operations",
     "power",
     "response",
+    "run_filters",
     "squares",
     "until_tenth",
 ]
@@ -179,7 +179,7 @@ MOST_NUMBERS = 1 << 26
 """Of the rows of machine code that are in memory at a time: half a gigabyte."""
 
 
-def flown(
+def run_filters(
     names: Sequence[str],
     sim: s.Scenario,
     known: Mapping[str, Any],
@@ -211,7 +211,7 @@ def flown(
 def followed(
     filter: Any, sim: s.Scenario, every: int, judged: bool, labels: Sequence[str]
 ) -> Found:
-    """What `flown` gives of the filters in one, arrays ``(K, filters, cases, runs, ...)``, with as
+    """What `run_filters` gives of the filters in one, arrays ``(K, filters, cases, runs, ...)``, with as
     many runs at a time as there is memory for."""
     *cases, count = sim.truth.shape[1:-1]
     n = filter.start(sim.prior).belief.mean.shape[-1]
@@ -271,7 +271,7 @@ def apart(
         [replace(config, **by.get(name, own)) for name, own in changes.items()]
         for by in (changes, taken or {})
     )
-    return flown(
+    return run_filters(
         list(changes), simulate(cases, rngs), filters(believed, on=BESIDE), of, judged=judged
     )
 
@@ -285,10 +285,10 @@ def five(config: Config, rngs: Rngs) -> Found:
     one = filters(cases[:1])
     names = list(FIVE)
     return (
-        flown(names, sim, known, ["tkf", "tstdkf"])
-        | flown(["fair"], first, {"tkf": one["tkf-fair"]}, ["tkf"])
-        | flown(names[:1], first, one, ["aug"], judged=True)
-        | flown(names[1:], sim.of([1, 2, 3, 4]), filters(cases[1:]), ["aug"])
+        run_filters(names, sim, known, ["tkf", "tstdkf"])
+        | run_filters(["fair"], first, {"tkf": one["tkf-fair"]}, ["tkf"])
+        | run_filters(names[:1], first, one, ["aug"], judged=True)
+        | run_filters(names[1:], sim.of([1, 2, 3, 4]), filters(cases[1:]), ["aug"])
     )
 
 
@@ -306,7 +306,9 @@ def forces(config: Config, rngs: Rngs) -> Found:
     sim = simulate([c], rngs)
     modeled = filters([c], s.models(c, pulled=True))
     colored = filters([c], noise=noise, on=BESIDE)
-    return flown(["modeled"], sim, modeled, ["tkf"]) | flown(["colored"], sim, colored, ["tstdkf"])
+    return run_filters(["modeled"], sim, modeled, ["tkf"]) | run_filters(
+        ["colored"], sim, colored, ["tstdkf"]
+    )
 
 
 # -- filters on errors that are linear about the nominal orbit: all runs share their covariances ---
@@ -336,7 +338,7 @@ def boosts(table: Mapping[str, tuple[float, ...]]) -> Boosts:
 def linear(
     names: Sequence[str], every: int, of: Sequence[str], config: Config, rngs: Rngs
 ) -> Found:
-    """`flown` along trends of the ephemeris error: the paper's, a step, or 1 km along each axis
+    """`run_filters` along trends of the ephemeris error: the paper's, a step, or 1 km along each axis
     and, in other runs, others."""
     known = filters(config, s.LINEAR, on=BESIDE)
     walks, whose = np.array(list(NINE.values())).T[..., None, None, None, None]
@@ -350,7 +352,7 @@ def linear(
     )
     known["nine"] = s.nine_states(s.LINEAR, Q, R, known["tdkf"].bias, walks * np.eye(3))
     cases = [replace(config, trend=trend) for trend in names]
-    return flown(names, s.linearized(cases, rngs), known, of, every=every)
+    return run_filters(names, s.linearized(cases, rngs), known, of, every=every)
 
 
 Tracks = Mapping[str, tuple[Array, Array]]
@@ -371,7 +373,7 @@ def response(config: Config, pull: Array) -> Array:
 def displaced(
     tracks: Callable[[Config], Tracks], of: Sequence[str], config: Config, rngs: Rngs
 ) -> Found:
-    """`flown` by the hour about the nominal orbit, with errors that are given."""
+    """`run_filters` by the hour about the nominal orbit, with errors that are given."""
     cases = tracks(config)
     silent = replace(config, amplitude_km=(0.0,) * 3)
     sim = s.linearized([silent], rngs)
@@ -388,7 +390,7 @@ def displaced(
         z=sim.z + seen[:, :, None],
         prior=Gaussian(np.broadcast_to(config.deviation, (*shape, 6)), sim.prior.cov),
     )
-    return flown(list(cases), sim, filters(config, s.LINEAR, on=BESIDE), of, every=12)
+    return run_filters(list(cases), sim, filters(config, s.LINEAR, on=BESIDE), of, every=12)
 
 
 def bodies(config: Config) -> Tracks:

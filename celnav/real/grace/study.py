@@ -136,7 +136,7 @@ class Files(NamedTuple):
     field: Path
 
 
-def flown(names: Sequence[str], degree: int, files: Files, _rngs: Rngs) -> dict[str, Array]:
+def run_filters(names: Sequence[str], degree: int, files: Files, _rngs: Rngs) -> dict[str, Array]:
     """Filters over 1 August with gravity to a degree, and the fixes themselves.
 
     Returns
@@ -236,7 +236,9 @@ def parts(_effort: float, grace: Path) -> dict[str, Part]:
     files = Files(tuple(fixes), truth, field)
     out = {
         f"degree {n}": Part(
-            partial(flown, NAMES if n == DEGREE else ("white", "colored"), n), files, cost=20.0
+            partial(run_filters, NAMES if n == DEGREE else ("white", "colored"), n),
+            files,
+            cost=20.0,
         )
         for n in DEGREES
     }
@@ -330,7 +332,7 @@ def whiteness(name: str, accept: Bounds) -> Decided:
     )
 
 
-def correlated(lag: int, accept: Bounds = (None, None)) -> Decided:
+def autocorrelation(lag: int, accept: Bounds = (None, None)) -> Decided:
     """Correlation of the fixes' errors so many epochs apart, without outliers."""
 
     def near(r: Results) -> Array:
@@ -354,7 +356,7 @@ FINDINGS = [
         "fixes-colored",
         "Errors of real fixes are correlated from one to the next: of those that err less than 30 "
         "m.",
-        all_of(correlated(1, (0.9, None)), correlated(30), correlated(90)),
+        all_of(autocorrelation(1, (0.9, None)), autocorrelation(30), autocorrelation(90)),
         figure="figure_03",
         expected="undecided",
         why="0.9 from one fix to the next is far from white",
