@@ -106,7 +106,7 @@ def trial_from_arrays(
 
     >>> truth, z = celnav.simulate(motion, radar, prior, times, runs=rngs)
     >>> filters = {"ukf": celnav.ukf(motion, radar)}
-    >>> trial = celnav.study.trial.drawn(groups, filters, prior, times, z, truth)
+    >>> trial = celnav.study.trial.trial_from_arrays(groups, filters, prior, times, z, truth)
     """
     instance("filters", filters, Mapping, "filters by name, such as {'ukf': filter}")
     choice("reference", reference, ("", *filters))

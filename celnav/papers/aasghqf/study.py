@@ -214,8 +214,8 @@ def degrees(config: Config, _: Rngs) -> dict[str, Array]:
 
 
 def on_line(names: Sequence[str], config: Config, rngs: Rngs) -> dict[str, Array]:
-    """Filters by `CHOICES`: error and NEES as `run_filters` has them, and the number of points ``(T,
-    runs)`` at each epoch."""
+    """Filters by `CHOICES`: error and NEES as `run_filters` has them, and the number of points
+    ``(T, runs)`` at each epoch."""
     sim = simulate(config, rngs)
     out = {"times": config.times}
     scale = np.ones(13)

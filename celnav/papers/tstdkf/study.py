@@ -211,8 +211,8 @@ def run_filters(
 def followed(
     filter: Any, sim: s.Scenario, every: int, judged: bool, labels: Sequence[str]
 ) -> Found:
-    """What `run_filters` gives of the filters in one, arrays ``(K, filters, cases, runs, ...)``, with as
-    many runs at a time as there is memory for."""
+    """What `run_filters` gives of the filters in one, arrays ``(K, filters, cases, runs, ...)``,
+    with as many runs at a time as there is memory for."""
     *cases, count = sim.truth.shape[1:-1]
     n = filter.start(sim.prior).belief.mean.shape[-1]
     row = 3 * n * (n + 1) if judged else n + 9
@@ -338,8 +338,8 @@ def boosts(table: Mapping[str, tuple[float, ...]]) -> Boosts:
 def linear(
     names: Sequence[str], every: int, of: Sequence[str], config: Config, rngs: Rngs
 ) -> Found:
-    """`run_filters` along trends of the ephemeris error: the paper's, a step, or 1 km along each axis
-    and, in other runs, others."""
+    """`run_filters` along trends of the ephemeris error: the paper's, a step, or 1 km along each
+    axis and, in other runs, others."""
     known = filters(config, s.LINEAR, on=BESIDE)
     walks, whose = np.array(list(NINE.values())).T[..., None, None, None, None]
     known |= {
