@@ -252,7 +252,7 @@ def asked_for():
             call = node.items[0].context_expr if isinstance(node, ast.With) else node
             if (
                 isinstance(call, ast.Call)
-                and getattr(call.func, "id", "") in ("needed_by", "require")
+                and getattr(call.func, "id", "") in ("requires_extra", "require")
                 and len(call.args) > 1
             ):
                 extra, *names = (

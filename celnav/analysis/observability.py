@@ -260,11 +260,11 @@ def state_singular_values(matrix: ArrayLike, cov: ArrayLike | None = None) -> Ar
     """Singular values ``(..., n)`` of observability matrices ``(..., rows, n)``, one for each
     state.
 
-    Divided by the values of a reference state they are its degrees of observability [Liang2014,
-    Eq. 15]. A state gets the value whose right vector has its largest component there; 0 if that
-    vector is unobservable. ``cov (..., n, n)``: of the initial state; the vectors are then weighted
-    by its root mean square component along them. The result depends on the units of the states;
-    `information_degree` does not.
+    Divided by the values of a reference state they are its degrees of observability
+    [Liang2014, Eq. 15]. A state gets the value whose right vector has its largest component there;
+    0 if that vector is unobservable. ``cov (..., n, n)``: of the initial state; the vectors are
+    then weighted by its root mean square component along them. The result depends on the units of
+    the states; `information_degree` does not.
 
     >>> celnav.analysis.observability.state_singular_values([[2.0, 0.0], [0.0, 0.5]])
     array([2. , 0.5])

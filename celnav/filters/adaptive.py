@@ -291,8 +291,8 @@ class InverseGamma(NamedTuple):
 
 
 def variational_bayes(forgetting: float = 0.95, samples: float = 2.0, rounds: int = 3) -> Hook:
-    """Estimate the noise's variances together with the state, by variational Bayes [Sarkka2009;
-    nonlinear: Sarkka2013].
+    """Estimate the noise's variances together with the state, by variational Bayes
+    [Sarkka2009; nonlinear: Sarkka2013].
 
     The variance of a component has an inverse-gamma distribution; the update uses
     ``R = beta / alpha``. A sample turns these into ``(b alpha + 1/2, b beta + E[v^2] / 2)``, with b

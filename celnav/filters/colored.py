@@ -339,8 +339,8 @@ class Colored(Sequential):
 
 
 class Decorrelation(NamedTuple):
-    """Gain ``J (..., n, m)`` and the roots of ``Q* (..., n, n)`` and ``R* (..., m, m)`` [Sun2015,
-    Eqs. 10-20].
+    """Gain ``J (..., n, m)`` and the roots of ``Q* (..., n, n)`` and ``R* (..., m, m)``
+    [Sun2015, Eqs. 10-20].
     """
 
     J: Array

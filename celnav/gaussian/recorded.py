@@ -93,8 +93,8 @@ def _reflected(mirror: Mirror, along: Any, rest: list[Any]) -> tuple[Any, list[A
 
 
 def tria(A: Array) -> Array:
-    """Lower root with a diagonal that is not negative, by Householder reflections [Golub1996, Sec.
-    5.1].
+    """Lower root with a diagonal that is not negative, by Householder reflections
+    [Golub1996, Sec. 5.1].
     """
     n, q = A.shape
     # Entries known to be zero stay the number 0.0, so that they emit no operation.

@@ -127,8 +127,8 @@ def _dot(row: Iterable[Array], v: Iterable[Array]) -> Array:
 
 
 def derivative(x: Array, nav: Navigation) -> Array:
-    """Rate of the state ``(..., 13)``; gyro drift and accelerometer bias are constant [Liang2014,
-    Eqs. 20-25, corrected].
+    """Rate of the state ``(..., 13)``; gyro drift and accelerometer bias are constant
+    [Liang2014, Eqs. 20-25, corrected].
     """
     return np.moveaxis(_rates(component_major(x), nav), 0, -1)
 

@@ -1,8 +1,8 @@
 """Celestial sightings: angles between the Earth's center and stars, and the Earth's angular
 diameter. Units: km, rad.
 
-Three angles ``(A1, A2, A3)`` fix a position up to the side of the plane of the two stars [Sun2015,
-Eqs. 40-43, corrected]::
+Three angles ``(A1, A2, A3)`` fix a position up to the side of the plane of the two stars
+[Sun2015, Eqs. 40-43, corrected]::
 
     A1, A2: between the satellite's position vector and the stars
     A3 = 2 arcsin(R_e / r): the Earth's diameter
@@ -82,8 +82,8 @@ def position(
     radius_km: float = EARTH.radius_km,
     strict: bool = True,
 ) -> Array:
-    """Pseudo-position ``(..., 3)`` from three angles ``(..., 3)``, see `angles` [Sun2015, Eqs.
-    41-42, corrected].
+    """Pseudo-position ``(..., 3)`` from three angles ``(..., 3)``, see `angles`
+    [Sun2015, Eqs. 41-42, corrected].
 
     A: angles, ``A3`` between 0 and pi; nan components give nan. separation: between the stars, rad.
     hemisphere: +1 or -1, the sign of z ``(...)``, which the angles do not determine.

@@ -11,7 +11,7 @@ import pytest
 from celnav.campaign.missions import MissionError, read, study
 from celnav.campaign.typed import unit_of
 from celnav.papers import PAPERS, csrukf, load
-from celnav.study.trial import evaluate
+from celnav.study.trial import evaluate_filter
 
 MISSIONS = sorted((Path(__file__).parents[2] / "data" / "missions").glob("*.toml"))
 
@@ -494,8 +494,8 @@ def test_filters_are_told_how_large_the_noise_is(measured):
         trials[phi] = csrukf.trial(point.config, [np.random.default_rng(i) for i in range(300)])
     exact = "csrukf+z0" if measured == "positions" else "angles+z0"
     white = "srukf" if measured == "positions" else "srukf-isotropic"
-    assert evaluate(trials[0.9], exact).nees[-1].mean() / 6 == pytest.approx(1.0, abs=0.1)
-    stds = [evaluate(trial, white).std[-1, 0, :3] for trial in trials.values()]
+    assert evaluate_filter(trials[0.9], exact).nees[-1].mean() / 6 == pytest.approx(1.0, abs=0.1)
+    stds = [evaluate_filter(trial, white).std[-1, 0, :3] for trial in trials.values()]
     np.testing.assert_allclose(*stds, rtol=1e-6)
 
 
@@ -517,7 +517,7 @@ def test_the_last_epoch_may_be_the_only_settled_one(paper, config):
     trial = load(paper).trial(
         found.configurations[0].config, [np.random.default_rng(i) for i in range(2)]
     )
-    assert evaluate(trial, found.filters[0]).times[-1] == last
+    assert evaluate_filter(trial, found.filters[0]).times[-1] == last
 
 
 def test_a_flat_plate_is_a_body():

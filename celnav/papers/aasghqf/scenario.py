@@ -447,8 +447,8 @@ def adaptive(choose: Choose, config: Config) -> Switching:
 
 # -- the star sensors' mounting --------------------------------------------------------------------
 def mounted(sim: Scenario, errors: Array) -> Scenario:
-    """The runs with mounting errors ``(runs, 2, 3)`` rad unknown to filters [Liang2014, Eqs.
-    26-28]: stars are on boresights."""
+    """The runs with mounting errors ``(runs, 2, 3)`` rad unknown to filters
+    [Liang2014, Eqs. 26-28]: stars are on boresights."""
     stars = np.tile(BORESIGHTS, (len(errors), 1))
     turned = Rotation.from_rotvec(errors.reshape(-1, 3)).apply(stars)
     z = sim.z.copy()

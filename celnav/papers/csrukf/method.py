@@ -33,8 +33,8 @@ FORMS = {
     "downdated": "QR and downdate, as printed",
     "array": "one QR",
 }
-"""An update: of the covariance, the same made symmetric, as a sum; of the root [Sun2015, Eqs.
-32-37], and without a difference."""
+"""An update: of the covariance, the same made symmetric, as a sum; of the root
+[Sun2015, Eqs. 32-37], and without a difference."""
 ROOTS = ("downdated", "array")
 
 

@@ -235,8 +235,8 @@ class Config(Timed):
         )
 
     def bias(self, t: Array) -> Array:
-        """Error ``(..., 3)`` km of the ephemeris, ``t`` s after the start [Xu2023, Eqs 17, 69, 70;
-        inferred], if not constant."""
+        """Error ``(..., 3)`` km of the ephemeris, ``t`` s after the start
+        [Xu2023, Eqs 17, 69, 70; inferred], if not constant."""
         if self.trend == "step":
             return (
                 self.bias_prior_km
