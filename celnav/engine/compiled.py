@@ -60,7 +60,7 @@ EXPECTED = 100, 20
 # of an operation's time, where models are matrices: numpy computes one covariance for all runs
 SHARED = 0.02
 MOST_KEPT = 16  # filters whose machine code is stored
-SPARED = 65_536  # steps of runs by stored machine code until all sentinels are compared again
+SPARED = 262_144  # steps of runs by stored machine code until all sentinels are compared again
 SPAN = 4096  # steps, the most between two comparisons with numpy
 MORE = 4  # factor by which that interval grows each time
 CHECKED = 3  # epochs of some runs that numpy runs before a step is recorded
