@@ -18,8 +18,8 @@ Judge     `simulate` draws truth and measurements, `Track.report` compares with 
 
 Conventions, stated once
 ------------------------
-Belief    `Motion` says what is believed of the dynamics, `Sensor` of a measurement, `Gaussian` of
-          the start. A filter (`ukf`, `ekf`, ...) is data made of them; everything is said once.
+Belief    `Motion` models the dynamics, `Sensor` a measurement, `Gaussian` the state at the start.
+          A filter (`ukf`, `ekf`, ...) is data made of them.
 Arrays    The last axis is the component, ``(..., n)``; a matrix is ``(..., n, n)``; everything
           before is batch: runs of a Monte Carlo, or nothing. Sigma points lead, ``(p, ..., n)``, so
           inputs of each run broadcast by themselves in a model. Time leads in a record: a `Track`

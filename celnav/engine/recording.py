@@ -79,7 +79,7 @@ def entries(shape: tuple[int, ...], role: str) -> tuple[tuple[int, ...], ...]:
 
 
 @cache
-def matrix_entries(shape: tuple[int, ...], role: str) -> Array:
+def flat_entries(shape: tuple[int, ...], role: str) -> Array:
     """Positions of the stored numbers of an array in the array by rows."""
     index = np.arange(math.prod(shape)).reshape(shape)
     lower = role in ("lower", "symmetric")
@@ -355,7 +355,7 @@ class Engine:
                 values = values[(0,) * axes]
             rows = values.reshape(1 if shared else self.runs, -1)
             matrix = role in ("lower", "symmetric")
-            parts.append(rows[:, matrix_entries(array_shape, role)] if matrix else rows)
+            parts.append(rows[:, flat_entries(array_shape, role)] if matrix else rows)
             count = parts[-1].shape[1]
             if shared:
                 common.update(range(first, first + count))

@@ -37,8 +37,8 @@ from celnav.engine.recording import (
     Data,
     Engine,
     Shape,
+    flat_entries,
     map_run_constants,
-    matrix_entries,
     tree_leaves,
     tree_unflatten,
 )
@@ -211,7 +211,7 @@ def _state(shape: Shape, rows: Array, held: int) -> Any:
     """The state of runs stored as ``rows (..., size)``."""
     arrays, at = [], held
     for dims, role, _ in shape.arrays:
-        index = matrix_entries(dims, role)
+        index = flat_entries(dims, role)
         values = rows[..., at : at + len(index)]
         at += len(index)
         if role in ("lower", "symmetric"):

@@ -100,9 +100,9 @@ class Joint(NamedTuple):
     def columns(self) -> tuple[Array, Array]:
         """The pre-array ``(..., m + n, q + r + s)``, drawn above, and the signs of its columns.
 
-        Small columns keep their digits in a QR if they stand after large ones, and noise may be
-        small. In square-root form a linear measurement has its noise first: most reflections are
-        then short.
+        In a QR small columns keep their digits after large ones, so the noises stand last. Only in
+        square-root form with a linear measurement the measurement noise stands first: each of its
+        columns has one row, so the reflections are short, and a large noise keeps its digits.
         """
         images = (self.state,) if self.measurement is None else (self.measurement, self.state)
         # [[D_z], [D_x]], to which the columns of the noises are appended.
