@@ -52,7 +52,7 @@ def eager(monkeypatch):
     from celnav.engine import compiled
     from celnav.filters.run import ENGINE
 
-    monkeypatch.setattr(compiled, "worth", lambda *_work: compiled.WORTH)
+    monkeypatch.setattr(compiled, "operation_limit", lambda *_work: compiled.MOST_AUTO)
     monkeypatch.setattr(compiled, "SHARED", 10**6)
     token = ENGINE.set("numpy")
     yield

@@ -22,7 +22,7 @@ def once(study):
     if os.environ.get("PYTEST_XDIST_WORKER") == "gw1":
         units.reverse()  # where two processes need the same results, each computes a half of them
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(compiled, "worth", lambda *_work: 0)
+        patch.setattr(compiled, "operation_limit", lambda *_work: 0)
         for unit in units:
             if not store.has(unit):
                 store.write(unit, unit.do())

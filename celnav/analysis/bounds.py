@@ -36,6 +36,7 @@ def riccati(F: ArrayLike, H: ArrayLike, Q: ArrayLike, R: ArrayLike, P0: ArrayLik
     >>> bound = celnav.analysis.bounds.riccati(np.tile(F, (100, 1, 1)), H, Q, R, P0).covariances
     """
     transitions, h, q, r, P = _system(F, H, Q=Q, R=R, P0=P0)
+    # Time is the only loop; P is (..., n, n).
     gains, covariances = [], [P]
     for f in transitions:
         K, P = _updated(f @ P @ f.T + q, h, r)
@@ -72,9 +73,11 @@ def actual_covariance(
             f"gains: expected {len(transitions)} of them, one for each F, got shape {gains.shape}"
         )
     batch = together(gains=gains.shape[1:-2], P0=P.shape[:-2])
+    # C = cov(e, V) is zero at the start: no measurement has been used.
     P, C = np.broadcast_to(P, (*batch, n, n)), np.zeros((*batch, n, m))
     out = [P]
     for f, K in zip(transitions, gains, strict=True):
+        # Prediction: e' = F e - w, V' = Phi V + zeta.
         P, C, V = f @ P @ f.T + q, f @ C @ phi.mT, phi @ V @ phi.mT + r
         A = np.eye(n) - K @ h
         cross = A @ C @ K.mT
@@ -111,7 +114,9 @@ def colored_bound(
         # z* = z' - Phi z = G x + H w + zeta.
         G = h @ f - phi @ h
         cross, S = f @ P @ G.mT + q @ h.T, G @ P @ G.mT + h @ q @ h.T + r
+        # K = cross S^-1, solved from the left because S is symmetric.
         K = np.linalg.solve(S, cross.mT).mT
+        # x' = F x + w and z* give the error A e - B w + K zeta.
         A, B = f - K @ G, np.eye(len(f)) - K @ h
         P = A @ P @ A.mT + B @ q @ B.mT + K @ r @ K.mT
         out.append(P)

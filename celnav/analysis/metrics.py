@@ -41,6 +41,7 @@ def rmse_interval(error: ArrayLike, level: float = 0.95, axis: int = 1) -> tuple
     """
     array, axis = _runs(error, axis)
     runs, value = array.shape[axis], rmse(array, axis)
+    # runs * mean square / variance is a chi-square variable of as many degrees.
     low, high = _chi_square(level, runs)
     return value * np.sqrt(runs / high), value * np.sqrt(runs / low)
 
@@ -94,6 +95,7 @@ def bootstrap(
     blocks = runs / block
     level = number("level", level, above=0.0, below=1.0)
     resamples = integer("resamples", resamples, 1, LIMIT // runs)
+    # (resamples, blocks): the first sample of each block.
     starts = np.random.default_rng(integer("seed", seed, 0)).integers(
         0, runs, (resamples, -(-runs // block))
     )
@@ -106,6 +108,7 @@ def bootstrap(
     values = numbers("statistic", statistics, (resamples,))
     upper = 0.5 + level / 2
     low, high = np.quantile(values, [0.5 - level / 2, upper])
+    # Student's t and the factor n / (n - 1) of the variance, for few runs.
     wider = float(
         np.sqrt(blocks / (blocks - 1)) * special.stdtrit(blocks - 1, upper) / special.ndtri(upper)
     )

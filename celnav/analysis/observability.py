@@ -95,13 +95,16 @@ def lie_gradients(
             "point"
         )
     checks.function("h", h, "(points)")
+    # Chebyshev nodes; the flow goes forth and back from 0, so none is integrated twice.
     nodes = np.cos(np.pi * (np.arange(_NODES) + 0.5) / _NODES)
     forth, back = nodes[nodes >= 0.0][::-1], nodes[nodes < 0.0]
+    # One start for each axis, displaced by the complex step: its flow has the gradient.
     start = at + _TINY * np.eye(len(at))
     states = _flow(f, start, window * forth) + _flow(f, start, window * back)
     gradients = np.stack([_slopes("h", h, y) for y in states])
     series = [Chebyshev.basis(k) for k in range(_NODES)]
     basis = np.stack([s(np.concatenate([forth, back])) for s in series], -1)
+    # The polynomial through the gradients at the nodes, and its derivatives at 0.
     coefficients = np.linalg.solve(basis, gradients.reshape(_NODES, -1))
     slopes = [np.array([s.deriv(k)(0.0) for s in series]) for k in range(order + 1)]
     return np.stack(
@@ -154,6 +157,7 @@ def information_degree(P0: ArrayLike, F: ArrayLike, H: ArrayLike, R: ArrayLike) 
     for k, (row, root) in enumerate(zip(rows, np.broadcast_to(noise, (K, m, m)), strict=True)):
         if k:
             Phi = transitions[k - 1] @ Phi
+        # A row in units of its noise and of the prior: its square is information.
         white = np.linalg.solve(root, row @ Phi)
         information = information + white.T @ white
     posterior = prior @ np.linalg.solve(information, prior.T)
@@ -271,8 +275,12 @@ def state_singular_values(matrix: ArrayLike, cov: ArrayLike | None = None) -> Ar
     """
     rows = finite("matrix", matrix, (..., "rows", "n"))
     n = rows.shape[-1]
+    # Rows of zeros, if there are fewer rows than states: those states are unobserved.
     missing = [(0, 0)] * (rows.ndim - 2) + [(0, max(n - rows.shape[-2], 0)), (0, 0)]
     _, values, Vt = np.linalg.svd(np.pad(rows, missing), full_matrices=False)
+    # Column i of
+    # Vt
+    # : how much each right vector contains of state i.
     size = np.abs(Vt)
     if cov is not None:
         size *= np.sqrt(np.square(Vt @ symmetric(cov, "cov", n)[1]).sum(-1))[..., None]

@@ -203,6 +203,7 @@ def maximize_likelihood(
             why = f"the data do not determine parameter {i}: the likelihood has no maximum in it"
             break
         covariance, gradient = (vectors / -eigenvalues) @ vectors.T, likelihood.gradient(s)
+        # What a quadratic likelihood would gain by Newton's step.
         gain = 0.5 * gradient @ covariance @ gradient
         ahead = np.clip(s + covariance @ gradient, -reach, reach)
         if gain <= tolerance or not left or not likelihood(ahead) > likelihood(s):
@@ -214,7 +215,7 @@ def maximize_likelihood(
             break
         s = ahead
     errors = scale.slope(s) * np.sqrt(covariance.diagonal())
-    tried, converged = list(likelihood.known.values()), bool(optimum.success) and not why
+    tried, converged = list(likelihood.values.values()), bool(optimum.success) and not why
     failures = int(np.isnan(tried).sum())
     return Tuned(
         scale(s),
@@ -259,6 +260,7 @@ def _checked(compiled: Gradient, x: Array, lengths: Array, reference: Array) -> 
     """
     value, gradient = compiled(x, lengths)
     above, below = (compiled(x + step * lengths, lengths)[0].sum() for step in (STEP, -STEP))
+    # The rise along the diagonal of the parameters must equal the sum of the gradient.
     rise, slopes = (above - below) / (2.0 * STEP), gradient.reshape(-1, len(x)).sum(0) * lengths
     size = np.abs(reference).sum()
     if not (np.abs(value - reference) <= 1e-6 * (1.0 + np.abs(reference))).all():
@@ -315,6 +317,7 @@ class _Scale:
                 )
         self._low, self._high = low, high = np.array(pairs, np.float64).T
         self._bounded = np.isfinite(high)
+        # The start in logarithms of p - low, or of (p - low) / (high - p) in an interval.
         self._origin = np.log((start - low) / np.where(self._bounded, high - start, 1.0))
 
     def __call__(self, s: Array) -> Array:
@@ -349,7 +352,7 @@ class _Likelihood:
             raise
         if not np.isfinite(self.first):
             raise ValueError(f"start: expected a finite log-likelihood, got {self.first}")
-        self.known, self.slopes = {(0.0,) * d: self.first}, dict[tuple[float, ...], Array]()
+        self.values, self.slopes = {(0.0,) * d: self.first}, dict[tuple[float, ...], Array]()
         self.engine, self._compiled = engine.replace("auto", "compiled"), None
         if engine != "numpy":
             flights = FLIGHTS * (1 + 2 * d) if engine == "auto" else np.inf
@@ -362,7 +365,7 @@ class _Likelihood:
                     raise
                 self.engine = f"numpy: {error}"
 
-    def _flown(self, s: Array, key: tuple[float, ...]) -> float:
+    def _evaluated(self, s: Array, key: tuple[float, ...]) -> float:
         if self._compiled is not None:
             try:
                 value, gradient = self._compiled(s, self._ones)
@@ -376,13 +379,13 @@ class _Likelihood:
 
     def __call__(self, s: Array) -> float:
         key = tuple(s.tolist())
-        if key not in self.known:
+        if key not in self.values:
             try:
-                value = self._flown(s, key)
+                value = self._evaluated(s, key)
             except (ValueError, ArithmeticError):
                 value = np.nan
-            self.known[key] = value if np.isfinite(value) else np.nan
-        return self.known[key]
+            self.values[key] = value if np.isfinite(value) else np.nan
+        return self.values[key]
 
     def exact(self, s: Array) -> Array | None:
         """First derivatives ``(d,)`` from the compiled step, None if it has none."""
@@ -392,10 +395,10 @@ class _Likelihood:
     def best(self) -> Array:
         """The most probable of the parameters tried ``(d,)``."""
         return np.array(
-            max((value, s) for s, value in self.known.items() if not np.isnan(value))[1]
+            max((value, s) for s, value in self.values.items() if not np.isnan(value))[1]
         )
 
-    def _beside(self, s: Array) -> tuple[Array, Array]:
+    def _neighbors(self, s: Array) -> tuple[Array, Array]:
         """Likelihoods ``(d,)`` a step above and below s."""
         axes = STEP * np.eye(len(s))
         return np.array([self(s + axis) for axis in axes]), np.array(
@@ -408,7 +411,7 @@ class _Likelihood:
         """
         if (exact := self.exact(s)) is not None:
             return exact
-        above, below = self._beside(s)
+        above, below = self._neighbors(s)
         forward, backward = above - self(s), self(s) - below
         mean = 0.5 * (
             np.where(np.isnan(forward), backward, forward)
@@ -439,7 +442,8 @@ class _Likelihood:
         """Second derivatives ``(d, d)``, nan where the filter fails beside s."""
         if (rows := self._differences(s)) is not None:
             return 0.5 * (rows + rows.T)
-        axes, here, (above, below) = STEP * np.eye(len(s)), self(s), self._beside(s)
+        axes, here, (above, below) = STEP * np.eye(len(s)), self(s), self._neighbors(s)
+        # Second differences on the diagonal; beside it those along the sum of two axes.
         H = np.diag(above - 2.0 * here + below)
         for i, j in combinations(range(len(s)), 2):
             both = axes[i] + axes[j]

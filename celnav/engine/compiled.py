@@ -22,8 +22,8 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from celnav.engine.recording import NONE, Data, Engine, Kept, map_run_constants, signature
-from celnav.engine.runs import CompiledRun, as_data, epoch_of, part_of, run_compiled
+from celnav.engine.recording import NONE, Data, Engine, StepCache, map_run_constants, signature
+from celnav.engine.runs import CompiledRun, as_data, epoch_of, run_compiled, runs_of
 from celnav.engine.sentinels import (
     Watch,
     changed,
@@ -49,21 +49,21 @@ __all__ = ["Compiled", "compiled"]
 
 # operations of a step: the most that engine="auto" compiles, in some five seconds, and that a
 # device runs
-WORTH = 50_000
+MOST_AUTO = 50_000
 # Constants of engine="auto" in CPU seconds, measured for 1 to 30 states with AVX2 and AVX-512:
 STEP_S = 5e-4  # of a numpy step, for models like those of the five studies
 OPERATION_S = 1.2e-9  # of an operation of it in each run
-MAKE_S = 6e-5  # of recording and compiling an operation: 4e-5 to 1e-4
-RECORDS = 2  # steps that a usual run records: with an interval and without
+COMPILE_OPERATION_S = 6e-5  # of recording and compiling an operation: 4e-5 to 1e-4
+USUAL_KINDS = 2  # steps that a usual run records: with an interval and without
 # Estimated operations of a step, times n^2 and times m^2, before the step is recorded:
-EXPECTED = 100, 20
+EXPECTED_OPERATIONS = 100, 20
 # of an operation's time, where models are matrices: numpy computes one covariance for all runs
 SHARED = 0.02
-MOST_KEPT = 16  # filters whose machine code is stored
-SPARED = 262_144  # steps of runs by stored machine code until all sentinels are compared again
-SPAN = 4096  # steps, the most between two comparisons with numpy
-MORE = 4  # factor by which that interval grows each time
-CHECKED = 3  # epochs of some runs that numpy runs before a step is recorded
+MOST_CACHED = 16  # filters whose machine code is stored
+COMPARE_ALL = 262_144  # steps of runs by stored machine code until all sentinels are compared again
+COMPARE_ONE = 4096  # steps, the most between two comparisons with numpy
+GROWTH = 4  # factor by which that interval grows each time
+NUMPY_FIRST = 3  # epochs of some runs that numpy runs before a step is recorded
 OTHER = "the model gives other values when it is recorded"
 LOOKS = "it depends on more than the numbers that it is given; engine='numpy' runs it as it is"
 Stepped = tuple[Any, tuple[Info, ...]]
@@ -85,11 +85,11 @@ class Compiled:
     def __init__(self, filter: Any, jobs: int, engine: str, most: int | Callable[[int], int]):
         # most: operations of a step, or a function of the number of kinds of epochs.
         self.filter, self.jobs, self.engine, self.most = filter, jobs, engine, most
-        self._kept, self._watch = Kept(), Watch(None)
+        self._cache, self._watch = StepCache(), Watch(None)
         self._left = 0  # steps of all runs until numpy repeats all sentinels
         self._next, self._interval = 0, 1  # steps of all runs until numpy repeats one sentinel
-        self._flights = 0
-        self._own, self._lock = local(), Lock()  # plans of steps, per thread
+        self._run_count = 0
+        self._local, self._lock = local(), Lock()  # plans of steps, per thread
 
     def __repr__(self) -> str:
         return f"Compiled({self.filter!r})"
@@ -102,19 +102,19 @@ class Compiled:
         """
         if isinstance(self.most, int):
             return self.most
-        return self.most(RECORDS if self._flights else kinds)
+        return self.most(USUAL_KINDS if self._run_count else kinds)
 
     @property
     def recorded(self) -> bool:
         """Whether a step has been recorded and compiled."""
-        return bool(self._kept.code)
+        return bool(self._cache.code)
 
     def adopt(self, other: Compiled) -> Compiled:
         """This filter, with the records of another filter whose models have equal contents.
 
         Its first run compares all sentinels with this filter's own steps by numpy.
         """
-        self._kept, self._watch = other._kept.shared(), Watch(self.filter)
+        self._cache, self._watch = other._cache.shared(), Watch(self.filter)
         return self
 
     def holds(self, contents: dict[str, Any]) -> bool:
@@ -153,8 +153,8 @@ class Compiled:
 
         with self._recording(by_numpy):
             data = as_data(self.filter, epochs)
-            count = CHECKED
-            engine, flight = self._flown(prior, data, epochs, keep, every)
+            count = NUMPY_FIRST
+            engine, result = self._run_and_compare(prior, data, epochs, keep, every)
         track_epochs: Any = ()
         if "cov" in keep and every == 1 and isinstance(epochs, Epochs):
             track_epochs = epochs.unmeasured()
@@ -162,81 +162,81 @@ class Compiled:
             stored = islice(epochs, 0, None, every)
             track_epochs = tuple(epoch._replace(z=None, truth=None) for epoch in stored)
         about = {"epochs": track_epochs, "filter": self.filter, "engine": self.engine}
-        track = _track(engine, data, flight, every, about)
-        lost = np.flatnonzero(track.failed_at.ravel() >= 0)
-        if not len(lost):
+        track = _track(engine, data, result, every, about)
+        failed = np.flatnonzero(track.failed_at.ravel() >= 0)
+        if not len(failed):
             return track
-        return self._rerun_failed(track, engine, prior, data, lost, **options)
+        return self._rerun_failed(track, engine, prior, data, failed, **options)
 
     def _recording(self, by_numpy: Callable[[], Any]) -> AbstractContextManager[None]:
         """A context for recording steps; records of models whose contents have changed are
         dropped.
         """
-        if self._kept and self._watch.is_still():
+        if self._cache and self._watch.is_still():
             return recording(self._watch.holds, by_numpy, lambda: None)
         holds = model_contents(self.filter)
         if changed(self._watch.holds, holds):
-            self._kept = Kept()
+            self._cache = StepCache()
         return recording(holds, by_numpy, restorer(self.filter))
 
-    def _flown(
+    def _run_and_compare(
         self, prior: Any, data: Data, epochs: Any, keep: Collection[str], every: int
     ) -> tuple[Engine, CompiledRun]:
         """Run the filter after numpy has run the first epochs; `CannotCompile` if a step
         differs.
         """
-        fresh, first = not self._kept, not self._flights
+        fresh, first = not self._cache, not self._run_count
         on = device() if self.engine == "cuda" else None
         engine = self._engine(prior, data)
         count = engine.runs
         # On a device only runs of the first chunk, which alone is run in pieces.
         watched = sorted({0, count // 2, count - 1}) if on is None else list(range(min(count, 3)))
         if fresh or first:  # numpy first: what models store at their first call must be floats
-            few = _of(self.filter, prior, data, engine.batch, watched, CHECKED)
+            few = _of(self.filter, prior, data, engine.batch, watched, NUMPY_FIRST)
             try:
                 run(*few, on_failure="flag", engine="numpy")
             except Exception:  # a model may hold arrays of all runs
-                run(self.filter, prior, epochs[:CHECKED], on_failure="flag", engine="numpy")
+                run(self.filter, prior, epochs[:NUMPY_FIRST], on_failure="flag", engine="numpy")
             self._watch = Watch(self.filter)
         steps = count * len(data.k)
         self._left -= steps
         self._next -= steps
-        due = fresh or first or self._left < 0 or steps >= SPARED
-        self._flights += 1
-        number = None if due else self._flights if self._next < 0 else 0
+        due = fresh or first or self._left < 0 or steps >= COMPARE_ALL
+        self._run_count += 1
+        number = None if due else self._run_count if self._next < 0 else 0
         if number != 0:
-            self._next, self._interval = self._interval, min(MORE * self._interval, SPAN)
+            self._next, self._interval = self._interval, min(GROWTH * self._interval, COMPARE_ONE)
         names = engine.keeping(keep)
-        flight = run_compiled(engine, prior, data, names, every, self.jobs, on, watched, number)
+        result = run_compiled(engine, prior, data, names, every, self.jobs, on, watched, number)
         why = next(
             (
                 f"step {int(data.k[sentinel.at])}: {name}"
-                for sentinel in flight.sentinels
+                for sentinel in result.sentinels
                 if (name := difference(self.filter, engine, data, sentinel, watched))
             ),
             "",
         )
-        due = due or flight.fresh
+        due = due or result.fresh
         path = changed(self._watch.holds, model_contents(self.filter)) if due or why else ""
         if not why and not path:
             if due:
-                self._left = SPARED
-            return engine, flight
-        self._kept = Kept()
+                self._left = COMPARE_ALL
+            return engine, result
+        self._cache = StepCache()
         if not fresh:  # the stored records may be outdated
-            return self._flown(prior, data, epochs, keep, every)
-        raise _remembers(self._watch.holds, path) if path else _otherwise(self._watch.holds, why)
+            return self._run_and_compare(prior, data, epochs, keep, every)
+        raise _has_memory(self._watch.holds, path) if path else _differs(self._watch.holds, why)
 
     def _engine(self, prior: Any, data: Data) -> Engine:
         """The engine that records and compiles steps for such priors and epochs."""
-        key, engines = signature(prior, data), self._kept.engines
+        key, engines = signature(prior, data), self._cache.engines
         if key not in engines:
-            for oldest in [*engines][: 1 - MOST_KEPT]:
+            for oldest in [*engines][: 1 - MOST_CACHED]:
                 engines.pop(oldest, None)
             rolled = self.engine != "cuda"
-            engines[key] = Engine(self.filter, prior, data, self._kept, rolled=rolled)
+            engines[key] = Engine(self.filter, prior, data, self._cache, rolled=rolled)
         engine = copy(engines[key])  # for this run
-        engine.most = self.limit(len(data.known))
+        engine.most = self.limit(len(data.distinct))
         return engine
 
     def start(self, prior: Any) -> Any:
@@ -260,7 +260,7 @@ class Compiled:
         """
         if state.belief[0].dtype.hasobject:  # it is being recorded, as a part of another filter
             return self.filter.step(state, epoch)  # type: ignore[no-any-return]
-        plans = self._own.__dict__
+        plans = self._local.__dict__
         key, numbers = plan_key(state, epoch)
         plan: Plan = plans.get(key) or self._planned(key, state, epoch)
         result = plan.step(state, epoch, numbers)
@@ -279,7 +279,7 @@ class Compiled:
             with recording(holds, again, undo):
                 self.filter.step(state, epoch)  # what models keep of their first call are floats
                 plan = Plan(self.filter, state, epoch, self.limit(1))
-        self._own.__dict__[key] = plan
+        self._local.__dict__[key] = plan
         return plan
 
     def _compared(self, plan: Plan, state: Any, epoch: Epoch, result: Stepped) -> Stepped:
@@ -287,7 +287,7 @@ class Compiled:
         changed.
         """
         if changed(plan.watch.holds, model_contents(self.filter)):
-            self._own.__dict__.clear()
+            self._local.__dict__.clear()
             return self.step(state, epoch)
         *tally, failed = np.moveaxis(plan.tally, -1, 0)
         if (failed >= 0.0).any():  # a run that has failed has no numbers to compare
@@ -299,11 +299,11 @@ class Compiled:
             why = f"step {epoch.k}: numpy raises {type(error).__name__}: {error}"
         path = changed(plan.watch.holds, model_contents(self.filter))
         if path or why:
-            self._own.__dict__.clear()
-            raise _remembers(plan.watch.holds, path) if path else _otherwise(plan.watch.holds, why)
+            self._local.__dict__.clear()
+            raise _has_memory(plan.watch.holds, path) if path else _differs(plan.watch.holds, why)
         if not plan.watch.is_still():  # equal values in other objects
             plan.watch = Watch(self.filter)
-        plan.interval = min(MORE * plan.interval, SPAN)
+        plan.interval = min(GROWTH * plan.interval, COMPARE_ONE)
         plan.left = plan.interval - 1
         return result
 
@@ -313,13 +313,13 @@ class Compiled:
         engine: Engine,
         prior: Any,
         data: Data,
-        lost: Array,
+        failed: Array,
         *,
         on_failure: str,
         **options: Any,
     ) -> Track:
         """The track, with the failed runs run again by the numpy engine."""
-        filter, run_prior, epochs = _of(self.filter, prior, data, engine.batch, lost)
+        filter, run_prior, epochs = _of(self.filter, prior, data, engine.batch, failed)
         if not engine.batch:
             return replace(
                 run(filter, run_prior, epochs, on_failure=on_failure, engine="numpy", **options),
@@ -328,7 +328,7 @@ class Compiled:
         again = run(filter, run_prior, epochs, on_failure="flag", engine="numpy", **options)
         still = np.flatnonzero(again.failed_at >= 0)
         if len(still) and on_failure == "raise":
-            first = lost[still[np.argmin(again.failed_at[still])]]
+            first = failed[still[np.argmin(again.failed_at[still])]]
             try:
                 run(*_of(self.filter, prior, data, engine.batch, [first]), engine="numpy")
             except FilterError as error:
@@ -336,18 +336,18 @@ class Compiled:
                 raise FilterError(str(error).replace("run (0,)", f"run {at}", 1)) from None
         for name in ("mean", "std", "innovation", "whitened", "used"):
             if (rows := getattr(track, name)) is not None:
-                rows.reshape(len(rows), -1, rows.shape[-1])[:, lost] = getattr(again, name)
+                rows.reshape(len(rows), -1, rows.shape[-1])[:, failed] = getattr(again, name)
         if (R := track.extra.get("R")) is not None:
-            R.reshape(len(R), -1, R.shape[-1])[:, lost] = again.extra["R"]
+            R.reshape(len(R), -1, R.shape[-1])[:, failed] = again.extra["R"]
         if track.belief is not None and again.belief is not None:
             n = track.belief[1].shape[-1]
-            track.belief[1].reshape(len(track.times), -1, n, n)[:, lost] = again.belief[1]
+            track.belief[1].reshape(len(track.times), -1, n, n)[:, failed] = again.belief[1]
         for values, rerun_values in (
             (track.failed_at, again.failed_at),
             (track.log_likelihood, again.log_likelihood),
             *((track.events[name], again.events[name]) for name in track.events),
         ):
-            values.reshape(-1)[lost] = rerun_values
+            values.reshape(-1)[failed] = rerun_values
         return track
 
 
@@ -384,7 +384,7 @@ def recording(
         ) from error
 
 
-def _remembers(holds: dict[str, Any], path: str) -> CannotCompile:
+def _has_memory(holds: dict[str, Any], path: str) -> CannotCompile:
     """The error for a model that changes its own contents, at a path."""
     return CannotCompile(
         f"the model has a memory: {path} changes when it is called; put what changes with "
@@ -392,19 +392,19 @@ def _remembers(holds: dict[str, Any], path: str) -> CannotCompile:
     )
 
 
-def _otherwise(holds: dict[str, Any], why: str) -> CannotCompile:
+def _differs(holds: dict[str, Any], why: str) -> CannotCompile:
     """The error for a model that differs from its record."""
     return CannotCompile(f"{OTHER} ({why}): {LOOKS}{functions_of(holds)}")
 
 
 def _track(
-    engine: Engine, data: Data, flight: CompiledRun, every: int, about: dict[str, Any]
+    engine: Engine, data: Data, result: CompiledRun, every: int, about: dict[str, Any]
 ) -> Track:
     """The track of a run."""
-    rows = {name: x.reshape(len(x), *engine.batch, x.shape[-1]) for name, x in flight.rows.items()}
+    rows = {name: x.reshape(len(x), *engine.batch, x.shape[-1]) for name, x in result.rows.items()}
     sensors = [i for i, m in enumerate(engine.innovations) if m]
 
-    def beside(name: str) -> Any:
+    def joined(name: str) -> Any:
         parts = [rows[f"{name}/{i}"] for i in sensors if f"{name}/{i}" in rows]
         return parts[0] if len(parts) == 1 else np.concatenate(parts, -1) if parts else None
 
@@ -413,12 +413,12 @@ def _track(
         n = rows["std"].shape[-1]
         belief = engine.form(rows["mean"], rows["cov"].reshape(*rows["cov"].shape[:-1], n, n))
     likelihood, missing, rejected, redone, failed = (
-        x.reshape(engine.batch) for x in flight.tally.T.copy()
+        x.reshape(engine.batch) for x in result.tally.T.copy()
     )
-    often = np.bincount(data.kinds, minlength=len(data.known))
+    counts = np.bincount(data.kinds, minlength=len(data.distinct))
     silent = sum(
         int(count) * m
-        for count, kind in zip(often, data.known, strict=True)
+        for count, kind in zip(counts, data.distinct, strict=True)
         for m, status in zip(engine.innovations, kind.z, strict=True)
         if status == NONE
     )
@@ -429,10 +429,10 @@ def _track(
         mean=rows.get("mean"),  # type: ignore[arg-type]
         std=rows.get("std"),  # type: ignore[arg-type]
         belief=belief,
-        innovation=beside("innovation"),
-        whitened=beside("whitened"),
-        extra={} if (R := beside("R")) is None else {"R": R},
-        used=beside("used"),
+        innovation=joined("innovation"),
+        whitened=joined("whitened"),
+        extra={} if (R := joined("R")) is None else {"R": R},
+        used=joined("used"),
         log_likelihood=likelihood,
         events={
             "missing": missing.astype(int) + silent,
@@ -452,13 +452,13 @@ def _of(
     batch axes, or of one run.
     """
 
-    select = partial(part_of, batch=batch, runs=runs)
+    select = partial(runs_of, batch=batch, runs=runs)
     # What all runs share stays shared: the root of a singular covariance depends on how it is
     # computed.
     mean = prior.mean if prior.mean.ndim == 1 else select(prior.mean, 1)
     form = Covariance if isinstance(prior, Covariance) else SquareRoot
-    spread = form.of(prior)[1]
-    run_prior = form(mean, spread if spread.ndim == 2 else select(spread, 2))
+    factor = form.of(prior)[1]
+    run_prior = form(mean, factor if factor.ndim == 2 else select(factor, 2))
     epochs = [epoch_of(data, i, select, batch) for i in range(len(data.kinds))[:count]]
     return map_run_constants(filter, lambda x: select(x, 2)), run_prior, epochs
 
@@ -479,7 +479,9 @@ def compiled(filter: Any, *, jobs: int = 1, engine: str = "compiled") -> Compile
     >>> flown = celnav.compiled(celnav.ukf(motion, gps)).run(prior, times, z)
     """
     choice("engine", engine, ("compiled", "cuda"))
-    return Compiled(filter, integer("jobs", jobs), engine, MOST if engine == "compiled" else WORTH)
+    return Compiled(
+        filter, integer("jobs", jobs), engine, MOST if engine == "compiled" else MOST_AUTO
+    )
 
 
 def resolve_engine(engine: str, filter: Any, jobs: int, prior: Any, epochs: Any) -> Compiled:
@@ -492,10 +494,10 @@ def resolve_engine(engine: str, filter: Any, jobs: int, prior: Any, epochs: Any)
     if isinstance(filter, Compiled):
         return filter
     if engine != "auto":
-        return _kept(filter, engine, jobs, MOST if engine == "compiled" else WORTH)
+        return _cached(filter, engine, jobs, MOST if engine == "compiled" else MOST_AUTO)
     if find_spec("llvmlite") is None:
         raise CannotCompile("llvmlite is not installed")
-    previous = _KEPT.get((id(filter), "compiled", jobs))
+    previous = _CACHE.get((id(filter), "compiled", jobs))
     if previous is not None and previous.recorded:
         return previous
     if not (hasattr(prior, "mean") and hasattr(prior, "cov")):
@@ -505,12 +507,12 @@ def resolve_engine(engine: str, filter: Any, jobs: int, prior: Any, epochs: Any)
     work = np.array([steps, steps * runs * (SHARED if shared else 1.0)])
     expected = REPEATED.get()
     work = work * expected if expected else _added(filter, work)
-    most: Callable[[int], int] = partial(worth, *work.tolist())
+    most: Callable[[int], int] = partial(operation_limit, *work.tolist())
     sizes = np.square([prior.cov.shape[-1], measured])
-    if sizes @ EXPECTED > most(RECORDS):
+    if sizes @ EXPECTED_OPERATIONS > most(USUAL_KINDS):
         times = f"{steps} steps of " + ("one run" if runs == 1 else f"{runs} runs")
         raise CannotCompile(f"{times} take less time than compiling one")
-    return _kept(filter, "compiled", jobs, most)
+    return _cached(filter, "compiled", jobs, most)
 
 
 _WORK: WeakKeyDictionary[Any, Array] = WeakKeyDictionary()
@@ -527,14 +529,14 @@ def _added(filter: Any, work: Array) -> Array:
     return total
 
 
-def worth(steps: float, run_steps: float, kinds: int) -> int:
+def operation_limit(steps: float, run_steps: float, kinds: int) -> int:
     """The largest number of operations of a step for which compiling saves time.
 
     steps: epochs. run_steps: epochs times runs. kinds: how many kinds of epochs there are. Each
     kind is recorded and compiled separately.
     """
-    left = max(kinds, RECORDS) * MAKE_S - run_steps * OPERATION_S
-    return WORTH if left <= 0.0 else int(min(WORTH, steps * STEP_S / left))
+    left = max(kinds, USUAL_KINDS) * COMPILE_OPERATION_S - run_steps * OPERATION_S
+    return MOST_AUTO if left <= 0.0 else int(min(MOST_AUTO, steps * STEP_S / left))
 
 
 def _sizes(prior: Any, epochs: Any) -> tuple[int, int]:
@@ -559,32 +561,32 @@ def _by_matrices(filter: Any) -> bool:
 def _equal(filter: Any, engine: str) -> Compiled | None:
     """The last filter whose models have equal contents, such as that of an earlier unit of work."""
     candidates = [
-        x for x in _KEPT.values() if x.engine == engine and type(x.filter) is type(filter)
+        x for x in _CACHE.values() if x.engine == engine and type(x.filter) is type(filter)
     ]
     holds = model_contents(filter) if candidates else {}
     return next((other for other in reversed(candidates) if other.holds(holds)), None)
 
 
-def _kept(filter: Any, engine: str, jobs: int, most: int | Callable[[int], int]) -> Compiled:
+def _cached(filter: Any, engine: str, jobs: int, most: int | Callable[[int], int]) -> Compiled:
     """The filter as machine code, with the records of the same object or of an equal one.
 
     Only records are shared: whether a run is compiled must not depend on other filters.
     """
-    with _KEPT_LOCK:
-        previous = _KEPT.pop((id(filter), engine, jobs), None)
-        made: Compiled = previous or compiled(filter, jobs=jobs, engine=engine)
-        if isinstance(most, int) or not made.recorded:
-            made.most = most
-        if not made.recorded and (other := _equal(filter, engine)) is not None:
-            made.adopt(other)
-        _KEPT[id(filter), engine, made.jobs] = made  # the last used stands last
-        while len(_KEPT) > MOST_KEPT:
-            del _KEPT[next(iter(_KEPT))]
-    return made
+    with _CACHE_LOCK:
+        previous = _CACHE.pop((id(filter), engine, jobs), None)
+        fast: Compiled = previous or compiled(filter, jobs=jobs, engine=engine)
+        if isinstance(most, int) or not fast.recorded:
+            fast.most = most
+        if not fast.recorded and (other := _equal(filter, engine)) is not None:
+            fast.adopt(other)
+        _CACHE[id(filter), engine, fast.jobs] = fast  # the last used stands last
+        while len(_CACHE) > MOST_CACHED:
+            del _CACHE[next(iter(_CACHE))]
+    return fast
 
 
-_KEPT_LOCK = Lock()
-_KEPT: dict[tuple[int, str, int], Compiled] = {}
+_CACHE_LOCK = Lock()
+_CACHE: dict[tuple[int, str, int], Compiled] = {}
 """Filters by their addresses, which stay valid while the filters stand here."""
 
 
@@ -641,8 +643,8 @@ def steps_by(
     """
     epochs = _listed(filter, prior, epochs)
     try:
-        made = resolve_engine(engine, filter, 1, prior, epochs)
-        track = made.run(prior, epochs, keep="cov", on_failure="flag")
+        fast = resolve_engine(engine, filter, 1, prior, epochs)
+        track = fast.run(prior, epochs, keep="cov", on_failure="flag")
     except (CannotCompile, ImportError):
         if engine != "auto":
             raise
@@ -656,4 +658,4 @@ def steps_by(
         else map(Info, track.innovation, whitened, track.used)
     )
     rows = zip(epochs, *track.belief, infos, strict=True)
-    return ((epoch, State(form(mean, spread)), (info,)) for epoch, mean, spread, info in rows)
+    return ((epoch, State(form(mean, factor)), (info,)) for epoch, mean, factor, info in rows)

@@ -76,10 +76,11 @@ def export_c(
     names = engine.keeping(KEEP["std"])
     engine.dt = every
     inputs = {shape: engine.inputs(group, 2) for shape, group in data.u.items()}
+    # Any component may be missing: one function serves all epochs.
     kinds = (PART,) * len(z_sensors)
     before, moving = (
-        EpochKind(False, kinds, data.known[data.kinds[0]].u),
-        EpochKind(True, kinds, data.known[data.kinds[1]].u),
+        EpochKind(False, kinds, data.distinct[data.kinds[0]].u),
+        EpochKind(True, kinds, data.distinct[data.kinds[1]].u),
     )
     first = engine.record(engine.begin, before, inputs[before.u])
     step = engine.record(first.after, moving, inputs[moving.u])
@@ -91,7 +92,9 @@ def export_c(
             raise CannotCompile(
                 "a memory that changes its shape after the first step cannot be exported"
             )
-    size = engine.held + max(shape.size for shape in (engine.begin, first.after, step.after))
+    size = engine.state_offset + max(
+        shape.size for shape in (engine.begin, first.after, step.after)
+    )
     count = 3 + sum(x[0].size for x, _ in inputs[moving.u])
     places = {"state": "state", "shared": "in", "own": "z", "rows": "out"}
     start = engine.start(prior).first
@@ -130,7 +133,7 @@ def _head(name: str, engine: Engine, after: Shape, dt: float | None) -> str:
     lines = [f"A navigation filter in C99, recorded from celnav: {engine.filter!r}.", ""]
     lines.append(f"state[{name.upper()}_STATE], to be kept from call to call:")
     lines += [f"  {at}: {counter}" for at, counter in enumerate(COUNTERS)]
-    at = engine.held
+    at = engine.state_offset
     for shape, role, _ in after.arrays:
         size = len(entries(shape, role))
         kind = {"belief": "mean", "lower": "root of the covariance", "symmetric": "covariance"}.get(

@@ -21,10 +21,10 @@ from celnav.engine.recording import (
     Data,
     Engine,
     EpochKind,
-    Kept,
     Recorded,
     Shape,
     Start,
+    StepCache,
     map_constants,
 )
 from celnav.engine.runs import as_data, run_compiled
@@ -59,7 +59,7 @@ class Gradient:
 
     def __init__(self, build: Build, epochs: Epochs | Sequence[Epoch], flights: float = np.inf):
         self.build, self.epochs, self.flights = build, epochs, flights
-        self.kept = Kept()
+        self.cache = StepCache()
         self.recorded: list[tuple[Shape, EpochKind, Any, bytes]] = []
         self.seeds = np.zeros(0, bool)
         self.first: Any = None
@@ -72,22 +72,25 @@ class Gradient:
             be recorded, or that depends on the parameters otherwise than by matrices of the filter.
             ImportError says that there is no compiler.
         """
-        built, beside = (
+        built, neighbors = (
             self.build(x),
             [
                 [self.build(x + j * STEP * axis) for j in (-2, -1, 1, 2)]
                 for axis in np.diag(lengths)
             ],
         )
-        held = _varying([built[0], *(filter for four in beside for filter, _ in four)])
+        # Arrays that change with the parameters become numbers of the state, which can have slopes.
+        varying = _varying([built[0], *(filter for four in neighbors for filter, _ in four)])
         data = as_data(built[0], self.epochs)
-        starts = [[_start(variant, held, data) for variant in four] for four in beside]
+        starts = [[_start(variant, varying, data) for variant in four] for four in neighbors]
+        # A twin at other parameters shows whether the step depends on them in another way.
         other, _ = self.build(x + STEP * lengths * np.linspace(0.5, 1.0, len(x)))
         engine, twin = (
-            _WithGradient((_lifted(filter, held), built[1]), data, self.kept)
+            _WithGradient((_lifted(filter, varying), built[1]), data, self.cache)
             for filter in (built[0], other)
         )
-        engine.twin, engine.flown = twin, self.flights * len(data.k)
+        engine.twin, engine.flight_steps = twin, self.flights * len(data.k)
+        # The derivative of the state before the first epoch, by each parameter: differences.
         slopes = [
             fourth_order(four, STEP, SMOOTH) / length
             for four, length in zip(starts, lengths, strict=True)
@@ -95,24 +98,30 @@ class Gradient:
         seeds = np.any(slopes, (0, 1))
         # An array that had no derivative may have one now.
         if len(seeds) != len(self.seeds) or (seeds & ~self.seeds).any():
-            self.seeds, self.kept, engine.kept, self.recorded = seeds, Kept(), Kept(), []
+            self.seeds, self.cache, engine.cache, self.recorded = (
+                seeds,
+                StepCache(),
+                StepCache(),
+                [],
+            )
         engine.seeds = set(np.flatnonzero(self.seeds).tolist())
         for record in () if same_program(self.first, built[0]) else self.recorded:
             engine.check(engine, *record)
-        flown = []
+        tallies = []
+        # One run for each parameter: the slopes of the state before the first epoch differ.
         for engine.slopes in slopes:
-            flown.append(
+            tallies.append(
                 run_compiled(engine, built[1], data, (), 1, 1).tally.reshape(-1, len(COUNTERS), 2)
             )
-        self.kept, self.recorded, self.first = (
-            engine.kept,
+        self.cache, self.recorded, self.first = (
+            engine.cache,
             self.recorded + engine.recorded,
             self.first or built[0],
         )
-        lost = flown[0][:, COUNTERS.index("failed_at"), 0] >= 0.0
+        lost = tallies[0][:, COUNTERS.index("failed_at"), 0] >= 0.0
         batch = Engine(*built, data).batch  # without the axis that lifting adds
-        gradient = np.stack([tally[:, 0, 1] for tally in flown], -1)
-        return np.where(lost, np.nan, flown[0][:, 0, 0]).reshape(batch), gradient.reshape(
+        gradient = np.stack([tally[:, 0, 1] for tally in tallies], -1)
+        return np.where(lost, np.nan, tallies[0][:, 0, 0]).reshape(batch), gradient.reshape(
             *batch, len(x)
         )
 
@@ -126,10 +135,10 @@ class _WithGradient(Engine):
     slopes: Array
     seeds: set[int]
     twin: _WithGradient
-    flown: float
+    flight_steps: float
 
-    def __init__(self, built: tuple[Any, Any], data: Data, kept: Kept):
-        super().__init__(*built, data, kept, rolled=False)
+    def __init__(self, built: tuple[Any, Any], data: Data, cache: StepCache):
+        super().__init__(*built, data, cache, rolled=False)
         self.recorded: list[tuple[Shape, EpochKind, Any, bytes]] = []
 
     def columns(self) -> dict[str, int]:
@@ -137,6 +146,7 @@ class _WithGradient(Engine):
 
     def start(self, prior: Any) -> Start:
         start = super().start(prior)
+        # Number i of the state stands at 2 i, its slope at 2 i + 1.
         both = np.stack(np.broadcast_arrays(start.numbers, self.slopes), -1)
         return start._replace(parts=[both.reshape(self.runs, -1)])
 
@@ -144,8 +154,8 @@ class _WithGradient(Engine):
         self, before: Shape, kind: EpochKind, u: list[tuple[Array, bool]]
     ) -> tuple[Recorded, bytes]:
         """The step without derivatives, and its digest."""
-        made = super().record(before, kind, u)
-        return made, digest(made.kernel)
+        recorded = super().record(before, kind, u)
+        return recorded, digest(recorded.kernel)
 
     def check(
         self,
@@ -162,10 +172,11 @@ class _WithGradient(Engine):
             )
 
     def record(self, before: Shape, kind: EpochKind, u: list[tuple[Array, bool]]) -> Recorded:
-        made, step_digest = self.plain(before, kind, u)
+        recorded, step_digest = self.plain(before, kind, u)
         self.check(self.twin, before, kind, u, step_digest)
-        size = len(made.kernel.tape.ops)
-        if COMPILE_S * size > self.flown * (
+        size = len(recorded.kernel.tape.ops)
+        # Compiling repays if it takes less time than the numpy runs that it replaces.
+        if COMPILE_S * size > self.flight_steps * (
             CALL_S + OPERATION_S * size * float(np.prod(self.batch))
         ):
             raise CannotCompile(
@@ -174,10 +185,10 @@ class _WithGradient(Engine):
         self.recorded.append((before, kind, u, step_digest))
         seeds = {
             0,
-            *(at for at in range(self.held) if at in self.seeds),
-            *range(self.held, self.held + before.size),
+            *(at for at in range(self.state_offset) if at in self.seeds),
+            *range(self.state_offset, self.state_offset + before.size),
         }
-        return made._replace(kernel=with_slopes(made.kernel, seeds))
+        return recorded._replace(kernel=with_slopes(recorded.kernel, seeds))
 
 
 def _arrays(filter: Any) -> list[Array]:
@@ -204,15 +215,15 @@ def _varying(filters: Sequence[Any]) -> set[int]:
     }
 
 
-def _lifted(filter: Any, held: set[int]) -> Any:
+def _lifted(filter: Any, varying: set[int]) -> Any:
     """The filter, with its varying matrices given an axis of runs."""
     count = iter(range(10**6))
-    return map_constants(filter, lambda x: x[None] if next(count) in held and x.ndim == 2 else x)
+    return map_constants(filter, lambda x: x[None] if next(count) in varying and x.ndim == 2 else x)
 
 
-def _start(built: tuple[Any, Any], held: set[int], data: Any) -> Array:
+def _start(built: tuple[Any, Any], varying: set[int], data: Any) -> Array:
     """The state before the first epoch ``(runs, numbers)``, the filter's matrices first."""
-    return Engine(_lifted(built[0], held), built[1], data).start(built[1]).numbers
+    return Engine(_lifted(built[0], varying), built[1], data).start(built[1]).numbers
 
 
 def same_program(a: Any, b: Any, matrices: bool = True) -> bool:
@@ -236,6 +247,7 @@ def same_program(a: Any, b: Any, matrices: bool = True) -> bool:
         return list(a) == list(b) and all(same_program(a[name], b[name], matrices) for name in a)
     if isinstance(a, partial):
         return same_program((a.func, a.args, a.keywords), (b.func, b.args, b.keywords), matrices)
+    # Functions of the same code are the same if what they close over is.
     if isinstance(a, FunctionType):
         x, y = (
             [f.__defaults__, f.__kwdefaults__, [cell.cell_contents for cell in f.__closure__ or ()]]
@@ -258,6 +270,7 @@ def fourth_order(values: Sequence[Array], step: float, smooth: float | None = No
     """The derivative from values at -2, -1, 1 and 2 steps; `CannotCompile` if the derivatives from
     one step and from two differ too much.
     """
+    # Central differences with steps of 2 h and h; the sum 4/3, -1/3 cancels the error in h^2.
     far, near = (values[3] - values[0]) / (4.0 * step), (values[2] - values[1]) / (2.0 * step)
     if (
         smooth

@@ -134,7 +134,7 @@ class EpochKind(NamedTuple):
 class Data(NamedTuple):
     """Epochs as columns.
 
-    k, t, dt: ``(T,)``. kinds: of each epoch, an index into ``known``. z: ``(T, ..., m)`` of each
+    k, t, dt: ``(T,)``. kinds: of each epoch, an index into ``distinct``. z: ``(T, ..., m)`` of each
         sensor.
     u: by the shape of an input, ``about`` included: the epochs with an input of this shape, and its
         arrays ``(K, ...)``.
@@ -144,7 +144,7 @@ class Data(NamedTuple):
     t: Array
     dt: Array
     kinds: Array
-    known: list[EpochKind]
+    distinct: list[EpochKind]
     sensors: Sequence[Any]
     z: list[Array]
     u: dict[Any, Inputs]
@@ -232,7 +232,7 @@ class Code(NamedTuple):
     results: int = 0
 
 
-class Kept:
+class StepCache:
     """The records of a filter's steps, and their machine code, by what they depend on.
 
     longer: for steps whose recording stopped at a limit, that limit. Such a step is recorded again
@@ -246,9 +246,9 @@ class Kept:
     def __bool__(self) -> bool:
         return bool(self.records)
 
-    def shared(self) -> Kept:
+    def shared(self) -> StepCache:
         """The same records and code, for another filter."""
-        other = Kept()
+        other = StepCache()
         other.records, other.code = self.records, self.code
         return other
 
@@ -268,13 +268,13 @@ class Engine:
         filter: Any,
         prior: Any,
         data: Data,
-        kept: Kept | None = None,
+        cache: StepCache | None = None,
         *,
         most: int = MOST,
         rolled: bool = True,
     ):
         self.filter, self.most, self.rolled = filter, most, rolled
-        self.kept = Kept() if kept is None else kept
+        self.cache = StepCache() if cache is None else cache
         self.schedules, self.named = dict[Any, Any](), dict[frozenset[str], tuple[str, ...]]()
         if not hasattr(prior, "mean"):
             raise TypeError(f"prior: expected one Gaussian, for all models, got {describe(prior)}")
@@ -286,6 +286,7 @@ class Engine:
 
         map_run_constants(filter, collect)
         axes = {f"z{i}": z.shape[1:-1] for i, z in enumerate(data.z)}
+        # Runs broadcast: prior, measurements, intervals and run constants may each have them.
         axes |= {f"matrix {i}": array.shape[:-2] for i, array in enumerate(constants)}
         self.batch = together(
             mean=prior.mean.shape[:-1], cov=prior.cov.shape[:-2], dt=data.dt.shape[1:], **axes
@@ -298,9 +299,9 @@ class Engine:
         ]
         self.tally = np.zeros((self.runs, len(COUNTERS)))
         self.tally[:, COUNTERS.index("failed_at")] = -1.0
-        self.held = len(COUNTERS) + sum(math.prod(x.shape[-2:]) for x in constants)
+        self.state_offset = len(COUNTERS) + sum(math.prod(x.shape[-2:]) for x in constants)
         self.dt = data.interval
-        self.apart = data.dt.ndim > 1  # each run has an interval of its own
+        self.dt_per_run = data.dt.ndim > 1  # each run has an interval of its own
         self.widths = [z.shape[-1] for z in data.z]
         self.innovations = [
             sensor.space.minus(z[:1], z[:1]).shape[-1] if z.shape[-1] else 0
@@ -314,6 +315,7 @@ class Engine:
         if not self.batch:
             state = self.filter.start(prior)
             return state, state
+        # The step is recorded for one run: the first represents all.
         first_run = map_run_constants(self.filter, lambda array: array[(0,) * (array.ndim - 2)])
         return first_run.start(_first_run(prior)), self.filter.start(prior)
 
@@ -344,12 +346,13 @@ class Engine:
         """The state before the first epoch."""
         state, states = self.started(prior)
         shape = Shape.of(state)
-        axes, first, common = len(self.batch), self.held, set[int]()
+        axes, first, common = len(self.batch), self.state_offset, set[int]()
         parts = [self.tally, *(x.reshape(self.runs, -1) for x in self.constants)]
         for (x, role), (array_shape, _, _) in zip(tree_leaves(states), shape.arrays, strict=True):
             values = np.asarray(x, np.float64)
             if values.shape != (*self.batch, *array_shape):
                 values = np.broadcast_to(values, (*self.batch, *array_shape))
+            # Strides of 0 along the runs: a broadcast array, equal in all runs.
             shared = not any(values.strides[:axes])
             if shared:
                 values = values[(0,) * axes]
@@ -369,29 +372,30 @@ class Engine:
         out = []
         for x in inputs.columns:
             values = x
+            # Epochs of another input shape have zeros here.
             if len(x) < count:
                 values = np.zeros((count, *x.shape[1:]))
                 values[inputs.at] = x
-            out.append((values, is_own(x[0], self.batch)))
+            out.append((values, is_per_run(x[0], self.batch)))
         return out
 
     def recorded_as(self, before: Shape, kind: EpochKind, u: list[tuple[Array, bool]]) -> Recorded:
         """The step, recorded."""
         key = before, kind, self.forms(u), self.dt, tuple(self.widths), bool(self.batch)
-        if key not in self.kept.records:
-            longer = self.kept.longer.get(key, 0)
+        if key not in self.cache.records:
+            longer = self.cache.longer.get(key, 0)
             if longer and self.most < 2 * longer:  # not recorded again at each run
                 raise self._too_long(f"more than {longer}")
             try:
-                self.kept.records[key] = self.record(before, kind, u)
+                self.cache.records[key] = self.record(before, kind, u)
             except TooLong:
-                self.kept.longer[key] = self.most
+                self.cache.longer[key] = self.most
                 if self.most == MOST:
                     raise
                 raise self._too_long(f"more than {self.most}") from None
-        made = self.kept.records[key]
-        self.check_length(made)
-        return made
+        recorded = self.cache.records[key]
+        self.check_length(recorded)
+        return recorded
 
     def _too_long(self, size: Any) -> TooLong:
         """The error of a step of some size."""
@@ -400,11 +404,11 @@ class Engine:
             "are compiled"
         )
 
-    def check_length(self, made: Recorded) -> None:
+    def check_length(self, recorded: Recorded) -> None:
         """Raise `TooLong` for a step that may not be compiled, whether another filter's was
         or not."""
-        if made.size > self.most:
-            raise self._too_long(made.size)
+        if recorded.size > self.most:
+            raise self._too_long(recorded.size)
 
     def forms(self, u: list[tuple[Array, bool]]) -> tuple[Any, ...]:
         """For each array of an input: its shape, whether each run has its own, and whether it is
@@ -415,12 +419,12 @@ class Engine:
             (x.shape[1 + axes * per_run :], per_run, bool(np.isfinite(x).all())) for x, per_run in u
         )
 
-    def code(self, made: Recorded, lanes: int, names: Sequence[str], split: Any = None) -> Code:
+    def code(self, recorded: Recorded, lanes: int, names: Sequence[str], split: Any = None) -> Code:
         """Machine code of a recorded step that stores some columns; ``split``: in its two parts."""
-        key = id(made), lanes, tuple(names), id(split)
-        if key not in self.kept.code:
+        key = id(recorded), lanes, tuple(names), id(split)
+        if key not in self.cache.code:
             if split is None:
-                kernel = made.keeping(names)
+                kernel = recorded.keeping(names)
                 code = Code(llvm.kernel_address(kernel, lanes), kernel.cells)
             else:
                 code = Code(
@@ -430,8 +434,8 @@ class Engine:
                     split.first,
                     len(split.once.rows),
                 )
-            self.kept.code[key] = code
-        machine_code: Code = self.kept.code[key]
+            self.cache.code[key] = code
+        machine_code: Code = self.cache.code[key]
         return machine_code
 
     def record(self, before: Shape, kind: EpochKind, u: list[tuple[Array, bool]]) -> Recorded:
@@ -442,7 +446,7 @@ class Engine:
             inputs.append((place, at))
             return tape.input(absent)
 
-        def taken(
+        def traced_array(
             shape: Any,
             role: str,
             place: str,
@@ -457,12 +461,16 @@ class Engine:
                     x[where[::-1]] = x[where]
             return x
 
-        tally, held = [take("state", i) for i in range(len(COUNTERS))], count(len(COUNTERS))
+        # A state in order: counters, run constants, then the arrays of the filter.
+        tally, positions = [take("state", i) for i in range(len(COUNTERS))], count(len(COUNTERS))
+        # Matrices that differ from run to run are inputs too: they stand in the state after the
+        # counters.
         filter = map_run_constants(
-            self.filter, lambda array: taken(array.shape[-2:], "", "state", held)
+            self.filter, lambda array: traced_array(array.shape[-2:], "", "state", positions)
         )
         arrays = [
-            taken(shape, role, "state", held, absent) for shape, role, absent in before.arrays
+            traced_array(shape, role, "state", positions, absent)
+            for shape, role, absent in before.arrays
         ]
         state = tree_unflatten(before.tree, iter(arrays))
 
@@ -470,16 +478,17 @@ class Engine:
         first = 0
         for m, status in zip(self.widths, kind.z, strict=True):
             if status in (FULL, PART):
-                z.append(taken((m,), "", "own", count(first), repeat(status == PART)))
+                z.append(traced_array((m,), "", "own", count(first), repeat(status == PART)))
             else:
                 z.append(np.full(m, np.nan) if status == SILENT else None)
             first += m
-        at_dt, first = first, first + self.apart
-        shared, parts = 3, []
+        at_dt, first = first, first + self.dt_per_run
+        # Shared inputs begin after k, t and dt; those of each run after the measurements.
+        shared, inputs_u = 3, []
         for (values, per_run), (_, role) in zip(u, tree_leaves(kind.u[0]), strict=True):
             shape = values.shape[1 + len(self.batch) * per_run :]
             places = np.arange(int(np.prod(shape))).reshape(shape) + (first if per_run else shared)
-            x = taken(
+            x = traced_array(
                 shape,
                 role,
                 "own" if per_run else "shared",
@@ -487,7 +496,7 @@ class Engine:
                 repeat(not np.isfinite(values).all()),
             )
             first, shared = first + places.size * per_run, shared + places.size * (not per_run)
-            parts.append(x if shape else x[()])
+            inputs_u.append(x if shape else x[()])
         k: Any = take("shared", 0)
         t = take("shared", 1)
         dt: Any = 0.0
@@ -496,17 +505,19 @@ class Engine:
                 self.dt
                 if self.dt is not None
                 else take("own", at_dt)
-                if self.apart
+                if self.dt_per_run
                 else take("shared", 2)
             )
-        u_epoch, about = tree_unflatten(kind.u[0], iter(parts))
+        u_epoch, about = tree_unflatten(kind.u[0], iter(inputs_u))
         epoch = Epoch(
             k, t, dt, u_epoch, z[0] if len(z) == 1 else tuple(z) if z else None, about=about
         )
 
+        # The filter runs once, on numbers without values: this is the whole recording.
         state, infos = filter.step(state, epoch)
         if tape.refusal is not None:  # a model caught the error and went on
             raise tape.refusal
+        # A model of one run must not depend on measurements, whose axis holds all runs.
         measured = {x.i for sample in z for x in np.ravel(sample) if isinstance(x, TracedScalar)}
         if self.batch and any(
             tape.modeled[i] and not measured.isdisjoint(operands(op))
@@ -517,10 +528,11 @@ class Engine:
             )
         after = Shape.of(state)
         if "belief" in getattr(state, "_fields", ()):
-            state = state._replace(belief=self._settled(state.belief))
-        tally = self._counted(tally, state.belief, infos, k)
+            state = state._replace(belief=self._mask_failed_mean(state.belief))
+        tally = self._count(tally, state.belief, infos, k)
+        # What is written to the state: counters first, then the arrays from the offset on.
         stored = [(i, x) for i, x in enumerate(tally)]
-        at = self.held
+        at = self.state_offset
         for array, role in tree_leaves(state):
             x = np.asanyarray(array)
             for place in entries(x.shape, role):
@@ -533,7 +545,7 @@ class Engine:
         tape.most = MOST
         return Recorded(kernel, after, len(tape.ops), columns)
 
-    def _settled(self, belief: Any) -> Any:
+    def _mask_failed_mean(self, belief: Any) -> Any:
         """A belief whose mean is nan if the run has failed; with a single run the matrix is nan,
         too.
 
@@ -544,24 +556,25 @@ class Engine:
             return mask_failed(belief)
         return type(belief)(np.where(belief.lost()[..., None], np.nan, belief.mean), belief[1])
 
-    def _counted(self, tally: list[Any], belief: Any, infos: Sequence[Info], k: Any) -> list[Any]:
+    def _count(self, tally: list[Any], belief: Any, infos: Sequence[Info], k: Any) -> list[Any]:
         """Likelihood, missing and rejected components, and the epoch of a failure; see
         `celnav.filters.track.Collector`.
         """
+        # The order of `COUNTERS`.
         likelihood, missing, rejected, redone, failed = tally
         for info in infos:
             if (more := info.log_likelihood) is not None:
-                likelihood = emit("add", likelihood, _alone(more))
+                likelihood = emit("add", likelihood, _as_scalar(more))
                 absent = ~present(np.asanyarray(info.innovation))
-                missing = emit("add", missing, _alone(np.add.reduce(absent, -1, int)))
+                missing = emit("add", missing, _as_scalar(np.add.reduce(absent, -1, int)))
                 rejected = emit(
                     "add",
                     rejected,
-                    _alone(np.add.reduce(~np.asanyarray(info.used) & ~absent, -1, int)),
+                    _as_scalar(np.add.reduce(~np.asanyarray(info.used) & ~absent, -1, int)),
                 )
             if info.redone is not None:
-                redone = emit("add", redone, as_number(_alone(info.redone)))
-        lost = emit("and", _alone(belief.lost()), emit("lt", failed, 0.0))
+                redone = emit("add", redone, as_number(_as_scalar(info.redone)))
+        lost = emit("and", _as_scalar(belief.lost()), emit("lt", failed, 0.0))
         return [likelihood, missing, rejected, redone, emit("select", lost, k, failed)]
 
     def _rows(self, belief: Any, infos: Sequence[Info]) -> Iterator[Any]:
@@ -578,12 +591,12 @@ class Engine:
             yield from np.full(self.innovations[i], np.nan) if R is None else R
 
 
-def is_own(x: Array, batch: tuple[int, ...]) -> bool:
+def is_per_run(x: Array, batch: tuple[int, ...]) -> bool:
     """Whether an input has axes of runs before its own; an input without other axes is shared."""
     return 0 < len(batch) < x.ndim and x.shape[: len(batch)] == batch
 
 
-def _alone(x: Any) -> Any:
+def _as_scalar(x: Any) -> Any:
     """A number, also if it came as an array of shape ()."""
     return x[()] if isinstance(x, np.ndarray) else x
 
@@ -656,5 +669,5 @@ def _changed(thing: Any, attributes: dict[str, Any]) -> Any:
 def _first_run(prior: Any) -> Any:
     """The prior of the first run."""
     form = Covariance if isinstance(prior, Covariance) else SquareRoot
-    mean, spread = form.of(prior)
-    return form(mean[(0,) * (mean.ndim - 1)], spread[(0,) * (spread.ndim - 2)])
+    mean, factor = form.of(prior)
+    return form(mean[(0,) * (mean.ndim - 1)], factor[(0,) * (factor.ndim - 2)])

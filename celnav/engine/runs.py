@@ -29,7 +29,7 @@ from celnav.engine.recording import (
     Recorded,
     Shape,
     Start,
-    is_own,
+    is_per_run,
     tree_leaves,
     tree_unflatten,
 )
@@ -42,7 +42,7 @@ from celnav.tape import llvm, ptx
 from celnav.tape.cuda import Device
 from celnav.tape.tape import CannotCompile, TracedScalar
 
-DRAWN = 4  # sentinels besides the first, the last and one of each record
+RANDOM_SENTINELS = 4  # sentinels besides the first, the last and one of each record
 MANY = 20  # sensors; with more, the kinds of epochs would exceed an integer
 SHORT = 10_000  # epochs of the longest run whose schedule is stored
 MOST_SCHEDULES = 16  # stored for an engine
@@ -89,11 +89,12 @@ def as_data(filter: Any, epochs: Epochs | Sequence[Epoch]) -> Data:
         z = tuple(
             zip(*(measurements(epoch.z, len(filter_sensors)) for epoch in epochs), strict=True)
         )
-    which, u = _gathered(groups, len(k))
+    which, u = _group_inputs(groups, len(k))
     measured = [_measured(sensor, parts) for sensor, parts in zip(filter_sensors, z, strict=True)]
     moves = (dt.reshape(len(k), -1) != 0.0).any(-1)
     code = 2 * which + moves
     for status, _ in measured:
+        # A number in base 4 identifies the statuses of all sensors.
         code = 4 * code + status  # FULL, PART, SILENT or NONE
         if len(measured) > MANY:
             code = np.unique(code, return_inverse=True)[1]  # which would overflow
@@ -118,7 +119,7 @@ def _parts(tree: Any) -> list[Array]:
         ) from None
 
 
-def _gathered(groups: list[Any], count: int) -> tuple[Array, dict[Any, Inputs]]:
+def _group_inputs(groups: list[Any], count: int) -> tuple[Array, dict[Any, Inputs]]:
     """For each of ``count`` epochs the number of its input shape, and the inputs of each shape.
 
     groups: epochs, trees, and their arrays ``(K, ...)``.
@@ -139,14 +140,14 @@ def _gathered(groups: list[Any], count: int) -> tuple[Array, dict[Any, Inputs]]:
     return which, joined
 
 
-def part_of(x: Array, own: int, batch: tuple[int, ...], runs: Any) -> Array:
-    """Some runs, numbered over all batch axes, of an array with ``own`` axes after those of the
+def runs_of(x: Array, axes: int, batch: tuple[int, ...], runs: Any) -> Array:
+    """Some runs, numbered over all batch axes, of an array with ``axes`` axes after those of the
     runs.
     """
     if not batch:
         return x
-    whole: Array = np.broadcast_to(x, (*batch, *x.shape[x.ndim - own :]))
-    return np.asarray(whole.reshape(-1, *whole.shape[len(batch) :])[runs])
+    every: Array = np.broadcast_to(x, (*batch, *x.shape[x.ndim - axes :]))
+    return np.asarray(every.reshape(-1, *every.shape[len(batch) :])[runs])
 
 
 def epoch_of(
@@ -155,14 +156,14 @@ def epoch_of(
     """The epoch at an index, for the runs that ``select(array, axes)`` takes from an array with
     ``axes`` axes after those of the runs.
     """
-    kind = data.known[data.kinds[i]]
+    kind = data.distinct[data.kinds[i]]
     z = tuple(
         None if status == NONE else select(values[i], 1)
         for status, values in zip(kind.z, data.z, strict=True)
     )
     at, columns = data.u[kind.u]
     inputs = [x[np.searchsorted(at, i)] for x in columns]
-    arrays = [select(x, x.ndim - len(batch)) if is_own(x, batch) else x for x in inputs]
+    arrays = [select(x, x.ndim - len(batch)) if is_per_run(x, batch) else x for x in inputs]
     u, about = tree_unflatten(kind.u[0], iter(arrays))
     dt = data.dt[i]
     interval = select(dt, 0) if dt.ndim else float(dt)
@@ -184,6 +185,7 @@ def _measured(sensor: Any, samples: Any) -> tuple[Array, Array]:
     if not present.any():
         return np.full(count, NONE), np.zeros((count, 0))
     if not isinstance(samples, np.ndarray):
+        # A sensor that is silent at an epoch has nan there.
         blank = np.full(np.shape(samples[int(np.argmax(present))]), np.nan)
         samples = np.stack(
             np.broadcast_arrays(
@@ -245,15 +247,15 @@ def run_compiled(
     start = engine.start(prior)
     inputs = {shape: engine.inputs(group, T) for shape, group in data.u.items()}
     plan, fresh = _schedule(engine, data, inputs, start, lanes, names)
-    shared, per_run = _shared(data, inputs, plan.width), _own(engine, data, inputs, runs)
+    shared, per_run = _common_data(data, inputs, plan.width), _run_data(engine, data, inputs, runs)
     K, M = -(-T // every), max([1, *(at + x.shape[-1] for at, x in per_run)])
     stored = np.full(T, -1)
     stored[::every] = np.arange(K)
     unit = lanes or 1
-    whole = -(-runs // unit) * unit  # the last run fills a vector that is not full
+    padded = -(-runs // unit) * unit  # the last run fills a vector that is not full
     columns = engine.columns()
     rows = {
-        name: memory.empty((K, whole, columns[name]), bool if name.startswith("used") else float)
+        name: memory.empty((K, padded, columns[name]), bool if name.startswith("used") else float)
         for name in names
     }
     tally = np.empty((runs, len(COUNTERS) * engine.stride))
@@ -264,7 +266,7 @@ def run_compiled(
     else:
         cells = max(code.cells for code in plan.code)
         begin = _on_host([code.each for code in plan.code], cells, plan.steps)
-    once = _once(plan, shared, start.first, sentinels)
+    once = _run_common(plan, shared, start.first, sentinels)
 
     def run_chunk(first: int) -> None:
         """A chunk of runs."""
@@ -277,6 +279,7 @@ def run_compiled(
             values_in = x if x.shape[1] == 1 else x[:, members]
             values[:, at : at + x.shape[-1], :count] += values_in.transpose(0, 2, 1)
         values[..., count:] = values[..., count - 1 : count]
+        # Every part of the state at its place; parts with one row are equal in all runs.
         size = 0
         for x in start.parts:
             values_in, k = (x, 1) if len(x) == 1 else (x[members], vector)
@@ -286,6 +289,7 @@ def run_compiled(
                 0, 2, 1
             )
             size += x.shape[1]
+        # Sentinels of the runs in this chunk: the block and the lane of each.
         here = [i for i, run in enumerate(watched) if members.start <= run < members.stop]
         block, lane = np.divmod(np.array([watched[i] - first for i in here], int), vector)
         through = begin(stored, state, shared, values, rows, first)
@@ -318,7 +322,7 @@ def run_compiled(
             for side in range(2):
                 entries = plan.common[plan.at[at + side]]
                 states[side, k][:, entries] = once[side, k, entries]
-    if whole > runs:
+    if padded > runs:
         rows = {name: np.ascontiguousarray(x[:, :runs]) for name, x in rows.items()}
     return CompiledRun(
         rows,
@@ -346,7 +350,7 @@ def _sentinels(steps: Array, number: int | None = None) -> list[int]:
         return []
     if number is not None:
         return [crc32(b"flight %d" % number) % len(steps)]
-    drawn = [crc32(b"%d of %d" % (i, len(steps))) % len(steps) for i in range(DRAWN)]
+    drawn = [crc32(b"%d of %d" % (i, len(steps))) % len(steps) for i in range(RANDOM_SENTINELS)]
     return sorted({0, len(steps) - 1, *np.unique(steps, return_index=True)[1].tolist(), *drawn})
 
 
@@ -376,6 +380,7 @@ def _on_host(
         code, states, to, work = (x.ctypes.data for x in fixed)
         kinds, at_rows, inputs, values = (x.ctypes.data for x in (steps, stored, shared, per_run))
 
+        # `_alive` keeps the arrays, whose addresses the code uses, from being freed.
         def through(at: int, end: int, _alive: Any = fixed) -> None:
             loop(
                 *(code, kinds + 4 * at, at_rows + 8 * at, states),
@@ -392,8 +397,8 @@ def _on_device(
     plan: Schedule, names: Sequence[str], device: Device
 ) -> Callable[..., Callable[[int, int], None]]:
     """The same for a device."""
-    whole = (made.keeping(names)._replace(flags=frozenset()) for made in plan.records)
-    entry = device.entry(ptx.program([*whole], plan.size))
+    kernels = (recorded.keeping(names)._replace(flags=frozenset()) for recorded in plan.records)
+    entry = device.entry(ptx.program([*kernels], plan.size))
 
     def begin(
         stored: Array,
@@ -404,15 +409,15 @@ def _on_device(
         first: int,
     ) -> Callable[[int, int], None]:
         def through(at: int, end: int) -> None:
-            here = slice(at, end)
-            places = stored[here]
+            span = slice(at, end)
+            places = stored[span]
             written = places[places >= 0]
             low, high = (int(written[0]), int(written[-1]) + 1) if len(written) else (0, 0)
             places = np.where(places >= 0, places - low, -1)
             shapes = [(high - low, per_run.shape[2], x.shape[2]) for x in rows.values()]
             ends = np.cumsum([int(np.prod(shape)) for shape in shapes])
             out = np.empty(max(1, *ends, 1))
-            device.fly(entry, plan.steps[here], places, state, shared[here], per_run[here], out)
+            device.fly(entry, plan.steps[span], places, state, shared[span], per_run[span], out)
             for x, shape, values in zip(rows.values(), shapes, np.split(out, ends), strict=False):
                 x[low:high, first : first + shape[1]] = values.reshape(shape)
 
@@ -452,26 +457,26 @@ def _schedule(
     """The schedule of a run, and whether a step was recorded for it."""
     forms = tuple((shape, engine.forms(u)) for shape, u in inputs.items())
     about = start.shape, start.common, lanes, tuple(names)
-    key = data.kinds.tobytes(), tuple(data.known), forms, about
+    key = data.kinds.tobytes(), tuple(data.distinct), forms, about
     if key in engine.schedules:
         plan = engine.schedules[key]
-        for made in plan.records:
-            engine.check_length(made)
+        for recorded in plan.records:
+            engine.check_length(recorded)
         return plan, False
-    count = len(engine.kept.records)
-    plan = _planned(engine, data, inputs, start)
+    count = len(engine.cache.records)
+    plan = _record_steps(engine, data, inputs, start)
     if lanes:
-        code, common = _coded(engine, plan, start.common, lanes, names)
+        code, common = _compile_steps(engine, plan, start.common, lanes, names)
         width = max(step_code.first + step_code.results for step_code in code)
         plan = plan._replace(code=code, common=common, width=width)
     if len(data.k) <= SHORT:
         for oldest in [*engine.schedules][: 1 - MOST_SCHEDULES]:
             engine.schedules.pop(oldest, None)
         engine.schedules[key] = plan
-    return plan, len(engine.kept.records) > count
+    return plan, len(engine.cache.records) > count
 
 
-def _planned(engine: Engine, data: Data, inputs: dict[Any, Any], start: Start) -> Schedule:
+def _record_steps(engine: Engine, data: Data, inputs: dict[Any, Any], start: Start) -> Schedule:
     """The steps of all epochs, recorded."""
     ids: dict[Shape, int] = {start.shape: 0}
     numbers: dict[tuple[int, int], int] = {}  # of records, by the shape before and the kind
@@ -481,11 +486,11 @@ def _planned(engine: Engine, data: Data, inputs: dict[Any, Any], start: Start) -
     for i, kind in enumerate(kinds):
         at = places[-1]
         if (at, kind) not in numbers:
-            epoch_kind = data.known[kind]
-            made = engine.recorded_as(list(ids)[at], epoch_kind, inputs[epoch_kind.u])
+            epoch_kind = data.distinct[kind]
+            recorded = engine.recorded_as(list(ids)[at], epoch_kind, inputs[epoch_kind.u])
             numbers[at, kind] = len(records)
-            records.append(made)
-            edges.append((at, ids.setdefault(made.after, len(ids))))
+            records.append(recorded)
+            edges.append((at, ids.setdefault(recorded.after, len(ids))))
             stays = {k: n for (_, k), n in numbers.items() if edges[n] == (at, at)}
             if stays.keys() >= set(kinds[i:]):  # from here on the state keeps its shape
                 steps += [stays[k] for k in kinds[i:]]
@@ -494,11 +499,11 @@ def _planned(engine: Engine, data: Data, inputs: dict[Any, Any], start: Start) -
         steps.append(numbers[at, kind])
         places.append(edges[steps[-1]][1])
     shapes = list(ids)
-    size = (engine.held + max(shape.size for shape in shapes)) * engine.stride
+    size = (engine.state_offset + max(shape.size for shape in shapes)) * engine.stride
     return Schedule(records, edges, np.array(steps, np.int32), places, shapes, [], [], size, 0)
 
 
-def _coded(
+def _compile_steps(
     engine: Engine, plan: Schedule, start: frozenset[int], lanes: int, names: Sequence[str]
 ) -> tuple[list[Code], list[list[int]]]:
     """Machine code of all records, and, for each shape, the entries of the state that all runs have
@@ -506,49 +511,53 @@ def _coded(
 
     start: those entries before the first epoch.
     """
-    whole = [engine.code(made, lanes, names) for made in plan.records] if lanes == 1 else []
-    none: list[list[int]] = [[]] * len(plan.shapes)
-    if whole or engine.stride > 1:
-        return whole or [engine.code(made, lanes, names) for made in plan.records], none
+    one_run = (
+        [engine.code(recorded, lanes, names) for recorded in plan.records] if lanes == 1 else []
+    )
+    no_common: list[list[int]] = [[]] * len(plan.shapes)
+    if one_run or engine.stride > 1:
+        return one_run or [
+            engine.code(recorded, lanes, names) for recorded in plan.records
+        ], no_common
     key = "common", tuple(map(id, plan.records)), start, tuple(names)
-    if key not in engine.kept.code:
-        common = _common(engine, plan, start)
+    if key not in engine.cache.code:
+        common = _common_entries(engine, plan, start)
         splits = [
-            made.keeping(names).split(common[before], common[after])
-            for made, (before, after) in zip(plan.records, plan.edges, strict=True)
+            recorded.keeping(names).split(common[before], common[after])
+            for recorded, (before, after) in zip(plan.records, plan.edges, strict=True)
         ]
-        engine.kept.code[key] = splits, [sorted(entries) for entries in common]
-    splits, entries = engine.kept.code[key]
+        engine.cache.code[key] = splits, [sorted(entries) for entries in common]
+    splits, entries = engine.cache.code[key]
     T, count = len(plan.steps), np.bincount(plan.steps)
     saved = sum(int(n) * split.saved for n, split in zip(count, splits, strict=True))
     results = T * max(len(split.once.rows) for split in splits)
     if saved < APART * T or results > MOST_COMMON:
-        return [engine.code(made, lanes, names) for made in plan.records], none
+        return [engine.code(recorded, lanes, names) for recorded in plan.records], no_common
     pairs = zip(plan.records, splits, strict=True)
-    return [engine.code(made, lanes, names, split) for made, split in pairs], entries
+    return [engine.code(recorded, lanes, names, split) for recorded, split in pairs], entries
 
 
-def _common(engine: Engine, plan: Schedule, start: frozenset[int]) -> list[frozenset[int]]:
+def _common_entries(engine: Engine, plan: Schedule, start: frozenset[int]) -> list[frozenset[int]]:
     """For each shape the entries of the state that all runs have in common: the largest sets that
     every record preserves.
     """
     common: dict[int, frozenset[int]] = {0: start}
     while True:
         before = dict(common)
-        for made, (begin, end) in zip(plan.records, plan.edges, strict=True):
+        for recorded, (begin, end) in zip(plan.records, plan.edges, strict=True):
             # A record comes after the records that lead to it.
-            uniform = made.kernel.uniform(common[begin])
+            uniform = recorded.kernel.uniform(common[begin])
             same = frozenset(
                 i
-                for i, x in made.kernel.state
-                if i >= engine.held and (not isinstance(x, TracedScalar) or uniform[x.i])
+                for i, x in recorded.kernel.state
+                if i >= engine.state_offset and (not isinstance(x, TracedScalar) or uniform[x.i])
             )
             common[end] = common.get(end, same) & same
         if common == before:
             return [common[i] for i in range(len(common))]
 
 
-def _once(plan: Schedule, shared: Array, start: Array, sentinels: list[int]) -> Array | None:
+def _run_common(plan: Schedule, shared: Array, start: Array, sentinels: list[int]) -> Array | None:
     """Run the common part through all epochs, which adds its results to ``shared``.
 
     start: the state before the first epoch of any run. Returns the states before and after the
@@ -562,9 +571,9 @@ def _once(plan: Schedule, shared: Array, start: Array, sentinels: list[int]) -> 
     state = np.zeros((1, plan.size, 1))
     state[0, : len(start), 0] = start
     states = np.empty((2, len(sentinels), plan.size))
-    rows, none = {"": shared[:, None]}, np.zeros((T, 1, 1))
+    rows, no_values = {"": shared[:, None]}, np.zeros((T, 1, 1))
     begin = _on_host(kernels, max(step_code.cells for step_code in plan.code), plan.steps)
-    through = begin(at, state, shared, none, rows, 0)
+    through = begin(at, state, shared, no_values, rows, 0)
     for first, end in _pieces(T, sentinels):
         if first in sentinels:
             states[0, sentinels.index(first)] = state[0, :, 0]
@@ -574,7 +583,7 @@ def _once(plan: Schedule, shared: Array, start: Array, sentinels: list[int]) -> 
     return states
 
 
-def _shared(data: Data, inputs: dict[Any, list[tuple[Array, bool]]], width: int) -> Array:
+def _common_data(data: Data, inputs: dict[Any, list[tuple[Array, bool]]], width: int) -> Array:
     """Data common to all runs at each epoch ``(T, E)``: index, time, interval, inputs, and room for
     at least ``width``.
     """
@@ -594,18 +603,18 @@ def _shared(data: Data, inputs: dict[Any, list[tuple[Array, bool]]], width: int)
     return out
 
 
-def _own(
+def _run_data(
     engine: Engine, data: Data, inputs: dict[Any, list[tuple[Array, bool]]], runs: int
 ) -> list[tuple[int, Array]]:
     """Data of each run at each epoch, ``(T, runs or 1, ...)``, and their positions: measurements,
     interval, inputs.
     """
     T, out, at = len(data.k), list[tuple[int, Array]](), 0
-    values = [*data.z, data.dt[..., None]] if engine.apart else data.z
+    values = [*data.z, data.dt[..., None]] if engine.dt_per_run else data.z
     for x in values:
         if x.shape[-1]:
             alone = x.ndim == 2 or x.shape[1:-1] == (1,)
-            out.append((at, x.reshape(T, 1, -1) if alone else _flat(x, engine.batch, runs)))
+            out.append((at, x.reshape(T, 1, -1) if alone else _flatten_runs(x, engine.batch, runs)))
             at += x.shape[-1]
     for parts in inputs.values():
         end = at
@@ -616,8 +625,8 @@ def _own(
     return out
 
 
-def _flat(x: Array, batch: tuple[int, ...], runs: int) -> Array:
+def _flatten_runs(x: Array, batch: tuple[int, ...], runs: int) -> Array:
     """``(T, runs, k)`` of values ``(T, ..., k)``."""
-    spread = x.reshape(len(x), *(1,) * (len(batch) + 2 - x.ndim), *x.shape[1:])
-    whole: Array = np.broadcast_to(spread, (len(x), *batch, x.shape[-1]))
-    return whole.reshape(len(x), runs, -1)
+    with_axes = x.reshape(len(x), *(1,) * (len(batch) + 2 - x.ndim), *x.shape[1:])
+    every: Array = np.broadcast_to(with_axes, (len(x), *batch, x.shape[-1]))
+    return every.reshape(len(x), runs, -1)

@@ -42,7 +42,7 @@ from celnav.engine.recording import (
     tree_leaves,
     tree_unflatten,
 )
-from celnav.engine.runs import Sentinel, epoch_of, part_of
+from celnav.engine.runs import Sentinel, epoch_of, runs_of
 from celnav.filters.mixing import WATCH
 from celnav.gaussian.belief import mask_failed
 from celnav.gaussian.linalg import EPS, Array
@@ -76,16 +76,18 @@ def difference(
     groups: list[Any] = [sound] if plain and engine.batch else list(sound)
     for group in groups if len(sound) else ():
         runs = np.array(watched)[group]
-        take = partial(part_of, batch=engine.batch, runs=runs)
-        run_filter = map_run_constants(filter, partial(take, own=2)) if engine.constants else filter
+        take = partial(runs_of, batch=engine.batch, runs=runs)
+        run_filter = (
+            map_run_constants(filter, partial(take, axes=2)) if engine.constants else filter
+        )
         epoch = epoch_of(data, sentinel.at, take, engine.batch)
         if not plain and _silent(epoch.z, data, sentinel.at):
             continue  # numpy then calls no hook, unless another run measures something
-        state = _state(sentinel.shape, sentinel.before[group], engine.held)
+        state = _state(sentinel.shape, sentinel.before[group], engine.state_offset)
         rows = sentinel.after[group]
         tally = (rows - sentinel.before[group])[..., :failed]
         try:
-            after = _state(sentinel.shape_after, rows, engine.held)
+            after = _state(sentinel.shape_after, rows, engine.state_offset)
             name = different_quantity(run_filter, state, epoch, after, [*np.moveaxis(tally, -1, 0)])
         except Exception as error:
             return f"numpy raises {type(error).__name__}: {error}"
@@ -97,7 +99,7 @@ def difference(
 def _silent(z: Any, data: Data, at: int) -> bool:
     """Whether a sensor measured nothing in this run, but something in others."""
     parts = z if isinstance(z, tuple) else (z,)
-    statuses = data.known[data.kinds[at]].z
+    statuses = data.distinct[data.kinds[at]].z
     return any(
         status == PART and np.isnan(x).all() for status, x in zip(statuses, parts, strict=False)
     )
@@ -115,14 +117,14 @@ def different_quantity(filter: Any, state: Any, epoch: Any, after: Any, tally: l
         wrong = [i for i, (x, y) in enumerate(pairs) if not _within(CLOSE * sizes[i], x, y)]
     if not wrong:
         return ""
-    apart = [np.broadcast_arrays(x, y) for x, y in pairs]
+    broadcast_pairs = [np.broadcast_arrays(x, y) for x, y in pairs]
     close = DIFFERENCED if _has_taylor(filter) else CLOSE
     again = [value for _, value, _ in _measured(*_stepped(filter, state, epoch), memory)]
     if not all(np.array_equal(a[1], b, equal_nan=True) for a, b in zip(xs, again, strict=True)):
         return f"{xs[wrong[0]][0]}, and numpy gives another one at each call"
     moved = _moved(filter, state, epoch, memory)
     for i in wrong:
-        x, y = apart[i]
+        x, y = broadcast_pairs[i]
         least = np.max([np.abs(values[i] - x) for values in moved], 0)
         # Each run is one draw of the same round-off: the largest change, relative to the size,
         # holds for all.
@@ -160,10 +162,10 @@ def _has_taylor(thing: Any) -> bool:
 
 def _within(least: Array, x: Array, y: Array) -> bool:
     """Whether two values are that close, or equal, or both nan."""
-    apart = np.abs(x - y)
-    if (apart <= least).all():
+    distance = np.abs(x - y)
+    if (distance <= least).all():
         return True
-    close = ~(apart > least) & (np.isnan(x) == np.isnan(y))
+    close = ~(distance > least) & (np.isnan(x) == np.isnan(y))
     return bool((close | (x == y)).all())
 
 
@@ -207,9 +209,9 @@ def _measured(state: Any, tally: list[Any], memory: bool) -> Iterator[tuple[str,
         yield name, np.asarray(count, float), 1.0 + np.abs(np.asarray(count, float))
 
 
-def _state(shape: Shape, rows: Array, held: int) -> Any:
+def _state(shape: Shape, rows: Array, state_offset: int) -> Any:
     """The state of runs stored as ``rows (..., size)``."""
-    arrays, at = [], held
+    arrays, at = [], state_offset
     for dims, role, _ in shape.arrays:
         index = flat_entries(dims, role)
         values = rows[..., at : at + len(index)]

@@ -39,8 +39,8 @@ from celnav.tape.tape import CannotCompile
 
 FLOAT = np.dtype(np.float64)
 FAILED = COUNTERS.index("failed_at")
-SEEN = ("innovation", "whitened", "used")
-SILENCE = Info(silent=True)
+INFO_COLUMNS = ("innovation", "whitened", "used")
+SILENT_INFO = Info(silent=True)
 START = tuple(-1.0 if name == "failed_at" else 0.0 for name in COUNTERS)
 
 
@@ -63,29 +63,30 @@ def plan_key(state: Any, epoch: Epoch) -> tuple[Any, list[float]]:
     else:
         moves = np.shape(dt), bool(np.any(dt))
         numbers = [k, t, 0.0]
-    inputs = None if u is None and about is None else _input((u, about), numbers)
+    inputs = None if u is None and about is None else _input_key((u, about), numbers)
     if isinstance(z, tuple):
-        return (shapes, moves, inputs, *[_seen(x, numbers) for x in z]), numbers
-    return (shapes, moves, inputs, _seen(z, numbers)), numbers
+        return (shapes, moves, inputs, *[_measurement_key(x, numbers) for x in z]), numbers
+    return (shapes, moves, inputs, _measurement_key(z, numbers)), numbers
 
 
-def _input(u: Any, numbers: list[float]) -> Any:
+def _input_key(u: Any, numbers: list[float]) -> Any:
     """Shapes of an input, and whether it is finite; its numbers are added to the others."""
     if u is None:
         return None
     if isinstance(u, tuple):
-        return type(u), *(_input(x, numbers) for x in u)
+        return type(u), *(_input_key(x, numbers) for x in u)
     values = np.asarray(u, np.float64)
     if not values.ndim:
         numbers.append(float(values))
         return (), bool(np.isfinite(values))
     flat = values.ravel().tolist()
     numbers += flat
+    # nan and infinity survive a sum, and their difference to themselves is not 0.
     total = sum(flat)
     return values.shape, total - total == 0.0 or bool(np.isfinite(values).all())
 
 
-def _seen(z: Any, numbers: list[float]) -> Any:
+def _measurement_key(z: Any, numbers: list[float]) -> Any:
     """What a measurement has, and its shape; its numbers are added to the others."""
     if z is None:
         return NONE
@@ -105,7 +106,7 @@ def _seen(z: Any, numbers: list[float]) -> Any:
 
 
 # -- a state whose matrices are whole ------------------------------------------------------------
-class _Between(Engine):
+class _SingleStep(Engine):
     """An engine that begins with a state of a filter, and stores whole matrices in it."""
 
     def __init__(self, filter: Any, state: Any, data: Data, most: int):
@@ -115,30 +116,31 @@ class _Between(Engine):
     def started(self, _prior: Any) -> tuple[Any, Any]:
         if not self.batch:
             return self.state, self.state
-        alone = []
+        first_run = []
         for x, role in tree_leaves(self.state):
             axes = 1 if role == "belief" else 2 if role else np.ndim(x)
-            alone.append(x[(0,) * (np.ndim(x) - axes)])
-        return tree_unflatten(self.state, iter(alone)), self.state
+            first_run.append(x[(0,) * (np.ndim(x) - axes)])
+        return tree_unflatten(self.state, iter(first_run)), self.state
 
     def record(self, before: Shape, kind: EpochKind, u: list[tuple[Array, bool]]) -> Recorded:
-        made = super().record(before, kind, u)
+        recorded = super().record(before, kind, u)
         if self.batch and not all(
-            role for shape in (before, made.after) for _, role, _ in shape.arrays
+            role for shape in (before, recorded.after) for _, role, _ in shape.arrays
         ):
             raise CannotCompile(
                 "a filter that remembers more than a belief is stepped by machine code for "
                 "one run only; several are compiled for whole flights"
             )
-        begin, end = (_places(shape, self.held) for shape in (before, made.after))
+        begin, end = (_places(shape, self.state_offset) for shape in (before, recorded.after))
         inputs = [
-            (place, begin[at][0] if place == "state" else at) for place, at in made.kernel.inputs
+            (place, begin[at][0] if place == "state" else at)
+            for place, at in recorded.kernel.inputs
         ]
         results: list[tuple[int, Any]] = []
-        if before.arrays != made.after.arrays:  # a place may hold another quantity afterwards
-            results = [(i, 0.0) for i in range(self.held, end[-1][-1]) if (i,) not in end]
-        results += [(place, x) for at, x in made.kernel.state for place in end[at]]
-        return made._replace(kernel=made.kernel._replace(inputs=inputs, state=results))
+        if before.arrays != recorded.after.arrays:  # a place may hold another quantity afterwards
+            results = [(i, 0.0) for i in range(self.state_offset, end[-1][-1]) if (i,) not in end]
+        results += [(place, x) for at, x in recorded.kernel.state for place in end[at]]
+        return recorded._replace(kernel=recorded.kernel._replace(inputs=inputs, state=results))
 
 
 def _places(shape: Shape, first: int) -> list[tuple[int, ...]]:
@@ -176,19 +178,22 @@ class Plan:
 
     def __init__(self, filter: Any, state: Any, epoch: Epoch, most: int):
         data = as_data(filter, [epoch])
-        engine, kind = _Between(filter, state, data, most), data.known[0]
+        engine, kind = _SingleStep(filter, state, data, most), data.distinct[0]
         inputs = engine.inputs(data.u[kind.u], 1)
         lanes = llvm.lanes() if engine.batch else 1
-        made = engine.recorded_as(engine.begin, kind, inputs)
+        recorded = engine.recorded_as(engine.begin, kind, inputs)
         every = engine.columns().items()
-        columns = {name: m for name, m in every if name.partition("/")[0] in SEEN}
-        kernel = made.keeping([*columns])
+        columns = {name: m for name, m in every if name.partition("/")[0] in INFO_COLUMNS}
+        kernel = recorded.keeping([*columns])
         if engine.batch:
             kernel = kernel._replace(flags=frozenset())  # truth values as numbers too
         self.left, self.interval = 0, 1
         self.batch, self.runs = engine.batch, math.prod(engine.batch)
-        self.begin, self.end = _spans(engine.begin, engine.held), _spans(made.after, engine.held)
-        self.tree, self.form = made.after.tree, engine.form
+        self.begin, self.end = (
+            _spans(engine.begin, engine.state_offset),
+            _spans(recorded.after, engine.state_offset),
+        )
+        self.tree, self.form = recorded.after.tree, engine.form
         plain = type(state) is State and len(self.begin) == len(self.end) == 2
         self.hooks = state.memory if plain else None
 
@@ -197,15 +202,17 @@ class Plan:
         self.start = np.zeros((width, size))
         self.start[:, FAILED] = -1.0
         if engine.constants:
-            held = [x.reshape(self.runs, -1) for x in engine.constants]
-            self.start[: self.runs, len(COUNTERS) : engine.held] = np.concatenate(held, 1)
-        self.widths, self.apart = engine.widths, engine.apart
-        self.given = [per_run for _, per_run in inputs]  # which inputs are of each run
+            constants = [x.reshape(self.runs, -1) for x in engine.constants]
+            self.start[: self.runs, len(COUNTERS) : engine.state_offset] = np.concatenate(
+                constants, 1
+            )
+        self.widths, self.dt_per_run = engine.widths, engine.dt_per_run
+        self.inputs_per_run = [per_run for _, per_run in inputs]  # which inputs are of each run
         shared = 3 + sum(x.size for x, per_run in inputs if not per_run)
         input_size = sum(
             math.prod(x.shape[1 + len(self.batch) :]) for x, per_run in inputs if per_run
         )
-        run_size = sum(self.widths) + self.apart + input_size
+        run_size = sum(self.widths) + self.dt_per_run + input_size
 
         # One memory: numbers of the epoch, numbers of each run, states, and the stored columns.
         sizes = [shared, run_size * width, size * width, *(m * width for m in columns.values())]
@@ -215,20 +222,22 @@ class Plan:
         parts = [slice(int(a), int(b)) for a, b in pairwise(ends)]
         self.memory = llvm.aligned((int(ends[-1]),))
         self.shared = self.memory[parts[0]]
-        self.own = self.memory[parts[1]].reshape(run_size, width)
+        self.run_data = self.memory[parts[1]].reshape(run_size, width)
         self.work = self.memory[parts[2]].reshape(width // lanes, size, lanes)
         buffers = dict(zip(columns, (self.memory[span] for span in parts[3:]), strict=True))
         self.rows = [
-            None if status == NONE else tuple(buffers[f"{name}/{i}"] for name in SEEN)
+            None if status == NONE else tuple(buffers[f"{name}/{i}"] for name in INFO_COLUMNS)
             for i, status in enumerate(kind.z)
         ]
         self.measured = max(1, sum(row is not None for row in self.rows))
         if not self.batch:
-            alone = self.memory[parts[2]]
-            alone[:] = self.start[0]
-            self.tally = alone[: len(COUNTERS)]
-            self.into = [alone[at].reshape(array_shape) for at, array_shape in self.begin]
-            self.out = [alone[at].reshape(array_shape) for at, array_shape in self.end]
+            numbers_of_state = self.memory[parts[2]]
+            numbers_of_state[:] = self.start[0]
+            self.tally = numbers_of_state[: len(COUNTERS)]
+            self.into = [
+                numbers_of_state[at].reshape(array_shape) for at, array_shape in self.begin
+            ]
+            self.out = [numbers_of_state[at].reshape(array_shape) for at, array_shape in self.end]
             self.rows = [
                 row and (*row[:2], row[2].view(np.bool_)[: row[2].size])  # a truth value is a byte
                 for row in self.rows
@@ -239,7 +248,7 @@ class Plan:
         fields = self.memory.ctypes.data + 8 * ends[3:-1].astype(np.uint64)
         cells = llvm.aligned((max(1, kernel.cells), lanes))
         address = llvm.kernel_address(kernel, lanes)
-        self.call = llvm.caller(address, self.work, self.shared, self.own, fields, cells)
+        self.call = llvm.caller(address, self.work, self.shared, self.run_data, fields, cells)
         self.watch = Watch(filter)
 
     def step(
@@ -259,7 +268,7 @@ class Plan:
             return None
         likelihood = self.tally[0] / self.measured
         infos = [
-            SILENCE
+            SILENT_INFO
             if buffers is None
             else _info(buffers[0].copy(), buffers[1].copy(), buffers[2].copy(), likelihood)
             for buffers in self.rows
@@ -283,21 +292,23 @@ class Plan:
         values[runs:] = values[runs - 1]
         blocks, size, lanes = self.work.shape
         self.work[...] = values.reshape(blocks, lanes, size).transpose(0, 2, 1)
-        self.shared[:3] = epoch.k, epoch.t, 0.0 if self.apart else epoch.dt
+        self.shared[:3] = epoch.k, epoch.t, 0.0 if self.dt_per_run else epoch.dt
         parts = zip(measurements(epoch.z, len(self.widths)), self.widths, strict=True)
         run_values = [per_run(z, (m,)) for z, m in parts if m]
-        if self.apart:
+        if self.dt_per_run:
             run_values.append(per_run(epoch.dt, ()))
         first = 3
-        for (x, _), differs in zip(tree_leaves((epoch.u, epoch.about)), self.given, strict=True):
+        for (x, _), differs in zip(
+            tree_leaves((epoch.u, epoch.about)), self.inputs_per_run, strict=True
+        ):
             if differs:
                 run_values.append(np.asarray(x).reshape(runs, -1))
             else:
                 self.shared[first : first + np.size(x)] = np.ravel(x)
                 first += np.size(x)
         if run_values:
-            self.own[:, :runs] = np.concatenate(run_values, 1).T
-            self.own[:, runs:] = self.own[:, runs - 1 : runs]
+            self.run_data[:, :runs] = np.concatenate(run_values, 1).T
+            self.run_data[:, runs:] = self.run_data[:, runs - 1 : runs]
         self.call()
         out = np.array(self.work.transpose(0, 2, 1)).reshape(-1, size)[:runs]
         lost = out[:, FAILED] >= 0.0
@@ -314,7 +325,7 @@ class Plan:
 
         sound = 1.0 - lost.reshape(*batch, 1)
         infos = [
-            SILENCE
+            SILENT_INFO
             if buffers is None
             else _info(row(buffers[0]), row(buffers[1]), sound * row(buffers[2]) != 0.0, likelihood)
             for buffers in self.rows

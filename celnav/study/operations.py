@@ -25,7 +25,7 @@ def step_operations(filter: Filter, prior: Gaussian, epochs: Sequence[Epoch]) ->
     >>> count = celnav.study.operations.step_operations(filter, prior, epochs)
     """
     data = as_data(filter, epochs)
-    engine, kind = Engine(filter, prior, data, rolled=False), data.known[data.kinds[1]]
+    engine, kind = Engine(filter, prior, data, rolled=False), data.distinct[data.kinds[1]]
     inputs, shape = engine.inputs(data.u[kind.u], len(epochs)), engine.begin
     for _ in range(2):  # from the second step on a state has all its parts
         made = engine.record(shape, kind, inputs)

@@ -32,6 +32,7 @@ def function(kernel: Kernel, name: str, places: dict[str, str], comment: Sequenc
     lines = [f"/* {comment[0]}", *(f" * {line}" for line in comment[1:]), " */"] if comment else []
     lines += [f"void {name}({arguments(places)})", "{"]
     lines += [f"    (void){argument};" for argument in places.values()]
+    # One constant of C for each operation, in an order in which operands come first.
     for i in tape.needed([x for *_, x in results]):
         op, *at = tape.ops[i]
         if op == "in":
@@ -60,6 +61,7 @@ def _value(tape: Tape, i: int) -> str:
     if op != "const":
         return f"t{i}"
     x = at[0]
+    # C has no literal of nan or infinity; a negative number needs parentheses after a minus.
     return (
         "NAN"
         if x != x

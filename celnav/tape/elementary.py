@@ -81,7 +81,7 @@ def expand_elementary(
             mapped[i] = at[0]
         elif name == "call":
             mapped[i] = new.node(
-                name, at[0].lowered(), *(new.lift(as_number(mapped[a])).i for a in at[1:])
+                name, at[0].expanded(), *(new.lift(as_number(mapped[a])).i for a in at[1:])
             )
         elif name == "part":
             mapped[i] = new.node(name, mapped[at[0]].i, at[1])

@@ -42,7 +42,7 @@ class Kernel(NamedTuple):
         """Numbers in the memory of its routines."""
         return self.tape.cells
 
-    def lowered(self) -> Kernel:
+    def expanded(self) -> Kernel:
         """The kernel with elementary functions as arithmetic."""
         tape, mapped = expand_elementary(self.tape, [x for *_, x in self.results()])
         placed = {(place, i): mapped[x.i] for place, i, x in self.results()}

@@ -55,7 +55,7 @@ def source(kernel: Kernel, lanes: int, fused: bool) -> str:
         stored if it is negative.
     """
     if fused:  # without fused products ranges would be reduced less exactly than in the C library
-        kernel = kernel.lowered()
+        kernel = kernel.expanded()
     tape, results = kernel.tape, kernel.results()
     code = _Code(lanes, fused, kernel.inputs)
     code.body(tape, [x for *_, x in results])
@@ -69,7 +69,7 @@ def source(kernel: Kernel, lanes: int, fused: bool) -> str:
     # Routines that a routine calls are appended while the loop runs.
     for routine in (pending := list(routines)):
         for k, stage in enumerate(routine.stages):
-            inner = _stage(stage, routine.own, lanes, fused)
+            inner = _stage(stage, routine.own_cells, lanes, fused)
             called |= inner.called
             pending += [callee for callee in inner.routines if callee not in routines]
             routines |= inner.routines

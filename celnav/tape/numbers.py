@@ -287,7 +287,9 @@ class TracedArray(np.ndarray):
         other type is accepted.
         """
         kind = _as_float64(dtype, np.int64, np.int32, np.bool_)
-        floats = traced(_each(_logical if kind.kind == "b" else as_number, self.view(np.ndarray)))
+        floats = traced(
+            _elementwise(_logical if kind.kind == "b" else as_number, self.view(np.ndarray))
+        )
         return np.trunc(floats) if kind.kind == "i" else floats
 
     def __getitem__(self, at: Any) -> Any:
@@ -298,7 +300,7 @@ class TracedArray(np.ndarray):
 
     def __setitem__(self, at: Any, value: Any) -> None:
         """As numpy: truth values if the array holds only truth values, floats otherwise."""
-        value = _each(_logical if _is_truth(self) else as_number, _bare(value))
+        value = _elementwise(_logical if _is_truth(self) else as_number, _bare(value))
         try:
             super().__setitem__(at, value if value.ndim else value[()])
         except IndexError as error:
@@ -382,7 +384,7 @@ def _bare(x: Any) -> Any:
     return array if array.dtype.hasobject else array.astype(object)
 
 
-def _each(function: Callable[[Scalar], Scalar], array: Any) -> Any:
+def _elementwise(function: Callable[[Scalar], Scalar], array: Any) -> Any:
     """A plain array of a function's results for each element."""
     return np.asarray(np.frompyfunc(function, 1, 1)(array), object)
 
@@ -397,7 +399,7 @@ def _operand(x: Any) -> Any:
     bare = _bare(x)
     if not any(map(is_logical, bare.flat)) or _is_truth(bare):
         return bare
-    return _each(as_number, bare)
+    return _elementwise(as_number, bare)
 
 
 # From numpy 2.5 on a comparison with nan within a function of ours would warn.
@@ -422,7 +424,7 @@ def _ufunc(ufunc: Any, method: str, inputs: Sequence[Any], options: dict[str, An
         return _reduced(ufunc, inputs[0], dtype=dtype, out=outs, where=where, **options)
     elif method == "accumulate" and ufunc in _REDUCED:
         array, *more = map(_operand, inputs)
-        array = _each(_REDUCED[ufunc], array)
+        array = _elementwise(_REDUCED[ufunc], array)
         result = traced(np.frompyfunc(_scalar(ufunc), 2, 1).accumulate(array, *more, **options))
     else:
         raise cannot_compile(f"numpy.{ufunc.__name__}.{method} cannot be recorded")
@@ -493,21 +495,14 @@ def _products(ufunc: Any, a: Any, b: Any) -> Any:
     if ufunc is np.vecdot:
         return _contracted(np.broadcast_arrays(a, b))
     # A vector becomes a matrix of one row or column, whose axis is removed at the end.
-    columns, row = b.ndim == 1, a.ndim == 1
-    a, b = a[None] if row else a, b[:, None] if columns else b
+    column, row = b.ndim == 1, a.ndim == 1
+    a, b = a[None] if row else a, b[:, None] if column else b
     if a.ndim == b.ndim == 2 and 2 * a.size * b.shape[1] >= LONG_PRODUCT:
         out = each_row(lambda row: _product(_bare(row), b), traced(a), least=LONG_PRODUCT)
     else:
         out = _product(a, b)
-    return (
-        out[..., 0, 0]
-        if row and columns
-        else out[..., 0, :]
-        if row
-        else out[..., 0]
-        if columns
-        else out
-    )
+    out = out[..., 0, :] if row else out
+    return out[..., 0] if column else out
 
 
 def _product(a: Any, b: Any) -> Any:
@@ -552,7 +547,7 @@ def present(x: Any) -> Any:
     def is_present(v: Scalar) -> Scalar:
         return emit("eq", v, v) if type(v) is not TracedScalar or v.tape.absent[v.i] else True
 
-    return traced(_each(is_present, _bare(x)))
+    return traced(_elementwise(is_present, _bare(x)))
 
 
 def known_alike(a: Any, b: Any) -> bool:
@@ -588,15 +583,15 @@ def each_row(function: Callable[..., Any], *points: Any, least: int = LONG) -> A
     outputs = [tape.lift(as_number(x)) for x in np.asarray(y, object).flat]
     # (p, number of variables): the values of the variables at each point.
     rows = np.concatenate([_bare(x) for x in points], -1)
-    left = (
+    results = (
         rolled_loop(tape, variables, outputs, rows.tolist(), least)
         if np.shape(y)[:-1] == (1,)
         else None
     )
     return (
         function(*points)
-        if left is None
-        else traced(np.array(left, object).reshape(count, len(outputs)))
+        if results is None
+        else traced(np.array(results, object).reshape(count, len(outputs)))
     )
 
 
@@ -615,23 +610,26 @@ def rarely(
         inputs = {x.i: x for array in arrays for x in _bare(array).flat if type(x) is TracedScalar}
         first = 1 + len(inputs)
         # Memory: the condition, the inputs, then the results.
-        stage = Recorder(1, given=(1, 0), made=(first, 0))
-        inside = {i: stage.take("given", k, tape.absent[i]) for k, i in enumerate(inputs)}
+        stage = Recorder(1, inputs=(1, 0), results=(first, 0))
+        # Inside the routine each input stands for the number of the outer tape.
+        inside = {i: stage.take("inputs", k, tape.absent[i]) for k, i in enumerate(inputs)}
         images = [
-            traced(_each(lambda x: inside[x.i] if type(x) is TracedScalar else x, _bare(array)))
+            traced(
+                _elementwise(lambda x: inside[x.i] if type(x) is TracedScalar else x, _bare(array))
+            )
             if recorded(array) is not None
             else array
             for array in arrays
         ]
-        made = [_bare(array) for array in function(*images)]
-        for k, x in enumerate(x for array in made for x in array.flat):
-            stage.put("made", k, x)
-        sizes = [array.size for array in made]
+        values = [_bare(array) for array in function(*images)]
+        for k, x in enumerate(x for array in values for x in array.flat):
+            stage.put("results", k, x)
+        sizes = [array.size for array in values]
         cells = range(first, first + sum(sizes))
         routine = Loop([stage.stage()], cells.stop, cells, rare=True)
-        left = np.array(routine(tape, [condition.item(), *inputs.values()]), object)
-        parts = np.split(left, np.cumsum(sizes)[:-1])
-        results = [traced(x.reshape(array.shape)) for x, array in zip(parts, made, strict=True)]
+        returned = np.array(routine(tape, [condition.item(), *inputs.values()]), object)
+        parts = np.split(returned, np.cumsum(sizes)[:-1])
+        results = [traced(x.reshape(array.shape)) for x, array in zip(parts, values, strict=True)]
     return tuple(
         np.where(condition[..., None, None], x, y) for x, y in zip(results, usual, strict=True)
     )
@@ -643,7 +641,7 @@ def _where(condition: Any, a: Any, b: Any) -> Any:
     a, b = _operand(a), _operand(b)
     # Truth values mixed with numbers count as numbers.
     if not (_is_truth(a) and _is_truth(b)):
-        a, b = (_each(as_number, x) for x in (a, b))
+        a, b = (_elementwise(as_number, x) for x in (a, b))
     choose = np.frompyfunc(lambda c, x, y: emit("select", _logical(c), x, y), 3, 1)
     return traced(choose(_bare(condition), a, b))
 
@@ -672,7 +670,7 @@ def _interp(x: Any, xp: Any, fp: Any, left: Any = None, right: Any = None) -> An
         y = emit("select", emit("lt", xp[-1], v), fp[-1] if right is None else right, y)
         return emit("select", emit("ne", v, v), v, y)
 
-    return traced(_each(interpolated, _bare(x)))
+    return traced(_elementwise(interpolated, _bare(x)))
 
 
 def _sort(x: Any, axis: Any = -1) -> Any:
@@ -730,15 +728,15 @@ def _einsum(subscripts: str, *operands: Any, **_options: Any) -> Any:
     ]
     right = right.replace("...", free)
     letters = right + "".join(sorted({c for term in named for c in term} - set(right)))
-    whole: Any = 1.0
+    product: Any = 1.0
     for term, x in zip(named, bare, strict=True):
         # The axes in the order of all letters, with an axis of length 1 for each missing letter.
         order = [term.index(c) for c in letters if c in term]
-        whole = whole * traced(
+        product = product * traced(
             x.transpose(order)[tuple(slice(None) if c in term else None for c in letters)]
         )
     summed = tuple(range(len(right), len(letters)))
-    return np.add.reduce(whole, summed) if summed else whole
+    return np.add.reduce(product, summed) if summed else product
 
 
 def _like(value: float) -> Callable[..., Any]:

@@ -35,17 +35,26 @@ class LoopBody(NamedTuple):
 class Loop:
     """Stages that share a memory. The arguments are in its first cells.
 
-    own: number of cells of the routine. The cells of the routines that it calls follow; ``cells``
-        is the total.
-    left: cells that are returned. rare: whether the call is skipped if the first argument is 0 for
-    every run of the vector. The returned cells are then undefined.
+    own_cells: number of cells of the routine. The cells of the routines that it calls follow;
+        ``cells`` is the total.
+    returned: cells that are returned. rare: whether the call is skipped if the first argument is 0
+        for every run of the vector. The returned cells are then undefined.
     """
 
     def __init__(
-        self, stages: Sequence[LoopBody], own: int, left: Sequence[int], rare: bool = False
+        self,
+        stages: Sequence[LoopBody],
+        own_cells: int,
+        returned: Sequence[int],
+        rare: bool = False,
     ):
-        self.stages, self.own, self.left, self.rare = tuple(stages), own, tuple(left), rare
-        self.cells = own + max(stage.tape.cells for stage in self.stages)
+        self.stages, self.own_cells, self.returned, self.rare = (
+            tuple(stages),
+            own_cells,
+            tuple(returned),
+            rare,
+        )
+        self.cells = own_cells + max(stage.tape.cells for stage in self.stages)
 
     @cached_property
     def name(self) -> str:
@@ -54,8 +63,8 @@ class Loop:
             (s.rows, s.places, s.inputs, [(p, i, x.i) for p, i, x in s.results], s.tape.key)
             for s in self.stages
         ]
-        whole = repr((parts, self.own, self.left, self.rare))
-        return "r" + sha256(whole.encode()).hexdigest()[:16]
+        operations = repr((parts, self.own_cells, self.returned, self.rare))
+        return "r" + sha256(operations.encode()).hexdigest()[:16]
 
     def __repr__(self) -> str:
         return self.name
@@ -66,7 +75,7 @@ class Loop:
     def __hash__(self) -> int:
         return hash(self.name)
 
-    def lowered(self) -> Loop:
+    def expanded(self) -> Loop:
         """The loop with elementary functions as arithmetic."""
         stages = []
         for stage in self.stages:
@@ -75,12 +84,13 @@ class Loop:
                 (place, i, tape.lift(as_number(mapped[x.i]))) for place, i, x in stage.results
             ]
             stages.append(stage._replace(tape=tape, results=results))
-        return Loop(stages, self.own, self.left, self.rare)
+        return Loop(stages, self.own_cells, self.returned, self.rare)
 
     def __call__(self, tape: Tape, arguments: Iterable[Scalar]) -> list[TracedScalar]:
         """The returned cells of a call on a tape."""
+        # The call is one operation; each returned cell is another, which reads its memory.
         call = tape.node("call", self, *(tape.lift(as_number(x)).i for x in arguments))
-        return [tape.node("part", call.i, cell) for cell in self.left]
+        return [tape.node("part", call.i, cell) for cell in self.returned]
 
 
 class Recorder:
@@ -89,14 +99,14 @@ class Recorder:
     def __init__(self, rows: int, **places: tuple[int, int]):
         self.rows, self.places, self.tape = rows, places, Tape()
         self.inputs, self.results = list[tuple[str, int]](), list[tuple[str, int, TracedScalar]]()
-        self._taken = dict[tuple[str, int], TracedScalar]()
+        self._numbers = dict[tuple[str, int], TracedScalar]()
 
     def take(self, place: str, index: int, absent: bool = False) -> TracedScalar:
         """The number at an index of a place of the row."""
-        if (place, index) not in self._taken:
+        if (place, index) not in self._numbers:
             self.inputs.append((place, index))
-            self._taken[place, index] = self.tape.input(absent)
-        return self._taken[place, index]
+            self._numbers[place, index] = self.tape.input(absent)
+        return self._numbers[place, index]
 
     def put(self, place: str, index: int, value: Scalar) -> None:
         """Write a number to an index of a place."""
@@ -127,23 +137,22 @@ def rolled_loop(
             inside.add(i)
     if len(body) * len(rows) < least or any(ops[i][0] in ("call", "part") for i in body):
         return None
-    n, m, used = (
-        len(variables),
-        len(outputs),
-        {a for i in body for a in operands(ops[i])} | {x.i for x in outputs},
-    )
+    n, m = len(variables), len(outputs)
+    # Numbers from outside the body are common to all rows; constants stand in its code.
+    used = {a for i in body for a in operands(ops[i])} | {x.i for x in outputs}
     # Memory: common numbers, then the values (rows, n), then the results (rows, m).
     common = sorted(i for i in used - inside if ops[i][0] != "const")
-    at, made = len(common), len(common) + n * len(rows)
-    stage = Recorder(len(rows), common=(0, 0), given=(at, n), made=(made, m))
+    at, first = len(common), len(common) + n * len(rows)
+    stage = Recorder(len(rows), common=(0, 0), values=(at, n), results=(first, m))
+    # The body is recorded again on the stage's own tape.
     mapped = {i: stage.take("common", k, tape.absent[i]) for k, i in enumerate(common)}
-    mapped |= {x.i: stage.take("given", k) for k, x in enumerate(variables)}
+    mapped |= {x.i: stage.take("values", k) for k, x in enumerate(variables)}
     mapped |= {i: stage.tape.lift(ops[i][1]) for i in used - inside if ops[i][0] == "const"}
     for i in body:
         mapped[i] = stage.tape.node(ops[i][0], *(mapped[a].i for a in ops[i][1:]))
         stage.tape.sharp |= {mapped[i].i} if i in tape.sharp else set()
     for k, x in enumerate(outputs):
-        stage.put("made", k, mapped[x.i])
-    cells = made + m * len(rows)
+        stage.put("results", k, mapped[x.i])
+    cells = first + m * len(rows)
     arguments = [*(TracedScalar(tape, i) for i in common), *(x for row in rows for x in row)]
-    return Loop([stage.stage()], cells, range(made, cells))(tape, arguments)
+    return Loop([stage.stage()], cells, range(first, cells))(tape, arguments)

@@ -184,13 +184,13 @@ class Tape:
         self.model, self.wild = False, list[bool]()
         self.sharp, self.modeled = set[int](), list[bool]()
         self.variables: list[TracedScalar] = []  # see `celnav.tape.derivative`
-        self._known: dict[Any, int] = {}
+        self._positions: dict[Any, int] = {}
         self._inputs = self.cells = 0
 
     @property
     def key(self) -> tuple[Any, ...]:
         """A key that is equal for tapes of the same operations."""
-        return *self._known, *sorted(self.sharp)
+        return *self._positions, *sorted(self.sharp)
 
     def input(self, absent: bool = False) -> TracedScalar:
         """A new input, the next in number; ``absent``: it may be nan for a missing measurement."""
@@ -203,9 +203,9 @@ class Tape:
         """The result of an operation, recorded unless it is on the tape already."""
         # The hexadecimal digits distinguish 0.0 from -0.0, and make nan equal to itself.
         key = (op[0], op[1].hex()) if op[0] == "const" else op
-        at = self._known.get(key)
+        at = self._positions.get(key)
         if at is None:
-            at = self._known[key] = len(self.ops)
+            at = self._positions[key] = len(self.ops)
             if at == self.most:
                 raise TooLong(f"a step of more than {at} operations is too long to be compiled")
             self.ops.append(op)
@@ -352,7 +352,7 @@ def _select(c: Scalar, a: Scalar, b: Scalar) -> Scalar | None:
     return a if same else None
 
 
-def _joined(neutral: bool) -> Callable[[Scalar, Scalar], Scalar | None]:
+def _logical_shortcut(neutral: bool) -> Callable[[Scalar, Scalar], Scalar | None]:
     """The shortcut of "and" or "or"; ``neutral``: the truth value that changes nothing in it."""
 
     def short(a: Scalar, b: Scalar) -> Scalar | None:
@@ -364,7 +364,7 @@ def _joined(neutral: bool) -> Callable[[Scalar, Scalar], Scalar | None]:
     return short
 
 
-def _undone(name: str) -> Callable[[Scalar], Scalar | None]:
+def _cancelling(name: str) -> Callable[[Scalar], Scalar | None]:
     return lambda x: x._argument(0) if x.name == name else None
 
 
@@ -374,10 +374,10 @@ _SHORT: dict[str, Callable[..., Scalar | None]] = {
     "mul": _mul,
     "div": _div,
     "select": _select,
-    "and": _joined(True),
-    "or": _joined(False),
-    "neg": _undone("neg"),
-    "not": _undone("not"),
+    "and": _logical_shortcut(True),
+    "or": _logical_shortcut(False),
+    "neg": _cancelling("neg"),
+    "not": _cancelling("not"),
 }
 
 

@@ -172,22 +172,22 @@ def test_flights_that_are_expected_again_are_compiled_sooner():
 
 
 def test_what_is_kept_is_of_the_last_filters():
-    for _ in range(compiled.MOST_KEPT + 3):
+    for _ in range(compiled.MOST_CACHED + 3):
         filter = celnav.ukf(celnav.Motion([[1.0]], 1.0), celnav.Sensor([[1.0]], 1.0))
         celnav.run(filter, celnav.Gaussian([0.0], 1.0), *data(3, 2), engine="compiled")
-    assert len(compiled._KEPT) == compiled.MOST_KEPT
-    assert (id(filter), "compiled", 1) in compiled._KEPT
+    assert len(compiled._CACHE) == compiled.MOST_CACHED
+    assert (id(filter), "compiled", 1) in compiled._CACHE
 
 
 def test_more_work_is_worth_longer_steps():
     found = [
-        [compiled.worth(steps, steps * runs, 2) for steps in (1, 30, 1000, 10**5)]
+        [compiled.operation_limit(steps, steps * runs, 2) for steps in (1, 30, 1000, 10**5)]
         for runs in (1, 50, 10**4)
     ]
     assert (np.diff(found, axis=0) >= 0).all()
     assert (np.diff(found, axis=1) >= 0).all()
     assert found[0][0] < 10
-    assert found[-1][-1] == compiled.WORTH
+    assert found[-1][-1] == compiled.MOST_AUTO
 
 
 def test_numpy_flies_what_cannot_be_compiled_and_says_why(monkeypatch):
@@ -289,8 +289,8 @@ def test_the_noise_that_hooks_leave_is_kept_by_machine_code_too(runs):
 
 
 def test_a_step_that_is_too_long_is_recorded_once(records, monkeypatch):
-    monkeypatch.setattr(compiled, "worth", lambda *_work: 150)
-    monkeypatch.setattr(compiled, "EXPECTED", (0, 0))
+    monkeypatch.setattr(compiled, "operation_limit", lambda *_work: 150)
+    monkeypatch.setattr(compiled, "EXPECTED_OPERATIONS", (0, 0))
     filter = filter_of(lambda x, epoch: swing(1.002 * x, epoch))
     for _ in range(3):
         track = celnav.run(filter, PRIOR, *data(20, 8))
@@ -333,8 +333,8 @@ def test_a_filter_that_was_compiled_stays_so_where_epochs_are_of_more_kinds():
 
 
 def test_a_step_is_seldom_recorded_in_vain_while_work_accumulates(records, monkeypatch):
-    monkeypatch.setattr(compiled, "EXPECTED", (0, 0))
-    monkeypatch.setattr(compiled, "MAKE_S", 1e-3)
+    monkeypatch.setattr(compiled, "EXPECTED_OPERATIONS", (0, 0))
+    monkeypatch.setattr(compiled, "COMPILE_OPERATION_S", 1e-3)
     filter = filter_of(lambda x, epoch: looped(1.003 * x, epoch))
     times, z = data(20, 20)
     for _ in range(32):

@@ -329,7 +329,7 @@ def test_measurements_that_are_complete_cost_no_masks_whatever_the_model():
         kept.run(PRIOR, TIMES, z)
         counts[gap == 0.0] = [
             sum(op[0] == "eq" and op[1] == op[2] for op in made.kernel.tape.ops)
-            for made in kept._kept.records.values()
+            for made in kept._cache.records.values()
         ]
     assert max(counts[True]) == 0
     assert max(counts[False]) > 0

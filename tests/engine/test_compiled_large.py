@@ -55,7 +55,7 @@ def calls(filter, prior, epochs):
     """Loops in the step that moves."""
     data = as_data(filter, epochs)
     engine = Engine(filter, prior, data)
-    kind = data.known[data.kinds[-1]]
+    kind = data.distinct[data.kinds[-1]]
     kernel = engine.record(engine.begin, kind, engine.inputs(data.u[kind.u], len(epochs))).kernel
     return {op[1] for op in kernel.tape.ops if op[0] == "call"}
 
@@ -86,8 +86,8 @@ def test_factorizations_and_products_are_loops_where_they_are_long(form, monkeyp
 
 def test_what_is_too_long_is_left_to_numpy_unless_it_is_asked_for(monkeypatch):
     filter, prior, epochs = flight()
-    monkeypatch.setattr("celnav.engine.compiled.worth", lambda *_work: 1000)
-    monkeypatch.setattr("celnav.engine.compiled.EXPECTED", (0, 0))
+    monkeypatch.setattr("celnav.engine.compiled.operation_limit", lambda *_work: 1000)
+    monkeypatch.setattr("celnav.engine.compiled.EXPECTED_OPERATIONS", (0, 0))
     track = celnav.run(filter, prior, epochs, engine="auto")
     assert track.engine.startswith("numpy: a step of ")
     assert "at most 1000 are compiled" in track.engine

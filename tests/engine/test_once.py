@@ -145,7 +145,7 @@ def test_results_that_would_fill_the_memory_are_not_kept(parts, monkeypatch):
 def test_a_kept_filter_is_split_once(monkeypatch):
     kept = celnav.compiled(FILTERS["ekf"])
     kept.run(PRIOR, TIMES, measured())
-    monkeypatch.setattr(runs, "_common", None)
+    monkeypatch.setattr(runs, "_common_entries", None)
     kept.run(PRIOR, TIMES, measured())
 
 

@@ -171,7 +171,7 @@ def comparisons(monkeypatch, runs):
 
 
 def test_each_comparison_of_a_short_run_is_at_another_epoch(monkeypatch):
-    monkeypatch.setattr("celnav.engine.compiled.SPAN", 1)
+    monkeypatch.setattr("celnav.engine.compiled.COMPARE_ONE", 1)
     compared = comparisons(monkeypatch, 40)
     assert [len(one) for one in compared] == [1] * 40
     assert len({at for one in compared for at in one}) > 20
@@ -189,7 +189,7 @@ def test_short_runs_are_compared_each_at_first_then_once_in_4096_steps(monkeypat
 
 
 def test_long_runs_of_a_kept_filter_compare_all_sentinels(monkeypatch):
-    monkeypatch.setattr("celnav.engine.compiled.SPARED", T * Z.shape[1])
+    monkeypatch.setattr("celnav.engine.compiled.COMPARE_ALL", T * Z.shape[1])
     (compared,) = comparisons(monkeypatch, 1)
     assert {0, T - 1} < set(compared)
 

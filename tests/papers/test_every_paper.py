@@ -42,7 +42,7 @@ def test_neither_verdicts_nor_numbers_depend_on_the_engine(paper, monkeypatch):
     """So few runs repay no compiling, so that all is numpy's; here all is compiled that can be."""
     study = load(paper).STUDY
     by_numpy = once(study)
-    monkeypatch.setattr(compiled, "worth", lambda *_work: compiled.WORTH)
+    monkeypatch.setattr(compiled, "operation_limit", lambda *_work: compiled.MOST_AUTO)
     token = ENGINE.set("auto")
     try:
         again = study.reproduce(effort=effort(), only=BY_ENGINE[paper]).data

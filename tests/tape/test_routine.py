@@ -192,7 +192,7 @@ def test_what_is_rarely_needed_is_a_routine_with_routines_of_its_own(lanes, fuse
     (routine,) = calls(tape)
     assert routine.rare
     assert len(inner := calls(routine.stages[0].tape)) == 2
-    assert routine.cells == routine.own + sum(each.cells for each in inner)
+    assert routine.cells == routine.own_cells + sum(each.cells for each in inner)
     a, b = (part.reshape(n, n, RUNS).transpose(2, 0, 1) for part in np.split(given[:-1], 2))
     expected = np.where((given[-1] > 0.0)[:, None, None], a @ b @ a, a)
     np.testing.assert_allclose(

@@ -131,7 +131,7 @@ def planes(r: Results) -> Figure:
         np.degrees(NORMAL_ERROR / np.sin(np.radians(dense))),
         Line("δn / sin i", colors.COMPARISON, "--"),
     )
-    drawn = curve(TILTS_DEG, r.get("nodes", "node"), marker="s", label="drawn", **dots)
+    simulated = curve(TILTS_DEG, r.get("nodes", "node"), marker="s", label="drawn", **dots)
     return panels(
         [
             *(
@@ -144,7 +144,7 @@ def planes(r: Results) -> Figure:
             ),
             Panel(
                 f"δn = {NORMAL_ERROR:g} rad",
-                [formula, drawn],
+                [formula, simulated],
                 "inclination (deg)",
                 "deviation of the node (deg)",
                 "xy",
@@ -176,21 +176,21 @@ def polar(r: Results) -> Figure:
         (r.get("polar", what).T, line, size)
         for what, line, size in zip(("draws", "images"), dots, (1.0, 6.0))
     ]
-    given = [
+    polar_clouds = [
         curve(np.degrees(np.arctan2(y, x)), np.hypot(x, y), dot, marker=".", ms=size)
         for (x, y), dot, size in clouds
     ]
-    moved = [curve(x, y, dot, marker=".", ms=size) for (x, y), dot, size in clouds]
+    images = [curve(x, y, dot, marker=".", ms=size) for (x, y), dot, size in clouds]
     return panels(
         [
             Panel(
                 "Figure 3: r = 1 ± 0.02, θ = 90° ± 15°",
-                given,
+                polar_clouds,
                 "θ (deg)",
                 "r (-)",
                 more={"xlim": (150.0, 30.0)},
             ),
-            Panel("x = r cos θ, y = r sin θ", [*moved, *ellipses], "x (-)", "y (-)"),
+            Panel("x = r cos θ, y = r sin θ", [*images, *ellipses], "x (-)", "y (-)"),
             Panel("means and deviations", ellipses, "x (-)"),
         ],
         size=(10.0, 3.3),
@@ -201,9 +201,9 @@ def run_of(r: Results, i: int, part: str, title: str, at: str, limit: float, **m
     """The first run of EKF, UKF and AUKF, and the quantiles of all of the last; how much better
     that is."""
     ratio = rms(r, part, "aukf", at, AXES[i].name) / rms(r, part, "ukf", at, AXES[i].name)
-    flown = [name for name in ("ekf", "ukf", "aukf") if f"{name}/error" in r.data[part]]
+    names = [name for name in ("ekf", "ukf", "aukf") if f"{name}/error" in r.data[part]]
     shown = [
-        errors(r, part, name, LINES[name], "position", i, spread=name == "aukf") for name in flown
+        errors(r, part, name, LINES[name], "position", i, spread=name == "aukf") for name in names
     ]
     burst = [interval(*r.parts[part].config.burst_s)] if at == "burst" else []
     return Panel(
@@ -235,7 +235,7 @@ def struck(i: int, r: Results) -> Figure:
 def factors(r: Results) -> Figure:
     """What the filter multiplies the noise by."""
     right = 1.0 + (STANDARD.burst_sigma / STANDARD.sigma_range_m) ** 2
-    known = [
+    levels = [
         interval(*r.parts["ranges, 10 Hz"].config.burst_s),
         level(right, label=f"right for ranges in the burst: {right:.0f}", color=colors.PAPER),
     ]
@@ -245,7 +245,7 @@ def factors(r: Results) -> Figure:
         [
             Panel(
                 f"A of the {half}",
-                [*known, quantiles(t, r.get("ranges, 10 Hz", f"aukf/{half}"), A)],
+                [*levels, quantiles(t, r.get("ranges, 10 Hz", f"aukf/{half}"), A)],
                 "time (s)",
                 "factor (-)",
                 "y",
@@ -268,10 +268,10 @@ def baselines(r: Results) -> Figure:
         ]
 
         def item(ax: Any) -> None:
-            drawn = ax.barh(
+            bars = ax.barh(
                 [line.label for line in lines], values, color=[line.color for line in lines]
             )
-            ax.bar_label(drawn, fmt="%.3g", padding=2, fontsize=6.5)
+            ax.bar_label(bars, fmt="%.3g", padding=2, fontsize=6.5)
             ax.set(xlim=(0.3 * min(values), 8.0 * max(values)), ylim=(len(lines) - 0.5, -0.5))
 
         return item
@@ -298,7 +298,7 @@ def densities(r: Results) -> Figure:
     }
 
     def panel(part: str, qs: tuple[float, ...]) -> Panel:
-        flown = [
+        curves = [
             curve(
                 qs,
                 [rms(r, part, f"{q:g}/{name}", "quiet") for q in qs],
@@ -308,11 +308,11 @@ def densities(r: Results) -> Figure:
             )
             for name in lines
         ]
-        known = level(
+        true_density = level(
             r.parts[part].config.acceleration_noise, label="a² T", color=colors.PAPER, upright=True
         )
         return Panel(
-            part, [*flown, known], "process noise (m²/s³)", "position RMSE, quiet (m)", "xy"
+            part, [*curves, true_density], "process noise (m²/s³)", "position RMSE, quiet (m)", "xy"
         )
 
     return panels(
@@ -342,7 +342,7 @@ def sizes(r: Results) -> Figure:
 
     def panel(rate: str) -> Panel:
         size = partial(rms, r, part := f"windows, {rate}")
-        drawn = [
+        curves = [
             curve(
                 study.WINDOWS,
                 [size(f"M {m}", at) / size("ukf", at) for m in study.WINDOWS],
@@ -353,7 +353,7 @@ def sizes(r: Results) -> Figure:
         ]
         return Panel(
             part,
-            [level(1.0, label="UKF"), *drawn],
+            [level(1.0, label="UKF"), *curves],
             "window (epochs)",
             "position RMSE over the UKF's (-)",
             "xy",
@@ -368,7 +368,7 @@ def outliers(r: Results) -> Figure:
     twice = level(2.0 * size("noise 1/aukf", "before"), label="twice the AUKF's without")
 
     def panel(shape: str, title: str) -> Panel:
-        drawn = [
+        curves = [
             curve(
                 study.STRUCK,
                 [size(f"{shape} {k}/{name}", "burst") for k in study.STRUCK],
@@ -377,7 +377,7 @@ def outliers(r: Results) -> Figure:
             )
             for name in study.ROBUST
         ]
-        return Panel(title, [twice, *drawn], "bad ranges of 12", "position RMSE (m)", "y")
+        return Panel(title, [twice, *curves], "bad ranges of 12", "position RMSE (m)", "y")
 
     return panels(
         [panel("noise", "50 m of noise"), panel("constant", "50 m too long")],
@@ -389,8 +389,8 @@ def outliers(r: Results) -> Figure:
 # -- tables ----------------------------------------------------------------------------------------
 def table_1(r: Results) -> Rows:
     """RMSE by axis; the paper's numbers are lost."""
-    flown = [("as tuned", "none", name) for name in ("ls", "ekf", "ukf", "aukf")]
-    flown += [("noise of ranges mistuned", "mistuned", name) for name in ("ukf", "aukf")]
+    cases = [("as tuned", "none", name) for name in ("ls", "ekf", "ukf", "aukf")]
+    cases += [("noise of ranges mistuned", "mistuned", name) for name in ("ukf", "aukf")]
     return [
         {
             "case": text,
@@ -398,21 +398,21 @@ def table_1(r: Results) -> Rows:
             "paper": "lost",
             **{f"{g.name} (m)": rms(r, part, name, "all", g.name) for g in AXES},
         }
-        for text, part, name in flown
+        for text, part, name in cases
     ]
 
 
 def table_2(r: Results) -> Rows:
     """A real receiver; no rows if its files were not given."""
-    found = r.data.get("real", {})
+    real = r.data.get("real", {})
     return [
         {
             "filter": line.label,
-            "RMS (m)": day.rms(found, name),
-            "RMS with an added burst (m)": day.rms(found, f"burst/{name}"),
+            "RMS (m)": day.rms(real, name),
+            "RMS with an added burst (m)": day.rms(real, f"burst/{name}"),
         }
         for name, line in LINES.items()
-        if name in found
+        if name in real
     ]
 
 
@@ -498,17 +498,17 @@ def _burst(results: Results) -> Showcase:
     number = results.parts["baselines"].number
     sim = simulate(c, [generator(results.seed, number, run) for run in range(SHOWN)])
     local = axes(c)
-    found = dict[str, Estimate]()
+    estimates = dict[str, Estimate]()
     names = list(sim.satellites.names)
     S = len(sim.satellites.names)
     factor = np.zeros(0)
-    known = filters(c, S)
+    bank = filters(c, S)
     for name in NAMES:
-        track = run(known[name], sim.prior, sim.epochs(), keep="cov", on_failure="flag")
+        track = run(bank[name], sim.prior, sim.epochs(), keep="cov", on_failure="flag")
         cov = (
             None if name == "ls" else track.cov[:, 0]
         )  # a line through estimates of single epochs says nothing
-        found[name] = Estimate(
+        estimates[name] = Estimate(
             *NAMES[name], np.asarray(track.mean - sim.truth), cov, nis=track.nis[:, 0]
         )
         if name == "aukf":
@@ -526,17 +526,17 @@ def _burst(results: Results) -> Showcase:
     def scene(out: Recorder) -> None:
         broadcast = synthetic()
         position = circle(c)[0]
-        seen = broadcast.chosen(np.isin(broadcast.names, names))
+        shown = broadcast.chosen(np.isin(broadcast.names, names))
         paths = (
-            satellites(seen, START_S + np.linspace(0.0, 86400.0, 145)[:, None]).position / 1e6
+            satellites(shown, START_S + np.linspace(0.0, 86400.0, 145)[:, None]).position / 1e6
         )  # of a day, Earth-fixed
         out.globe("world/earth", ELLIPSOID.semimajor_axis / 1e6)
         scenes.constellation(
-            out, "world", sim.satellites.q / 1e6, paths, position / 1e6, seen.names, shades
+            out, "world", sim.satellites.q / 1e6, paths, position / 1e6, shown.names, shades
         )
         truth = (position - position[0]) @ local.T
         out.trail("track/truth/trail", truth, colors.TRUTH, radius=2.0)
-        for key, e in found.items():
+        for key, e in estimates.items():
             cov = None if e.cov is None else local @ e.cov[:, :3, :3] @ local.T
             scenes.track(
                 out, f"track/{key}", truth + e.errors[:, 0, :3] @ local.T, e.color, e.label, cov=cov
@@ -548,7 +548,7 @@ def _burst(results: Results) -> Showcase:
         "aukf: burst",
         NOTES.format(c),
         c.times,
-        found,
+        estimates,
         [
             Group("position", "m", slice(0, 3), axes="XYZ"),
             Group("velocity", "m/s", slice(3, 6), axes="XYZ"),

@@ -183,7 +183,7 @@ def parts(effort: float = 1.0, rinex: Path | None = None) -> dict[str, Part]:
     judged = {"duration_s": standard.burst_s[1] + AFTER_S}
     slow = {**quiet, **second}
     short = {**quiet, "duration_s": 15.0}
-    one = {"burst": "one", "burst_s": (15.0, 25.0)}
+    one_range = {"burst": "one", "burst_s": (15.0, 25.0)}
     bursts = {f"{burst}/": {"burst": burst} for burst in BURSTS}
     change: dict[str, Any]
     cases: dict[str, dict[str, Any]]
@@ -192,15 +192,15 @@ def parts(effort: float = 1.0, rinex: Path | None = None) -> dict[str, Part]:
     def add(number: int, runs: int, *draws: Mapping[str, Flight]) -> None:
         """Parts of a number, whose flights are drawn one after the other; those in the same braces
         share their random numbers."""
-        drawn: list[Config] = []
+        earlier: list[Config] = []
         for draw in draws:
             for name, flight in draw.items():
                 c = replace(standard, **flight.change)
                 cost = 3e-5 * runs * c.samples * len(flight.names) * len(flight.cases)
                 out[name] = Part(
-                    partial(run_filters, flight, tuple(drawn)), c, number, runs, cost=cost
+                    partial(run_filters, flight, tuple(earlier)), c, number, runs, cost=cost
                 )
-            drawn.append(c)
+            earlier.append(c)
 
     none = Flight(("ls", *THREE), quiet)
     add(0, many, {"none": none}, {"ranges, 10 Hz": Flight((*THREE, "group"))})
@@ -229,11 +229,11 @@ def parts(effort: float = 1.0, rinex: Path | None = None) -> dict[str, Part]:
     slow_bursts = zip(READINGS[3:], bursts.values(), strict=True)
     add(8, many, *({part: Flight(PAIR, {**burst, **second})} for part, burst in slow_bursts))
 
-    add(9, many, {"one range, 10 Hz": Flight(PAIR, {**one, "duration_s": 40.0})})
+    add(9, many, {"one range, 10 Hz": Flight(PAIR, {**one_range, "duration_s": 40.0})})
 
     several = []
     for k in (3, 8):
-        change = {**one, "duration_s": 25.0, "burst_count": k}
+        change = {**one_range, "duration_s": 25.0, "burst_count": k}
         several.append({f"{k} ranges": Flight(PAIR, change)})
     add(10, many, *several)
 
@@ -255,8 +255,8 @@ def parts(effort: float = 1.0, rinex: Path | None = None) -> dict[str, Part]:
         change = {**slow, "deviation": (float(true), *rest)}
         change["duration_s"] = 120.0 if true == "1e6" else 60.0
         flights = {}
-        for taken in (true, "10"):
-            flights[f"{true}/{taken}"] = Flight(THREE, {**change, "assumed_m": float(taken)})
+        for assumed in (true, "10"):
+            flights[f"{true}/{assumed}"] = Flight(THREE, {**change, "assumed_m": float(assumed)})
         starts.append(flights)
     add(13, 2 * many, *starts)
 
@@ -295,9 +295,9 @@ def parts(effort: float = 1.0, rinex: Path | None = None) -> dict[str, Part]:
     return out
 
 
-def run_filters(flight: Flight, drawn: Sequence[Config], config: Config, rngs: Rngs) -> Arrays:
-    """Filters on a configuration, whose random numbers come after those of what was ``drawn``
-    before.
+def run_filters(flight: Flight, earlier: Sequence[Config], config: Config, rngs: Rngs) -> Arrays:
+    """Filters on a configuration, whose random numbers come after those of ``earlier``
+    configurations.
 
     Returns
     -------
@@ -305,7 +305,7 @@ def run_filters(flight: Flight, drawn: Sequence[Config], config: Config, rngs: R
     once a run is lost; nis, nees, and of the AUKF means of its factors over ranges, rates, and bad
     and good ranges, with parts of them above 1 or 2, ``(T, runs)``.
     """
-    for before in drawn:
+    for before in earlier:
         simulate(before, rngs)
     sims = [
         simulate(replace(config, **change), rngs if flight.anew else deepcopy(rngs))
@@ -320,23 +320,23 @@ def run_filters(flight: Flight, drawn: Sequence[Config], config: Config, rngs: R
     S = len(sims[0].satellites.names)
     Q = np.stack([sim.config.Q for sim in sims])[:, None]
     struck = np.stack([burst(sim.config, S)[:, None, :S] > 0.0 for sim in sims], 1)
-    known = {**filters(config, S, Q), "no redraw": no_redraw(config, S)}
-    known |= {f"M {m}": adapted(config, S, ukf(config), innovation_window(m), Q=Q) for m in WINDOWS}
+    bank = {**filters(config, S, Q), "no redraw": no_redraw(config, S)}
+    bank |= {f"M {m}": adapted(config, S, ukf(config), innovation_window(m), Q=Q) for m in WINDOWS}
     epochs = list(sims[0]._replace(truth=truth, z=z).epochs())
     out = {"times": config.times}
     for name in flight.names:
-        kept = ("mean", "cov", "innovation")
-        track = run(known[name], prior, epochs, keep=kept, on_failure="flag")
+        rows = ("mean", "cov", "innovation")
+        track = run(bank[name], prior, epochs, keep=rows, on_failure="flag")
         errors = np.asarray(track.mean) - truth
-        found = {
+        columns = {
             "error": errors[..., :3],
             "nis": track.nis,
             "nees": nees(errors, track.sqrt_cov),
         }
         if name == "aukf":
-            found |= of_factors(noise_factors(track, config, S), struck)
+            columns |= of_factors(noise_factors(track, config, S), struck)
         for i, case in enumerate(flight.cases):
-            out |= {f"{case}{name}/{what}": values[:, i] for what, values in found.items()}
+            out |= {f"{case}{name}/{what}": values[:, i] for what, values in columns.items()}
     return out
 
 
@@ -348,11 +348,11 @@ def of_factors(A: Array, struck: Array) -> Arrays:
     """
     ranges, rates = np.split(A, 2, -1)
     out: Arrays = {}
-    for half, some in zip(HALVES, (ranges, rates), strict=True):
-        out |= {half: some.mean(-1), f"{half} above 1": (some > 1.0).mean(-1)}
+    for half, factors in zip(HALVES, (ranges, rates), strict=True):
+        out |= {half: factors.mean(-1), f"{half} above 1": (factors > 1.0).mean(-1)}
 
-    def mean_over(those: Array, values: Array) -> Array:
-        return np.asarray((values * those).sum(-1) / np.maximum(those.sum(-1), 1))
+    def mean_over(mask: Array, values: Array) -> Array:
+        return np.asarray((values * mask).sum(-1) / np.maximum(mask.sum(-1), 1))
 
     return out | {
         "bad": mean_over(struck, ranges),
@@ -472,8 +472,8 @@ def transform(_: Config, rngs: Rngs) -> Arrays:
 def operations(config: Config, rngs: Rngs) -> Arrays:
     """Arithmetic operations of a step of one run with all satellites, of EKF and UKF."""
     sim = simulate(replace(config, duration_s=config.interval_s, burst="none"), rngs)
-    known = filters(sim.config)
-    return counted({name: known[name] for name in ("ekf", "ukf")}, sim.prior, sim.epochs())
+    bank = filters(sim.config)
+    return counted({name: bank[name] for name in ("ekf", "ukf")}, sim.prior, sim.epochs())
 
 
 # -- numbers of the ledger -------------------------------------------------------------------------
@@ -527,7 +527,10 @@ def same(r: Results) -> list[Number]:
         for name in ("ekf", "ukf")
     )
     most = [float(np.abs(x - y).max()) for x, y in zip(ekf, ukf, strict=True)]
-    far = [one / rms(r, part, "ekf", at) for one, (part, at) in zip(most, cases, strict=True)]
+    far = [
+        difference / rms(r, part, "ekf", at)
+        for difference, (part, at) in zip(most, cases, strict=True)
+    ]
     return [
         Number("largest difference, m", max(most[:2])),
         Number("over the RMSE", max(far[:2]), (0.01, None)),
@@ -577,7 +580,7 @@ def undisturbed(share: bool = False) -> list[Decided]:
 
 def suppressed(part: str) -> list[Decided]:
     """AUKF in the burst: over the UKF, over its own quiet error, and over the UKF by axis."""
-    own = over(
+    over_quiet = over(
         f"{part}: over its own quiet error",
         part,
         "aukf",
@@ -588,7 +591,7 @@ def suppressed(part: str) -> list[Decided]:
     )
     return [
         over(f"{part}: over the UKF", part, "aukf", "ukf", "burst"),
-        own,
+        over_quiet,
         *by_axis(part, part, "aukf", "ukf", "burst"),
     ]
 
@@ -629,10 +632,14 @@ def outliers(count: int, at: str) -> list[Decided]:
     error, and over the UKF."""
     part = {1: "one range, 10 Hz", 15: "ranges, 10 Hz"}.get(count, f"{count} ranges")
     label = f"{count} ranges, {'one epoch' if at == 'first' else 'ten seconds'}"
-    own, less = ((None, None), (None, None)) if count == 15 else ((None, SAME_ORDER), (None, 1.0))
+    quiet_bounds, ukf_bounds = (
+        ((None, None), (None, None)) if count == 15 else ((None, SAME_ORDER), (None, 1.0))
+    )
     return [
-        over(f"{label}: over its own quiet error", part, "aukf", "aukf", at, own, to="quiet"),
-        over(f"{label}: over the UKF", part, "aukf", "ukf", at, less),
+        over(
+            f"{label}: over its own quiet error", part, "aukf", "aukf", at, quiet_bounds, to="quiet"
+        ),
+        over(f"{label}: over the UKF", part, "aukf", "ukf", at, ukf_bounds),
     ]
 
 
@@ -665,10 +672,10 @@ def sensitive(r: Results) -> Tiers:
 def settling(r: Results, start: str, name: str) -> Array:
     """Epochs ``(runs,)`` until the position error is below twice the settled one, which is that of
     the last half from 10 m."""
-    own, settled = (
+    errors, settled = (
         np.linalg.norm(r.error(part, name, "position"), axis=-1) for part in (start, STARTS[0])
     )
-    return first(own < 2.0 * np.sqrt(np.square(settled[len(settled) // 2 :]).mean()))
+    return first(errors < 2.0 * np.sqrt(np.square(settled[len(settled) // 2 :]).mean()))
 
 
 def later(label: str, part: str, case: str, most: float, r: Results, since: int = 0) -> Number:
@@ -688,7 +695,7 @@ def convergence(r: Results) -> list[Number]:
     """From how many starts the AUKF is sooner, or later, below three times the settled error of the
     UKF; and after the burst."""
     quick, slow = (
-        3.0 * rms(r, *flown, "settled") for flown in (("starts", "10/10/ukf"), (STARTS[0], "ukf"))
+        3.0 * rms(r, *case, "settled") for case in (("starts", "10/10/ukf"), (STARTS[0], "ukf"))
     )
     cases = [f"{true:g}/{true / k:g}/" for true in START_M for k in (1, 10)]
     starts = [later(f"10 Hz, {case[:-1]}", "starts", case, quick, r) for case in cases]
@@ -718,7 +725,7 @@ def gap(r: Results) -> list[Number]:
         return float((1.0 - np.sqrt(a.mean() / u.mean())) / (1.0 - np.sqrt(b.mean() / v.mean())))
 
     label = "difference to the UKF, times that with the right noise"
-    paired = [one[:least] for one in squares]
+    paired = [values[:least] for values in squares]
     wider = estimate(label, larger, paired, (SAME_ORDER, None))
     return [over("10 m for 3 m", "mistuned", "aukf", "ukf", "all", (None, 1.0))(r), wider]
 
@@ -737,7 +744,9 @@ def window_range(r: Results) -> list[Number]:
             ]
             for m in WINDOWS
         }
-        both = [max(n[:2], key=lambda one: (one.ci or (0.0, 0.0))[1]) for n in ratios.values()]
+        both = [
+            max(n[:2], key=lambda number: (number.ci or (0.0, 0.0))[1]) for n in ratios.values()
+        ]
         best = min(WINDOWS, key=lambda m: rms(r, part, f"M {m}", "burst"))
         quiet, struck, after = (n._replace(accept=(None, None)) for n in ratios[best])
         out += [
@@ -754,15 +763,15 @@ def window_range(r: Results) -> list[Number]:
 def bad(shape: str, k: int, name: str, most: Bounds, own: bool = True) -> Decided:
     """Error in the burst on so many ranges of twelve, over that just before it, or over that of the
     UKF."""
-    flown = f"{shape} {k}/"
+    case = f"{shape} {k}/"
     label = (
         f"{name}, {shape} on {k} of 12 ranges: over {'its own quiet error' if own else 'the UKF'}"
     )
     return over(
         label,
         "struck",
-        flown + name,
-        flown + (name if own else "ukf"),
+        case + name,
+        case + (name if own else "ukf"),
         "burst",
         most,
         to="before" if own else None,
@@ -774,7 +783,7 @@ def limits(r: Results) -> list[Number]:
     part of the good is inflated."""
     out = list[Number]()
     for shape, least in zip(SHAPES, (12, 6), strict=True):
-        better, own = (
+        better, near_quiet = (
             [bad(shape, k, "aukf", (None, most), most > 1.0)(r) for k in STRUCK]
             for most in (1.0, 2.0)
         )
@@ -783,9 +792,12 @@ def limits(r: Results) -> list[Number]:
                 f"{shape}: better than the UKF up to, ranges", better, (least, None), leading=True
             ),
             count_holding(
-                f"{shape}: below twice its quiet error up to", own, (least, None), leading=True
+                f"{shape}: below twice its quiet error up to",
+                near_quiet,
+                (least, None),
+                leading=True,
             ),
-            *(own[k - 1]._replace(accept=(None, None)) for k in (6, 8, 12)),
+            *(near_quiet[k - 1]._replace(accept=(None, None)) for k in (6, 8, 12)),
         ]
     inflated = (
         consistency(
