@@ -330,7 +330,7 @@ def parts(effort: float = 1.0) -> dict[str, Part]:
         "A-slow, on line": Part(partial(on_line, tuple(CHOICES)), slow, 2, A.runs, 50, 10.0),
         "turning": Part(partial(on_line, kinds[:1]), scenario.TURNING, 2, 10, 50, 1.0),
         "along": Part(along, PRESETS["A-slow"], 4, 10, 50, 4.0),
-        "mounting": Part(mounting, slow, 2, A.runs, 50, 15.0),
+        "mounting": Part(mounting, slow, 2, A.runs, 50, 8.0),
     }
 
 
@@ -439,18 +439,18 @@ def savings(_: Results) -> Tiers:
     number = Number(
         "least step of points saved, half of the weights 2", np.diff(full - half).min(), (1, None)
     )
-    parts = [
+    shares = [
         Number("of their part, %", np.diff(ours).min(), (1e-9, None)),
         Number("as printed, %", np.diff(theirs).min()),
-        *(Number(f"part saved, n = {n}, %", part) for n, part in zip(sizes, ours)),
+        *(Number(f"part saved, n = {n}, %", share) for n, share in zip(sizes, ours)),
     ]
-    return {"reproduced": [number, *parts], "in part": [number]}
+    return {"reproduced": [number, *shares], "in part": [number]}
 
 
 # -- numbers of the ledger -------------------------------------------------------------------------
 def averaged(
     label: str,
-    flown: Sequence[Flown],
+    cells: Sequence[Flown],
     accept: Bounds = (None, None),
     states: slice = PHI,
     *,
@@ -464,7 +464,7 @@ def averaged(
     def number(r: Results) -> Number:
         # Squared errors (T, runs, states) of each filter.
         squares = [
-            np.square(r.get(part, f"{f}/error")[r.at(part, at), :, states]) for part, f in flown
+            np.square(r.get(part, f"{f}/error")[r.at(part, at), :, states]) for part, f in cells
         ]
         runs = squares[0].shape[1]
 
@@ -479,18 +479,18 @@ def averaged(
 
 
 def by_state(
-    r: Results, label: str, flown: Sequence[Flown], accept: Bounds = (None, None)
+    r: Results, label: str, cells: Sequence[Flown], accept: Bounds = (None, None)
 ) -> list[Number]:
     """`averaged` of each state of Table 3."""
     return [
-        averaged(f"{state}, {label}", flown, accept, slice(i, i + 1))(r)
+        averaged(f"{state}, {label}", cells, accept, slice(i, i + 1))(r)
         for i, state in enumerate(SEVEN)
     ]
 
 
 def each(r: Results, a: str, b: str, accept: Bounds = (None, None)) -> list[Number]:
     """Filter ``a`` over ``b`` in each preset and state of Table 3. At T3, where errors have long
-    tails, from more runs: SGHQF is then flown with the 57 points that give its estimates."""
+    tails, from more runs: SGHQF is then run with the 57 points that give its estimates."""
     many = {"sghqf": "nonlinear"}
     numbers = []
     for part in PRESETS:
@@ -566,8 +566,8 @@ def adapts(r: Results) -> Tiers:
     ratios = []
     changes = []
     for part, f in product((MANY, "A-slow"), ("unweighed", "weighed")):
-        flown = (f"{part}, on line", f)
-        change = changed(r, *flown)
+        online = (f"{part}, on line", f)
+        change = changed(r, *online)
         shares.append(
             estimate(
                 f"share of runs whose weights change, {f}, {part}",
@@ -577,7 +577,7 @@ def adapts(r: Results) -> Tiers:
             )
         )
         changes.append(Number(f"changes in a run, {f}, {part}", change.sum(0).mean()))
-        ratios += by_state(r, f"{part}, {f} over fixed weights", [flown, (part, "aasghqf")])
+        ratios += by_state(r, f"{part}, {f} over fixed weights", [online, (part, "aasghqf")])
     worse, better = above_and_below(ratios, 1e-3)
     above = r.get("along", "above")
     ever = (above[1:] != above[:-1]).any((0, 1, -1)).sum()
@@ -732,19 +732,19 @@ def better_than_ukf(r: Results) -> Tiers:
 def levels(r: Results) -> Tiers:
     """All 21 entries of Table 3 at T3."""
     printed = np.log(list(TABLE_3.values()))
-    flown = [(MANY, f) for f in ("ukf", "nonlinear", "aasghqf")]
-    cells = partial(averaged, flown=flown, states=slice(0, 7))
+    cells = [(MANY, f) for f in ("ukf", "nonlinear", "aasghqf")]
+    entries = partial(averaged, cells=cells, states=slice(0, 7))
 
     def logs(rmse: Sequence[Array]) -> Any:
         """Logarithms ``(3, 7)`` of the factors from the printed entries."""
         return np.abs(np.log(rmse) - printed)
 
-    beyond = cells(
+    beyond = entries(
         "of 21, beyond 1.32",
         accept=(None, 3),
         statistic=lambda *rmse: (logs(rmse) > np.log(1.32)).sum(),
     )
-    largest = cells(
+    largest = entries(
         "largest factor", accept=(None, 3.2), statistic=lambda *rmse: np.exp(logs(rmse).max())
     )
     return {"reproduced with fitted parameters": [beyond(r)], "level only": [largest(r)]}
