@@ -145,7 +145,7 @@ def test_a_run_does_not_depend_on_how_many_there_are():
 
 
 def test_averages_are_those_of_their_definition(results):
-    number = study.averaged("", [("A", "ukf"), ("A", "sghqf")], slice(3, 5))(results)
+    number = study.averaged("", [("A", "ukf"), ("A", "sghqf")], states=slice(3, 5))(results)
     ukf, sghqf = (
         np.sqrt(np.square(results.get("A", f"{f}/error")[..., 3:5]).mean(1)).mean(0).sum()
         for f in ("ukf", "sghqf")

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
 import rerun as rr
 from once import once
 from readable import faults
+from scipy.linalg import block_diag
 
 from celnav.files import Outputs
 from celnav.filters.run import run
+from celnav.models import orbit
 from celnav.papers import csrukf
 from celnav.papers.csrukf import scenario, study
 from celnav.study.ledger import Row
@@ -166,6 +169,60 @@ def test_monte_carlo_follows_linear_theory_within_its_scatter():
         track = run(scenario.filters(many)[name], sim.prior, sim.epochs(name))
         rmse = np.sqrt(np.square((track.mean[-1] - sim.truth[-1]) * study.UNITS).mean(0))
         np.testing.assert_allclose(rmse / std[-1, 0], 1.0, atol=5.0 / np.sqrt(600))
+
+
+def conditioned(F, H, Phi, Q, R, P0, Sigma0):
+    """Covariances of the last state of a linear system given all measurements, and given their
+    differences only: by conditioning the joint of everything, written out.
+    """
+    T, n = len(F), len(P0)
+    roots = [P0, *[Q] * T, Sigma0, *[R] * T]
+    draws = block_diag(*(np.linalg.cholesky(root) for root in roots))
+    x, *w = np.split(draws[: n * (T + 1)], T + 1)
+    V, *zeta = np.split(draws[n * (T + 1) :], T + 1)
+    z = [H @ x + V]
+    for f, process, increment in zip(F, w, zeta, strict=True):
+        x, V = f @ x + process, Phi @ V + increment
+        z.append(H @ x + V)
+    differences = [later - Phi @ before for before, later in pairwise(z)]
+    for samples in (np.concatenate(z), np.concatenate(differences)):
+        U = x @ samples.T
+        yield x @ x.T - U @ np.linalg.solve(samples @ samples.T, U.T)
+
+
+@pytest.mark.parametrize("phi", [0.0, 0.8, 1.0])
+def test_the_bound_of_all_measurements_is_below_that_of_their_differences(phi):
+    """CSRUKF reaches the second. A filter that uses the samples themselves, as SRUKF does, has to
+    obey the first only.
+    """
+    config = replace(csrukf.PRESETS["P"], steps=12)
+    F, Phi = orbit.transition(config.nominal()[:-1], config.step_s), phi * np.eye(3)
+    Q, P0 = (np.square(root) for root in (config.sqrt_Q, config.sqrt_P0))  # both are diagonal
+    exact = conditioned(F, scenario.H, Phi, Q, config.R, P0, config.R)
+    expected = study.expected(config, (phi,))
+    stds = [np.sqrt(cov.diagonal()) * study.UNITS for cov in exact]
+    for name, std in zip(("csrukf+z0", "csrukf"), stds, strict=True):
+        np.testing.assert_allclose(expected[name][-1, 0], std, rtol=1e-6)
+    assert (stds[1][:3] > stds[0][:3]).all()
+
+
+def test_no_filter_of_any_setting_is_better_than_any_filter():
+    """SRUKF is one of them. By the bound of differences it would be in many settings."""
+    gain = study.settings(50, csrukf.PRESETS["P"], [generator(0, 20, 0)])["gain"]
+    assert (gain >= 1.0).all()
+
+
+def test_the_filter_is_compared_with_the_bound_of_all_measurements(results):
+    config = replace(csrukf.PRESETS["P"], steps=12)
+    theory = {f"P/{name}": std for name, std in study.expected(config, study.SWEEP).items()}
+    error = np.random.default_rng(0).standard_normal((1, 40, 6))
+    parts = {"theory": theory, "I, many": {"csrukf/error": error}}
+    number = study.over_theory("I")(replace(results, data=parts))
+    F, Phi = orbit.transition(config.nominal()[:-1], config.step_s), np.eye(3)
+    Q, P0 = (np.square(root) for root in (config.sqrt_Q, config.sqrt_P0))
+    everything, _ = conditioned(F, scenario.H, Phi, Q, config.R, P0, config.R)
+    square = np.square(error[0, :, :3]).sum(-1).mean()
+    assert number.value == pytest.approx(np.sqrt(square / np.trace(everything[:3, :3])), rel=1e-6)
 
 
 def test_filters_coincide_where_they_must():

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, partial
+from math import radians
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -29,7 +30,7 @@ from celnav.filters.records import Epoch, Filter, FromFunctions
 from celnav.filters.sequential import Iterated, ekf, sigma_point
 from celnav.filters.switching import Switching
 from celnav.gaussian.belief import Gaussian
-from celnav.gaussian.linalg import Array, Belief, is_concretely_true
+from celnav.gaussian.linalg import Array, Belief, is_concretely_true, side_by_side
 from celnav.gaussian.rules import (
     Rule,
     Taylor,
@@ -45,46 +46,23 @@ from celnav.models.inertial import BIAS, DRIFT, PHI, POSITION, VELOCITY, Navigat
 from celnav.papers import citation
 from celnav.study.montecarlo import MOST_STEPS, normals
 from celnav.study.parameters import Timed, param
+from celnav.study.study import Rngs
 from celnav.study.trial import Group, Trial
 
 __all__ = [
-    "BORESIGHTS",
     "CITATION",
-    "DEGREE",
-    "FORM",
     "JUDGED",
-    "MICRO_G",
     "NONLINEAR_WEIGHTS",
     "PAPER_WEIGHTS",
     "PRESETS",
-    "SIX",
-    "T3",
     "TITLE",
-    "TURNING",
     "A",
-    "Choose",
     "Config",
-    "Inputs",
-    "Scenario",
-    "adaptive",
-    "by_nonlinearity",
-    "by_observability",
-    "dynamics",
     "filters",
-    "groups",
-    "measurement",
     "model",
-    "mounted",
-    "mounting_filter",
-    "observability",
     "quadrature_filter",
-    "rules",
     "simulate",
-    "six_rules",
-    "six_states",
     "trial",
-    "trial_of",
-    "weighted",
 ]
 
 TITLE = (
@@ -96,7 +74,7 @@ PAPER_WEIGHTS = (1, 1, 2, 2, 2, 1, 1) + (2,) * 6  # of the sparse grid [Liang201
 NONLINEAR_WEIGHTS = (1, 1, 1) + (2,) * 10
 """By nonlinearity: 57 points, where the paper's weights have 75."""
 MICRO_G = 1e-6 * earth.STANDARD_GRAVITY
-DEGREE = float(np.radians(1.0))
+DEGREE = radians(1.0)
 BORESIGHTS = np.sqrt(0.5) * np.array([[0.0, 1.0, 1.0], [0.0, -1.0, 1.0]])
 """Of the star sensors on body axes, and of the stars."""
 FORM = "covariance"  # of all filters here
@@ -160,23 +138,21 @@ class Config(Timed):
     @cached_property
     def flight(self) -> earth.Flight:
         """Truth at the epochs and in the middles between them, ``2 steps + 1`` epochs."""
-        degrees = self.longitude_deg, self.latitude_deg, self.heading_deg, self.turn_rate_deg_per_s
-        longitude, latitude, heading, turn_rate = np.radians(degrees).tolist()
         return earth.turning_flight(
             0.5 * self.step_s * np.arange(2 * self.steps + 1),
-            longitude=longitude,
-            latitude=latitude,
-            heading=heading,
+            longitude=radians(self.longitude_deg),
+            latitude=radians(self.latitude_deg),
+            heading=radians(self.heading_deg),
             height_m=self.height_m,
             speed=self.speed_m_per_s,
             acceleration=self.acceleration_m_per_s2,
-            turn_rate=turn_rate,
+            turn_rate=radians(self.turn_rate_deg_per_s),
         )
 
-    def meters(self, latitude: float | None = None) -> Array:
+    def meters(self, latitude: Any = None) -> Array:
         """Meters per radian of longitude and latitude, ``(2,)``, at a latitude, rad, or at the
         start."""
-        at = float(np.radians(self.latitude_deg)) if latitude is None else latitude
+        at = radians(self.latitude_deg) if latitude is None else latitude
         north, east = earth.radii(at, self.height_m)
         return np.array([east * np.cos(at), north])
 
@@ -185,27 +161,22 @@ class Config(Timed):
         """Those in which degrees of observability are nearest to Table 2: rad, m/s, m, deg/h, micro
         g ``(13,)``; 1, m ``(8,)``."""
         rates = np.repeat([DEGREE / 3600.0, MICRO_G], 3)
-        states = np.concatenate([np.ones(5), 1.0 / self.meters(), rates])
-        return states, np.concatenate([np.ones(6), self.meters()])
+        return np.r_[np.ones(5), 1.0 / self.meters(), rates], np.r_[np.ones(6), self.meters()]
 
     @property
     def sigma0(self) -> Array:
         """Standard deviations ``(13,)`` of the prior."""
-        angles = np.radians(self.misalignment_deg)
-        position = self.position_m / self.meters()
-        drift = np.radians(self.drift_deg_per_h) / 3600.0
-        bias = self.bias_ug * MICRO_G
-        return np.concatenate(
-            [angles, [self.velocity_m_per_s] * 2, position, [drift] * 3, [bias] * 3]
-        )
+        others = self.velocity_m_per_s, self.position_m, self.drift_deg_per_h, self.bias_ug
+        sigmas: Array = np.r_[np.radians(self.misalignment_deg), np.repeat(others, [2, 2, 3, 3])]
+        return sigmas * self.units[0]
 
     @property
     def sqrt_Q(self) -> Array:
         """Columns ``(13, 5)`` of the process noise of one step: misalignment and velocity walk."""
         angle = np.radians(self.angle_walk_deg_per_sqrt_h) / 60.0
         velocity = self.velocity_walk_ug_per_sqrt_hz * MICRO_G
-        walk = np.repeat([angle, velocity], [3, 2]) * np.sqrt(self.step_s)
-        return np.asarray(np.eye(13, 5) * walk)
+        walk: Array = np.repeat([angle, velocity], [3, 2]) * np.sqrt(self.step_s)
+        return walk * np.eye(13, 5)
 
 
 A = Config()
@@ -250,27 +221,31 @@ class Scenario(NamedTuple):
     z: Array
     prior: Gaussian
 
+    def interval(self, k: int) -> Navigation:
+        """What the system knows in the middle of the interval that ends at an epoch, from its
+        errors an epoch before; at the first epoch, where there is no interval, at that epoch."""
+        x = self.truth[max(k - 1, 0)]
+        return inertial.navigation(self.config.flight, max(2 * k - 1, 0), x[:, PHI], x[:, BIAS])
+
     def epochs(self) -> Iterator[Epoch]:
         """Epochs with their `Inputs`: what the system knows follows from its errors, now and an
         epoch before."""
         c = self.config
         flight = c.flight
-        star = np.full(6, np.radians(c.star_arcsec / 3600.0))
+        star = np.full(6, radians(c.star_arcsec / 3600.0))
         for k, t in enumerate(c.times.tolist()):
-            now = self.truth[k]
-            before = self.truth[max(k - 1, 0)]
-            middle = max(2 * k - 1, 0)
-            interval = inertial.navigation(flight, middle, before[:, PHI], before[:, BIAS])
+            x = self.truth[k]
             attitude = flight.attitude[2 * k]
-            known = inertial.misalignment_matrix(now[:, PHI]) @ attitude
-            fix = c.sar_m / c.meters(float(flight.latitude[2 * k]))
-            u = Inputs(interval, known, BORESIGHTS @ attitude.T, np.diag([*star, *fix]))
-            yield Epoch(k, t, c.step_s if k else 0.0, u, self.z[k], now)
+            computed = inertial.misalignment_matrix(x[:, PHI]) @ attitude
+            fix = c.sar_m / c.meters(flight.latitude[2 * k])
+            stars = BORESIGHTS @ attitude.T
+            u = Inputs(self.interval(k), computed, stars, np.diag([*star, *fix]))
+            yield Epoch(k, t, c.step_s if k else 0.0, u, self.z[k], x)
 
 
 def simulate(
     config: Config,
-    rngs: Sequence[np.random.Generator],
+    rngs: Rngs,
     advance: Callable[[Array, Navigation, float], Array] = inertial.advance,
     free: Sequence[int] = range(13),
 ) -> Scenario:
@@ -285,12 +260,11 @@ def simulate(
     truth = np.empty((T, len(rngs), 13))
     w = walk @ config.sqrt_Q.T
     truth[0] = initial * config.sigma0 * has_error
-    for k in range(1, T):
-        x = truth[k - 1]
-        middle = inertial.navigation(config.flight, 2 * k - 1, x[:, PHI], x[:, BIAS])
-        truth[k] = (advance(x, middle, config.step_s) + w[k - 1]) * has_error
     prior = Gaussian(np.zeros(truth.shape[1:]), np.diag(config.sigma0**2))
     runs = Scenario(config, truth, z, prior)
+    for k in range(1, T):
+        after = advance(truth[k - 1], runs.interval(k), config.step_s)
+        truth[k] = (after + w[k - 1]) * has_error
     for epoch in runs.epochs():
         z[epoch.k] = measurement(epoch.truth, epoch) + epoch.z * epoch.u.sqrt_R.diagonal()
     z[np.arange(T) % config.star_interval != 0, :, :6] = np.nan
@@ -354,14 +328,15 @@ def filters(config: Config) -> dict[str, Filter]:
     """The filters by name: one for each of `rules`; triad-ekf: the first star fix is linearized
     about the attitude that it gives by itself (Wahba's problem)."""
     plain = ekf(*model(config), form=FORM)
-    options: Any = {"rule": plain.rule, "form": plain.form, "iterations": 1, "first": wahba_start}
-    wahba = Iterated(plain.motion, plain.sensors, **options)
+    wahba = Iterated(**vars(plain), iterations=1, first=wahba_start)
 
     def step(state: Any, epoch: Epoch) -> Any:
         return (plain if epoch.k else wahba).step(state, epoch)
 
-    known = {name: quadrature_filter(rule, config) for name, rule in rules(config.level).items()}
-    return known | {"triad-ekf": FromFunctions(plain.start, step)}
+    return {
+        **{name: quadrature_filter(rule, config) for name, rule in rules(config.level).items()},
+        "triad-ekf": FromFunctions(plain.start, step),
+    }
 
 
 def wahba_start(belief: Belief, z: Array, epoch: Epoch) -> Array:
@@ -416,16 +391,11 @@ def by_nonlinearity(threshold: float = 0.1) -> Choose:
     def choose(belief: Any, epoch: Epoch, chosen: Array | None) -> Array:
         x = belief.mean
         std = belief.std
-
-        def f(x: Array) -> Array:
-            return inertial.advance(x, epoch.u.interval, epoch.dt)
-
-        def h(x: Array) -> Array:
-            return measurement(x, epoch)
-
-        degree = nonlinearity_degree(h, x, std, epoch.u.sqrt_R.diagonal())
+        noise = epoch.u.sqrt_R.diagonal()
+        degree = nonlinearity_degree(lambda x: measurement(x, epoch), x, std, noise)
         if epoch.dt:
-            degree = np.maximum(degree, nonlinearity_degree(f, x, std, std))
+            after = lambda x: inertial.advance(x, epoch.u.interval, epoch.dt)  # noqa: E731
+            degree = np.maximum(degree, nonlinearity_degree(after, x, std, std))
         return np.asarray(hysteresis(degree, threshold, ones(chosen)) @ BITS)
 
     return choose
@@ -450,35 +420,33 @@ def mounted(sim: Scenario, errors: Array) -> Scenario:
     """The runs with mounting errors ``(runs, 2, 3)`` rad unknown to filters
     [Liang2014, Eqs. 26-28]: stars are on boresights."""
     stars = np.tile(BORESIGHTS, (len(errors), 1))
-    turned = Rotation.from_rotvec(errors.reshape(-1, 3)).apply(stars)
-    z = sim.z.copy()
-    z[..., :6] += turned.reshape(-1, 6) - BORESIGHTS.ravel()
-    return sim._replace(z=z)
+    turned = Rotation.from_rotvec(errors.reshape(-1, 3)).apply(stars) - stars
+    return sim._replace(z=sim.z + np.pad(turned.reshape(-1, 6), ((0, 0), (0, 2))))
 
 
-def mounting_filter(config: Config, sigma: float) -> tuple[Filter, Gaussian]:
-    """A filter of 19 states, the last six mounting errors of deviation ``sigma`` rad, and its prior
-    of one run."""
+def mounting_filter(config: Config, sigma: float, runs: int = 1) -> tuple[Filter, Gaussian]:
+    """A filter of 19 states, the last six mounting errors of deviation ``sigma`` rad, and its
+    prior."""
 
     def h(x: Array, epoch: Epoch) -> Array:
         z = measurement(x[..., :13], epoch)
-        on_body = z[..., :6].reshape(*z.shape[:-1], 2, 3) + epoch.u.stars @ epoch.u.attitude
-        turned = np.cross(x[..., 13:].reshape(on_body.shape), on_body)
-        z[..., :6] += turned.reshape(*z.shape[:-1], 6)
+        angles = x[..., 13:].reshape(*x.shape[:-1], 2, 3)
+        on_body = z[..., :6].reshape(angles.shape) + epoch.u.stars @ epoch.u.attitude
+        z[..., :6] += np.cross(angles, on_body).reshape(*x.shape[:-1], 6)
         return z
 
     def f(x: Array, epoch: Epoch) -> Array:
-        return np.concatenate([dynamics(x[..., :13], epoch), x[..., 13:]], -1)
+        return side_by_side([dynamics(x[..., :13], epoch), x[..., 13:]])
 
     motion = Motion(f, sqrt_Q=np.pad(config.sqrt_Q, ((0, 6), (0, 0))))
     rule = smolyak(19, config.level, (1,) * 3 + (2,) * 16)
     filter = sigma_point(motion, replace(model(config)[1], h=h), rule=rule, form=FORM)
-    std = [*config.sigma0, *[sigma] * 6]
-    return filter, Gaussian(np.zeros((1, 19)), np.diag(np.square(std)))
+    std = np.r_[config.sigma0, [sigma] * 6]
+    return filter, Gaussian(np.zeros((runs, 19)), np.diag(std**2))
 
 
 # -- six states, for which a tensor rule can be run ------------------------------------------------
-SIX = (0, 1, 2, 5, 6, 9)
+SIX = [0, 1, 2, 5, 6, 9]
 """Misalignment and position; the drift of the vertical gyro (chosen) is the sixth, with which a
 tensor rule has 729 points."""
 
@@ -500,72 +468,61 @@ def six_rules() -> dict[str, Rule]:
     }
 
 
-def six_states(
-    config: Config, rngs: Sequence[np.random.Generator]
-) -> tuple[Scenario, dict[str, Any], Gaussian]:
+def six_states(config: Config, rngs: Rngs) -> tuple[Scenario, dict[str, Any], Gaussian]:
     """The flight with errors of the states `SIX` only; filters of these states, ekf, ukf, sghqf and
     ghqf, and their prior."""
     sim = simulate(config, rngs, euler, SIX)
-    six = list(SIX)
 
     def widened(x: Array) -> Array:
         out = np.zeros_like(x, shape=(*x.shape[:-1], 13))
-        for i, state in enumerate(SIX):
-            out[..., state] = x[..., i]
+        out[..., SIX] = x
         return out
 
     def f(x: Array, epoch: Epoch) -> Array:
-        moved = euler(widened(x), epoch.u.interval, epoch.dt)
-        return np.stack([moved[..., state] for state in SIX], -1)
+        return euler(widened(x), epoch.u.interval, epoch.dt)[..., SIX]
 
-    motion = Motion(f, sqrt_Q=config.sqrt_Q[six])
+    motion = Motion(f, sqrt_Q=config.sqrt_Q[SIX])
     sensor = replace(model(config)[1], h=lambda x, epoch: measurement(widened(x), epoch))
     ukf, sghqf, ghqf = (
         sigma_point(motion, sensor, rule=rule, form=FORM) for rule in six_rules().values()
     )
-    known = {
+    by_name = {
         "ekf": ekf(motion, sensor, form=FORM),
         "ghqf": ghqf,
         "ukf": Fallback(ukf, ghqf),
         "sghqf": Fallback(sghqf, ghqf),
     }
-    return sim, known, Gaussian(sim.prior.mean[:, six], np.diag(config.sigma0[six] ** 2))
+    return sim, by_name, Gaussian(sim.prior.mean[:, SIX], np.diag(config.sigma0[SIX] ** 2))
 
 
 # -- how they are judged ---------------------------------------------------------------------------
-JUDGED = {
-    "misalignment": "arcmin",
-    "velocity": "m/s",
-    "position": "m",
-    "drift": "deg/h",
-    "bias": "ug",
-}
-
-
 def groups(config: Config, angle: float = DEGREE / 60.0, unit: str = "arcmin") -> tuple[Group, ...]:
     """What is judged; the misalignment in a unit of so many radians."""
-    east, north = config.meters().tolist()
     return (
         Group("misalignment", unit, PHI, 1.0 / angle),
         Group("velocity", "m/s", VELOCITY),
-        Group("position", "m", POSITION, (east, north)),
+        Group("position", "m", POSITION, tuple(config.meters().tolist())),
         Group("drift", "deg/h", DRIFT, 3600.0 / DEGREE),
         Group("bias", "ug", BIAS, 1.0 / MICRO_G),
     )
 
 
-def trial(config: Config, rngs: Sequence[np.random.Generator]) -> Trial:
+JUDGED = {group.name: group.unit for group in groups(A)}
+
+
+def trial(config: Config, rngs: Rngs) -> Trial:
     """One run with each generator, for missions, campaigns and the study."""
     return trial_of(simulate(config, rngs))
 
 
-def trial_of(sim: Scenario) -> Trial:
-    """The trial of runs that are simulated already."""
+def trial_of(sim: Scenario, *unit: Any) -> Trial:
+    """The trial of runs that are simulated already; ``unit`` of the misalignment: see `groups`."""
     return Trial(
-        groups(sim.config),
+        groups(sim.config, *unit),
         filters(sim.config),
         sim.prior,
         lambda _name: sim.epochs(),
-        lambda truth, belief: (belief.mean - truth, belief.sqrt_cov),
+        # Of more states the first 13, whose root begins a lower root of all.
+        lambda truth, belief: (belief.mean[..., :13] - truth, belief.sqrt_cov[..., :13, :13]),
         "ekf",
     )

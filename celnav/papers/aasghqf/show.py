@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -22,7 +23,6 @@ from celnav.papers.aasghqf.scenario import (
 from celnav.papers.aasghqf.study import (
     COMPARED,
     MISALIGNMENTS_DEG,
-    TABLE_1,
     TABLE_2,
     TABLE_3,
     TABLE_4,
@@ -34,6 +34,7 @@ from celnav.show.showcase import Showcase, Space, write
 from celnav.study.study import Results
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from celnav.files import Outputs
@@ -53,6 +54,7 @@ LINES = {
     "ghqf3": Line("GHQF, 3 points", "#8C6BB1"),
     "ghqf5": Line("GHQF, 5 points", "#B15928"),
 }
+PAPER_LINES = {f: LINES[f] for f in ("ukf", "aasghqf", "sghqf")}
 
 
 # -- figures ---------------------------------------------------------------------------------------
@@ -60,31 +62,33 @@ def points(weights: tuple[int, int], _: Results) -> Figure:
     """The points of a rule in two dimensions: area by the weight's magnitude, color by its sign."""
     rule = smolyak(2, 3, weights)
 
-    def dots(sign: float, color: str, label: str) -> Item:
-        own = sign * rule.wm > 0.0
-        x, y = rule.nodes[own].T
-        size = 3.0 + 125.0 * np.sqrt(np.abs(rule.wm[own]))
-        return lambda ax: ax.scatter(
-            x, y, size, color=color, label=label if own.any() else "_none", alpha=0.8
-        )
+    def dots(ax: Axes) -> None:
+        signs = (1.0, colors.COMPARISON, "positive weight"), (-1.0, colors.PAPER, "negative weight")
+        for sign, color, label in signs:
+            mask = sign * rule.wm > 0.0
+            x, y = rule.nodes[mask].T
+            size = 3.0 + 125.0 * np.sqrt(np.abs(rule.wm[mask]))
+            label = label if mask.any() else "_none"
+            ax.scatter(x, y, size, color=color, label=label, alpha=0.8)
 
-    items = (
-        dots(1.0, colors.COMPARISON, "positive weight"),
-        dots(-1.0, colors.PAPER, "negative weight"),
+    square = Panel(
+        f"level 3, weights {weights}: {rule.num_sigmas()} points",
+        [dots],
+        "$x_1$ (-)",
+        "$x_2$ (-)",
+        more={"xlim": (-4.2, 4.2), "ylim": (-4.2, 4.2), "aspect": "equal"},
     )
-    limits = {"xlim": (-4.2, 4.2), "ylim": (-4.2, 4.2), "aspect": "equal"}
-    title = f"level 3, weights {weights}: {rule.num_sigmas()} points"
-    return panels(Panel(title, items, "$x_1$ (-)", "$x_2$ (-)", more=limits), size=(3.6, 3.8))
+    return panels(square, size=(3.6, 3.8))
 
 
 def one_run(group: str, results: Results) -> Figure:
     """Errors of one run, as the paper has them over the flight; the scale is that of its end.
     Beside it the start, and A-slow."""
-    states = study.SEVEN[results.group(group).part]
-    unit = results.group(group).unit
+    judged = results.group(group)
+    states = study.SEVEN[judged.part]
 
     def panel(part: str, zoom: bool, i: int) -> Panel:
-        items = [errors(results, part, f, LINES[f], group, i) for f in ("ukf", "aasghqf", "sghqf")]
+        items = [errors(results, part, f, line, group, i) for f, line in PAPER_LINES.items()]
         late = 12.0 * results.error(part, "sghqf", group, "std")[-30:, 0, i].max()
         title, view = (
             ("first minute", {"xlim": (0, 60)})
@@ -95,7 +99,7 @@ def one_run(group: str, results: Results) -> Figure:
             f"{part}, {title}" * (i == 0),
             [*items, sigma(results, part, "sghqf", "SGHQF", group, i)],
             "time (s)",
-            f"{states[i]} error ({unit})",
+            f"{states[i]} error ({judged.unit})",
             more=view,
         )
 
@@ -106,14 +110,17 @@ def one_run(group: str, results: Results) -> Figure:
     return panels(*rows, size=(10.0, 0.4 + 2.2 * len(states)))
 
 
+def angles(results: Results, part: str, lines: Mapping[str, Line]) -> list[Item]:
+    """RMSE of the misalignment over the runs."""
+    return [rmse(results, part, f, line, "misalignment") for f, line in lines.items()]
+
+
 def over_time(results: Results) -> Figure:
     """RMSE of the misalignment over the runs, with the closed solution that starts an EKF, and
     consistency."""
     lines = {f: LINES[f] for f in study.FLOWN}
     parts = study.SHOWN
-    accuracy = {
-        p: [rmse(results, p, f, line, "misalignment") for f, line in lines.items()] for p in parts
-    }
+    accuracy = {p: angles(results, p, lines) for p in parts}
     best = np.sqrt(results.get("bound", "square")[:, 0])
     accuracy["A"].append(
         curve(results.times("A"), best, Line("Cramér–Rao bound", colors.BOUND, width=2.5), zorder=0)
@@ -139,14 +146,14 @@ def first_fix(results: Results) -> Figure:
         "cov": "their covariance, relative error",
     }
     x = "misalignment, 1σ of each angle (deg)"
-    known = [(f, line) for f, line in LINES.items() if f in rules()]
     return panels(
         [
             Panel(
                 title,
                 [
                     curve(MISALIGNMENTS_DEG, results.get("fixes", f"{f}/{what}"), line, marker=".")
-                    for f, line in known
+                    for f, line in LINES.items()
+                    if f in rules()
                 ],
                 x,
                 log="xy",
@@ -172,9 +179,6 @@ def along(results: Results) -> Figure:
         [curve(whole, d[:, i], Line(study.SEVEN[i], shades[i])) for i in range(3)]
         for d in results.get("along", "degrees")
     ]
-    known = [
-        rmse(results, "A-slow", f, LINES[f], "misalignment") for f in ("ukf", "aasghqf", "sghqf")
-    ]
     return panels(
         [
             *(
@@ -192,7 +196,7 @@ def along(results: Results) -> Figure:
             ),
             Panel(
                 "A-slow",
-                known + [rmse(results, slow, f, line, "misalignment") for f, line in lines.items()],
+                angles(results, "A-slow", PAPER_LINES) + angles(results, slow, lines),
                 "time (s)",
                 "misalignment, RMSE (deg)",
                 "y",
@@ -240,17 +244,7 @@ COLUMNS = (
 TABLES = {
     "table_1": (
         "Table 1: points of the sparse grids, n = 1 to 6, level 3.",
-        lambda _: [
-            {
-                "n": n,
-                "filter": f,
-                "weights": "".join(map(str, g)),
-                "paper": TABLE_1[f][n - 1],
-                "ours": point_count(n, 3, g),
-            }
-            for n, own in enumerate(study.WEIGHTS, 1)
-            for f, g in (("SGHQF", (1,) * n), ("AASGHQF", own))
-        ],
+        study.table_1,
     ),
     "table_2": (
         "Table 2: degree of observability and weight of each state.",
@@ -258,10 +252,10 @@ TABLES = {
             {"state": state, "degree, paper": TABLE_2[i], "weight, paper": PAPER_WEIGHTS[i]}
             | {
                 f"{what} (phi in {unit})": float(values[i])
-                for unit, found in zip(("rad", "deg"), r.get("observability", "every")[:2, 0])
+                for unit, degrees in zip(("rad", "deg"), r.get("observability", "every")[:2, 0])
                 for what, values in (
-                    ("degree", found),
-                    ("weight", threshold_weights(found, study.THRESHOLD)),
+                    ("degree", degrees),
+                    ("weight", threshold_weights(degrees, study.THRESHOLD)),
                 )
             }
             | {"weight by nonlinearity": NONLINEAR_WEIGHTS[i]}
@@ -324,7 +318,7 @@ def record(results: Results, outputs: Outputs) -> list[str]:
 def showcase(results: Results, part: str) -> Showcase:
     """The first run of a part, flown again in full, among the others."""
     c = results.parts[part].config
-    found, truth, z = again(results, part, {f: LINES[f] for f in ("sghqf", "ukf", "aasghqf")})
+    estimates, truth, z = again(results, part, {f: LINES[f] for f in ("sghqf", "ukf", "aasghqf")})
     ground = np.diag(c.meters()) @ np.eye(2, 3)  # from longitude and latitude to east, north, up
     axes = np.zeros((3, 13))
     fix = (z[:, 6:] - truth[:, inertial.POSITION]) @ ground
@@ -332,12 +326,9 @@ def showcase(results: Results, part: str) -> Showcase:
 
     def scene(out: Recorder) -> None:
         flight = c.flight
-        at = slice(None, None, 2)
-        phi = truth[:, inertial.PHI]
-        way = np.stack(
-            [flight.longitude - flight.longitude[0], flight.latitude - flight.latitude[0]], -1
-        )[at]
-        stars = 25000.0 * flight.attitude[at] @ BORESIGHTS.T
+        way = np.stack([flight.longitude, flight.latitude], -1)[::2]
+        way -= way[0]
+        stars = 25000.0 * flight.attitude[::2] @ BORESIGHTS.T
         scenes.flight(
             out,
             "world",
@@ -345,12 +336,12 @@ def showcase(results: Results, part: str) -> Showcase:
             (way + truth[:, inertial.POSITION]) @ ground,
             np.isfinite(fix[:, 0]),
             stars,
-            inertial.misalignment_matrix(phi) @ stars,
+            inertial.misalignment_matrix(truth[:, inertial.PHI]) @ stars,
         )
-        std = np.sqrt(np.asarray(found["sghqf"].cov).diagonal(0, -2, -1))[:, None, :3]
-        for name, e in found.items():
+        std = np.sqrt(np.asarray(estimates["sghqf"].cov).diagonal(0, -2, -1))[:, None, :3]
+        for name, e in estimates.items():
             rule = rules()[name]
-            moved = rules()[name].nodes[:, :3].any(-1)
+            moved = rule.nodes[:, :3].any(-1)
             places = e.errors[:, 0, None] + matvec(
                 semidefinite_root(np.asarray(e.cov))[:, None], rule.nodes[moved]
             )
@@ -358,50 +349,43 @@ def showcase(results: Results, part: str) -> Showcase:
                 out, f"points/{name}", places[..., :3] / std, rule.wm[moved], e.color
             )
 
-    groups = [
-        Group(g.name, g.unit, g.part, g.scale, AXES[g.name])
-        for g in results.study.groups
-        if g.name in AXES
-    ]
-    trails = "world/aircraft/trail", "world/inertial/trail"
     spaces = [
         Space(
             "world",
             "flight, m (east, north, up)",
             (60e3, -70e3, 70e3),
             (90e3, 20e3, 0.0),
-            growing=trails,
+            growing=("world/aircraft/trail", "world/inertial/trail"),
         ),
         *(
             Space(f"points/{f}", f"sigma points of {LINES[f].label}, σ of SGHQF", (9, -9, 6))
             for f in COMPARED
         ),
     ]
-    legend = {
-        colors.MEASUREMENT: "fixes by radar, stars where the system expects them",
-        colors.STAR: "stars where they are",
-        colors.SIGMA: "inertial system",
-        colors.NEGATIVE: "points of negative weight",
-    }
     return Showcase(
         f"aasghqf: {part}",
         NOTES.format(part),
         results.times(part),
-        found,
-        groups,
+        estimates,
+        [Group(*g, AXES[g.name]) for g in results.study.groups if g.name in AXES],
         truth,
         axes,
         "m",
         fix,
         scene=scene,
         spaces=spaces,
-        legend=legend,
+        legend={
+            colors.MEASUREMENT: "fixes by radar, stars where the system expects them",
+            colors.STAR: "stars where they are",
+            colors.SIGMA: "inertial system",
+            colors.NEGATIVE: "points of negative weight",
+        },
         bars={"degree of observability by state": results.get("observability", "every")[0, 0]},
         parameters=vars(c),
         facts={
             "paper": "aasghqf",
             "preset": part,
             "seed": results.seed,
-            "runs": found["ukf"].errors.shape[1],
+            "runs": estimates["ukf"].errors.shape[1],
         },
     )

@@ -107,8 +107,7 @@ def updated(form: str, factor: Array, D: Array, E: Array, sqrt_R: Array) -> tupl
     m = E.shape[-2]
     if form == "array":
         # tria [E sqrt_R; D 0] = [sqrt_S 0; K sqrt_S  sqrt_P]
-        zeros = np.zeros((D.shape[-2], sqrt_R.shape[-1]), D.dtype)
-        L = tria(np.concatenate([A, side_by_side([D, zeros])], -2))
+        L = tria(np.concatenate([A, side_by_side([D, 0 * D[..., :m]])], -2))
         U = L[..., m:, :m]
         return _divided(U, L[..., :m, :m]), L[..., m:, m:]
     sqrt_S = tria(A) if form == "downdated" else cholesky(outer(A))
@@ -154,43 +153,45 @@ def fly(
     Yields mean, and covariance or root, at each epoch but the first, ``(cases, runs, ...)`` in km
     and km/s.
     """
-    first = cases[0][0]
-    angles = sims[0].angles is not None  # which have no unit of length
-    rows = []
-    for (c, unit), sim in zip(cases, sims, strict=True):
+    config = cases[0][0]
+    angles = sims[0].angles is not None
+    ones = np.ones((1, 1, 1))
+    columns = []
+    for (c, scale), sim in zip(cases, sims, strict=True):
         star = decorrelation(0.0 * H if angles else H, c.sqrt_Q, np.sqrt(c.R))
-        z, sqrt_R = (sim.angles, star.sqrt_R) if angles else (sim.z * unit, star.sqrt_R * unit)
-        sizes = np.full((1, 1, 1), unit), np.full((1, 1, 1), c.phi)
-        roots = c.sqrt_P0 * unit, star.J, star.sqrt_Q * unit, sqrt_R
-        rows.append((*sizes, sim.prior.mean * unit, z, *(root[None] for root in roots)))
-    columns = zip(*rows, strict=True)
-    units, phi, x, zs, sqrt_P0, J, sqrt_Q, sqrt_R = (
-        np.stack(column).astype(precision) for column in columns
+        z: Any = sim.angles if angles else sim.z
+        roots = (scale * root[None] for root in (c.sqrt_P0, star.sqrt_Q, star.sqrt_R))
+        means = scale * sim.prior.mean, scale * z
+        columns.append((scale * ones, c.phi * ones, star.J[None], *means, *roots))
+    # Scalars (cases, 1, 1, 1), J and roots (cases, 1, n, m), x (cases, runs, 6), z (cases, T, runs,
+    # 3), in the precision and the unit that all is computed in.
+    unit, phi, J, x, z, sqrt_P0, sqrt_Q, sqrt_R = (
+        np.stack(column).astype(precision) for column in zip(*columns, strict=True)
     )
-    start = sqrt_P0 if form in ROOTS else outer(sqrt_P0)
-    factor = np.broadcast_to(start, (*x.shape, 6))
-    stars = sightings.star_directions(first.separation).astype(precision)
+    factor = np.broadcast_to(sqrt_P0 if form in ROOTS else outer(sqrt_P0), (*x.shape, 6))
+    stars = sightings.star_directions(config.separation).astype(precision)
 
     def f(X: Array) -> Array:
-        return np.asarray(orbit.step(X / units, first.step_s) * units)
+        return np.asarray(orbit.step(X / unit, config.step_s) * unit)
 
     def h(X: Array) -> Array:
         if angles:
-            return sightings.angles(X[..., :3] / units, stars)
+            return np.asarray(sightings.angles(X[..., :3] / unit, stars) * unit)
         return np.asarray(f(X)[..., :3] - phi * X[..., :3])
 
     def f_star(z: Array, X: Array) -> Array:
         Y = f(X)
         return np.asarray(Y + (z[..., None, :] - Y[..., :3] + phi * X[..., :3]) @ J.mT)
 
-    for before, now in pairwise(zs.swapaxes(0, 1)):
-        # A difference is about the state before the motion; angles, where J is zero, are about
-        # that after it.
-        z = now if angles else now - phi[..., 0] * before
-        operations = (h, sqrt_R, z), (partial(f_star, z), sqrt_Q, None)
-        for operation in reversed(operations) if angles else operations:
-            x, factor = step(form, x, factor, *operation)
-        yield x / units[..., 0], factor / (units if form in ROOTS else units * units)
+    for before, now in pairwise(z.swapaxes(0, 1)):
+        if angles:  # of the state after the motion
+            x, factor = step(form, x, factor, f, sqrt_Q)
+            x, factor = step(form, x, factor, h, sqrt_R, now)
+        else:  # their difference is of the state before it
+            difference = now - phi[..., 0] * before
+            x, factor = step(form, x, factor, h, sqrt_R, difference)
+            x, factor = step(form, x, factor, partial(f_star, difference), sqrt_Q)
+        yield x / unit[..., 0], factor / (unit if form in ROOTS else unit * unit)
 
 
 def compared(cases: Cases, _: Config, rngs: Sequence[np.random.Generator]) -> dict[str, Array]:
@@ -201,20 +202,17 @@ def compared(cases: Cases, _: Config, rngs: Sequence[np.random.Generator]) -> di
     array form in double precision, in its deviations.
     """
     sims = [simulate(c, rngs) for c, _ in cases]
-    truth = np.stack([sim.truth for sim in sims], 1)
+    truth = np.stack([sim.truth[1:] for sim in sims], 1)
     out = dict[str, Array]()
-    exact = list[tuple[Array, Array]]()  # mean and deviations of the array form in double precision
     for precision, form in product(("double", "single"), reversed(FORMS)):
-        square = np.zeros(truth.shape[1:3])
-        apart = np.zeros(truth.shape[1:3])
         with np.errstate(all="ignore"):
-            for k, (x, factor) in enumerate(fly(form, precision, cases, sims)):
-                if len(exact) == k:
-                    exact.append((x, np.sqrt(np.vecdot(factor, factor))))
-                mean, std = exact[k]
-                square += np.square(x - truth[k + 1])[..., :3].sum(-1) / cases[0][0].steps
-                apart = np.maximum(apart, (np.abs(x - mean) / std).max(-1))
-            root = factor if form in ROOTS else cholesky(factor)
+            # (T, cases, runs, 6) and (T, cases, runs, 6, 6)
+            means, factors = (np.array(each) for each in zip(*fly(form, precision, cases, sims)))
+            root = factors[-1] if form in ROOTS else cholesky(factors[-1])
+            if not out:  # the array form in double precision
+                exact, std = means, np.sqrt(np.vecdot(factors, factors))
+            square = np.square(means - truth)[..., :3].sum(-1).mean(0)
+            apart = (np.abs(means - exact) / std).max((0, -1))
         lost = ~np.isfinite(square) | ~np.isfinite(root).all((-2, -1))
         name = f"{form}, {precision}"
         out |= {f"{name}/lost": lost * 1.0, f"{name}/square": square, f"{name}/apart": apart}
