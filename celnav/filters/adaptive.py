@@ -23,13 +23,13 @@ from celnav.gaussian.linalg import (
     Array,
     cholesky,
     matvec,
+    present,
     semidefinite_root,
     side_by_side,
     solve_lower,
     solve_right,
     whiten,
 )
-from celnav.tape.numbers import present
 
 __all__ = [
     "channel_parity",
@@ -354,8 +354,8 @@ def _underweight(
     factor: float, least: float, memory: Any, joint: Joint, _epoch: Any
 ) -> tuple[Any, Joint]:
     prior, noise = joint.variances()
-    measured = present(np.asanyarray(joint.innovation))
-    poor = (measured & (prior > least * (prior + noise))).any(-1)
+    measured = present(joint.innovation)
+    poor = np.asanyarray(measured & (prior > least * (prior + noise))).any(-1)
     S0, V = joint.covariances()[0], joint.measurement_noise
     S0 = np.where(np.abs(S0) < np.inf, S0, 0.0)  # of a run that has failed already
     extra = np.where(poor[..., None, None], semidefinite_root(factor * S0), 0.0)

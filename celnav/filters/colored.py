@@ -35,11 +35,12 @@ from celnav.filters.joint import (
     rule_for,
 )
 from celnav.filters.model import Motion, Noise, Sensor, check_prior, check_return, noise_of
-from celnav.filters.records import Epoch, Info, is_zero_interval
+from celnav.filters.records import Epoch, Info
 from celnav.filters.sequential import (
     Sequential,
     as_measurement,
     is_missing,
+    is_zero_interval,
     missing_info,
     sigma_point,
 )
@@ -62,13 +63,13 @@ from celnav.gaussian.linalg import (
     block,
     is_concretely_true,
     matvec,
+    present,
     side_by_side,
     solve_right,
     tria,
 )
 from celnav.gaussian.rules import UNSCENTED
 from celnav.gaussian.spaces import EUCLIDEAN
-from celnav.tape.numbers import present
 
 __all__ = ["augmented", "colored", "decorrelated"]
 

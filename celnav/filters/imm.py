@@ -12,7 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.filters.records import Epoch, Info, is_zero_interval
+from celnav.filters.records import Epoch, Info
+from celnav.filters.sequential import is_zero_interval
 from celnav.gaussian.belief import Gaussian, mask_failed
 from celnav.gaussian.checks import describe, finite, sequence
 from celnav.gaussian.linalg import Array, Belief, SquareRoot, whiten

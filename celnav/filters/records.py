@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.checks import describe, finite, numbers
-from celnav.gaussian.linalg import Array, is_concretely_true
+from celnav.gaussian.linalg import Array
 
 __all__ = ["Epoch", "Filter", "FilterError", "FromFunctions", "Info", "epochs"]
 
@@ -48,11 +48,6 @@ class Epoch(NamedTuple):
     z: Any = None
     truth: Any = None
     about: Any = None
-
-
-def is_zero_interval(epoch: Any) -> bool:
-    """Whether the interval of an epoch is known to be zero in every run."""
-    return epoch.dt == 0.0 if isinstance(epoch.dt, float) else is_concretely_true(~np.any(epoch.dt))
 
 
 class Info(NamedTuple):

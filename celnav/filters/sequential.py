@@ -25,7 +25,7 @@ from celnav.filters.joint import (
     marginal,
 )
 from celnav.filters.model import Motion, Sensor, check_matrices, check_prior, check_roots
-from celnav.filters.records import Epoch, Info, State, is_zero_interval
+from celnav.filters.records import Epoch, Info, State
 from celnav.filters.regression import regressed
 from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.checks import (
@@ -111,7 +111,11 @@ class Sequential:
 
     def predict(self, state: State, epoch: Epoch) -> State:
         """State at the end of the interval, before anything is measured."""
-        instance("state", state, State, "what the filter's start(prior) or last step gave")
+        if not isinstance(state, State):
+            raise ValueError(
+                "state: expected what the filter's start(prior) or last step gave, got "
+                f"{describe(state)}"
+            )
         if not hasattr(epoch, "dt"):
             raise ValueError(f"epoch: expected a record like celnav.Epoch, got {describe(epoch)}")
         if is_zero_interval(epoch):
@@ -152,23 +156,11 @@ class Sequential:
         )
 
     def measured(
-        self, sensor: Sensor, belief: Belief, z: Array, epoch: Epoch, rule: Any = None
+        self, model: Motion | Sensor, belief: Belief, z: Array, epoch: Epoch, rule: Any = None
     ) -> Joint:
-        """The joint of a sensor's measurement and of the state; ``rule``: instead of the
-        filter's.
+        """The joint of a sensor's measurement ``z`` and of the state; ``rule``: instead of the
+        filter's. For smoothing the model is the motion, and ``z`` the state after the interval.
         """
-        return self._with_state(rule, sensor, belief, z, epoch)
-
-    def transition(self, belief: Belief, epoch: Epoch, after: Array, rule: Any = None) -> Joint:
-        """The joint of the state after the interval, as if measured to be ``after``, and of the
-        state before it, for smoothing.
-        """
-        return self._with_state(rule, self.motion, belief, after, epoch)
-
-    def _with_state(
-        self, rule: Any, model: Motion | Sensor, belief: Belief, z: Array, epoch: Epoch
-    ) -> Joint:
-        """The joint of a model's values and of the state at which they are evaluated."""
         return joint(
             self.rule if rule is None else rule,
             belief,
@@ -247,6 +239,11 @@ class Sequential:
         )
 
 
+def is_zero_interval(epoch: Any) -> bool:
+    """Whether the interval of an epoch is known to be zero in every run."""
+    return epoch.dt == 0.0 if isinstance(epoch.dt, float) else is_concretely_true(~np.any(epoch.dt))
+
+
 def measurements(z: Any, sensors: int) -> tuple[Any, ...]:
     """One measurement for each sensor, from the ``z`` of an epoch."""
     samples = z if isinstance(z, tuple) else (None,) * sensors if z is None or not sensors else (z,)
@@ -257,16 +254,13 @@ def measurements(z: Any, sensors: int) -> tuple[Any, ...]:
 
 def as_measurement(z: Any, sensor: Sensor) -> Array:
     """A measurement ``(..., m)`` as floats."""
-    measured = numbers("z", z)
-    if measured.ndim == 0:
-        raise ValueError(
-            f"z: expected shape (..., m), got the number {measured}; one component is [z]"
-        )
-    return (
-        measured
-        if sensor.space.check is None or measured.dtype.hasobject
-        else sensor.space.check(measured, "z")
-    )
+    if type(z) is not np.ndarray or z.dtype != np.float64:
+        z = numbers("z", z)
+    if z.ndim == 0:
+        raise ValueError(f"z: expected shape (..., m), got the number {z}; one component is [z]")
+    check = sensor.space.check
+    measurement: Array = z if check is None or z.dtype.hasobject else check(z, "z")
+    return measurement
 
 
 def is_missing(z: Any) -> bool:

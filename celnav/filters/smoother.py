@@ -21,10 +21,10 @@ from celnav.filters.fallback import Fallback
 from celnav.filters.fixed_lag import FixedLag
 from celnav.filters.imm import InteractingModels
 from celnav.filters.joint import condition
-from celnav.filters.records import Epoch, Epochs, FilterError, Info, is_zero_interval
+from celnav.filters.records import Epoch, Epochs, FilterError, Info
 from celnav.filters.regression import pseudo_gain
 from celnav.filters.run import run
-from celnav.filters.sequential import Sequential, SingleDraw
+from celnav.filters.sequential import Sequential, SingleDraw, is_zero_interval
 from celnav.filters.track import Track
 from celnav.filters.two_stage import TwoStage
 from celnav.gaussian.checks import choice, describe, instance
@@ -210,7 +210,7 @@ def back(filter: Sequential, before: Belief, after: Belief, epoch: Epoch) -> tup
     """
     # x_s = x + G (x_s' - f), and P_s = (P - G S S' G') + G P_s' G' with G = cov(x, f) (S S')^+.
     form, space = filter.form, filter.motion.space
-    both = filter.transition(before, epoch, after.mean)
+    both = filter.measured(filter.motion, before, after.mean, epoch)
     center = both.measurement.center
     if (both.sign < 0.0).any():
         # A state that the next one determines exactly, such as a constant, cancels to round-off,

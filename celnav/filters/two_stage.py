@@ -19,9 +19,9 @@ from numpy.typing import ArrayLike
 
 from celnav.filters.joint import KEEP, condition, joint, marginal, shared_mask
 from celnav.filters.model import Motion, Sensor, check_return, matrices_of
-from celnav.filters.records import Epoch, Info, State, is_zero_interval
+from celnav.filters.records import Epoch, Info, State
 from celnav.filters.regression import pseudo_gain
-from celnav.filters.sequential import Sequential, require_sequential, sigma_point
+from celnav.filters.sequential import Sequential, is_zero_interval, require_sequential, sigma_point
 from celnav.gaussian.belief import Gaussian, symmetric
 from celnav.gaussian.checks import as_matrix, describe, finite, function, instance, numbers
 from celnav.gaussian.linalg import (

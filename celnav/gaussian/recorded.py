@@ -12,9 +12,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from celnav.tape.numbers import TracedArray, each_row, tape_of
+from celnav.tape.numbers import TracedArray, each_row, tape_of, traced
 from celnav.tape.routine import Loop, LoopBody, Recorder
-from celnav.tape.tape import emit, total
+from celnav.tape.tape import TracedScalar, emit, total
 
 Array = Any
 SUMS = 4
@@ -25,6 +25,19 @@ time to run, but no longer to compile.
 LONG_SOLUTION = 10_000
 """The same limit for a triangular system."""
 SMALLEST = 1e-290  # a smaller square of the rest is treated as zero: no reflection
+
+
+def present(x: Array) -> Array:
+    """Whether components were measured, that is, are not nan.
+
+    Only numbers of the epochs may be missing: a run whose model makes nan itself fails, and numpy
+    runs it again.
+    """
+
+    def is_present(v: Any) -> Any:
+        return emit("eq", v, v) if type(v) is not TracedScalar or v.tape.absent[v.i] else True
+
+    return traced(np.array([is_present(v) for v in x.flat], object).reshape(x.shape))
 
 
 def _zero(x: Any) -> bool:

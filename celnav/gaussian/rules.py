@@ -70,6 +70,24 @@ class Image(NamedTuple):
     jacobian: Callable[[], Array]
 
 
+def _points(
+    center: Array, roots: Sequence[Array], nodes: Array, space: Space, batch: int
+) -> list[Array]:
+    """Points ``(p, ..., N)`` about a center, and ``(p, ..., k)`` of each noise: along the columns
+    of each root go its own rows of ``nodes (dimensions, p)``.
+    """
+    root, *noise_roots = roots
+    first = root.shape[-1]
+    deviations = sigma_deviations(root, nodes[:first], batch)
+    # In this order a sum keeps the memory layout of the deviations.
+    points = [deviations + center if space is EUCLIDEAN else space.plus(center, deviations)]
+    for E in noise_roots:
+        noise = sigma_deviations(E, nodes[first : first + E.shape[-1]], batch)
+        points.append(np.broadcast_to(noise, (*points[0].shape[:-1], noise.shape[-1])))
+        first += E.shape[-1]
+    return points
+
+
 class Rule:
     """Nodes and weights for expectations under ``N(0, I)``.
 
@@ -153,14 +171,7 @@ class Rule:
                 "rule: expected points in every dimension, got none in "
                 f"{', '.join(map(str, self._idle))}"
             )
-        deviations = sigma_deviations(root, self._transposed[:first], batch)
-        # In this order a sum keeps the memory layout of the deviations.
-        points = [deviations + mean if space is EUCLIDEAN else space.plus(mean, deviations)]
-        for E in augment:
-            noise = sigma_deviations(E, self._transposed[first : first + E.shape[-1]], batch)
-            points.append(np.broadcast_to(noise, (*points[0].shape[:-1], noise.shape[-1])))
-            first += E.shape[-1]
-        return points
+        return _points(mean, (root, *augment), self._transposed, space, batch)
 
     def image(self, y: Array, space: Space, root: Array) -> Image:
         """The `Image` of ``N(mean, root @ root.mT)`` under a function with the values
@@ -264,20 +275,11 @@ class Taylor:
         if root.dtype.hasobject or center.dtype.hasobject:
             first, *noise = along(center, roots)
             return [space.plus(center, first), *noise]
-        total, batch = sum(E.shape[-1] for E in roots), max(center.ndim - 1, root.ndim - 2)
+        first, batch = root.shape[-1], max(center.ndim - 1, root.ndim - 2)
+        total = first if not augment else first + sum(E.shape[-1] for E in augment)
         # Columns: the center, then + step, then - step in each direction.
         directions = self.step * np.hstack([np.zeros((total, 1)), np.eye(total), -np.eye(total)])
-        deviations, first = [], 0
-        for E in roots:
-            deviations.append(sigma_deviations(E, directions[first : first + E.shape[-1]], batch))
-            first += E.shape[-1]
-
-        points = [
-            deviations[0] + center if space is EUCLIDEAN else space.plus(center, deviations[0])
-        ]
-        return points + [
-            np.broadcast_to(D, (*points[0].shape[:-1], D.shape[-1])) for D in deviations[1:]
-        ]
+        return _points(center, roots, directions, space, batch)
 
     def image(self, y: Array, space: Space, root: Array) -> Image:
 
