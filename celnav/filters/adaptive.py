@@ -355,7 +355,7 @@ def _underweight(
 ) -> tuple[Any, Joint]:
     prior, noise = joint.variances()
     measured = present(joint.innovation)
-    poor = np.asanyarray(measured & (prior > least * (prior + noise))).any(-1)
+    poor = np.asanyarray((measured & (prior > least * (prior + noise))).any(-1))
     S0, V = joint.covariances()[0], joint.measurement_noise
     S0 = np.where(np.abs(S0) < np.inf, S0, 0.0)  # of a run that has failed already
     extra = np.where(poor[..., None, None], semidefinite_root(factor * S0), 0.0)

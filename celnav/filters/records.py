@@ -61,7 +61,7 @@ class Info(NamedTuple):
     sqrt_S: ``(..., m, m)`` S, with unit rows for components not used.
     gain, jacobian: ``() -> (..., n, m)`` and ``() -> (..., m, n)``, the measurement's (statistical)
         Jacobian.
-    redone: ``(...)`` bool, the runs that the second filter of a `celnav.filters.fallback.Fallback`
+    redone: ``(...)`` bool, the runs that the second filter of a `celnav.filters.switching.Fallback`
         has repeated; None without one.
     silent: whether there was no measurement at all, not even nan.
     R: ``(..., m)`` variances of the measurement noise after the hooks; None without hooks.

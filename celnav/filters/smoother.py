@@ -17,7 +17,6 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from celnav.filters.colored import Colored
-from celnav.filters.fallback import Fallback
 from celnav.filters.fixed_lag import FixedLag
 from celnav.filters.imm import InteractingModels
 from celnav.filters.joint import condition
@@ -25,6 +24,7 @@ from celnav.filters.records import Epoch, Epochs, FilterError, Info
 from celnav.filters.regression import pseudo_gain
 from celnav.filters.run import run
 from celnav.filters.sequential import Sequential, SingleDraw, is_zero_interval
+from celnav.filters.switching import Fallback
 from celnav.filters.track import Track
 from celnav.filters.two_stage import TwoStage
 from celnav.gaussian.checks import choice, describe, instance
