@@ -503,8 +503,8 @@ def augmented(
         partial(_augmented_f, motion, phi, m), sqrt_Q=partial(_augmented_noise, motion, zeta, m)
     )
     augmented_sensor = Sensor(measured, sqrt_R=np.zeros((m, 0)), space=sensor.space)
-    made = sigma_point(augmented_motion, augmented_sensor, rule=rule, **options)
-    return Augmented(**vars(made), sqrt_V=tria(np.asanyarray(sensor.noise)), Phi=phi)
+    plain = sigma_point(augmented_motion, augmented_sensor, rule=rule, **options)
+    return Augmented(**vars(plain), sqrt_V=tria(np.asanyarray(sensor.noise)), Phi=phi)
 
 
 def _augmented_f(motion: Motion, phi: Any, m: int, x: Array, epoch: Any) -> Array:

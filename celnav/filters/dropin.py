@@ -322,7 +322,10 @@ class SigmaPointUKF:
         ``(T, n, n)``.
         """
         count = len(zs)
-        Rs, dts = self._each("Rs", Rs, self.R, count), self._each("dts", dts, self._dt, count)
+        Rs, dts = (
+            self._per_epoch("Rs", Rs, self.R, count),
+            self._per_epoch("dts", dts, self._dt, count),
+        )
         means, covs = np.zeros((count, self._dim_x)), np.zeros((count, self._dim_x, self._dim_x))
         for k, (z, R, dt) in enumerate(zip(zs, Rs, dts, strict=True)):
             self.predict(dt=dt, UT=UT)
@@ -342,7 +345,10 @@ class SigmaPointUKF:
         count, n = len(Xs), self._dim_x
         xs, ps = finite("Xs", Xs, (count, n)), finite("Ps", Ps, (count, n, n))
         gains = np.zeros((count, n, n))
-        Qs, dts = self._each("Qs", Qs, self.Q, count), self._each("dts", dts, self._dt, count)
+        Qs, dts = (
+            self._per_epoch("Qs", Qs, self.Q, count),
+            self._per_epoch("dts", dts, self._dt, count),
+        )
         after = self._from(xs[-1], ps[-1], "Ps")
         for k in reversed(range(count - 1)):
             belief, function = self._from(xs[k], ps[k], "Ps"), self._motion(dts[k], None, {})
@@ -448,7 +454,7 @@ class SigmaPointUKF:
 
         return model
 
-    def _each(self, name: str, values: Any, default: Any, count: int) -> Any:
+    def _per_epoch(self, name: str, values: Any, default: Any, count: int) -> Any:
         """A value for each of ``count`` epochs."""
         if values is None or np.isscalar(values):
             return [default if values is None else values] * count

@@ -215,17 +215,10 @@ def imm(
     >>> also = lambda epoch, state, infos: {"probabilities": state.probabilities}
     >>> track = celnav.run(filter, prior, times, z, also=also)
     """
-    made = tuple(
-        sequence("filters", filters, "[celnav.ukf(cruise, radar), celnav.ukf(turn, radar)]", 1)
-    )
-    k, wrong = (
-        len(made),
-        [
-            model
-            for model in made
-            if not all(hasattr(model, name) for name in ("start", "step", "motion"))
-        ],
-    )
+    example = "[celnav.ukf(cruise, radar), celnav.ukf(turn, radar)]"
+    models = tuple(sequence("filters", filters, example, 1))
+    k, verbs = len(models), ("start", "step", "motion")
+    wrong = [model for model in models if not all(hasattr(model, verb) for verb in verbs)]
     if wrong:
         raise ValueError(
             "filters: expected filters, such as celnav.ukf(motion, sensor), got "
@@ -239,4 +232,4 @@ def imm(
                 f"{name}: expected probabilities that sum to 1 in each row, got {p.tolist()}"
             )
     with np.errstate(divide="ignore"):
-        return InteractingModels(made, np.log(chances), np.log(first))
+        return InteractingModels(models, np.log(chances), np.log(first))

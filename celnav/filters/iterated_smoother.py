@@ -84,9 +84,9 @@ def iterated_smoother(
         back = "numpy" if last else by
         track = smooth(track, gains=last, on_failure=on_failure, engine=back, jobs=jobs)
         # The next pass linearizes over the smoothed beliefs.
-        epochs, linearized = _told(epochs, _ends(prior, track)), relinearized(filter)
+        epochs, linearized = _with_about(epochs, _ends(prior, track)), relinearized(filter)
     return replace(
-        track, filter=filter, epochs=_told(track.epochs, None), engine=why or track.engine
+        track, filter=filter, epochs=_with_about(track.epochs, None), engine=why or track.engine
     )
 
 
@@ -102,10 +102,10 @@ def _ends(prior: Gaussian, track: Track) -> tuple[Belief, Belief]:
     return form(*(np.concatenate([a, b[:-1]]) for a, b in pairs)), after
 
 
-def _told(epochs: Any, about: Any) -> Any:
+def _with_about(epochs: Any, about: Any) -> Any:
     """The same epochs with their ``about``: rows of a tuple of beliefs, or None."""
     if isinstance(epochs, Epochs):
-        return epochs.told(about)
+        return epochs.with_about(about)
     rows = [None] * len(epochs) if about is None else zip(*(map(type(x), *x) for x in about))
     return [epoch._replace(about=row) for epoch, row in zip(epochs, rows, strict=True)]
 

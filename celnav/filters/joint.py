@@ -285,7 +285,7 @@ def _point_images(
     images = []
     for i, y in enumerate(values):
         if y is KEEP:
-            columns = rule.kept(root, augment)
+            columns = rule.state_columns(root, augment)
             images.append(Image(belief.mean, np.zeros(n), columns, partial(np.eye, n)))
         elif isinstance(y, np.ndarray):
             images.append(rule.image(y, EUCLIDEAN if spaces is None else spaces[i], root))
@@ -398,7 +398,7 @@ def _linear_images(
     for output in outputs:
         if output is KEEP:
             # A function with noises is linear under Taylor's rule only; they do not enter here.
-            columns = rule.kept(root, augment) if augment else root
+            columns = rule.state_columns(root, augment) if augment else root
             images.append(Image(mean, np.zeros(n), columns, partial(np.eye, n)))
         else:
             value, J = output if type(output) is tuple else linear(output, rule, mean, epoch, space)

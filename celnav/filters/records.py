@@ -232,7 +232,7 @@ class Epochs(Sequence[Epoch]):
         """The same epochs without measurements and truth."""
         return self._with(_z=None, _truth=None)
 
-    def told(self, about: Any) -> Epochs:
+    def with_about(self, about: Any) -> Epochs:
         """The same epochs with ``about``: a tree of columns ``(T, ...)``."""
         return self._with(_about=about)
 

@@ -333,7 +333,7 @@ def sigma_point(
         sensors,
         rule=rule,
         form=FORMS[choice("form", form, FORMS)],
-        hooks=_each(hooks, len(sensors)),
+        hooks=_hooks_of_each_sensor(hooks, len(sensors)),
         gain=gain,
     )
     count = integer("iterations", iterations, 1, MOST_ITERATIONS)
@@ -411,16 +411,16 @@ def ekf(motion: Motion, *sensors: Sensor, **options: Any) -> Sequential:
 
 def require_sequential(name: str, filter: Any) -> Sequential:
     """A filter that predicts, then updates, and does nothing else; ValueError for any other."""
-    made: Sequential = instance(name, filter, Sequential, "celnav.ukf(motion, sensor)")
-    if type(made).step is not Sequential.step:
+    sequential: Sequential = instance(name, filter, Sequential, "celnav.ukf(motion, sensor)")
+    if type(sequential).step is not Sequential.step:
         raise ValueError(
             f"{name}: expected a filter that predicts, then updates, such as celnav.ukf, got "
             f"{describe(filter)}"
         )
-    return made
+    return sequential
 
 
-def _each(hooks: Any, sensors: int) -> tuple[tuple[Hook, ...], ...]:
+def _hooks_of_each_sensor(hooks: Any, sensors: int) -> tuple[tuple[Hook, ...], ...]:
     """Hooks for each sensor."""
     if isinstance(hooks, str) or not isinstance(hooks, Sequence):
         raise ValueError(

@@ -227,7 +227,7 @@ class TwoStage:
                 f"Gamma: expected shape (..., m, {p}) to go with the bias, got {slope.shape}"
             )
         if boost is not None:
-            function("boost", boost, "(memory, seen)")
+            function("boost", boost, "(memory, boost)")
         walk = None if Qb is None else symmetric(as_matrix("Qb", Qb, p), "Qb", p)[1]
         return cls(first, slope, bias, walk=walk, boost=boost)
 

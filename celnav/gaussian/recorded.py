@@ -118,8 +118,8 @@ def tria(A: Array) -> Array:
         and tape.rolled
         and 4 * sum((n - i) * max(q - i, 0) for i in range(n)) >= LONG
     ):
-        routine, places = _rolled(tuple(tuple(not _zero(x) for x in row) for row in rows))
-        for at, x in zip(places, routine(tape, (x for row in rows for x in row)), strict=True):
+        routine, positions = _rolled(tuple(tuple(not _zero(x) for x in row) for row in rows))
+        for at, x in zip(positions, routine(tape, (x for row in rows for x in row)), strict=True):
             L[at] = x
         return L
     for i in range(n):
@@ -140,7 +140,7 @@ def _rolled(nonzero: tuple[tuple[bool, ...], ...]) -> tuple[Loop, list[tuple[int
     """
     n, q = len(nonzero), len(nonzero[0])
     full: Array = np.array(nonzero)
-    stages, places = list[LoopBody](), list[tuple[int, int]]()
+    stages, positions = list[LoopBody](), list[tuple[int, int]]()
     # Memory: the rows (n, q), then L (n, n) from root_at, then the three numbers of a mirror.
     root_at, mirror_at = n * q, n * q + n * n
     for i in range(n):
@@ -162,7 +162,7 @@ def _rolled(nonzero: tuple[tuple[bool, ...], ...]) -> tuple[Loop, list[tuple[int
         for k, x in enumerate((mirror.inverse, mirror.scale, mirror.there)):
             stage.put("kept", k, x)
         stages.append(stage.stage())
-        places.append((i, i))
+        positions.append((i, i))
         # Then the rows below it, one loop whose addresses advance by q and by n.
         if below[[i, *rest]].any():
             stage = Recorder(
@@ -180,9 +180,9 @@ def _rolled(nonzero: tuple[tuple[bool, ...], ...]) -> tuple[Loop, list[tuple[int
             for j, x in zip(rest.tolist(), moved, strict=True):
                 stage.put("row", j, x)
             stages.append(stage.stage())
-            places += [(r, i) for r in range(i + 1, n)]
+            positions += [(r, i) for r in range(i + 1, n)]
             full[i + 1 :, rest] = True  # a reflection fills in
-    return Loop(stages, mirror_at + 3, [root_at + i * n + j for i, j in places]), places
+    return Loop(stages, mirror_at + 3, [root_at + i * n + j for i, j in positions]), positions
 
 
 def cholesky(P: Array) -> Array:

@@ -190,7 +190,7 @@ class Rule:
         columns *= self._scale
         return Image(center, shift, columns, partial(self._jacobian, columns, root))
 
-    def kept(self, root: Array, augment: Sequence[Array]) -> Array:  # noqa: ARG002
+    def state_columns(self, root: Array, augment: Sequence[Array]) -> Array:  # noqa: ARG002
         """Columns ``(..., n, q)`` of the state itself, where a function leaves it unchanged."""
         return np.asanyarray(root @ self._unit[: root.shape[-1]])
 
@@ -304,7 +304,7 @@ class Taylor:
             )
         return Image(center, shift, columns, partial(self._jacobian, columns, root))
 
-    def kept(self, root: Array, augment: Sequence[Array]) -> Array:
+    def state_columns(self, root: Array, augment: Sequence[Array]) -> Array:
 
         return (
             side_by_side([root, *(np.zeros((root.shape[-2], E.shape[-1])) for E in augment)])
