@@ -110,6 +110,7 @@ class InteractingModels:
                 for j, before in enumerate(states)
             )
             weights = ahead[..., 0, :]
+        # Each model steps from its own mixture of the beliefs of all models.
         stepped = [
             filter.step(before, epoch) for filter, before in zip(self.filters, states, strict=True)
         ]
@@ -133,6 +134,7 @@ def mixed(space: Space, beliefs: Sequence[Belief], weights: Array) -> Belief:
     mean, form, curved = beliefs[0].mean, type(beliefs[0]), space.transport
     # On a curved space the mean is the point where the weighted differences cancel: iterate.
     for _ in range(1 if space is EUCLIDEAN else 3):
+        # (..., n, k): the differences of the models' means, one column for each model.
         deviations = np.stack(
             np.broadcast_arrays(*(space.minus(belief.mean, mean) for belief in beliefs)), -1
         )
@@ -162,9 +164,11 @@ def _weighed(infos: Sequence[Any], weights: Array) -> tuple[Info, Array]:
         return infos[0], weights
     both = weights + np.stack(np.broadcast_arrays(*(info.log_likelihood for info in infos)), -1)
     density, mu = _total(both, -1), np.exp(weights)
+    # A component counts if every model uses it.
     used = reduce(np.logical_and, [info.used for info in infos])
     y = np.stack(np.broadcast_arrays(*(info.innovation for info in infos)), -1)
     innovation = np.add.reduce(y * mu[..., None, :], -1)
+    # (..., m, k): columns of the covariance between the models' predictions.
     apart = np.where(used[..., None], y - innovation[..., None], 0.0) * np.sqrt(mu)[..., None, :]
     S = SquareRoot.mixed(
         [np.where(used[..., None], info.sqrt_S, np.eye(used.shape[-1])) for info in infos],
@@ -187,6 +191,7 @@ def _weighed(infos: Sequence[Any], weights: Array) -> tuple[Info, Array]:
 
 def _total(x: Array, axis: int) -> Array:
     """Logarithm of a sum of exponentials, scaled by the largest so that it cannot underflow."""
+    # If all terms are -inf the largest is taken as finite, because -inf - -inf is nan.
     most = np.maximum(np.maximum.reduce(x, axis, keepdims=True), LEAST)
     with np.errstate(divide="ignore"):
         return np.asanyarray(

@@ -132,6 +132,7 @@ class Joint(NamedTuple):
     def variances(self) -> tuple[Array, Array]:
         """Variances ``(..., m)`` of the innovation without measurement noise, and of that noise."""
         A, sign = self._replace(measurement_noise=None).columns()
+        # The rows of the measurement, (..., m, q); process noise may reach it as well.
         D = A[..., : self.measurement.columns.shape[-2], :]
         return np.vecdot(_signed(D, sign), D), self.noise_variances()
 
@@ -227,6 +228,7 @@ def joint(
             raise ValueError(
                 f"{name}: expected {rows} rows to go with the model, got {columns.shape[-2]}"
             )
+    # The state is the belief's own: nothing has been pushed through a function or added.
     prior_factor = belief[1] if state.center is belief.mean and W is None else None
     if z is None:
         return Joint(None, None, state, sign, W, None, prior_factor)
@@ -279,6 +281,7 @@ def _point_images(
     m: int | None,
 ) -> list[Image]:
     """Images of the outputs, from their values at the points of a rule."""
+    # Points lie along the columns of a root, in either form.
     root, n = belief.sqrt_cov, belief[1].shape[-1]
     x, *noise = rule.points(belief.mean, root, space, augment)
     values = outputs(x, epoch, *noise) if callable(outputs) else outputs
@@ -369,6 +372,7 @@ def linear(
             look(model.name, value[None])
         return value, matrix
     center = mean if rule.about is None else np.broadcast_to(rule.about, mean.shape)
+    # One point (1, ..., N), and noise points (1, ..., k) at their mean.
     zero_noise = [np.zeros((1, *center.shape[:-1], E.shape[-2])) for E in model.augment]
     value = evaluate(model, center[None].copy(), epoch, zero_noise)[0]
     # f(mean) = f(center) + J (mean - center), where center is the point to expand about.
@@ -464,6 +468,7 @@ def shared_mask(used: Array) -> Array:
     """A mask ``(..., m)`` as ``(m,)`` if it is the same in all runs, so that what they share stays
     one for all.
     """
+    # Reduced over all axes of runs, (m,): a run with a gap of its own makes them differ.
     every: Array = np.logical_and.reduce(used, tuple(range(used.ndim - 1)))
     return every if used.ndim == 1 or every.all() or (used == every).all() else used
 
@@ -526,6 +531,7 @@ def condition(
     def gain_used() -> Array:
         return solve_right(S, U) if K is None else K
 
+    # After the hooks: what was used, not what the model says.
     R = joint.noise_variances() if hooks else None
     info = Info(measured, whitened, used, S, gain_used, joint.measurement.jacobian, R=R)
     return _belief(form, space.plus(joint.state.center, step), factor), info, memory

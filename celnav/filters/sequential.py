@@ -94,6 +94,7 @@ class Sequential:
         space = self.motion.space
         if space.check is not None:
             space.check(belief.mean, "prior")
+        # n is the dimension of differences, which need not be N: 3 of a quaternion of 4 components.
         if (tangent := space.minus(belief.mean, belief.mean).shape[-1]) != n:
             raise ValueError(
                 f"prior: expected a covariance ({tangent}, {tangent}) of the deviations of states "
@@ -126,6 +127,7 @@ class Sequential:
 
     def update(self, state: State, epoch: Epoch) -> tuple[State, tuple[Info, ...]]:
         """State given the measurements at the end of an epoch, and an `Info` of each sensor."""
+        # One sensor after the other: the belief after one is the prior of the next.
         belief, memory, infos = state.belief, list(state.memory), []
         for i, (sensor, z) in enumerate(
             zip(self.sensors, measurements(epoch.z, len(self.sensors)), strict=True)
@@ -202,7 +204,9 @@ class Sequential:
         """The belief, but nan in runs where a measurement without noise repeats what the prior
         already determines.
         """
+        # S_ii is the standard deviation of component i given the prior and the components before i.
         V, measured = joint.measurement_noise, joint.measurement
+        # (..., m): a component whose row of V is zero has no noise.
         exact = np.ones(1, bool) if V is None else np.asanyarray(~V.any(-1))
         if is_concretely_true(~exact.any()):
             return after
@@ -220,12 +224,14 @@ class Sequential:
                 self.motion.space.plus(belief.mean, np.concatenate([0.0 * axes[:1], axes])),
                 epoch,
             )
+            # (n, ..., m), then (..., m): the largest along the axes of the state.
             deviation = np.abs(sensor.space.minus(y[1:], y[:1])).max(0)
             size = (
                 np.abs(measured.center) if measured.center.shape == deviation.shape else np.zeros(1)
             )
         # S below this size is the round-off that remains after cancellation.
         least = 16.0 * (self.form.rounding() * deviation + EPS * size)
+        # (...), one truth value for each run: one redundant component is enough.
         redundant = (
             exact
             & np.asanyarray(info.used)
@@ -274,6 +280,7 @@ def missing_info(sensor: Sensor, z: Any) -> Info:
     """The `Info` of a measurement that is missing as a whole."""
     if z is None:
         return Info(silent=True)
+    # The innovation has as many components as differences of measurements: 3 of a quaternion.
     nan_z = np.full(z.shape[-1], np.nan)
     shape = (*z.shape[:-1], sensor.space.minus(nan_z, nan_z).shape[-1])
     return Info(np.full(shape, np.nan), np.zeros(shape), np.zeros(shape, bool))
@@ -355,6 +362,7 @@ def ukf(
 
     >>> filter = celnav.ukf(celnav.Motion(f, Q), celnav.Sensor(h, R))
     """
+    # Checks the three numbers; a negative kappa may be valid for the dimension of the state.
     unscented(1, alpha, beta, max(number("kappa", kappa), 0.0))
     return sigma_point(
         motion, *sensors, rule=partial(unscented, alpha=alpha, beta=beta, kappa=kappa), **options
@@ -377,6 +385,7 @@ def ghkf(motion: Motion, *sensors: Sensor, order: int = 3, **options: Any) -> Se
 
     >>> filter = celnav.ghkf(motion, gps, order=3)  # 729 points of six states
     """
+    # Checks the order before the dimension is known.
     gauss_hermite(1, order)
     return sigma_point(motion, *sensors, rule=partial(gauss_hermite, order=order), **options)
 
@@ -486,6 +495,7 @@ class Iterated(Sequential):
         # Each update starts from the prior `belief`; only the linearization moves.
         for _ in range(self.iterations):
             joint, space = self.relinearized(about, sensor, belief, z, epoch), self.motion.space
+            # Hooks begin from the same memory in each iteration, so that a sample counts once.
             about, info, remembered = condition(
                 self.form, joint, space, hooks=hooks, memory=memory, epoch=epoch, gain=self.gain
             )
@@ -527,6 +537,7 @@ def linearized_over(
     # The matrix of a linear model is the same everywhere.
     if about is belief or by_matrix(model, rule):
         return draw(rule, belief)
+    # The regression is over `about`; the offset moves its line to the mean of the prior.
     return regressed(draw(rule, about), belief, space.minus(belief.mean, about.mean))
 
 

@@ -133,6 +133,7 @@ def smooth(
             jobs=jobs,
         )
         assert backward_track.belief is not None
+        # The last belief is the filter's own: it has all measurements already.
         mean[:-1], cov[:-1] = backward_track.belief.mean[::-1], backward_track.belief[1][::-1]
         if G is not None:
             G[:-1] = backward_track.extra["gain"][::-1]
@@ -220,12 +221,15 @@ def back(filter: Sequential, before: Belief, after: Belief, epoch: Epoch) -> tup
             process_noise=(0, NEGLIGIBLE * size[..., None] * np.eye(size.shape[-1]))
         )
 
+    # P - G S S' G' by the Joseph form for the gain G, which is right for the pseudo-inverse too.
     inner, info, _ = condition(form, both, space, gain=partial(pseudo_gain, center=center))
     gain = info.gain()
 
     def carried(to: Array, at: Array, root: Array) -> Array:
         return root if space.transport is None else space.transport(space.minus(to, at)) @ root
 
+    # Columns of G P_s' G': deviations at the smoothed next state are carried to the predicted one,
+    # and deviations at the mean before smoothing to the smoothed mean.
     ahead = carried(inner.mean, before.mean, gain @ carried(center, after.mean, after.sqrt_cov))
     # Conditioning treats nan in the smoothed next state as not measured; here it is a failure.
     lost = ~np.isfinite(after.mean).all(-1, keepdims=True)

@@ -178,6 +178,7 @@ class Rule:
         ``y (p, ..., M)`` at the points.
         """
         # shift = sum wm (y - center); columns = sqrt(|wc|) (y - center - shift).
+        # Point 0 is the center; a space with a mean of its own gives the mean itself: no shift.
         center = y[0] if space.mean is None else space.mean(y, self.wm)
         values = (y if space is EUCLIDEAN else space.minus(y, center))[self._used]
         values = values.T if values.ndim == 2 else points_last(values)  # (..., k, q)
@@ -187,6 +188,7 @@ class Rule:
             columns -= shift[..., None]
         else:
             shift = np.zeros(columns.shape[-2])
+        # The signs of the weights are not in the columns, they are in `sign`.
         columns *= self._scale
         return Image(center, shift, columns, partial(self._jacobian, columns, root))
 
@@ -288,6 +290,7 @@ class Taylor:
             return self._linear(center, at_zero(space.minus(y[0], center))[1], root)
         # (y(+ step) - y(- step)) / (2 step), one column (..., k) per direction.
         d = space.minus(y, y[0])
+        # d[0] = 0 is the center; the + points follow, then the - points.
         total = (len(d) - 1) // 2
         return self._linear(
             y[0], np.moveaxis(d[1 : total + 1] - d[total + 1 :], 0, -1) / (2.0 * self.step), root
@@ -314,6 +317,7 @@ class Taylor:
 
     @staticmethod
     def _jacobian(columns: Array, root: Array) -> Array:
+        # columns = J root for the state; those of the noises follow.
         return solve_right(root, columns[..., : root.shape[-1]])
 
 
@@ -384,6 +388,7 @@ def unscented(n: int, alpha: float = 1.0, beta: float = 0.0, kappa: float = 0.0)
     wm = np.full(2 * n + 1, 0.5 / c)
     wm[0] = 1.0 - n / c
     wc = wm.copy()
+    # Only the covariance weight of the center has beta [Merwe2004].
     wc[0] += 1.0 - alpha**2 + beta
     return Rule(_axes(n, float(np.sqrt(c))), wm, wc)
 
@@ -401,6 +406,7 @@ def simplex(n: int) -> Rule:
     """
     n = integer("n", n)
     check_point_count("n", n + 1, n)
+    # Column d: 1 in d nodes, -d in the next, 0 in the rest, so that the sum is 0.
     d = np.arange(1, n + 1)
     nodes = np.sqrt((n + 1) / (d * (d + 1))) * (
         np.triu(np.ones((n + 1, n))) - d * np.eye(n + 1, n, -1)
@@ -433,6 +439,7 @@ def cubature(n: int, degree: int = 3) -> Rule:
     nodes = np.vstack([_axes(n, float(np.sqrt(n + 2))), np.sqrt((n + 2) / 2) * pairs])
     weights = np.full(len(nodes), 1.0 / (n + 2) ** 2)
     weights[0] = 2.0 / (n + 2)
+    # Points on the axes: negative beyond four dimensions.
     weights[1 : 2 * n + 1] = (4.0 - n) / (2.0 * (n + 2) ** 2)
     return Rule(nodes, weights)
 

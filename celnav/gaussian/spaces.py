@@ -81,6 +81,7 @@ def _wrapped(operation: Any, indices: tuple[int, ...] | None, a: Array, b: Array
             f"{max(indices)}"
         )
     chosen = slice(None) if indices is None else list(indices)
+    # `operation` has made a new array, which may be written into.
     vector[..., chosen] = wrap(vector[..., chosen])
     return vector
 
