@@ -200,14 +200,14 @@ def joint(
     rule = rule_for(rule, belief, augment)
     W, V = process_noise, measurement_noise
     if callable(W):
-        W = noise_at(W, belief.mean, epoch)
+        W = in_model(W, belief.mean, epoch)
     if callable(V):
-        V = noise_at(V, belief.mean, epoch)
+        V = in_model(V, belief.mean, epoch)
     # Columns beside the measurement, and beside the state.
     W = W if W is None or type(W) is tuple else (0, W)
     W_x = None if W is None else W[1]
-    noises = ("Q", "R", *["augment"] * len(augment)), (W_x, V, *augment)
-    for name, columns in zip(*noises, strict=True):
+    names = ("Q", "R", *["augment"] * len(augment))
+    for name, columns in zip(names, (W_x, V, *augment), strict=True):
         if columns is not None and columns.ndim > 2:
             # The noise may have axes of runs that the belief lacks, and a model may need them.
             belief = broadcast_to_runs(name, columns.shape[:-2], belief)
@@ -249,6 +249,8 @@ def _innovation(z: Array, measurement: Image, space: Space, belief: Belief) -> A
         broadcast_batches("z", z.shape[:-1], belief.mean.shape[:-1], "the belief")
     if space is EUCLIDEAN:
         return np.asanyarray(z - center - shift)
+    if not shift.dtype.hasobject and not shift.any():  # such as that of Taylor's rule
+        return np.asanyarray(space.minus(z, center))
     # z - (center + shift), as a difference from the center: an angle's mean may lie across the
     # seam.
     return np.asanyarray(space.minus(space.plus(center, space.minus(z, center) - shift), center))

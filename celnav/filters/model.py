@@ -262,10 +262,13 @@ def _widened(columns: Array, rows: Rows, mean: Any = None, _epoch: Any = None) -
 
 def matrices_of(name: str, function: Any, mean: Array, epoch: Any) -> Array:
     """Matrices ``(..., k, n)`` of a function ``(mean, epoch)``, which may change its argument."""
-    matrices = numbers(name, unmasked(name, in_model(function, mean.copy(), epoch)))
+    x = mean.copy()
+    matrices = in_model(function, x, epoch) if x.dtype.hasobject else function(x, epoch)
+    if type(matrices) is not np.ndarray or matrices.dtype != np.float64:
+        matrices = numbers(name, unmasked(name, matrices))
     if matrices.ndim > 1 and unknown(function, mean):
         check_matrices_apart(name, function, mean, epoch, matrices)
-    return matrices
+    return np.asanyarray(matrices)
 
 
 def check_roots(name: str, roots: Any) -> Sequence[Array]:

@@ -286,25 +286,20 @@ class Taylor:
     def image(self, y: Array, space: Space, root: Array) -> Image:
 
         if y.dtype.hasobject:
-            (center,), _ = at_zero(y)
-            return self._linear(center, at_zero(space.minus(y[0], center))[1], root)
-        # (y(+ step) - y(- step)) / (2 step), one column (..., k) per direction.
-        d = space.minus(y, y[0])
-        # d[0] = 0 is the center; the + points follow, then the - points.
-        total = (len(d) - 1) // 2
-        return self._linear(
-            y[0], np.moveaxis(d[1 : total + 1] - d[total + 1 :], 0, -1) / (2.0 * self.step), root
-        )
-
-    def _linear(self, center: Array, columns: Array, root: Array) -> Image:
+            center: Array = at_zero(y)[0][0]
+            columns: Array = at_zero(space.minus(y[0], center))[1]
+        else:
+            # (y(+ step) - y(- step)) / (2 step), one column (..., k) per direction.
+            center, d = y[0], space.minus(y, y[0])
+            # d[0] = 0 is the center; the + points follow, then the - points.
+            total = (len(d) - 1) // 2
+            columns = np.moveaxis(d[1 : total + 1] - d[total + 1 :], 0, -1) / (2.0 * self.step)
         shift = np.zeros(columns.shape[-2])
         if self.about is not None:
             n = root.shape[-1]
             # Column n is the image of mean - about; the noises follow it.
-            shift, columns = (
-                columns[..., n],
-                np.concatenate([columns[..., :n], columns[..., n + 1 :]], -1),
-            )
+            shift = columns[..., n]
+            columns = np.concatenate([columns[..., :n], columns[..., n + 1 :]], -1)
         return Image(center, shift, columns, partial(self._jacobian, columns, root))
 
     def state_columns(self, root: Array, augment: Sequence[Array]) -> Array:
