@@ -64,7 +64,7 @@ def multiply(q: Array, p: Array) -> Array:
     """Product ``(..., 4)``: first p, then q."""
     # (..., 4, 4), the matrix of p: its product with the column q is q p.
     matrix_of_p = p[..., INDEX] * SIGN
-    return np.asanyarray(np.vecdot(matrix_of_p, q[..., None, :]))
+    return np.asanyarray(np.einsum("...ki,...i->...k", matrix_of_p, q))
 
 
 def inverse(q: Array) -> Array:
@@ -107,13 +107,14 @@ def rotate(q: Array, v: ArrayLike) -> Array:
 
 def exp(phi: Array) -> Array:
     """Quaternion ``(..., 4)`` of a rotation vector ``(..., 3)`` rad."""
-    quarter = np.maximum(0.25 * np.sqrt(np.vecdot(phi, phi)), _TINY)[..., None]
+    vector = phi.T  # components first: (3, ...)
+    quarter = np.maximum(0.25 * np.sqrt(np.add.reduce(vector * vector)), _TINY)
     # With t = tan(theta / 4): rho = 2 t / (1 + t^2) phi / theta, q4 = (1 - t^2) / (1 + t^2).
     # A tangent is as exact as a sine and a cosine, and several times as fast.
     t = np.tan(quarter)
     t2 = t * t
-    rho = phi * (t / (quarter * (2.0 + 2.0 * t2)))
-    return np.concatenate([rho, (1.0 - t2) / (1.0 + t2)], -1)
+    rho, q4 = vector * (t / (quarter * (2.0 + 2.0 * t2))), (1.0 - t2) / (1.0 + t2)
+    return np.asanyarray(np.concatenate([rho, q4[None]]).T)
 
 
 def log(q: Array) -> Array:
@@ -162,10 +163,12 @@ def to_rodrigues(q: Array, a: float = 1.0, b: float = 4.0) -> Array:
 
 def from_rodrigues(p: Array, a: float = 1.0, b: float = 4.0) -> Array:
     """Unit quaternion ``(..., 4)`` of generalized Rodrigues parameters ``(..., 3)``."""
-    square = np.vecdot(p, p)[..., None]
+    # Transposed, components come first: (3, ...) and (...).
+    vector = p.T
+    square = np.add.reduce(vector * vector)
     root = b if a == 1.0 else np.sqrt(b * b + (1.0 - a * a) * square)
     q4 = (b * root - a * square) / (b * b + square)
-    return np.concatenate([p * ((a + q4) / b), q4], -1)
+    return np.asanyarray(np.concatenate([vector * ((a + q4) / b), q4[None]]).T)
 
 
 def cross(v: Array) -> Array:
