@@ -12,9 +12,8 @@ from celnav.analysis import bounds, metrics, observability
 from celnav.analysis.diagnose import diagnose, first_order
 from celnav.analysis.tuning import likelihood_gradient, maximize_likelihood
 from celnav.filters import adaptive
-from celnav.filters.fallback import Fallback
 from celnav.filters.fixed_lag import FixedLag
-from celnav.filters.switching import Switching
+from celnav.filters.switching import Fallback, Switching
 from celnav.gaussian.belief import nees
 from celnav.models.motion import constant_velocity
 from celnav.show import diagnosis

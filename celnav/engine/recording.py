@@ -22,10 +22,10 @@ import numpy as np
 from celnav.filters.records import Epoch, Info, Inputs
 from celnav.gaussian.belief import Gaussian, mask_failed
 from celnav.gaussian.checks import describe, together
-from celnav.gaussian.linalg import Array, Covariance, SquareRoot
+from celnav.gaussian.linalg import Array, Covariance, SquareRoot, present
 from celnav.tape import llvm
 from celnav.tape.kernel import Kernel
-from celnav.tape.numbers import TracedArray, present
+from celnav.tape.numbers import TracedArray
 from celnav.tape.tape import (
     MOST,
     CannotCompile,

@@ -23,13 +23,13 @@ from celnav.gaussian.linalg import (
     Array,
     cholesky,
     matvec,
+    present,
     semidefinite_root,
     side_by_side,
     solve_lower,
     solve_right,
     whiten,
 )
-from celnav.tape.numbers import present
 
 __all__ = [
     "channel_parity",
@@ -93,6 +93,7 @@ def _chi_square_gate(
     S = np.where(used[..., None] & used[..., None, :], S, np.eye(e.shape[-1]))
     white = whiten(cholesky(S), np.where(used, e, 0.0))
     count, bounds = np.arange(e.shape[-1] + 1), _chi_square_bounds(probability, e.shape[-1])
+    # (...): the bound of each run, by its number of measured components.
     most = np.where(used.sum(-1)[..., None] == count, bounds, 0.0).sum(-1)
     return memory, joint.leaving_out((np.vecdot(white, white) > most)[..., None])
 
@@ -137,6 +138,7 @@ def _innovation_window(
 ) -> tuple[Window, Joint]:
     window = _moved(memory, np.asanyarray(joint.innovation), epoch, size, gaps)
     prior, noise = joint.variances()
+    # A component without noise, R = 0, gets A = 0 or -0: it is not inflated.
     A = (np.square(window.samples).mean(0) - prior) / np.where(noise > 0.0, noise, np.inf)
     return window, joint.inflated(np.sqrt(np.fmax(1.0, A)))  # A is nan until the window is full
 
@@ -273,6 +275,7 @@ def _sage_husa(
     shape = np.broadcast_shapes(e.shape, nominal.shape)
     noise, count = (np.broadcast_to(nominal, shape), np.zeros(shape)) if memory is None else memory
     used = np.broadcast_to(present(e), shape)
+    # The weight of a new sample falls from 1 to 1 - b.
     d = (1.0 - b) / (1.0 - b ** (count + 1.0))
     sample = np.maximum(np.where(used, e, 0.0) ** 2 - prior, bottom * nominal)
     noise = np.where(used, (1.0 - d) * noise + d * sample, noise)
@@ -354,8 +357,8 @@ def _underweight(
     factor: float, least: float, memory: Any, joint: Joint, _epoch: Any
 ) -> tuple[Any, Joint]:
     prior, noise = joint.variances()
-    measured = present(np.asanyarray(joint.innovation))
-    poor = (measured & (prior > least * (prior + noise))).any(-1)
+    measured = present(joint.innovation)
+    poor = np.asanyarray((measured & (prior > least * (prior + noise))).any(-1))
     S0, V = joint.covariances()[0], joint.measurement_noise
     S0 = np.where(np.abs(S0) < np.inf, S0, 0.0)  # of a run that has failed already
     extra = np.where(poor[..., None, None], semidefinite_root(factor * S0), 0.0)
@@ -383,6 +386,7 @@ def _residual(joint: Joint) -> tuple[Array, Array, Array, Array]:
     Q = range_basis(root[..., None] * joint.measurement.jacobian() * std[..., None, :], 1e-6)
     y = root * e
     left = y - matvec(Q, matvec(Q.mT, y))
+    # Diagonal of I - Q Q': the part of each component that no state explains.
     share = np.maximum(1.0 - np.square(Q).sum(-1), 0.0)
     return np.where(used, left * np.sqrt(R), 0.0), np.where(used, share * R, 0.0), R, used
 
@@ -442,6 +446,7 @@ def _group_parity(
     for group in groups:
         spare = used[..., group].sum(-1) - unknowns
         enough, spare = spare >= 2, np.maximum(spare, 1)
+        # (...): a chi-square over its degrees of freedom, of mean 1 and variance 2 / spare.
         s = squares[..., group].sum(-1) / spare
         bound = 1.0 + deviations * np.sqrt(2.0 / spare)
         factor[..., group] = np.where(enough & (s > bound), s, 1.0)[..., None]

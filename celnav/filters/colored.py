@@ -35,11 +35,12 @@ from celnav.filters.joint import (
     rule_for,
 )
 from celnav.filters.model import Motion, Noise, Sensor, check_prior, check_return, noise_of
-from celnav.filters.records import Epoch, Info, is_zero_interval
+from celnav.filters.records import Epoch, Info
 from celnav.filters.sequential import (
     Sequential,
     as_measurement,
     is_missing,
+    is_zero_interval,
     missing_info,
     sigma_point,
 )
@@ -62,13 +63,13 @@ from celnav.gaussian.linalg import (
     block,
     is_concretely_true,
     matvec,
+    present,
     side_by_side,
     solve_right,
     tria,
 )
 from celnav.gaussian.rules import UNSCENTED
 from celnav.gaussian.spaces import EUCLIDEAN
-from celnav.tape.numbers import present
 
 __all__ = ["augmented", "colored", "decorrelated"]
 
@@ -281,6 +282,7 @@ class Colored(Sequential):
         if by_matrix(motion, rule) and by_matrix(sensor, rule):
             y, F = linear(motion, rule, mean, epoch)
             # Differenced measurement: H F - Phi H_x for the state, and H W for the process noise.
+            # y = f(x): H is at the end of the interval, H_x at its start.
             (h_y, H), (h_x, H_x) = linear(sensor, rule, y, epoch), linear(sensor, rule, mean, epoch)
             outputs, beside = ((h_y - matvec(Phi, h_x), H @ F - Phi @ H_x), (y, F)), (H @ W, W)
         elif not callable(sensor.h):
@@ -379,6 +381,7 @@ class Decorrelated(Colored):
         """Update the past state [Sun2015, Eqs. 24-32], then predict [Sun2015, Eqs. 33-37]."""
         gates = [partial(_leaving_out, hook) for hook in self.hooks[0]]
         noise = self.system(state.belief.mean, epoch, np.ones(1, bool)).sqrt_R
+        # The measurement of the past state is z* = H f(x) - Phi H x; its noise is that of R*.
         past = joint(
             self.rule,
             state.belief,
@@ -397,6 +400,7 @@ class Decorrelated(Colored):
             gain=self.gain,
         )
         used = np.asanyarray(info.used)
+        # J z* carries the part of the process noise that the difference has shown.
         star = self.system(lagged.mean, epoch, used)
         # A component that was not used has a column of zeros in J.
         z_star = np.where(used, z_star, 0.0)
@@ -426,6 +430,7 @@ class Decorrelated(Colored):
         )
         if is_concretely_true(used.all()):
             return decorrelation(H, W, Z)
+        # (..., m, 1): rows that were measured.
         unit = used[..., None] * 1.0
         return decorrelation(
             H * unit, W, np.concatenate([Z * unit, np.eye(H.shape[-2]) * (1.0 - unit)], -1)
@@ -501,12 +506,14 @@ def augmented(
     augmented_motion = Motion(
         partial(_augmented_f, motion, phi, m), sqrt_Q=partial(_augmented_noise, motion, zeta, m)
     )
+    # All noise of the measurement is a state: no column of its own.
     augmented_sensor = Sensor(measured, sqrt_R=np.zeros((m, 0)), space=sensor.space)
-    made = sigma_point(augmented_motion, augmented_sensor, rule=rule, **options)
-    return Augmented(**vars(made), sqrt_V=tria(np.asanyarray(sensor.noise)), Phi=phi)
+    plain = sigma_point(augmented_motion, augmented_sensor, rule=rule, **options)
+    return Augmented(**vars(plain), sqrt_V=tria(np.asanyarray(sensor.noise)), Phi=phi)
 
 
 def _augmented_f(motion: Motion, phi: Any, m: int, x: Array, epoch: Any) -> Array:
+    # Components of a point: x (n), then V (m).
     moved = evaluate(motion, x[..., :-m].copy(order="K"), epoch)
     Phi = phi(epoch) if callable(phi) else phi
     if Phi.ndim > 2:

@@ -37,6 +37,7 @@ __all__ = ["SigmaPointUKF", "SquareRootUKF"]
 
 Function = Callable[..., Any]
 """One of filterpy's, of one vector."""
+MaybeFunction = Function | None
 Model = Callable[[Array, Any], Array]
 """``(points (p, n), epoch) -> (p, m)``."""
 
@@ -81,12 +82,12 @@ class SigmaPointUKF:
         hx: Function,
         fx: Function,
         points: Any,
-        sqrt_fn: Function | None = None,
-        x_mean_fn: Function | None = None,
-        z_mean_fn: Function | None = None,
-        residual_x: Function | None = None,
-        residual_z: Function | None = None,
-        state_add: Function | None = None,
+        sqrt_fn: MaybeFunction = None,
+        x_mean_fn: MaybeFunction = None,
+        z_mean_fn: MaybeFunction = None,
+        residual_x: MaybeFunction = None,
+        residual_z: MaybeFunction = None,
+        state_add: MaybeFunction = None,
         *,
         vectorized: bool = False,
     ):
@@ -102,11 +103,10 @@ class SigmaPointUKF:
         ] = {}  # by name: a matrix as it was, and what its checks made of it
         self.points_fn = points
         self.hx, self.fx = hx, fx
-        self.msqrt = cholesky if sqrt_fn is None else sqrt_fn
+        self.msqrt = sqrt_fn or cholesky
         self.x_mean, self.z_mean = x_mean_fn, z_mean_fn
-        self.residual_x = np.subtract if residual_x is None else residual_x
-        self.residual_z = np.subtract if residual_z is None else residual_z
-        self.state_add = np.add if state_add is None else state_add
+        self.residual_x, self.residual_z = residual_x or np.subtract, residual_z or np.subtract
+        self.state_add = state_add or np.add
         self.inv: Function = np.linalg.pinv
         self.x, self.P = np.zeros(dim_x), np.eye(dim_x)
         self.Q, self.R = np.eye(dim_x), np.eye(dim_z)
@@ -149,26 +149,21 @@ class SigmaPointUKF:
         """Points and weights as a rule of celnav."""
         rule, Wm, Wc = self._made["rule"]
         if Wm is not self.Wm or Wc is not self.Wc:
-            points = self._points_fn
+            Wm, Wc, of = self.Wm, self.Wc, self._points_fn
             rule = from_filterpy(
-                SimpleNamespace(
-                    n=points.n, sigma_points=points.sigma_points, Wm=self.Wm, Wc=self.Wc
-                )
+                SimpleNamespace(n=of.n, sigma_points=of.sigma_points, Wm=Wm, Wc=Wc)
             )
-            self._made["rule"] = rule, self.Wm, self.Wc
+            self._made["rule"] = rule, Wm, Wc
         return rule  # type: ignore[no-any-return]
 
     def predict(
-        self, dt: Any = None, UT: Function | None = None, fx: Function | None = None, **fx_args: Any
+        self, dt: Any = None, UT: MaybeFunction = None, fx: MaybeFunction = None, **fx_args: Any
     ) -> None:
         """Predict over ``dt``, which is passed to ``fx``; the points are then drawn again, as in
         filterpy 2.0.
         """
-        belief, process, function = (
-            self._belief(),
-            self._root("Q", self.Q, self._dim_x),
-            self._motion(dt, fx, fx_args),
-        )
+        belief, process = self._belief(), self._root("Q", self.Q, self._dim_x)
+        function = self._motion(dt, fx, fx_args)
         if UT is None:
             space = self._space()
             ahead = joint(
@@ -193,61 +188,47 @@ class SigmaPointUKF:
         self,
         z: Any,
         R: Any = None,
-        UT: Function | None = None,
-        hx: Function | None = None,
+        UT: MaybeFunction = None,
+        hx: MaybeFunction = None,
         **hx_args: Any,
     ) -> None:
         """Update with ``z``: None, or all nan, is no measurement; if partly nan, the rest is
         used.
         """
         measured = np.zeros(0) if z is None else numbers("z", z)
-        if measured.ndim != 1:
-            if measured.shape not in ((), (measured.size, 1)):
-                raise ValueError(f"z: expected shape (m,), got {measured.shape}")
-            measured = measured.ravel()
-        if not (measured.size and isfinite(measured.dot(measured))):
-            if np.isinf(measured).any():
-                raise ValueError("z: expected finite numbers or nan, got an infinite one")
-            if np.isnan(measured).all():
-                self.z = np.array([[None] * self._dim_z]).T
-                self.x_post, self.P_post = (
-                    np.array(self.x, dtype=np.float64),
-                    np.array(self.P, dtype=np.float64),
-                )
-                return
+        if measured.ndim > 1 and measured.shape != (measured.size, 1):
+            raise ValueError(f"z: expected shape (m,), got {measured.shape}")
+        measured = measured.ravel()
+        if np.isinf(measured).any():
+            raise ValueError("z: expected finite numbers or nan, got an infinite one")
+        if np.isnan(measured).all():
+            self.z = np.array([[None] * self._dim_z]).T
+            self.x_post, self.P_post = numbers("x", self.x).copy(), numbers("P", self.P).copy()
+            return
         m, n = len(measured), self._dim_z
         if m != n and hx is None and np.shape(self.R if R is None else R) == (n, n):
             raise ValueError(f"z: expected {n} components, got {m}; another sensor has its own R")
         noise = self.R if R is None else numbers("R", R) * np.eye(m) if np.isscalar(R) else R
         root, belief = self._root("R", noise, m), self._belief()
-        h = _model_of(self._vectorized, "hx", self.hx if hx is None else hx, m, (), hx_args)
-        done: Any = (
-            self._conditioned(belief, measured, h, root)
-            if UT is None
-            else self._transformed(UT, belief, measured, h, noise)
-        )
-        after, images, S, info = done
+        h = self._model("hx", hx or self.hx, m, hx_args)
+        if UT is None:
+            after, images, info = self._conditioned(belief, measured, h, root)
+        else:
+            after, images, info = self._transformed(UT, belief, measured, h, noise)
         self._keep(after)
-        self.sigmas_h, self.S, self.y = (
-            np.array(images[-self._num_sigmas :]),
-            S,
-            np.asarray(info.innovation),
-        )
+        S = self.S = outer(info.sqrt_S)
+        self.sigmas_h, self.y = np.array(images[-self._num_sigmas :]), np.asarray(info.innovation)
         self._made |= {
             "K": info.gain,
             "SI": lambda: self.inv(S),
             "mahalanobis": lambda: float(np.sqrt(info.nis)),
+            "log_likelihood": lambda: float(info.log_likelihood),
         }
-        self._made["log_likelihood"] = lambda: float(info.log_likelihood)
         self.z = z.copy() if type(z) is np.ndarray else deepcopy(z)
         self.x_post, self.P_post = self.x.copy(), self.P.copy()
 
-    def _conditioned(
-        self, belief: Any, z: Array, h: Model, root: Array
-    ) -> tuple[Any, Array, Array, Info]:
-        """The update by celnav: the belief, images of the points, the covariance of the innovation,
-        and the `Info`.
-        """
+    def _conditioned(self, belief: Any, z: Array, h: Model, root: Array) -> tuple[Any, Array, Any]:
+        """The update by celnav: the belief, the images of the points, and the `Info`."""
         space, measured = self._space(), _space_of(np.add, self.residual_z, self.z_mean)
         images: list[Array] = []
 
@@ -267,14 +248,12 @@ class SigmaPointUKF:
             )
             after, info, _ = condition(self._form, both, space)
         else:  # a measurement without noise must not repeat what the prior determines
-            motion, sensor = (
-                Motion(g, sqrt_Q=np.zeros((self._dim_x, 0)), space=space),
-                Sensor(g, sqrt_R=root, space=measured),
-            )
+            motion = Motion(g, sqrt_Q=np.zeros((self._dim_x, 0)), space=space)
+            sensor = Sensor(g, sqrt_R=root, space=measured)
             exact = Sequential(motion, (sensor,), rule=self.rule, form=self._form)
             after, info, _ = exact.update_sensor(sensor, belief, z, Epoch(), (), None)
         self._check(belief, after, "hx", h, "the innovation covariance is not positive definite")
-        return after, images[0], outer(np.asarray(info.sqrt_S)), info
+        return after, images[0], info
 
     def _check(self, before: Any, after: Any, name: str, function: Model, why: str) -> None:
         if any_lost(after):
@@ -286,7 +265,7 @@ class SigmaPointUKF:
 
     def _transformed(
         self, UT: Function, belief: Any, z: Array, h: Model, R: Any
-    ) -> tuple[Any, Array, Array, Info]:
+    ) -> tuple[Any, Array, Any]:
         """The update by a user's transform, which gives a mean and a covariance."""
         if np.isnan(z).any():
             raise ValueError("z: expected every component where UT is given, got nan")
@@ -295,12 +274,8 @@ class SigmaPointUKF:
         after = self._from(
             self.state_add(belief.mean, gain @ innovation), belief.cov - gain @ S @ gain.T
         )
-        return (
-            after,
-            images,
-            S,
-            Info(innovation, whiten(L, innovation), np.ones(len(z), bool), L, lambda: gain),
-        )
+        used = np.ones(len(z), bool)
+        return after, images, Info(innovation, whiten(L, innovation), used, L, lambda: gain)
 
     def _through(
         self, UT: Any, belief: Any, function: Model, noise: Any, mean: Any, residual: Any
@@ -311,40 +286,46 @@ class SigmaPointUKF:
         points = self._points(belief)
         images = function(points, None)
         y, S = UT(images, self.Wm, self.Wc, noise, mean, residual)
-        return (
-            images,
-            y,
-            S,
-            np.linalg.solve(S.T, self._cross(points, belief.mean, images, y, residual).T).T,
-        )
+        cross = self.cross_variance(belief.mean, y, points, images, residual)
+        return images, y, S, np.linalg.solve(S.T, cross.T).T  # the gain solves K S = cross
 
-    def compute_process_sigmas(self, dt: Any, fx: Function | None = None, **fx_args: Any) -> None:
+    def compute_process_sigmas(self, dt: Any, fx: MaybeFunction = None, **fx_args: Any) -> None:
         """Put the propagated points in ``sigmas_f``. (An update always draws its points from the
         present state.)
         """
         self.sigmas_f = self._motion(dt, fx, fx_args)(self._points(self._belief()), None)
 
-    def cross_variance(self, x: Array, z: Array, sigmas_f: Array, sigmas_h: Array) -> Array:
-        """Cross covariance ``(n, m)`` of points in the state and in the measurement."""
-        return self._cross(sigmas_f, x, sigmas_h, z, self.residual_z)
-
-    def _cross(self, points: Array, x: Array, images: Array, y: Array, residual: Function) -> Array:
-        dx, dy = _differences(self.residual_x)(points, x), _differences(residual)(images, y)
-        return np.asarray((dx * np.asarray(self.Wc)[:, None]).T @ dy)
+    def cross_variance(
+        self,
+        x: Array,
+        z: Array,
+        sigmas_f: Array,
+        sigmas_h: Array,
+        residual: MaybeFunction = None,
+    ) -> Array:
+        """Cross covariance ``(n, m)`` of points in the state and in the measurement; ``residual``:
+        instead of ``residual_z``.
+        """
+        dx = _differences(self.residual_x)(sigmas_f, x)
+        dz = _differences(residual or self.residual_z)(sigmas_h, z)
+        return np.asarray((dx * np.asarray(self.Wc)[:, None]).T @ dz)
 
     def batch_filter(
         self,
         zs: Any,
         Rs: Any = None,
         dts: Any = None,
-        UT: Function | None = None,
+        UT: MaybeFunction = None,
         saver: Any = None,
     ) -> tuple[Array, Array]:
         """Predict and update over all ``zs`` (None where missing): means ``(T, n)`` and covariances
         ``(T, n, n)``.
         """
         count = len(zs)
-        Rs, dts = self._each("Rs", Rs, self.R, count), self._each("dts", dts, self._dt, count)
+        Rs, dts = (
+            self._per_epoch("Rs", Rs, self.R, count),
+            self._per_epoch("dts", dts, self._dt, count),
+        )
         means, covs = np.zeros((count, self._dim_x)), np.zeros((count, self._dim_x, self._dim_x))
         for k, (z, R, dt) in enumerate(zip(zs, Rs, dts, strict=True)):
             self.predict(dt=dt, UT=UT)
@@ -355,19 +336,19 @@ class SigmaPointUKF:
         return means, covs
 
     def rts_smoother(
-        self, Xs: Any, Ps: Any, Qs: Any = None, dts: Any = None, UT: Function | None = None
+        self, Xs: Any, Ps: Any, Qs: Any = None, dts: Any = None, UT: MaybeFunction = None
     ) -> tuple[Array, Array, Array]:
         """Smoothed means ``(T, n)``, covariances and gains ``(T, n, n)``.
 
         ``dts[k]`` and ``Qs[k]``, which filterpy ignores, lead from k to k + 1.
         """
         count, n = len(Xs), self._dim_x
-        xs, ps, gains = (
-            finite("Xs", Xs, (count, n)),
-            finite("Ps", Ps, (count, n, n)),
-            np.zeros((count, n, n)),
+        xs, ps = finite("Xs", Xs, (count, n)), finite("Ps", Ps, (count, n, n))
+        gains = np.zeros((count, n, n))
+        Qs, dts = (
+            self._per_epoch("Qs", Qs, self.Q, count),
+            self._per_epoch("dts", dts, self._dt, count),
         )
-        Qs, dts = self._each("Qs", Qs, self.Q, count), self._each("dts", dts, self._dt, count)
         after = self._from(xs[-1], ps[-1], "Ps")
         for k in reversed(range(count - 1)):
             belief, function = self._from(xs[k], ps[k], "Ps"), self._motion(dts[k], None, {})
@@ -393,15 +374,10 @@ class SigmaPointUKF:
     def __repr__(self) -> str:
         names = (
             "x P x_prior P_prior Q R S K y log_likelihood likelihood mahalanobis sigmas_f sigmas_h "
-            "Wm Wc residual_x residual_z"
+            "Wm Wc residual_x residual_z msqrt hx fx x_mean z_mean"
         )
-        names += " msqrt hx fx x_mean z_mean"
-        return "\n".join(
-            [
-                f"{type(self).__name__} object",
-                *(str(pretty_str(name, getattr(self, name))) for name in names.split()),
-            ]
-        )
+        rows = (str(pretty_str(name, getattr(self, name))) for name in names.split())
+        return "\n".join([f"{type(self).__name__} object", *rows])
 
     def __getstate__(self) -> Mapping[str, Any]:
         self._made = {
@@ -416,33 +392,35 @@ class SigmaPointUKF:
             x = finite("x", x).ravel()
         if len(x) != n:
             raise ValueError(f"x: expected {n} components, got {len(x)}")
-        key = P.shape, P.tobytes()
-        stored = self._roots.get("P")
-        if stored is None or stored[0] != key:
-            stored = self._roots["P"] = key, self._from(x, P if P.ndim else P * np.eye(n))[1]
-        return self._form(x, stored[1])
+        key, factor = self._roots.get("P", (None, P))
+        if key != (P.shape, P.tobytes()):
+            factor = self._from(x, P if P.ndim else P * np.eye(n))[1]
+            self._roots["P"] = (P.shape, P.tobytes()), factor
+        return self._form(x, factor)
 
     def _root(self, name: str, cov: Any, n: int) -> Array:
         """Lower root ``(n, n)`` of a noise as in filterpy, computed anew only if the noise has
         changed.
         """
         matrix = np.zeros((n, n)) if cov is None else numbers(name, cov)
-        key = n, matrix.shape, matrix.tobytes()
-        stored = self._roots.get(name)
-        if stored is None or stored[0] != key:
-            if matrix.size == 1:
-                if n > 1 and matrix.any():
-                    fill, eye = f"the number {matrix.item():g}", f"{matrix.item():g} * np.eye({n})"
-                    text = (
-                        f"{name}: {fill} counts in every element, as in filterpy; {eye} is a "
-                        "variance of every component"
-                    )
-                    warnings.warn(text, stacklevel=3)
-                matrix = np.full((n, n), matrix.item())
-            stored = self._roots[name] = key, symmetric(matrix, name, n)[1]
-        return stored[1]
+        present = n, matrix.shape, matrix.tobytes()
+        key, root = self._roots.get(name, (None, matrix))
+        if key == present:
+            return root
+        if matrix.size == 1:
+            if n > 1 and matrix.any():
+                number = f"{matrix.item():g}"
+                warnings.warn(
+                    f"{name}: the number {number} counts in every element, as in filterpy; "
+                    f"{number} * np.eye({n}) is a variance of every component",
+                    stacklevel=3,
+                )
+            matrix = np.full((n, n), matrix.item())
+        root = symmetric(matrix, name, n)[1]
+        self._roots[name] = present, root
+        return root
 
-    def _motion(self, dt: Any, fx: Function | None, options: dict[str, Any]) -> Model:
+    def _motion(self, dt: Any, fx: MaybeFunction, options: dict[str, Any]) -> Model:
         dt = self._dt if dt is None else dt
         # Only numbers are checked here, as in filterpy; fx interprets everything else. Dates of
         # numpy would count as numbers there.
@@ -450,11 +428,33 @@ class SigmaPointUKF:
             isinstance(dt, (float, int, np.number)) and not isfinite(dt)
         ):
             raise ValueError(f"dt: expected a finite number, got {dt!r}")
-        return _model_of(
-            self._vectorized, "fx", self.fx if fx is None else fx, self._dim_x, (dt,), options
-        )
+        return self._model("fx", fx or self.fx, self._dim_x, options, dt)
 
-    def _each(self, name: str, values: Any, default: Any, count: int) -> Any:
+    def _model(
+        self, name: str, function: Function, m: int, options: dict[str, Any], *arguments: Any
+    ) -> Model:
+        """A model ``(p, n) -> (p, m)`` of all points, from filterpy's function of one point or, if
+        ``vectorized``, of all.
+        """
+
+        def model(points: Array, epoch: Any) -> Array:  # noqa: ARG001
+            x = points.copy()  # which the function may change
+            if self._vectorized:
+                images: Any = function(x, *arguments, **options)
+            else:
+                images = [function(point, *arguments, **options) for point in x]
+                if set(map(type, images)) == {np.ndarray}:
+                    images = np.asarray(images)
+            values = numbers(name, images)
+            if values.shape != (len(x), m):
+                values = values.reshape(len(x), -1)
+                if values.shape[-1] != m:
+                    raise ValueError(f"{name} returned shape {values.shape[1:]}, expected ({m},)")
+            return values
+
+        return model
+
+    def _per_epoch(self, name: str, values: Any, default: Any, count: int) -> Any:
         """A value for each of ``count`` epochs."""
         if values is None or np.isscalar(values):
             return [default if values is None else values] * count
@@ -494,49 +494,10 @@ class SquareRootUKF(SigmaPointUKF):
 
 
 # -- filterpy's functions of one vector as functions of all points ---------------------------------
-def _model_of(
-    vectorized: bool,
-    name: str,
-    function: Function,
-    m: int,
-    arguments: tuple[Any, ...],
-    options: dict[str, Any],
-) -> Model:
-    """A model ``(p, n) -> (p, m)`` of all points, from filterpy's function of one point or, if
-    ``vectorized``, of all.
-    """
-
-    def model(points: Array, epoch: Any) -> Array:  # noqa: ARG001
-        x = points.copy()  # which the function may change
-        images: Any = (
-            function(x, *arguments, **options)
-            if vectorized
-            else [function(point, *arguments, **options) for point in x]
-        )
-        values = numbers(
-            name,
-            np.asarray(images)
-            if not vectorized and set(map(type, images)) == {np.ndarray}
-            else images,
-        )
-        if values.shape != (len(x), m):
-            values = values.reshape(len(x), -1)
-            if values.shape[-1] != m:
-                raise ValueError(f"{name} returned shape {values.shape[1:]}, expected ({m},)")
-        return values
-
-    return model
-
-
-def _space_of(add: Function, residual: Function, mean: Function | None) -> Space:
+def _space_of(add: Function, residual: Function, mean: MaybeFunction) -> Space:
     """The space with filterpy's ``state_add``, residual and mean; None: no special mean."""
     if add is np.add and residual is np.subtract and mean is None:
         return EUCLIDEAN
-    mean_of = (
-        None
-        if mean is None
-        else lambda points, weights: np.asarray(mean(points, weights), dtype=np.float64)
-    )
 
     def plus(point: Array, tangent: Any) -> Array:
         """Sums of a point and all tangents; ``add`` may change its first argument. With 0
@@ -544,7 +505,14 @@ def _space_of(add: Function, residual: Function, mean: Function | None) -> Space
         """
         return _by_row(lambda row: add(point.copy(), row), tangent) if np.ndim(tangent) else point
 
-    return Space(EUCLIDEAN.plus if add is np.add else plus, _differences(residual), None, mean_of)
+    def mean_of(points: Array, weights: Array) -> Array:
+        return np.asarray(mean(points, weights), dtype=np.float64)  # type: ignore[misc]
+
+    return Space(
+        np.add if add is np.add else plus,
+        _differences(residual),
+        mean=None if mean is None else mean_of,
+    )
 
 
 def _differences(residual: Function) -> Function:
@@ -555,6 +523,5 @@ def _differences(residual: Function) -> Function:
 
 
 def _by_row(function: Function, rows: Array) -> Array:
-    return np.array([function(row) for row in np.atleast_2d(rows)], dtype=np.float64).reshape(
-        rows.shape
-    )
+    values = [function(row) for row in np.atleast_2d(rows)]
+    return np.array(values, dtype=np.float64).reshape(rows.shape)

@@ -12,7 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.filters.records import Epoch, Info, is_zero_interval
+from celnav.filters.records import Epoch, Info
+from celnav.filters.sequential import is_zero_interval
 from celnav.gaussian.belief import Gaussian, mask_failed
 from celnav.gaussian.checks import describe, finite, sequence
 from celnav.gaussian.linalg import Array, Belief, SquareRoot, whiten
@@ -109,6 +110,7 @@ class InteractingModels:
                 for j, before in enumerate(states)
             )
             weights = ahead[..., 0, :]
+        # Each model steps from its own mixture of the beliefs of all models.
         stepped = [
             filter.step(before, epoch) for filter, before in zip(self.filters, states, strict=True)
         ]
@@ -132,6 +134,7 @@ def mixed(space: Space, beliefs: Sequence[Belief], weights: Array) -> Belief:
     mean, form, curved = beliefs[0].mean, type(beliefs[0]), space.transport
     # On a curved space the mean is the point where the weighted differences cancel: iterate.
     for _ in range(1 if space is EUCLIDEAN else 3):
+        # (..., n, k): the differences of the models' means, one column for each model.
         deviations = np.stack(
             np.broadcast_arrays(*(space.minus(belief.mean, mean) for belief in beliefs)), -1
         )
@@ -161,9 +164,11 @@ def _weighed(infos: Sequence[Any], weights: Array) -> tuple[Info, Array]:
         return infos[0], weights
     both = weights + np.stack(np.broadcast_arrays(*(info.log_likelihood for info in infos)), -1)
     density, mu = _total(both, -1), np.exp(weights)
+    # A component counts if every model uses it.
     used = reduce(np.logical_and, [info.used for info in infos])
     y = np.stack(np.broadcast_arrays(*(info.innovation for info in infos)), -1)
     innovation = np.add.reduce(y * mu[..., None, :], -1)
+    # (..., m, k): columns of the covariance between the models' predictions.
     apart = np.where(used[..., None], y - innovation[..., None], 0.0) * np.sqrt(mu)[..., None, :]
     S = SquareRoot.mixed(
         [np.where(used[..., None], info.sqrt_S, np.eye(used.shape[-1])) for info in infos],
@@ -186,6 +191,7 @@ def _weighed(infos: Sequence[Any], weights: Array) -> tuple[Info, Array]:
 
 def _total(x: Array, axis: int) -> Array:
     """Logarithm of a sum of exponentials, scaled by the largest so that it cannot underflow."""
+    # If all terms are -inf the largest is taken as finite, because -inf - -inf is nan.
     most = np.maximum(np.maximum.reduce(x, axis, keepdims=True), LEAST)
     with np.errstate(divide="ignore"):
         return np.asanyarray(
@@ -214,17 +220,10 @@ def imm(
     >>> also = lambda epoch, state, infos: {"probabilities": state.probabilities}
     >>> track = celnav.run(filter, prior, times, z, also=also)
     """
-    made = tuple(
-        sequence("filters", filters, "[celnav.ukf(cruise, radar), celnav.ukf(turn, radar)]", 1)
-    )
-    k, wrong = (
-        len(made),
-        [
-            model
-            for model in made
-            if not all(hasattr(model, name) for name in ("start", "step", "motion"))
-        ],
-    )
+    example = "[celnav.ukf(cruise, radar), celnav.ukf(turn, radar)]"
+    models = tuple(sequence("filters", filters, example, 1))
+    k, verbs = len(models), ("start", "step", "motion")
+    wrong = [model for model in models if not all(hasattr(model, verb) for verb in verbs)]
     if wrong:
         raise ValueError(
             "filters: expected filters, such as celnav.ukf(motion, sensor), got "
@@ -238,4 +237,4 @@ def imm(
                 f"{name}: expected probabilities that sum to 1 in each row, got {p.tolist()}"
             )
     with np.errstate(divide="ignore"):
-        return InteractingModels(made, np.log(chances), np.log(first))
+        return InteractingModels(models, np.log(chances), np.log(first))

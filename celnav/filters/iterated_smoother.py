@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from celnav.filters.joint import Joint
-from celnav.filters.model import Sensor
+from celnav.filters.model import Motion, Sensor
 from celnav.filters.records import Epoch, Epochs
 from celnav.filters.run import ENGINE, ENGINES, as_epochs, run
 from celnav.filters.sequential import (
@@ -84,9 +84,9 @@ def iterated_smoother(
         back = "numpy" if last else by
         track = smooth(track, gains=last, on_failure=on_failure, engine=back, jobs=jobs)
         # The next pass linearizes over the smoothed beliefs.
-        epochs, linearized = _told(epochs, _ends(prior, track)), relinearized(filter)
+        epochs, linearized = _with_about(epochs, _ends(prior, track)), relinearized(filter)
     return replace(
-        track, filter=filter, epochs=_told(track.epochs, None), engine=why or track.engine
+        track, filter=filter, epochs=_with_about(track.epochs, None), engine=why or track.engine
     )
 
 
@@ -102,10 +102,10 @@ def _ends(prior: Gaussian, track: Track) -> tuple[Belief, Belief]:
     return form(*(np.concatenate([a, b[:-1]]) for a, b in pairs)), after
 
 
-def _told(epochs: Any, about: Any) -> Any:
+def _with_about(epochs: Any, about: Any) -> Any:
     """The same epochs with their ``about``: rows of a tuple of beliefs, or None."""
     if isinstance(epochs, Epochs):
-        return epochs.told(about)
+        return epochs.with_about(about)
     rows = [None] * len(epochs) if about is None else zip(*(map(type(x), *x) for x in about))
     return [epoch._replace(about=row) for epoch, row in zip(epochs, rows, strict=True)]
 
@@ -135,23 +135,9 @@ class Relinearized(Sequential):
             gain=filter.gain,
         )
 
-    def transition(self, belief: Belief, epoch: Epoch, after: Array, rule: Any = None) -> Joint:
-        """The joint of the state after the interval, as if measured to be ``after``, and of the one
-        before it.
-        """
-        motion = self.motion
-        return linearized_over(
-            epoch.about[0],
-            rule or self.rule,
-            belief,
-            motion,
-            motion.space,
-            lambda rule, belief: super(Relinearized, self).transition(belief, epoch, after, rule),
-        )
-
     def predicted(self, belief: Belief, epoch: Epoch) -> Joint:
         """The joint of a prediction: the state after the interval."""
-        both = self.transition(belief, epoch, epoch.about[1].mean)
+        both = self.measured(self.motion, belief, epoch.about[1].mean, epoch)
         noise = both.measurement_noise
         return both._replace(
             innovation=None,
@@ -163,14 +149,16 @@ class Relinearized(Sequential):
         )
 
     def measured(
-        self, sensor: Sensor, belief: Belief, z: Array, epoch: Epoch, rule: Any = None
+        self, model: Motion | Sensor, belief: Belief, z: Array, epoch: Epoch, rule: Any = None
     ) -> Joint:
-        """The joint of what a sensor measures and of the state."""
+        """The joint of a model's values and of the state."""
+        # The motion starts from the first belief; a sensor measures at the end of the interval.
+        start, end = epoch.about
         return linearized_over(
-            epoch.about[1],
+            start if model is self.motion else end,
             rule or self.rule,
             belief,
-            sensor,
+            model,
             self.motion.space,
-            lambda rule, belief: super(Relinearized, self).measured(sensor, belief, z, epoch, rule),
+            lambda rule, belief: super(Relinearized, self).measured(model, belief, z, epoch, rule),
         )

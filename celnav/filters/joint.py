@@ -30,6 +30,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
+from itertools import repeat
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -42,7 +43,6 @@ from celnav.filters.model import (
     Sensor,
     as_floats,
     check_return,
-    is_linear,
     matrices_of,
 )
 from celnav.filters.records import Info
@@ -56,13 +56,14 @@ from celnav.gaussian.linalg import (
     block,
     is_concretely_true,
     matvec,
+    present,
     side_by_side,
     solve_right,
     whiten,
 )
 from celnav.gaussian.rules import Image, Taylor
 from celnav.gaussian.spaces import EUCLIDEAN, Space
-from celnav.tape.numbers import each_row, in_model, known_alike, present
+from celnav.tape.numbers import each_row, in_model, known_alike
 from celnav.tape.tape import cannot_compile
 
 KEEP: Final = object()
@@ -104,18 +105,19 @@ class Joint(NamedTuple):
         square-root form with a linear measurement the measurement noise stands first: each of its
         columns has one row, so the reflections are short, and a large noise keeps its digits.
         """
-        images = (self.state,) if self.measurement is None else (self.measurement, self.state)
-        # [[D_z], [D_x]], to which the columns of the noises are appended.
-        rows: list[list[Any]] = [[image.columns] for image in images]
-        if self.process_noise is not None:
-            for row, W in zip(rows, self.process_noise[-len(rows) :], strict=True):
-                row.append(W)
-        if self.measurement_noise is not None:
-            at = 0 if self.noise_first else len(rows[0])
-            rows[0].insert(at, self.measurement_noise)
-            rows[1].insert(at, 0)
-        A = block(rows)
-        return A, _padded(self.sign, A.shape[-1] - len(self.sign))
+        measurement, W, V = self.measurement, self.process_noise, self.measurement_noise
+        x_row: list[Any] = [self.state.columns]
+        z_row: list[Any] = [] if measurement is None else [measurement.columns]
+        if W is not None:
+            z_row.append(W[0])
+            x_row.append(W[1])
+        if V is not None:
+            at = 0 if self.noise_first else len(z_row)
+            z_row.insert(at, V)
+            x_row.insert(at, 0)
+        A = block([x_row] if measurement is None else [z_row, x_row])
+        sign = self.sign
+        return A, sign if len(sign) == 1 else _padded(sign, A.shape[-1] - len(sign))
 
     def covariances(self) -> tuple[Array, Array]:
         """Covariance of the innovation without measurement noise ``(..., m, m)``, and that of state
@@ -130,6 +132,7 @@ class Joint(NamedTuple):
     def variances(self) -> tuple[Array, Array]:
         """Variances ``(..., m)`` of the innovation without measurement noise, and of that noise."""
         A, sign = self._replace(measurement_noise=None).columns()
+        # The rows of the measurement, (..., m, q); process noise may reach it as well.
         D = A[..., : self.measurement.columns.shape[-2], :]
         return np.vecdot(_signed(D, sign), D), self.noise_variances()
 
@@ -157,8 +160,8 @@ that returns it.
 
 
 def _padded(sign: Array, count: int) -> Array:
-    """The signs with ``count`` more columns of noise; a single 1 still stands for all columns."""
-    return sign if len(sign) == 1 or not count else np.append(sign, np.ones(count))
+    """The signs with +1 for ``count`` more columns of noise."""
+    return np.append(sign, np.ones(count))
 
 
 def _signed(A: Array, sign: Array) -> Array:
@@ -195,39 +198,44 @@ def joint(
         roots of the noises that go through the points.
     """
     rule = rule_for(rule, belief, augment)
-    W: Any = noise_at(process_noise, belief.mean, epoch)
-    V = noise_at(measurement_noise, belief.mean, epoch)
+    W, V = process_noise, measurement_noise
+    if callable(W):
+        W = in_model(W, belief.mean, epoch)
+    if callable(V):
+        V = in_model(V, belief.mean, epoch)
     # Columns beside the measurement, and beside the state.
     W = W if W is None or type(W) is tuple else (0, W)
-    for name, columns in (("Q", W and W[1]), ("R", V), *(("augment", E) for E in augment)):
+    W_x = None if W is None else W[1]
+    names = ("Q", "R", *["augment"] * len(augment))
+    for name, columns in zip(names, (W_x, V, *augment), strict=True):
         if columns is not None and columns.ndim > 2:
             # The noise may have axes of runs that the belief lacks, and a model may need them.
             belief = broadcast_to_runs(name, columns.shape[:-2], belief)
     m = None if z is None else z.shape[-1]
-    images = None
-    if not callable(outputs):
-        images = _linear_images(outputs, rule, belief, epoch, space, augment)
-    sign = rule.sign if images is None else POSITIVE
-    if images is None:
+    if not callable(outputs) and all(map(by_matrix, outputs, repeat(rule))):
+        images, sign = _linear_images(outputs, rule, belief, epoch, space, augment), POSITIVE
+    else:
         images = _point_images(outputs, rule, belief, epoch, space, spaces, augment, m)
+        sign = rule.sign
     measurement, state = images[0], images[-1]
     first: Any = None if callable(outputs) else outputs[0]
     if V is not None and not V.ndim:  # a standard deviation alone
         V = V * np.eye(measurement.columns.shape[-2])
     owner = "Q" if isinstance(first, Motion) else "R"
-    for name, columns, image in (("Q", W and W[1], state), (owner, V, measurement)):
+    for name, columns, image in (("Q", W_x, state), (owner, V, measurement)):
         rows = image.columns.shape[-2]
         if columns is not None and columns.shape[-2] != rows:
             raise ValueError(
                 f"{name}: expected {rows} rows to go with the model, got {columns.shape[-2]}"
             )
+    # The state is the belief's own: nothing has been pushed through a function or added.
     prior_factor = belief[1] if state.center is belief.mean and W is None else None
     if z is None:
         return Joint(None, None, state, sign, W, None, prior_factor)
     z_space = getattr(first, "space", EUCLIDEAN) if spaces is None else spaces[0]
     innovation = _innovation(z, measurement, z_space, belief)
     by_qr = isinstance(belief, SquareRoot) and sign is POSITIVE
-    noise_first = by_qr and isinstance(first, Sensor) and is_linear(first.h)
+    noise_first = by_qr and isinstance(first, Sensor) and first.linear
     return Joint(innovation, measurement, state, sign, W, V, prior_factor, noise_first)
 
 
@@ -241,6 +249,8 @@ def _innovation(z: Array, measurement: Image, space: Space, belief: Belief) -> A
         broadcast_batches("z", z.shape[:-1], belief.mean.shape[:-1], "the belief")
     if space is EUCLIDEAN:
         return np.asanyarray(z - center - shift)
+    if not shift.dtype.hasobject and not shift.any():  # such as that of Taylor's rule
+        return np.asanyarray(space.minus(z, center))
     # z - (center + shift), as a difference from the center: an angle's mean may lie across the
     # seam.
     return np.asanyarray(space.minus(space.plus(center, space.minus(z, center) - shift), center))
@@ -257,7 +267,7 @@ def rule_for(rule: Any, belief: Belief, augment: Sequence[Array] = ()) -> Any:
 
 
 def noise_at(noise: Any, mean: Array, epoch: Any) -> Any:
-    """Columns of a noise at an epoch."""
+    """Columns of a noise at an epoch, constant or a function of both."""
     return in_model(noise, mean, epoch) if callable(noise) else noise
 
 
@@ -273,13 +283,14 @@ def _point_images(
     m: int | None,
 ) -> list[Image]:
     """Images of the outputs, from their values at the points of a rule."""
+    # Points lie along the columns of a root, in either form.
     root, n = belief.sqrt_cov, belief[1].shape[-1]
     x, *noise = rule.points(belief.mean, root, space, augment)
     values = outputs(x, epoch, *noise) if callable(outputs) else outputs
     images = []
     for i, y in enumerate(values):
         if y is KEEP:
-            columns = rule.kept(root, augment)
+            columns = rule.state_columns(root, augment)
             images.append(Image(belief.mean, np.zeros(n), columns, partial(np.eye, n)))
         elif isinstance(y, np.ndarray):
             images.append(rule.image(y, EUCLIDEAN if spaces is None else spaces[i], root))
@@ -297,30 +308,13 @@ def evaluate(
     run must be treated separately. The function may change its argument: the points are made for
     one call, and a caller that uses them twice passes a copy.
     """
-    function: Any = getattr(model, model.name)
-    if not callable(function):
-        return matvec(function, x)
-    if unknown(function, x):
-        copies = [array.copy(order="K") for array in (x, *noise)]
-        # The model may return a buffer of its own, which the check would overwrite.
-        y = _values(model, x, epoch, noise, m).copy(order="K")
-        check_apart(model.name, function, copies, epoch, y)
-    else:
-        y = _values(model, x, epoch, noise, m)
-    if (look := WATCH.get()) is not None:
-        other = look(model.name, y)
-        y = y if other is None else other
-    return np.asanyarray(y)
-
-
-def _values(
-    model: Motion | Sensor, x: Array, epoch: Any, noise: Sequence[Array], m: int | None
-) -> Array:
-    """Values of a model as floats of the expected shape; an error carries a note with the arguments
-    of the model.
-    """
     name = model.name
     function: Any = getattr(model, name)
+    if not callable(function):
+        return matvec(function, x)
+    copies = None
+    if unknown(function, x):
+        copies = [array.copy(order="K") for array in (x, *noise)]
     try:
         if x.dtype.hasobject:
             y: Any = in_model(
@@ -345,17 +339,24 @@ def _values(
     if not y.ndim or y.shape[:-1] != x.shape[:-1] or size not in (None, y.shape[-1]):
         expected = ", ".join(map(str, (*x.shape[:-1], "m" if size is None else size)))
         raise ValueError(f"{name} returned shape {y.shape}, expected ({expected}); {POINTS}")
+    if copies is not None:
+        # The model may return a buffer of its own, which the check would overwrite.
+        y = y.copy(order="K")
+        check_apart(name, function, copies, epoch, y)
+    if (look := WATCH.get()) is not None:
+        other = look(name, y)
+        y = y if other is None else other
     return np.asanyarray(y)
 
 
 # -- by matrices -----------------------------------------------------------------------------------
-def by_matrix(model: Any, rule: Any) -> bool:
-    """Whether the matrix of a model is enough: it is linear, or the rule is Taylor's and the model
-    has a ``jacobian``.
+def by_matrix(output: Any, rule: Any) -> bool:
+    """Whether the matrix of an output is enough: a model is linear, or has a ``jacobian`` and the
+    rule is Taylor's; `KEEP` and ``(value, matrix)`` are linear.
     """
-    if isinstance(rule, Taylor) and model.jacobian is not None:
+    if output is KEEP or type(output) is tuple:
         return True
-    return is_linear(getattr(model, model.name))
+    return output.linear or (isinstance(rule, Taylor) and output.jacobian is not None)
 
 
 def linear(
@@ -363,7 +364,7 @@ def linear(
 ) -> tuple[Array, Array]:
     """Value at the mean and matrix of a model that enters `by_matrix`; ``space`` of the state."""
     function: Any = getattr(model, model.name)
-    if is_linear(function):
+    if model.linear:
         matrix = function.at(epoch, mean.shape[-1]) if isinstance(function, Linear) else function
         if model.name == "f" and matrix.shape[-2] != mean.shape[-1]:
             n = mean.shape[-1]
@@ -373,6 +374,7 @@ def linear(
             look(model.name, value[None])
         return value, matrix
     center = mean if rule.about is None else np.broadcast_to(rule.about, mean.shape)
+    # One point (1, ..., N), and noise points (1, ..., k) at their mean.
     zero_noise = [np.zeros((1, *center.shape[:-1], E.shape[-2])) for E in model.augment]
     value = evaluate(model, center[None].copy(), epoch, zero_noise)[0]
     # f(mean) = f(center) + J (mean - center), where center is the point to expand about.
@@ -395,28 +397,19 @@ def _linear_images(
     epoch: Any,
     space: Space,
     augment: Sequence[Array],
-) -> list[Image] | None:
-    """Images of linear functions; None if one of them is not linear."""
-    for output in outputs:
-        if output is not KEEP and type(output) is not tuple and not by_matrix(output, rule):
-            return None
-    root, mean = belief.sqrt_cov, belief.mean
+) -> list[Image]:
+    """Images of linear functions, from their values at the mean and their matrices."""
+    root, mean, n = belief.sqrt_cov, belief.mean, belief[1].shape[-1]
     images = []
     for output in outputs:
         if output is KEEP:
-            images.append(_kept_image(mean, root, augment))
-            continue
-        value, J = output if type(output) is tuple else linear(output, rule, mean, epoch, space)
-        images.append(_linear_image(value, J, root, augment))
+            # A function with noises is linear under Taylor's rule only; they do not enter here.
+            columns = rule.state_columns(root, augment) if augment else root
+            images.append(Image(mean, np.zeros(n), columns, partial(np.eye, n)))
+        else:
+            value, J = output if type(output) is tuple else linear(output, rule, mean, epoch, space)
+            images.append(_linear_image(value, J, root, augment))
     return images
-
-
-def _kept_image(mean: Array, root: Array, augment: Sequence[Array]) -> Image:
-    """The image of the identity; noise through the points does not enter."""
-    n, columns = root.shape[-1], root
-    if augment:
-        columns = side_by_side([root, *(np.zeros((n, E.shape[-1])) for E in augment)])
-    return Image(mean, np.zeros(n), columns, partial(np.eye, n))
 
 
 def _linear_image(value: Array, J: Array, root: Array, augment: Sequence[Array]) -> Image:
@@ -477,6 +470,7 @@ def shared_mask(used: Array) -> Array:
     """A mask ``(..., m)`` as ``(m,)`` if it is the same in all runs, so that what they share stays
     one for all.
     """
+    # Reduced over all axes of runs, (m,): a run with a gap of its own makes them differ.
     every: Array = np.logical_and.reduce(used, tuple(range(used.ndim - 1)))
     return every if used.ndim == 1 or every.all() or (used == every).all() else used
 
@@ -510,20 +504,22 @@ def condition(
         joint, memory = _adapted(joint, hooks, memory, epoch)
     y, m = joint.innovation, joint.innovation.shape[-1]
     used = present(y)
-    mask = shared_mask(used)
+    complete = is_concretely_true(used.all())
     A, sign = joint.columns()
-    if not is_concretely_true(mask.all()):
+    if not complete:
+        mask = shared_mask(used)
         # Rows that were not measured: no columns from the prior, a noise of variance 1 and a zero
         # innovation, so that they change nothing.
         A = block(
             [[A[..., :m, :] * mask[..., None], np.eye(m) * ~mask[..., None]], [A[..., m:, :], 0]]
         )
-        sign = _padded(sign, m)
+        sign = sign if len(sign) == 1 else _padded(sign, m)
         y = np.where(mask, y, 0.0)
     K: Any = gain
     if gain is not None:
         K = gain(A, sign, m) if callable(gain) else gain
-        K = numbers("gain", K, (..., A.shape[-2] - m, m)) * mask[..., None, :]
+        K = numbers("gain", K, (..., A.shape[-2] - m, m))
+        K = K if complete else K * mask[..., None, :]
     # S (..., m, m), U = K S (..., n, m), and the root or covariance of the state given z.
     S, U, factor = form.condition(
         A, sign, m, K, prior_factor=joint.prior_factor, noise=joint.measurement_noise
@@ -537,6 +533,7 @@ def condition(
     def gain_used() -> Array:
         return solve_right(S, U) if K is None else K
 
+    # After the hooks: what was used, not what the model says.
     R = joint.noise_variances() if hooks else None
     info = Info(measured, whitened, used, S, gain_used, joint.measurement.jacobian, R=R)
     return _belief(form, space.plus(joint.state.center, step), factor), info, memory

@@ -56,11 +56,6 @@ class Linear:
         return numbers("matrix", unmasked("matrix", self.matrix(epoch)), (..., None, n))
 
 
-def is_linear(model: Any) -> bool:
-    """Whether a model is a matrix, of the epoch or constant."""
-    return isinstance(model, Linear) or not callable(model)
-
-
 @dataclass(frozen=True, eq=False)
 class _Model:
     """The checks that `Motion` and `Sensor` share: a function or a matrix, a valid space, and a
@@ -108,7 +103,7 @@ class _Model:
             )
         instance("space", self.space, Space, "a Space, such as celnav.angles([0])")
         roots = check_roots("augment", self.augment)
-        if len(roots) and is_linear(model):
+        if len(roots) and self.linear:
             raise ValueError(
                 f"augment: expected a function {name}(points, epoch, *noise) with it, got a "
                 f"matrix; {noise} is its noise"
@@ -118,6 +113,12 @@ class _Model:
                 f"{noise}: expected the noise's covariance, {noise} or sqrt_{noise}; without noise "
                 "it is np.zeros((k, k))"
             )
+
+    @cached_property
+    def linear(self) -> bool:
+        """Whether the model is a matrix, constant or of the epoch."""
+        model = getattr(self, self.name)
+        return isinstance(model, Linear) or not callable(model)
 
     @cached_property
     def noise(self) -> Noise:
@@ -261,10 +262,13 @@ def _widened(columns: Array, rows: Rows, mean: Any = None, _epoch: Any = None) -
 
 def matrices_of(name: str, function: Any, mean: Array, epoch: Any) -> Array:
     """Matrices ``(..., k, n)`` of a function ``(mean, epoch)``, which may change its argument."""
-    matrices = numbers(name, unmasked(name, in_model(function, mean.copy(), epoch)))
+    x = mean.copy()
+    matrices = in_model(function, x, epoch) if x.dtype.hasobject else function(x, epoch)
+    if type(matrices) is not np.ndarray or matrices.dtype != np.float64:
+        matrices = numbers(name, unmasked(name, matrices))
     if matrices.ndim > 1 and unknown(function, mean):
         check_matrices_apart(name, function, mean, epoch, matrices)
-    return matrices
+    return np.asanyarray(matrices)
 
 
 def check_roots(name: str, roots: Any) -> Sequence[Array]:
@@ -285,8 +289,9 @@ def check_matrices(N: int, n: int, *models: Motion | Sensor) -> None:
     """Check matrices of models against a state of N components and n deviations; ValueError names
     one that does not fit.
     """
-    for name, matrix in ((model.name, getattr(model, model.name)) for model in models):
-        if n != N and is_linear(matrix):
+    for model in models:
+        name, matrix = model.name, getattr(model, model.name)
+        if n != N and model.linear:
             raise ValueError(
                 f"{name}: expected a function where states have {N} components and {n} deviations, "
                 "such as lambda x, epoch: x[..., -3:], got a matrix"

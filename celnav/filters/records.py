@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.checks import describe, finite, numbers
-from celnav.gaussian.linalg import Array, is_concretely_true
+from celnav.gaussian.linalg import Array
 
 __all__ = ["Epoch", "Filter", "FilterError", "FromFunctions", "Info", "epochs"]
 
@@ -50,11 +50,6 @@ class Epoch(NamedTuple):
     about: Any = None
 
 
-def is_zero_interval(epoch: Any) -> bool:
-    """Whether the interval of an epoch is known to be zero in every run."""
-    return epoch.dt == 0.0 if isinstance(epoch.dt, float) else is_concretely_true(~np.any(epoch.dt))
-
-
 class Info(NamedTuple):
     """The result of an update with one measurement.
 
@@ -66,7 +61,7 @@ class Info(NamedTuple):
     sqrt_S: ``(..., m, m)`` S, with unit rows for components not used.
     gain, jacobian: ``() -> (..., n, m)`` and ``() -> (..., m, n)``, the measurement's (statistical)
         Jacobian.
-    redone: ``(...)`` bool, the runs that the second filter of a `celnav.filters.fallback.Fallback`
+    redone: ``(...)`` bool, the runs that the second filter of a `celnav.filters.switching.Fallback`
         has repeated; None without one.
     silent: whether there was no measurement at all, not even nan.
     R: ``(..., m)`` variances of the measurement noise after the hooks; None without hooks.
@@ -237,7 +232,7 @@ class Epochs(Sequence[Epoch]):
         """The same epochs without measurements and truth."""
         return self._with(_z=None, _truth=None)
 
-    def told(self, about: Any) -> Epochs:
+    def with_about(self, about: Any) -> Epochs:
         """The same epochs with ``about``: a tree of columns ``(T, ...)``."""
         return self._with(_about=about)
 

@@ -25,7 +25,7 @@ from celnav.filters.joint import (
     marginal,
 )
 from celnav.filters.model import Motion, Sensor, check_matrices, check_prior, check_roots
-from celnav.filters.records import Epoch, Info, State, is_zero_interval
+from celnav.filters.records import Epoch, Info, State
 from celnav.filters.regression import regressed
 from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.checks import (
@@ -94,6 +94,7 @@ class Sequential:
         space = self.motion.space
         if space.check is not None:
             space.check(belief.mean, "prior")
+        # n is the dimension of differences, which need not be N: 3 of a quaternion of 4 components.
         if (tangent := space.minus(belief.mean, belief.mean).shape[-1]) != n:
             raise ValueError(
                 f"prior: expected a covariance ({tangent}, {tangent}) of the deviations of states "
@@ -111,7 +112,11 @@ class Sequential:
 
     def predict(self, state: State, epoch: Epoch) -> State:
         """State at the end of the interval, before anything is measured."""
-        instance("state", state, State, "what the filter's start(prior) or last step gave")
+        if not isinstance(state, State):
+            raise ValueError(
+                "state: expected what the filter's start(prior) or last step gave, got "
+                f"{describe(state)}"
+            )
         if not hasattr(epoch, "dt"):
             raise ValueError(f"epoch: expected a record like celnav.Epoch, got {describe(epoch)}")
         if is_zero_interval(epoch):
@@ -122,6 +127,7 @@ class Sequential:
 
     def update(self, state: State, epoch: Epoch) -> tuple[State, tuple[Info, ...]]:
         """State given the measurements at the end of an epoch, and an `Info` of each sensor."""
+        # One sensor after the other: the belief after one is the prior of the next.
         belief, memory, infos = state.belief, list(state.memory), []
         for i, (sensor, z) in enumerate(
             zip(self.sensors, measurements(epoch.z, len(self.sensors)), strict=True)
@@ -152,23 +158,11 @@ class Sequential:
         )
 
     def measured(
-        self, sensor: Sensor, belief: Belief, z: Array, epoch: Epoch, rule: Any = None
+        self, model: Motion | Sensor, belief: Belief, z: Array, epoch: Epoch, rule: Any = None
     ) -> Joint:
-        """The joint of a sensor's measurement and of the state; ``rule``: instead of the
-        filter's.
+        """The joint of a sensor's measurement ``z`` and of the state; ``rule``: instead of the
+        filter's. For smoothing the model is the motion, and ``z`` the state after the interval.
         """
-        return self._with_state(rule, sensor, belief, z, epoch)
-
-    def transition(self, belief: Belief, epoch: Epoch, after: Array, rule: Any = None) -> Joint:
-        """The joint of the state after the interval, as if measured to be ``after``, and of the
-        state before it, for smoothing.
-        """
-        return self._with_state(rule, self.motion, belief, after, epoch)
-
-    def _with_state(
-        self, rule: Any, model: Motion | Sensor, belief: Belief, z: Array, epoch: Epoch
-    ) -> Joint:
-        """The joint of a model's values and of the state at which they are evaluated."""
         return joint(
             self.rule if rule is None else rule,
             belief,
@@ -210,7 +204,9 @@ class Sequential:
         """The belief, but nan in runs where a measurement without noise repeats what the prior
         already determines.
         """
+        # S_ii is the standard deviation of component i given the prior and the components before i.
         V, measured = joint.measurement_noise, joint.measurement
+        # (..., m): a component whose row of V is zero has no noise.
         exact = np.ones(1, bool) if V is None else np.asanyarray(~V.any(-1))
         if is_concretely_true(~exact.any()):
             return after
@@ -228,12 +224,14 @@ class Sequential:
                 self.motion.space.plus(belief.mean, np.concatenate([0.0 * axes[:1], axes])),
                 epoch,
             )
+            # (n, ..., m), then (..., m): the largest along the axes of the state.
             deviation = np.abs(sensor.space.minus(y[1:], y[:1])).max(0)
             size = (
                 np.abs(measured.center) if measured.center.shape == deviation.shape else np.zeros(1)
             )
         # S below this size is the round-off that remains after cancellation.
         least = 16.0 * (self.form.rounding() * deviation + EPS * size)
+        # (...), one truth value for each run: one redundant component is enough.
         redundant = (
             exact
             & np.asanyarray(info.used)
@@ -247,6 +245,11 @@ class Sequential:
         )
 
 
+def is_zero_interval(epoch: Any) -> bool:
+    """Whether the interval of an epoch is known to be zero in every run."""
+    return epoch.dt == 0.0 if isinstance(epoch.dt, float) else is_concretely_true(~np.any(epoch.dt))
+
+
 def measurements(z: Any, sensors: int) -> tuple[Any, ...]:
     """One measurement for each sensor, from the ``z`` of an epoch."""
     samples = z if isinstance(z, tuple) else (None,) * sensors if z is None or not sensors else (z,)
@@ -257,16 +260,13 @@ def measurements(z: Any, sensors: int) -> tuple[Any, ...]:
 
 def as_measurement(z: Any, sensor: Sensor) -> Array:
     """A measurement ``(..., m)`` as floats."""
-    measured = numbers("z", z)
-    if measured.ndim == 0:
-        raise ValueError(
-            f"z: expected shape (..., m), got the number {measured}; one component is [z]"
-        )
-    return (
-        measured
-        if sensor.space.check is None or measured.dtype.hasobject
-        else sensor.space.check(measured, "z")
-    )
+    if type(z) is not np.ndarray or z.dtype != np.float64:
+        z = numbers("z", z)
+    if z.ndim == 0:
+        raise ValueError(f"z: expected shape (..., m), got the number {z}; one component is [z]")
+    check = sensor.space.check
+    measurement: Array = z if check is None or z.dtype.hasobject else check(z, "z")
+    return measurement
 
 
 def is_missing(z: Any) -> bool:
@@ -280,6 +280,7 @@ def missing_info(sensor: Sensor, z: Any) -> Info:
     """The `Info` of a measurement that is missing as a whole."""
     if z is None:
         return Info(silent=True)
+    # The innovation has as many components as differences of measurements: 3 of a quaternion.
     nan_z = np.full(z.shape[-1], np.nan)
     shape = (*z.shape[:-1], sensor.space.minus(nan_z, nan_z).shape[-1])
     return Info(np.full(shape, np.nan), np.zeros(shape), np.zeros(shape, bool))
@@ -339,7 +340,7 @@ def sigma_point(
         sensors,
         rule=rule,
         form=FORMS[choice("form", form, FORMS)],
-        hooks=_each(hooks, len(sensors)),
+        hooks=_hooks_of_each_sensor(hooks, len(sensors)),
         gain=gain,
     )
     count = integer("iterations", iterations, 1, MOST_ITERATIONS)
@@ -361,6 +362,7 @@ def ukf(
 
     >>> filter = celnav.ukf(celnav.Motion(f, Q), celnav.Sensor(h, R))
     """
+    # Checks the three numbers; a negative kappa may be valid for the dimension of the state.
     unscented(1, alpha, beta, max(number("kappa", kappa), 0.0))
     return sigma_point(
         motion, *sensors, rule=partial(unscented, alpha=alpha, beta=beta, kappa=kappa), **options
@@ -383,6 +385,7 @@ def ghkf(motion: Motion, *sensors: Sensor, order: int = 3, **options: Any) -> Se
 
     >>> filter = celnav.ghkf(motion, gps, order=3)  # 729 points of six states
     """
+    # Checks the order before the dimension is known.
     gauss_hermite(1, order)
     return sigma_point(motion, *sensors, rule=partial(gauss_hermite, order=order), **options)
 
@@ -417,16 +420,16 @@ def ekf(motion: Motion, *sensors: Sensor, **options: Any) -> Sequential:
 
 def require_sequential(name: str, filter: Any) -> Sequential:
     """A filter that predicts, then updates, and does nothing else; ValueError for any other."""
-    made: Sequential = instance(name, filter, Sequential, "celnav.ukf(motion, sensor)")
-    if type(made).step is not Sequential.step:
+    sequential: Sequential = instance(name, filter, Sequential, "celnav.ukf(motion, sensor)")
+    if type(sequential).step is not Sequential.step:
         raise ValueError(
             f"{name}: expected a filter that predicts, then updates, such as celnav.ukf, got "
             f"{describe(filter)}"
         )
-    return made
+    return sequential
 
 
-def _each(hooks: Any, sensors: int) -> tuple[tuple[Hook, ...], ...]:
+def _hooks_of_each_sensor(hooks: Any, sensors: int) -> tuple[tuple[Hook, ...], ...]:
     """Hooks for each sensor."""
     if isinstance(hooks, str) or not isinstance(hooks, Sequence):
         raise ValueError(
@@ -492,6 +495,7 @@ class Iterated(Sequential):
         # Each update starts from the prior `belief`; only the linearization moves.
         for _ in range(self.iterations):
             joint, space = self.relinearized(about, sensor, belief, z, epoch), self.motion.space
+            # Hooks begin from the same memory in each iteration, so that a sample counts once.
             about, info, remembered = condition(
                 self.form, joint, space, hooks=hooks, memory=memory, epoch=epoch, gain=self.gain
             )
@@ -533,6 +537,7 @@ def linearized_over(
     # The matrix of a linear model is the same everywhere.
     if about is belief or by_matrix(model, rule):
         return draw(rule, belief)
+    # The regression is over `about`; the offset moves its line to the mean of the prior.
     return regressed(draw(rule, about), belief, space.minus(belief.mean, about.mean))
 
 

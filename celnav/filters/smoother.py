@@ -17,14 +17,14 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from celnav.filters.colored import Colored
-from celnav.filters.fallback import Fallback
 from celnav.filters.fixed_lag import FixedLag
 from celnav.filters.imm import InteractingModels
 from celnav.filters.joint import condition
-from celnav.filters.records import Epoch, Epochs, FilterError, Info, is_zero_interval
+from celnav.filters.records import Epoch, Epochs, FilterError, Info
 from celnav.filters.regression import pseudo_gain
 from celnav.filters.run import run
-from celnav.filters.sequential import Sequential, SingleDraw
+from celnav.filters.sequential import Sequential, SingleDraw, is_zero_interval
+from celnav.filters.switching import Fallback
 from celnav.filters.track import Track
 from celnav.filters.two_stage import TwoStage
 from celnav.gaussian.checks import choice, describe, instance
@@ -133,6 +133,7 @@ def smooth(
             jobs=jobs,
         )
         assert backward_track.belief is not None
+        # The last belief is the filter's own: it has all measurements already.
         mean[:-1], cov[:-1] = backward_track.belief.mean[::-1], backward_track.belief[1][::-1]
         if G is not None:
             G[:-1] = backward_track.extra["gain"][::-1]
@@ -210,7 +211,7 @@ def back(filter: Sequential, before: Belief, after: Belief, epoch: Epoch) -> tup
     """
     # x_s = x + G (x_s' - f), and P_s = (P - G S S' G') + G P_s' G' with G = cov(x, f) (S S')^+.
     form, space = filter.form, filter.motion.space
-    both = filter.transition(before, epoch, after.mean)
+    both = filter.measured(filter.motion, before, after.mean, epoch)
     center = both.measurement.center
     if (both.sign < 0.0).any():
         # A state that the next one determines exactly, such as a constant, cancels to round-off,
@@ -220,12 +221,15 @@ def back(filter: Sequential, before: Belief, after: Belief, epoch: Epoch) -> tup
             process_noise=(0, NEGLIGIBLE * size[..., None] * np.eye(size.shape[-1]))
         )
 
+    # P - G S S' G' by the Joseph form for the gain G, which is right for the pseudo-inverse too.
     inner, info, _ = condition(form, both, space, gain=partial(pseudo_gain, center=center))
     gain = info.gain()
 
     def carried(to: Array, at: Array, root: Array) -> Array:
         return root if space.transport is None else space.transport(space.minus(to, at)) @ root
 
+    # Columns of G P_s' G': deviations at the smoothed next state are carried to the predicted one,
+    # and deviations at the mean before smoothing to the smoothed mean.
     ahead = carried(inner.mean, before.mean, gain @ carried(center, after.mean, after.sqrt_cov))
     # Conditioning treats nan in the smoothed next state as not measured; here it is a failure.
     lost = ~np.isfinite(after.mean).all(-1, keepdims=True)

@@ -1,5 +1,5 @@
-"""Filters that alternate: before each step, a function chooses for each run which filter makes
-it.
+"""Filters of which one makes each step of a run: `Switching` chooses before the step, `Fallback`
+repeats the runs in which the first filter has failed.
 """
 
 from __future__ import annotations
@@ -10,16 +10,53 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from celnav.filters.fallback import merged, pick
 from celnav.filters.joint import broadcast_belief
+from celnav.filters.model import Motion
 from celnav.filters.records import Epoch, Filter, Info, State
+from celnav.filters.sequential import Sequential, require_sequential
 from celnav.gaussian.belief import Gaussian
-from celnav.gaussian.linalg import Array
+from celnav.gaussian.linalg import Array, Belief, is_concretely_true
 from celnav.tape.tape import CannotCompile
 
-__all__ = ["Switching"]
+__all__ = ["Fallback", "Switching"]
+
+Step = tuple[State, tuple[Info, ...]]
+MERGED = ("innovation", "whitened", "used", "sqrt_S", "gain", "jacobian", "R")
 
 
+# -- one filter in some runs, another in the rest --------------------------------------------------
+def merged(mask: Array, chosen: Step, otherwise: Step) -> Step:
+    """The step ``chosen`` in the runs where ``mask (...)`` is True, and ``otherwise`` in the rest;
+    the memory of hooks is that of ``otherwise``.
+    """
+    (state, infos), (other, others) = chosen, otherwise
+    pairs = zip(state.belief, other.belief, strict=True)
+    belief = type(other.belief)(*(_pick(mask, a, b) for a, b in pairs))
+    return other._replace(belief=belief), tuple(
+        _merged_info(mask, a, b) for a, b in zip(infos, others, strict=True)
+    )
+
+
+def _merged_info(mask: Array, info: Info, other: Info) -> Info:
+    """The `Info` of both filters, run by run; gains and Jacobians are merged on demand."""
+
+    def merge(name: str) -> Any:
+        a, b = getattr(info, name), getattr(other, name)
+        if a is None or b is None:
+            return b
+        return (lambda: _pick(mask, a(), b())) if callable(a) else _pick(mask, a, b)
+
+    return other._replace(**{name: merge(name) for name in MERGED})
+
+
+def _pick(mask: Array, chosen: Array, otherwise: Array) -> Array:
+    """Arrays of runs ``(..., any axes)``: ``chosen`` where the mask is True, else ``otherwise``."""
+    # The mask has axes of runs only: the axes of a vector or matrix follow them.
+    rank = max(chosen.ndim - mask.ndim, 0)
+    return np.where(mask.reshape(mask.shape + (1,) * rank), chosen, otherwise)
+
+
+# -- chosen before a step --------------------------------------------------------------------------
 class SwitchingState(NamedTuple):
     """State of a `Switching`; ``chosen (...)``: numbers of the filters of the last step, None
     before the first.
@@ -73,23 +110,89 @@ class Switching:
                 "choose: expected whole numbers of filters, 0 or more, for each run, got "
                 f"{chosen!r:.80}"
             )
-        belief: Any = None
-        infos: tuple[Info, ...] = ()
+        before = State(state.belief, state.memory)
+        result: Any = None
         for number in np.unique(chosen).tolist():
-            after, more = self.filters(number).step(State(state.belief, state.memory), epoch)
-            if any(memory is not None for memory in after.memory):
+            step = self.filters(number).step(before, epoch)
+            if any(memory is not None for memory in step[0].memory):
                 raise ValueError(
                     "filters: expected filters without hooks, whose memory would be of one filter "
                     "only"
                 )
-            if belief is None:
-                belief, infos = after.belief, more
-            else:
-                mask = chosen == number
-                belief = type(belief)(
-                    *(pick(mask, b, a) for a, b in zip(belief, after.belief, strict=True))
-                )
-                infos = tuple(merged(mask, a, b) for a, b in zip(infos, more, strict=True))
-        return SwitchingState(
-            belief, state.memory, np.broadcast_to(chosen, belief.mean.shape[:-1])
-        ), infos
+            result = step if result is None else merged(chosen == number, step, result)
+        after, infos = result
+        numbers = np.broadcast_to(chosen, after.belief.mean.shape[:-1])
+        return SwitchingState(after.belief, state.memory, numbers), infos
+
+
+# -- repeated after a failure ----------------------------------------------------------------------
+@dataclass(frozen=True, eq=False)
+class Fallback:
+    """Repeats, with a second filter, the runs in which the first one fails in a prediction or an
+    update.
+
+    ``first``, ``second``: filters of the same motion, sensors and hooks with different rules, for
+    example one with negative weights and one without. The other runs keep the first filter's result
+    bit for bit, and the memory of hooks is the first one's. `Info.redone` marks the repeated runs,
+    and the `Track` counts them in ``events["redone"]``. A run fails if both filters fail.
+
+    >>> grid, ckf = celnav.sparse_grid_filter(motion, sensor), celnav.ckf(motion, sensor)
+    >>> filter = celnav.filters.switching.Fallback(grid, ckf)
+    """
+
+    first: Sequential
+    second: Sequential
+
+    def __post_init__(self) -> None:
+        require_sequential("first", self.first)
+        require_sequential("second", self.second)
+        if self.first.form is not self.second.form or len(self.first.sensors) != len(
+            self.second.sensors
+        ):
+            raise ValueError(
+                "second: expected a filter of the same form and as many sensors as the first"
+            )
+
+    @property
+    def motion(self) -> Motion:
+        """The motion of both filters."""
+        return self.first.motion
+
+    def start(self, prior: Gaussian) -> State:
+
+        state = self.first.start(prior)
+        # Runs are repeated one by one, so each needs its own covariance.
+        return state._replace(belief=broadcast_belief(self.first.form, *state.belief))
+
+    def step(self, state: State, epoch: Epoch) -> Step:
+
+        (ahead, _), repredicted = self._repeated(
+            state, lambda filter: (filter.predict(state, epoch), ())
+        )
+        (after, infos), updated_again = self._repeated(
+            ahead, lambda filter: filter.update(ahead, epoch)
+        )
+        redone = repredicted | updated_again
+        if not is_concretely_true(~redone.any()):
+            first, *others = infos or (Info(),)
+            infos = (first._replace(redone=redone), *others)
+        return after, infos
+
+    def _repeated(self, before: State, step: Callable[[Sequential], Step]) -> tuple[Step, Array]:
+        """A step of the first filter, or of the second in runs where the first one fails, and the
+        mask of these runs.
+        """
+        result = step(self.first)
+        failed = _failed(result[0].belief)
+        if not is_concretely_true(~failed.any()):
+            failed = failed & ~_failed(before.belief)
+        if not is_concretely_true(~failed.any()):
+            result = merged(failed, step(self.second), result)
+        return result, failed
+
+
+def _failed(belief: Belief) -> Array:
+    """Runs ``(...)`` whose belief is not finite or, in covariance form too, not definite."""
+    return np.asanyarray(
+        ~(np.isfinite(belief.mean).all(-1) & np.isfinite(belief.sqrt_cov).all((-2, -1)))
+    )

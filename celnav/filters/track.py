@@ -238,7 +238,7 @@ class Collector:
     """Collects some ``rows`` of a `Track` at each ``every``-th epoch; sums cover every epoch."""
 
     def __init__(self, every: int, rows: Collection[str]):
-        self._every, self._kept, self._count = every, rows, 0
+        self._every, self._row_names, self._count = every, rows, 0
         self._form: Any = SquareRoot
         self._rows: defaultdict[tuple[str, int], dict[int, Array]] = defaultdict(
             dict
@@ -299,15 +299,17 @@ class Collector:
         self._times.append(epoch.t)
         for name, value in extra.items():
             self._extra[name].append(value)
-        if "mean" in self._kept:
+        if "mean" in self._row_names:
             self._rows["mean", 0][row] = belief.mean
-        if "std" in self._kept:
+        if "std" in self._row_names:
             self._rows["std", 0][row] = belief.std
-        if "cov" in self._kept:
+        if "cov" in self._row_names:
             self._rows["cov", 0][row] = belief[1]
             self._epochs.append(epoch._replace(z=None, truth=None))
         for name in _BLANK:
-            if name not in self._kept and not (name == "R" and "innovation" in self._kept):
+            if name not in self._row_names and not (
+                name == "R" and "innovation" in self._row_names
+            ):
                 continue
             for i, info in enumerate(infos):
                 if (value := getattr(info, name)) is not None:

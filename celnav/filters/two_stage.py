@@ -19,9 +19,9 @@ from numpy.typing import ArrayLike
 
 from celnav.filters.joint import KEEP, condition, joint, marginal, shared_mask
 from celnav.filters.model import Motion, Sensor, check_return, matrices_of
-from celnav.filters.records import Epoch, Info, State, is_zero_interval
+from celnav.filters.records import Epoch, Info, State
 from celnav.filters.regression import pseudo_gain
-from celnav.filters.sequential import Sequential, require_sequential, sigma_point
+from celnav.filters.sequential import Sequential, is_zero_interval, require_sequential, sigma_point
 from celnav.gaussian.belief import Gaussian, symmetric
 from celnav.gaussian.checks import as_matrix, describe, finite, function, instance, numbers
 from celnav.gaussian.linalg import (
@@ -227,7 +227,7 @@ class TwoStage:
                 f"Gamma: expected shape (..., m, {p}) to go with the bias, got {slope.shape}"
             )
         if boost is not None:
-            function("boost", boost, "(memory, seen)")
+            function("boost", boost, "(memory, boost)")
         walk = None if Qb is None else symmetric(as_matrix("Qb", Qb, p), "Qb", p)[1]
         return cls(first, slope, bias, walk=walk, boost=boost)
 
@@ -248,6 +248,7 @@ class TwoStage:
         first, Phi = self.first.predict(state.first, epoch)
         bias, Lambda = state.bias, state.Lambda
         if Phi is not None:
+            # A bias does not enter the motion, so its effect on the state moves with Phi.
             Lambda = Phi @ Lambda
             if self.walk is not None:
                 first, bias, Lambda = _walked(first, bias, Lambda, self.walk)
@@ -296,6 +297,7 @@ def _boosted(M: Array, d: Array, S: Array, root: Array, residual: Array) -> Arra
     """The change of a bias of covariance ``D M D`` by a residual:
     ``D M (I + D W D M)^-1 D S' R^-1 residual``, with ``W = S' R^-1 S`` and ``D = diag(d)``.
     """
+    # Y = S_1^-1 S with R = S_1 S_1', so that W = Y' Y.
     Y, p = solve_lower(root, S), d.shape[-1]
     # W D M is linear in d: a matrix (p p, p), which runs may share, times d.
     terms = (Y.mT @ Y)[..., :, None, :] * M.mT[..., None, :, :]
@@ -311,12 +313,14 @@ def _walked(first: Any, bias: Any, Lambda: Array, walk: Array) -> tuple[Any, Any
     and the rest becomes noise of the first stage.
     """
     form, eye = type(bias), np.eye(bias.mean.shape[-1])
+    # The bias after its step is measured, as it were: noise Q_b, innovation 0, so no mean moves.
     both = joint(LINEAR, bias, ((bias.mean, eye), KEEP), z=bias.mean, measurement_noise=walk)
     left, info, _ = condition(form, both, EUCLIDEAN, gain=partial(pseudo_gain, least=KNOWN))
 
     # Lambda' = Lambda G with G = M (M + Q_b)^+; P' = P + Lambda (M - G M) Lambda'.
     after, less = form(bias.mean, form.sum(bias[1], walk)), Lambda @ info.gain()
     belief = first.belief
+    # The corrected state x + Lambda b stays: x takes over what Lambda gives up.
     free = type(belief)(
         belief.mean + matvec(Lambda - less, bias.mean),
         type(belief).sum(belief[1], Lambda @ left.sqrt_cov),

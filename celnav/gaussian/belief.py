@@ -59,6 +59,7 @@ class Gaussian:
                     "makes one of any root)"
                 )
             P = outer(root)
+        # Fewer deviations than components are possible (a quaternion), more are not.
         if P.shape[-1] > x.shape[-1]:
             raise ValueError(
                 f"mean: expected shape (..., {P.shape[-1]}) to go with the covariance, got "

@@ -44,6 +44,11 @@ def is_concretely_true(condition: Any) -> bool:
     return isinstance(condition, bool | np.bool_) and bool(condition)
 
 
+def present(x: Array) -> Array:
+    """Whether components were measured, that is, are not nan: truth values of the same shape."""
+    return np.asanyarray(recorded.present(x) if x.dtype.hasobject else x == x)
+
+
 def matvec(A: Array, x: Array) -> Array:
     """Product ``(..., n)`` of matrices ``(..., n, m)`` and vectors ``(..., m)``; a single matrix
     multiplies all vectors at once.

@@ -12,9 +12,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from celnav.tape.numbers import TracedArray, each_row, tape_of
+from celnav.tape.numbers import TracedArray, each_row, tape_of, traced
 from celnav.tape.routine import Loop, LoopBody, Recorder
-from celnav.tape.tape import emit, total
+from celnav.tape.tape import TracedScalar, emit, total
 
 Array = Any
 SUMS = 4
@@ -25,6 +25,19 @@ time to run, but no longer to compile.
 LONG_SOLUTION = 10_000
 """The same limit for a triangular system."""
 SMALLEST = 1e-290  # a smaller square of the rest is treated as zero: no reflection
+
+
+def present(x: Array) -> Array:
+    """Whether components were measured, that is, are not nan.
+
+    Only numbers of the epochs may be missing: a run whose model makes nan itself fails, and numpy
+    runs it again.
+    """
+
+    def is_present(v: Any) -> Any:
+        return emit("eq", v, v) if type(v) is not TracedScalar or v.tape.absent[v.i] else True
+
+    return traced(np.array([is_present(v) for v in x.flat], object).reshape(x.shape))
 
 
 def _zero(x: Any) -> bool:
@@ -105,8 +118,8 @@ def tria(A: Array) -> Array:
         and tape.rolled
         and 4 * sum((n - i) * max(q - i, 0) for i in range(n)) >= LONG
     ):
-        routine, places = _rolled(tuple(tuple(not _zero(x) for x in row) for row in rows))
-        for at, x in zip(places, routine(tape, (x for row in rows for x in row)), strict=True):
+        routine, positions = _rolled(tuple(tuple(not _zero(x) for x in row) for row in rows))
+        for at, x in zip(positions, routine(tape, (x for row in rows for x in row)), strict=True):
             L[at] = x
         return L
     for i in range(n):
@@ -127,7 +140,7 @@ def _rolled(nonzero: tuple[tuple[bool, ...], ...]) -> tuple[Loop, list[tuple[int
     """
     n, q = len(nonzero), len(nonzero[0])
     full: Array = np.array(nonzero)
-    stages, places = list[LoopBody](), list[tuple[int, int]]()
+    stages, positions = list[LoopBody](), list[tuple[int, int]]()
     # Memory: the rows (n, q), then L (n, n) from root_at, then the three numbers of a mirror.
     root_at, mirror_at = n * q, n * q + n * n
     for i in range(n):
@@ -149,7 +162,7 @@ def _rolled(nonzero: tuple[tuple[bool, ...], ...]) -> tuple[Loop, list[tuple[int
         for k, x in enumerate((mirror.inverse, mirror.scale, mirror.there)):
             stage.put("kept", k, x)
         stages.append(stage.stage())
-        places.append((i, i))
+        positions.append((i, i))
         # Then the rows below it, one loop whose addresses advance by q and by n.
         if below[[i, *rest]].any():
             stage = Recorder(
@@ -167,9 +180,9 @@ def _rolled(nonzero: tuple[tuple[bool, ...], ...]) -> tuple[Loop, list[tuple[int
             for j, x in zip(rest.tolist(), moved, strict=True):
                 stage.put("row", j, x)
             stages.append(stage.stage())
-            places += [(r, i) for r in range(i + 1, n)]
+            positions += [(r, i) for r in range(i + 1, n)]
             full[i + 1 :, rest] = True  # a reflection fills in
-    return Loop(stages, mirror_at + 3, [root_at + i * n + j for i, j in places]), places
+    return Loop(stages, mirror_at + 3, [root_at + i * n + j for i, j in positions]), positions
 
 
 def cholesky(P: Array) -> Array:

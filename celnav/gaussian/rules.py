@@ -70,6 +70,24 @@ class Image(NamedTuple):
     jacobian: Callable[[], Array]
 
 
+def _points(
+    center: Array, roots: Sequence[Array], nodes: Array, space: Space, batch: int
+) -> list[Array]:
+    """Points ``(p, ..., N)`` about a center, and ``(p, ..., k)`` of each noise: along the columns
+    of each root go its own rows of ``nodes (dimensions, p)``.
+    """
+    root, *noise_roots = roots
+    first = root.shape[-1]
+    deviations = sigma_deviations(root, nodes[:first], batch)
+    # In this order a sum keeps the memory layout of the deviations.
+    points = [deviations + center if space is EUCLIDEAN else space.plus(center, deviations)]
+    for E in noise_roots:
+        noise = sigma_deviations(E, nodes[first : first + E.shape[-1]], batch)
+        points.append(np.broadcast_to(noise, (*points[0].shape[:-1], noise.shape[-1])))
+        first += E.shape[-1]
+    return points
+
+
 class Rule:
     """Nodes and weights for expectations under ``N(0, I)``.
 
@@ -153,20 +171,14 @@ class Rule:
                 "rule: expected points in every dimension, got none in "
                 f"{', '.join(map(str, self._idle))}"
             )
-        deviations = sigma_deviations(root, self._transposed[:first], batch)
-        # In this order a sum keeps the memory layout of the deviations.
-        points = [deviations + mean if space is EUCLIDEAN else space.plus(mean, deviations)]
-        for E in augment:
-            noise = sigma_deviations(E, self._transposed[first : first + E.shape[-1]], batch)
-            points.append(np.broadcast_to(noise, (*points[0].shape[:-1], noise.shape[-1])))
-            first += E.shape[-1]
-        return points
+        return _points(mean, (root, *augment), self._transposed, space, batch)
 
     def image(self, y: Array, space: Space, root: Array) -> Image:
         """The `Image` of ``N(mean, root @ root.mT)`` under a function with the values
         ``y (p, ..., M)`` at the points.
         """
         # shift = sum wm (y - center); columns = sqrt(|wc|) (y - center - shift).
+        # Point 0 is the center; a space with a mean of its own gives the mean itself: no shift.
         center = y[0] if space.mean is None else space.mean(y, self.wm)
         values = (y if space is EUCLIDEAN else space.minus(y, center))[self._used]
         values = values.T if values.ndim == 2 else points_last(values)  # (..., k, q)
@@ -176,10 +188,11 @@ class Rule:
             columns -= shift[..., None]
         else:
             shift = np.zeros(columns.shape[-2])
+        # The signs of the weights are not in the columns, they are in `sign`.
         columns *= self._scale
         return Image(center, shift, columns, partial(self._jacobian, columns, root))
 
-    def kept(self, root: Array, augment: Sequence[Array]) -> Array:  # noqa: ARG002
+    def state_columns(self, root: Array, augment: Sequence[Array]) -> Array:  # noqa: ARG002
         """Columns ``(..., n, q)`` of the state itself, where a function leaves it unchanged."""
         return np.asanyarray(root @ self._unit[: root.shape[-1]])
 
@@ -264,45 +277,32 @@ class Taylor:
         if root.dtype.hasobject or center.dtype.hasobject:
             first, *noise = along(center, roots)
             return [space.plus(center, first), *noise]
-        total, batch = sum(E.shape[-1] for E in roots), max(center.ndim - 1, root.ndim - 2)
+        first, batch = root.shape[-1], max(center.ndim - 1, root.ndim - 2)
+        total = first if not augment else first + sum(E.shape[-1] for E in augment)
         # Columns: the center, then + step, then - step in each direction.
         directions = self.step * np.hstack([np.zeros((total, 1)), np.eye(total), -np.eye(total)])
-        deviations, first = [], 0
-        for E in roots:
-            deviations.append(sigma_deviations(E, directions[first : first + E.shape[-1]], batch))
-            first += E.shape[-1]
-
-        points = [
-            deviations[0] + center if space is EUCLIDEAN else space.plus(center, deviations[0])
-        ]
-        return points + [
-            np.broadcast_to(D, (*points[0].shape[:-1], D.shape[-1])) for D in deviations[1:]
-        ]
+        return _points(center, roots, directions, space, batch)
 
     def image(self, y: Array, space: Space, root: Array) -> Image:
 
         if y.dtype.hasobject:
-            (center,), _ = at_zero(y)
-            return self._linear(center, at_zero(space.minus(y[0], center))[1], root)
-        # (y(+ step) - y(- step)) / (2 step), one column (..., k) per direction.
-        d = space.minus(y, y[0])
-        total = (len(d) - 1) // 2
-        return self._linear(
-            y[0], np.moveaxis(d[1 : total + 1] - d[total + 1 :], 0, -1) / (2.0 * self.step), root
-        )
-
-    def _linear(self, center: Array, columns: Array, root: Array) -> Image:
+            center: Array = at_zero(y)[0][0]
+            columns: Array = at_zero(space.minus(y[0], center))[1]
+        else:
+            # (y(+ step) - y(- step)) / (2 step), one column (..., k) per direction.
+            center, d = y[0], space.minus(y, y[0])
+            # d[0] = 0 is the center; the + points follow, then the - points.
+            total = (len(d) - 1) // 2
+            columns = np.moveaxis(d[1 : total + 1] - d[total + 1 :], 0, -1) / (2.0 * self.step)
         shift = np.zeros(columns.shape[-2])
         if self.about is not None:
             n = root.shape[-1]
             # Column n is the image of mean - about; the noises follow it.
-            shift, columns = (
-                columns[..., n],
-                np.concatenate([columns[..., :n], columns[..., n + 1 :]], -1),
-            )
+            shift = columns[..., n]
+            columns = np.concatenate([columns[..., :n], columns[..., n + 1 :]], -1)
         return Image(center, shift, columns, partial(self._jacobian, columns, root))
 
-    def kept(self, root: Array, augment: Sequence[Array]) -> Array:
+    def state_columns(self, root: Array, augment: Sequence[Array]) -> Array:
 
         return (
             side_by_side([root, *(np.zeros((root.shape[-2], E.shape[-1])) for E in augment)])
@@ -312,6 +312,7 @@ class Taylor:
 
     @staticmethod
     def _jacobian(columns: Array, root: Array) -> Array:
+        # columns = J root for the state; those of the noises follow.
         return solve_right(root, columns[..., : root.shape[-1]])
 
 
@@ -382,6 +383,7 @@ def unscented(n: int, alpha: float = 1.0, beta: float = 0.0, kappa: float = 0.0)
     wm = np.full(2 * n + 1, 0.5 / c)
     wm[0] = 1.0 - n / c
     wc = wm.copy()
+    # Only the covariance weight of the center has beta [Merwe2004].
     wc[0] += 1.0 - alpha**2 + beta
     return Rule(_axes(n, float(np.sqrt(c))), wm, wc)
 
@@ -399,6 +401,7 @@ def simplex(n: int) -> Rule:
     """
     n = integer("n", n)
     check_point_count("n", n + 1, n)
+    # Column d: 1 in d nodes, -d in the next, 0 in the rest, so that the sum is 0.
     d = np.arange(1, n + 1)
     nodes = np.sqrt((n + 1) / (d * (d + 1))) * (
         np.triu(np.ones((n + 1, n))) - d * np.eye(n + 1, n, -1)
@@ -431,6 +434,7 @@ def cubature(n: int, degree: int = 3) -> Rule:
     nodes = np.vstack([_axes(n, float(np.sqrt(n + 2))), np.sqrt((n + 2) / 2) * pairs])
     weights = np.full(len(nodes), 1.0 / (n + 2) ** 2)
     weights[0] = 2.0 / (n + 2)
+    # Points on the axes: negative beyond four dimensions.
     weights[1 : 2 * n + 1] = (4.0 - n) / (2.0 * (n + 2) ** 2)
     return Rule(nodes, weights)
 

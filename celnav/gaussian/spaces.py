@@ -64,23 +64,24 @@ def angles(components: Iterable[int] | None = None) -> Space:
     >>> h = lambda x, epoch: np.arctan2(x[..., 1:2], x[..., :1])
     >>> bearing = celnav.Sensor(h, R=[[1e-4]], space=celnav.angles([0]))
     """
-    places = (
+    indices = (
         None
         if components is None
         else integers("components", sequence("components", components, "[0]"))
     )
-    return Space(partial(_wrapped, np.add, places), partial(_wrapped, np.subtract, places))
+    return Space(partial(_wrapped, np.add, indices), partial(_wrapped, np.subtract, indices))
 
 
-def _wrapped(operation: Any, places: tuple[int, ...] | None, a: Array, b: Array) -> Array:
+def _wrapped(operation: Any, indices: tuple[int, ...] | None, a: Array, b: Array) -> Array:
     """The sum or difference of vectors, its angles wrapped."""
     vector: Array = operation(a, b, dtype=np.float64)
-    if places and max(places) >= vector.shape[-1]:
+    if indices and max(indices) >= vector.shape[-1]:
         raise ValueError(
             f"angles: expected components below {vector.shape[-1]}, the length of the vector, got "
-            f"{max(places)}"
+            f"{max(indices)}"
         )
-    chosen = slice(None) if places is None else list(places)
+    chosen = slice(None) if indices is None else list(indices)
+    # `operation` has made a new array, which may be written into.
     vector[..., chosen] = wrap(vector[..., chosen])
     return vector
 

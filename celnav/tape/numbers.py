@@ -535,21 +535,6 @@ def in_model(function: Callable[..., Any], x: Any, *arguments: Any) -> Any:
         tape.model = False
 
 
-def present(x: Any) -> Any:
-    """Whether components were measured, that is, are not nan.
-
-    While a step is recorded, only numbers of its epochs may be missing: a run whose model makes nan
-    itself fails, and numpy runs it again.
-    """
-    if not x.dtype.hasobject:
-        return x == x
-
-    def is_present(v: Scalar) -> Scalar:
-        return emit("eq", v, v) if type(v) is not TracedScalar or v.tape.absent[v.i] else True
-
-    return traced(_elementwise(is_present, _bare(x)))
-
-
 def known_alike(a: Any, b: Any) -> bool:
     """Whether arrays are known to hold the same numbers."""
     if not a.dtype.hasobject:

@@ -19,8 +19,8 @@ from celnav.filters.adaptive import (
     underweighting,
     variational_bayes,
 )
-from celnav.filters.fallback import Fallback
 from celnav.filters.sequential import SingleDraw
+from celnav.filters.switching import Fallback
 from celnav.gaussian.attitude import attitude, rotate
 from celnav.gaussian.spaces import EUCLIDEAN, product
 from celnav.models.gyro import Gyro

@@ -20,8 +20,8 @@ from twice import FIELDS, assert_same, told, twice
 import celnav
 from celnav.engine.recording import map_run_constants
 from celnav.filters.adaptive import gate, huber, innovation_window
-from celnav.filters.fallback import Fallback
 from celnav.filters.records import FromFunctions, Info, State
+from celnav.filters.switching import Fallback
 from celnav.gaussian.linalg import Covariance, SquareRoot
 from celnav.tape.tape import CannotCompile
 

@@ -43,8 +43,8 @@ from scipy.spatial.transform import Rotation
 
 import celnav
 from celnav.filters import adaptive
-from celnav.filters.fallback import Fallback
 from celnav.filters.sequential import SingleDraw
+from celnav.filters.switching import Fallback
 from celnav.gaussian.attitude import attitude, exp, multiply, rotate
 from celnav.models import motion as motions
 from celnav.models import orbit

@@ -11,8 +11,8 @@ from filterpy.kalman import MerweScaledSigmaPoints
 
 import celnav
 from celnav.filters.adaptive import gate
-from celnav.filters.fallback import Fallback
 from celnav.filters.sequential import SingleDraw
+from celnav.filters.switching import Fallback
 from celnav.filters.two_stage import Plain, TwoStage
 from celnav.gaussian.spaces import EUCLIDEAN, angles, product
 

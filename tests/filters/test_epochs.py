@@ -330,7 +330,7 @@ PARTS = {
     "one": lambda epochs: epochs[2:3],
     "backward": lambda epochs: epochs.backward((np.arange(6.0), (np.ones((6, 2)),))),
     "backward from the middle": lambda epochs: epochs[2:].backward((np.arange(4.0),))[1:],
-    "told": lambda epochs: epochs.told(Named(np.arange(7.0), None))[1:],
+    "with about": lambda epochs: epochs.with_about(Named(np.arange(7.0), None))[1:],
 }
 
 

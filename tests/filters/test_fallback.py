@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from celnav import Epoch, Gaussian, Motion, Sensor, epochs, run, sigma_point
-from celnav.filters.fallback import Fallback
 from celnav.filters.records import FilterError
 from celnav.filters.run import explain
+from celnav.filters.switching import Fallback
 from celnav.gaussian.rules import cubature, unscented
 
 FORMS = pytest.mark.parametrize("form", ["square root", "covariance"])

@@ -12,9 +12,9 @@ from scipy.stats import multivariate_normal
 import celnav
 from celnav.analysis.metrics import chi_square_band
 from celnav.filters.adaptive import gate
-from celnav.filters.fallback import Fallback
 from celnav.filters.imm import mixed
 from celnav.filters.records import FromFunctions
+from celnav.filters.switching import Fallback
 from celnav.gaussian.attitude import exp, multiply
 from celnav.gaussian.belief import nees
 from celnav.gaussian.linalg import SquareRoot

@@ -10,8 +10,8 @@ import pytest
 
 import celnav
 from celnav.filters.adaptive import consider, gate
-from celnav.filters.fallback import Fallback
 from celnav.filters.sequential import SingleDraw
+from celnav.filters.switching import Fallback
 from celnav.gaussian.attitude import attitude
 from celnav.gaussian.spaces import wrap
 from celnav.receiver.least_squares import least_squares

@@ -12,9 +12,9 @@ import pytest
 
 import celnav
 from celnav.filters import adaptive
-from celnav.filters.fallback import Fallback
 from celnav.filters.fixed_lag import FixedLag
 from celnav.filters.sequential import SingleDraw
+from celnav.filters.switching import Fallback
 from celnav.gaussian.spaces import Space
 from celnav.models import motion as motions
 from celnav.models import pulsar

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from celnav import Gaussian, Linear, Motion, Sensor, ckf, ekf, epochs, run, steps, two_stage
-from celnav.filters.fallback import Fallback
+from celnav.filters.switching import Fallback
 from celnav.filters.two_stage import TwoStage
 from celnav.gaussian.rules import Taylor
 from celnav.models.noise import ar1_noise

@@ -29,10 +29,10 @@ from celnav import (
     two_stage,
 )
 from celnav.filters.colored import augmented
-from celnav.filters.fallback import Fallback
 from celnav.filters.fixed_lag import FixedLag
 from celnav.filters.records import FilterError
 from celnav.filters.sequential import SingleDraw
+from celnav.filters.switching import Fallback
 from celnav.gaussian.attitude import IDENTITY, attitude, exp
 from celnav.gaussian.belief import nees
 from celnav.gaussian.linalg import block

@@ -26,9 +26,9 @@ from celnav.filters.adaptive import (
     underweighting,
     variational_bayes,
 )
-from celnav.filters.fallback import Fallback
 from celnav.filters.fixed_lag import FixedLag
 from celnav.filters.sequential import Iterated, SingleDraw
+from celnav.filters.switching import Fallback
 from celnav.filters.two_stage import Plain, TwoStage
 from celnav.gaussian.linalg import Covariance
 from celnav.gaussian.spaces import EUCLIDEAN

@@ -251,7 +251,7 @@ def test_images_are_the_weighted_sums_written_out(rule, batch):
         MEAN + rng.normal(size=(*batch, 4)),
         np.linalg.cholesky(P0) * np.ones((*batch, 1, 1)),
     )
-    (points,), kept = rule.points(mean, root), rule.kept(root, ())
+    (points,), kept = rule.points(mean, root), rule.state_columns(root, ())
     image = rule.image(turn(points, 1.0), EUCLIDEAN, root)
     assert image.columns.shape == kept.shape
     assert len(rule.sign) in (1, kept.shape[-1])

@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 from taped import inputs, recorded
 
-from celnav.tape.numbers import TracedArray, in_model, present
+from celnav.gaussian.linalg import present
+from celnav.tape.numbers import TracedArray, in_model
 from celnav.tape.numbers import recorded as as_recorded
 from celnav.tape.tape import MOST, CannotCompile, Tape, TracedScalar, emit
 

@@ -24,11 +24,10 @@ from celnav.analysis.observability import (
     observability_matrix,
     state_singular_values,
 )
-from celnav.filters.fallback import Fallback
 from celnav.filters.model import Motion, Sensor
 from celnav.filters.records import Epoch, Filter, FromFunctions
 from celnav.filters.sequential import Iterated, ekf, sigma_point
-from celnav.filters.switching import Switching
+from celnav.filters.switching import Fallback, Switching
 from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.linalg import Array, Belief, is_concretely_true, side_by_side
 from celnav.gaussian.rules import (
