@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from celnav.campaign import Outcome, Row
-from celnav.campaign.missions import Study
+from celnav.campaign import CampaignResult, TableRow
+from celnav.campaign.missions import MissionStudy
 from celnav.campaign.table import plain
 from celnav.campaign.units import Scored
 from celnav.gaussian.linalg import Array
@@ -38,20 +38,20 @@ BOUND: Any = {
     "label": "bound",
     "zorder": 0,
 }
-Drawn = Callable[[list[Row], Array, dict[str, Any], bool], Iterator[Item]]
+Drawn = Callable[[list[TableRow], Array, dict[str, Any], bool], Iterator[Item]]
 """Items of a filter's rows, which stand at places along the x axis, of its look, and whether it is
 the first filter.
 """
 
 
-def stems(study: Study) -> list[str]:
+def stems(study: MissionStudy) -> list[str]:
     """Of everything that `figures` may draw."""
     judged = load(study.paper).JUDGED
     each = [f"{kind}_{name}" for kind in ("accuracy", "time") for name in judged]
     return [*each, "consistency", "failures"]
 
 
-def figures(outcome: Outcome) -> dict[str, Figure]:
+def figures(outcome: CampaignResult) -> dict[str, Figure]:
     """Drawings by file stem: the accuracy of each group, the consistency, failures if there are
     any, and errors over time.
     """
@@ -65,7 +65,7 @@ def figures(outcome: Outcome) -> dict[str, Figure]:
     return out
 
 
-def _look(study: Study, filter: str) -> dict[str, Any]:
+def _look(study: MissionStudy, filter: str) -> dict[str, Any]:
     """Color, marker and line of a filter, the same in all figures."""
     i = study.filters.index(filter)
     return {
@@ -77,7 +77,7 @@ def _look(study: Study, filter: str) -> dict[str, Any]:
     }
 
 
-def _axis(study: Study) -> tuple[str, Sequence[Any], bool]:
+def _axis(study: MissionStudy) -> tuple[str, Sequence[Any], bool]:
     """The key along the x axis, which has the most values (numbers before words), its values, and
     whether they are numbers.
     """
@@ -91,7 +91,7 @@ def _axis(study: Study) -> tuple[str, Sequence[Any], bool]:
     return key, study.swept[key], is_numeric(key)
 
 
-def _over_keys(outcome: Outcome, label: str, title: str, draw: Drawn) -> Figure:
+def _over_keys(outcome: CampaignResult, label: str, title: str, draw: Drawn) -> Figure:
     """A panel for each combination of the other keys, a curve for each filter over the first."""
     study = outcome.study
     key, values, numeric = _axis(study)
@@ -164,11 +164,11 @@ def _interval(at: Array, values: Array, look: dict[str, Any]) -> Item:
     return lambda ax: ax.errorbar(at, value, reach, capsize=2, **look)
 
 
-def accuracy(outcome: Outcome, group: str, unit: str) -> Figure:
+def accuracy(outcome: CampaignResult, group: str, unit: str) -> Figure:
     """Root mean square errors over the settled epochs, with intervals, and the bound."""
     study = outcome.study
 
-    def draw(rows: list[Row], at: Array, look: dict[str, Any], first: bool) -> Iterator[Item]:
+    def draw(rows: list[TableRow], at: Array, look: dict[str, Any], first: bool) -> Iterator[Item]:
         accuracies = [row.accuracy(group) for row in rows]
         stats = ("rms", "low", "high", "bound")
         columns = [
@@ -186,13 +186,13 @@ def accuracy(outcome: Outcome, group: str, unit: str) -> Figure:
     return _over_keys(outcome, f"rms error ({unit})", title, draw)
 
 
-def consistency(outcome: Outcome) -> Figure:
+def consistency(outcome: CampaignResult) -> Figure:
     """NEES over its dimension, and the band of a consistent filter."""
     title = "consistency: average NEES over its dimension"
     return _over_keys(outcome, "NEES / dimension (-)", title, _anees)
 
 
-def _anees(rows: list[Row], at: Array, look: dict[str, Any], first: bool) -> Iterator[Item]:
+def _anees(rows: list[TableRow], at: Array, look: dict[str, Any], first: bool) -> Iterator[Item]:
     summaries = [row.summary for row in rows]
     values = [(np.nan,) * 3 if s is None else (s.anees, s.low, s.high) for s in summaries]
     yield _interval(at, np.array(values).T, look)
@@ -202,17 +202,17 @@ def _anees(rows: list[Row], at: Array, look: dict[str, Any], first: bool) -> Ite
         yield lambda ax: ax.axhspan(*band, label="consistent (95 %, one epoch)", **shade)
 
 
-def _failures(outcome: Outcome) -> Figure:
+def _failures(outcome: CampaignResult) -> Figure:
     """Part of the runs that failed."""
 
-    def draw(rows: list[Row], at: Array, look: dict[str, Any], _: bool) -> Iterator[Item]:
+    def draw(rows: list[TableRow], at: Array, look: dict[str, Any], _: bool) -> Iterator[Item]:
         yield curve(at, [row.failed / outcome.study.runs for row in rows], **look)
         yield lambda ax: ax.set_ylim(-0.02, 1.02)
 
     return _over_keys(outcome, "runs that failed (part)", "failures", draw)
 
 
-def over_time(outcome: Outcome, group: int) -> Figure:
+def over_time(outcome: CampaignResult, group: int) -> Figure:
     """Root mean square errors at each epoch of the first configurations, what filters take them
     for, and the bound.
     """
@@ -229,7 +229,7 @@ def over_time(outcome: Outcome, group: int) -> Figure:
     return _figure(drawn, total, title, "configurations", (3, 4.0, 5.0, 2.8))
 
 
-def _curves(study: Study, scored: Scored, group: int) -> Iterator[Item]:
+def _curves(study: MissionStudy, scored: Scored, group: int) -> Iterator[Item]:
     times: Array | None = None
     yield lambda ax: ax.set_yscale("log")
     for name, scores in scored.scores.items():

@@ -36,7 +36,7 @@ from celnav.papers import PAPERS, is_file, load
 from celnav.papers.own import identity
 from celnav.study.montecarlo import run_count
 
-__all__ = ["Configuration", "MissionError", "Study", "flat", "read", "study"]
+__all__ = ["Configuration", "MissionError", "MissionStudy", "flat", "read", "study"]
 
 LARGEST_FILE = 1_000_000
 """Bytes."""
@@ -77,7 +77,7 @@ class Configuration(typing.NamedTuple):
 
 
 @dataclass(frozen=True)
-class Study:
+class MissionStudy:
     """What a file asks for; a mission is a study of one configuration.
 
     Attributes
@@ -105,6 +105,11 @@ class Study:
     engine: str
     swept: dict[str, tuple[Any, ...]]
     configurations: tuple[Configuration, ...]
+
+    @property
+    def may_grow(self) -> set[str]:
+        """Keys of `to_dict` whose values a store may have less of: of the rest it is reused."""
+        return {"runs", *(f"config.{key}" for key in self.swept)}
 
     def to_dict(self) -> dict[str, Any]:
         """All that determines results, in plain types, by which stores are compared. No title."""
@@ -136,7 +141,7 @@ def flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     return out
 
 
-def read(path: str | Path, effort: float = 1.0) -> Study:
+def read(path: str | Path, effort: float = 1.0) -> MissionStudy:
     """Read a mission or study; ``effort``, in (0, 1], is the part of its runs to do, at least 2.
 
     Raises
@@ -170,7 +175,7 @@ def read(path: str | Path, effort: float = 1.0) -> Study:
 _DEEP = "lists or tables within one another too deeply"
 
 
-def study(table: Mapping[str, Any]) -> Study:
+def study(table: Mapping[str, Any]) -> MissionStudy:
     """A study from the tables of a file.
 
     Raises
@@ -225,7 +230,7 @@ def study(table: Mapping[str, Any]) -> Study:
         )
     _check_flights(points, options)
     names = _filters(module, table, points)
-    return Study(paper=paper, filters=names, swept=swept, configurations=points, **options)
+    return MissionStudy(paper=paper, filters=names, swept=swept, configurations=points, **options)
 
 
 _OPTIONS: dict[str, Any] = {

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from platform import machine, python_version
 from typing import TYPE_CHECKING, Any
 
-from celnav.campaign import Outcome
+from celnav.campaign import CampaignResult
 from celnav.campaign.table import columns, costs, plain, to_csv, to_parquet
 from celnav.files import Outputs
 from celnav.papers.own import name_of
@@ -29,7 +29,7 @@ def names(stems: Iterable[str]) -> list[str]:
 
 
 def write(
-    outcome: Outcome, drawings: Mapping[str, Figure], outputs: Outputs, recording: str = ""
+    outcome: CampaignResult, drawings: Mapping[str, Figure], outputs: Outputs, recording: str = ""
 ) -> None:
     """Write tables, figures and page; ``recording``: the name of one to link to.
 

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from celnav.campaign import Outcome
+from celnav.campaign import CampaignResult
 from celnav.campaign.figures import PALETTE
-from celnav.campaign.missions import Study
+from celnav.campaign.missions import MissionStudy
 from celnav.campaign.units import STUDY
 from celnav.gaussian.linalg import Array
 from celnav.models.earth import SEMI_MAJOR_M
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 BOUNDS = Line("±3σ, the largest of them", colors.SIGMA, width=0.8)
 
 
-def first_run(study: Study) -> Showcase | None:
+def first_run(study: MissionStudy) -> Showcase | None:
     """The first run of a mission with the filters that can; None if it cannot be simulated, or no
     filter can.
     """
@@ -70,7 +70,7 @@ def first_run(study: Study) -> Showcase | None:
     )
 
 
-def _shades(study: Study) -> dict[str, str]:
+def _shades(study: MissionStudy) -> dict[str, str]:
     return {name: PALETTE[i % len(PALETTE)] for i, name in enumerate(study.filters)}
 
 
@@ -105,7 +105,7 @@ def errors(shown: Showcase) -> Figure:
     )
 
 
-def record(shown: Showcase, outcome: Outcome, path: str | PathLike[str]) -> None:
+def record(shown: Showcase, outcome: CampaignResult, path: str | PathLike[str]) -> None:
     """Record the first run, and the rms of all runs. Needs rerun.
 
     Raises
@@ -133,7 +133,7 @@ def record(shown: Showcase, outcome: Outcome, path: str | PathLike[str]) -> None
     showcase.record(replace(run, plots=plots, facts=facts), path)
 
 
-def _rms(shown: Showcase, outcome: Outcome) -> dict[str, Plot]:
+def _rms(shown: Showcase, outcome: CampaignResult) -> dict[str, Plot]:
     """Errors of all runs, at the epochs that were scored, by group."""
     study, scored, plots = outcome.study, outcome.first[0][1], {}
 
@@ -157,7 +157,7 @@ def _rms(shown: Showcase, outcome: Outcome) -> dict[str, Plot]:
     return plots
 
 
-def _notes(outcome: Outcome) -> str:
+def _notes(outcome: CampaignResult) -> str:
     """What one sees."""
     study = outcome.study
     first = f"{study.runs} runs of `{name_of(study.paper)}`, seed {study.seed}."

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from celnav.campaign.missions import Configuration, Study
+from celnav.campaign.missions import Configuration, MissionStudy
 from celnav.campaign.scores import Accuracy, Summary, summarize
 from celnav.campaign.units import Scored
 from celnav.lazy import requires_extra
@@ -18,7 +18,7 @@ from celnav.lazy import requires_extra
 MOST_LINES = 40
 
 
-class Row(NamedTuple):
+class TableRow(NamedTuple):
     """What a filter comes to in a configuration.
 
     Attributes
@@ -50,14 +50,14 @@ class Row(NamedTuple):
         )
 
 
-def rows_of(study: Study, point: Configuration, found: Scored) -> Iterator[Row]:
+def rows_of(study: MissionStudy, point: Configuration, found: Scored) -> Iterator[TableRow]:
     """Rows of a configuration, one for each filter."""
     for name in study.filters:
         scores, steps = found.scores.get(name), found.steps[name]
         reasons = {why: count for (filter, why), count in found.reasons.items() if filter == name}
         summary = summarize(scores, found.bound) if scores and scores["runs"] else None
         us = 1e6 * found.cpu_s[name] / steps if steps else np.nan
-        yield Row(point.values, name, found.groups, summary, Counter(reasons), us)
+        yield TableRow(point.values, name, found.groups, summary, Counter(reasons), us)
 
 
 def plain(value: Any) -> Any:
@@ -65,7 +65,7 @@ def plain(value: Any) -> Any:
     return " ".join(str(plain(v)) for v in value) if isinstance(value, tuple) else value
 
 
-def columns(rows: Sequence[Row]) -> dict[str, list[Any]]:
+def columns(rows: Sequence[TableRow]) -> dict[str, list[Any]]:
     """The table by column: swept keys, filter, runs, failures, accuracies with their units,
     consistency; None where there is none.
 
@@ -76,7 +76,7 @@ def columns(rows: Sequence[Row]) -> dict[str, list[Any]]:
     return {name: [cells[name] for cells in table] for name in table[0]}
 
 
-def costs(rows: Sequence[Row]) -> dict[str, list[Any]]:
+def costs(rows: Sequence[TableRow]) -> dict[str, list[Any]]:
     """CPU time of each row, per run and step."""
     keys = {key: [plain(row.values[key]) for row in rows] for key in rows[0].values}
     return {
@@ -86,7 +86,7 @@ def costs(rows: Sequence[Row]) -> dict[str, list[Any]]:
     }
 
 
-def _cells(row: Row, groups: tuple[tuple[str, str], ...]) -> dict[str, Any]:
+def _cells(row: TableRow, groups: tuple[tuple[str, str], ...]) -> dict[str, Any]:
     cells: dict[str, Any] = {key: plain(value) for key, value in row.values.items()} | {
         "filter": row.filter
     }
@@ -151,7 +151,7 @@ def to_parquet(table: dict[str, list[Any]]) -> bytes:
     return content
 
 
-def summary(rows: Sequence[Row]) -> str:
+def summary(rows: Sequence[TableRow]) -> str:
     """A few lines for a terminal: the accuracy of each row, and what failed."""
     lines = []
     for row in rows[:MOST_LINES]:

@@ -18,7 +18,7 @@ from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
-from celnav.campaign import missions
+from celnav.campaign.missions import MissionStudy
 from celnav.campaign.scores import Scores, check_scores, merge, score
 from celnav.gaussian.linalg import Array
 from celnav.lazy import requires_extra
@@ -217,7 +217,7 @@ def _attempt(make: Callable[..., T], *arguments: Any) -> tuple[T | None, str]:
         return None, traceback.format_exc()
 
 
-def units_of(study: missions.Study) -> list[list[Unit]]:
+def units_of(study: MissionStudy) -> list[list[Unit]]:
     """Units of each configuration, in the order in which they are joined."""
     limits = tuple(sorted(study.limits.items()))
     work = Scoring(study.paper, study.filters, study.every, study.settle_s, limits)

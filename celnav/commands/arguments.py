@@ -17,7 +17,7 @@ from celnav.study.montecarlo import effort
 
 if TYPE_CHECKING:
     from celnav.campaign.executors import Workers
-    from celnav.campaign.table import Row
+    from celnav.campaign.table import TableRow
 
 MOST_PER_CORE = 4
 """Processes."""
@@ -99,7 +99,7 @@ def warn(line: str) -> None:
     print(f"celnav: {line}", file=sys.stderr)
 
 
-def done(rows: Sequence[Row]) -> int:
+def done(rows: Sequence[TableRow]) -> int:
     """Exit status of runs: 1, with a line that says so, where all of them failed."""
     if any(row.summary is not None for row in rows):
         return 0

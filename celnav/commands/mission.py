@@ -18,7 +18,7 @@ ORIGIN = "mission.json"
 
 def run(options: argparse.Namespace) -> int:
     """Everything is computed before anything is written."""
-    from celnav.campaign import WorkError, fly
+    from celnav.campaign import WorkError, campaign
     from celnav.campaign.figures import figures, stems
     from celnav.campaign.missions import read
     from celnav.campaign.page import names, write
@@ -38,7 +38,7 @@ def run(options: argparse.Namespace) -> int:
     outputs.check([*names([*stems(study), "errors"]), "summary.txt", RECORDING, ORIGIN])
     try:
         with closing(Progress(study.title)) as progress:
-            outcome = fly(study, pool, progress=progress.runs)
+            outcome = campaign(study, workers=pool, progress=progress.runs)
     except WorkError as error:
         warn(str(error))
         return 1

@@ -2,8 +2,8 @@
 work.
 
 Every file is written under a temporary name and renamed: the folder is right after any
-interruption. The manifest says which code
-made the results: another one's are not used.
+interruption. The manifest says which code made the results: another one's are not used. That of a
+campaign says also which study they are of.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from functools import cache
 from importlib import metadata
 from pathlib import Path
@@ -21,7 +21,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 import celnav
-from celnav.files import data, read_json, read_npz, remove_leftovers, replacing, write_text
+from celnav.files import (
+    InputError,
+    Outputs,
+    data,
+    read_json,
+    read_npz,
+    remove_leftovers,
+    replacing,
+    write_text,
+)
 
 FORMAT = 2
 MANIFEST, RESULTS = "manifest.json", ".results"
@@ -62,9 +71,7 @@ def code() -> dict[str, str]:
 
 
 class Store:
-    """Finished units in ``folder / "units"``; see `resumed`, `existing` and
-    `celnav.campaign.open_store`.
-    """
+    """Finished units in ``folder / "units"``; see `resumed`, `existing` and `open_store`."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -126,11 +133,7 @@ def _checksum(unit: Keyed, arrays: Mapping[str, Array]) -> str:
 def existing(folder: Path) -> Store | None:
     """The store in a folder, if there is one and this code made it; nothing is written."""
     try:
-        return (
-            Store(folder)
-            if read_json(folder / MANIFEST) == {"format": FORMAT, "code": code()}
-            else None
-        )
+        return Store(folder) if read_json(folder / MANIFEST) == _manifest() else None
     except (OSError, ValueError):
         return None
 
@@ -140,8 +143,89 @@ def resumed(folder: Path) -> Store:
     if existing(folder) is None:
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(parents=True)
-        write_text(
-            folder / MANIFEST, json.dumps({"format": FORMAT, "code": code()}, indent=1) + "\n"
-        )
+        _write_manifest(folder, _manifest())
     remove_leftovers(folder, folder / "units")
     return Store(folder)
+
+
+class StoreError(InputError):
+    """A folder that does not belong to this study."""
+
+
+def open_store(folder: str | Path, study: Mapping[str, Any], may_grow: Collection[str]) -> Store:
+    """Begin a campaign's store, or go on with one of the same study, in a folder that is locked.
+
+    study: all that determines the results, in plain types. may_grow: keys of it whose numbers or
+    lists may have less in them where the study was smaller.
+
+    Raises
+    ------
+    StoreError: if the folder belongs to another study, or one of more, or was begun with another
+        celnav, numpy or scipy (the message lists the differences), or holds something else.
+    OSError: if it cannot be made or written.
+    """
+    path = Path(folder)
+    Outputs(path)
+    remove_leftovers(path, path / "units")
+    wanted = json.loads(json.dumps(_manifest(study=study)))
+    cure = "choose another --out, or remove the folder"
+    if (path / MANIFEST).exists():
+        stored = _read_manifest(path / MANIFEST)
+        if stored is None:
+            raise StoreError(
+                f"{path / MANIFEST}: not a manifest of a campaign of this celnav; {cure}"
+            )
+        for key, what in (
+            ("study", "belongs to another study"),
+            ("code", "was begun with another celnav"),
+        ):
+            if changed := _differences(stored[key], wanted[key], may_grow):
+                raise StoreError(f"{path}: {what} ({'; '.join(changed)}); {cure}")
+        if stored["study"] == wanted["study"]:
+            return Store(path)
+    elif (path / "units").exists():
+        raise StoreError(f"{path}: has units but no {MANIFEST}; {cure}")
+    _write_manifest(path, wanted)
+    return Store(path)
+
+
+def _manifest(**about: Any) -> dict[str, Any]:
+    return {"format": FORMAT, **about, "code": code()}
+
+
+def _write_manifest(folder: Path, about: Mapping[str, Any]) -> None:
+    text = json.dumps(about, indent=1, ensure_ascii=False)
+    write_text(folder / MANIFEST, text + "\n")
+
+
+def _read_manifest(path: Path) -> dict[str, Any] | None:
+    """The manifest of a campaign; None if the file is none."""
+    try:
+        manifest: dict[str, Any] = read_json(path)
+        tables = isinstance(manifest["study"], dict) and isinstance(manifest["code"], dict)
+        return manifest if tables and manifest["format"] == FORMAT else None
+    except (ValueError, KeyError, TypeError):
+        return None
+
+
+def _differences(
+    old: Mapping[str, Any], new: Mapping[str, Any], may_grow: Collection[str]
+) -> list[str]:
+    """``key: old -> new`` of everything that differs, but for numbers and lists that have grown."""
+
+    def is_same(key: str) -> bool:
+        return key in may_grow and key in old and _is_within(old[key], new[key])
+
+    keys = [key for key in {**old, **new} if _text(old, key) != _text(new, key)]
+    return [f"{key}: {_text(old, key)} -> {_text(new, key)}" for key in keys if not is_same(key)]
+
+
+def _is_within(old: Any, new: Any) -> bool:
+    """Whether a list has the old value, or all of the old list, or a number is not smaller."""
+    if not isinstance(new, list):
+        return isinstance(old, int) and old <= new
+    return old in new or (isinstance(old, list) and all(value in new for value in old))
+
+
+def _text(table: Mapping[str, Any], key: str) -> str:
+    return json.dumps(table[key], ensure_ascii=False) if key in table else "absent"
