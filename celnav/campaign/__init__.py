@@ -67,6 +67,11 @@ class CampaignResult(NamedTuple):
     first: list[tuple[Configuration, Scored]]
     trace: str
 
+    @property
+    def groups(self) -> tuple[tuple[str, str], ...]:
+        """Name and unit of what is judged; empty if no configuration could be simulated."""
+        return self.first[0][1].groups if self.first else ()
+
 
 def campaign(
     study: MissionStudy,

@@ -1,12 +1,12 @@
 """Scores: sums over runs, enough for every statistic of a campaign, so that no track is ever kept.
 
 A block of runs is scored, scores of blocks are merged by adding, in whatever number they come, and
-a `Summary` reads the sum.
+`summarize` makes statistics of the sum.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -167,72 +167,58 @@ def merge(parts: Iterable[Scores]) -> Scores:
     return total
 
 
-class Accuracy(NamedTuple):
-    """Root mean squares of a group: over the settled epochs with a 95 % interval, at the end, and
-    what the filter takes it for.
-
-    The interval comes from how the runs differ: no errors need be Gaussian. ``efficiency``:
-    `celnav.study.trial.bound` over rms.
-    """
-
-    rms: float
-    low: float
-    high: float
-    final: float
-    sigma: float
-    bound: float
-    efficiency: float
+STATISTICS = ("rms", "low", "high", "final", "sigma", "bound", "efficiency")
+"""Of each group: root mean square error over the settled epochs with its 95 % interval; at the last
+epoch; the filter's prediction; `celnav.study.trial.bound`, and that over rms. The interval comes
+from how the runs differ: no errors need be Gaussian.
+"""
 
 
-class Summary(NamedTuple):
-    """What scores say.
+def column(group: str, statistic: str, unit: str) -> str:
+    """The name of a column of the table, such as "velocity_rms_m_per_s"."""
+    name = f"{group}_{statistic}"
+    return name if statistic == "efficiency" else f"{name}_{unit.replace('/', '_per_')}"
 
-    Attributes
-    ----------
-    runs: scored. accuracy: of each group.
-    anees, low, high: NEES averaged over runs and settled epochs, over its dimension (1 if
-        consistent), with a 95 % interval from how the runs differ. band: where the mean over the
-        runs at a single epoch lies with 95 %, if consistent.
+
+def summarize(
+    scores: Scores, groups: Iterable[Sequence[Any]], bound: Array | None = None
+) -> dict[str, Any]:
+    """Statistics of scores by column of the table; nan where no run is left.
+
+    groups: name and unit of each. bound: mean squares ``(K, groups)``.
+
+    Returns
+    -------
+    runs: that were scored. The `STATISTICS` of each group.
+    anees, anees_low, anees_high: NEES averaged over runs and settled epochs, over its dimension (1
+        if consistent), with a 95 % interval from how the runs differ. band_low, band_high: where
+        the mean over the runs at a single epoch lies with 95 %, if consistent.
     nis: NIS over its degrees of freedom, averaged over the settled epochs.
     nees_beyond, nis_beyond: part of single values above their 95 % quantiles, .05 if consistent.
     """
-
-    runs: int
-    accuracy: tuple[Accuracy, ...]
-    anees: float
-    low: float
-    high: float
-    band: tuple[float, float]
-    nis: float
-    nees_beyond: float
-    nis_beyond: float
-
-
-def summarize(scores: Scores, bound: Array | None = None) -> Summary:
-    """Statistics of scores; ``bound (K, groups)``: mean squares. nan where no run is left."""
     runs, n = int(scores["runs"]), int(scores["dimension"])
     settled = scores["settled"] > 0.0
-    rms, low, high = _interval(scores["own"], runs)
-    anees, least_anees, most_anees = (
-        float(v[0]) / n for v in _interval(scores["own_nees"][:, None], int(scores["judged"]))
-    )
+    mean_squares = _interval(scores["own"], runs)
+    anees = [float(v) / n for v in _interval(scores["own_nees"], int(scores["judged"]))]
+    band = chi_square_band(n, runs) if runs else (np.nan, np.nan)
     with np.errstate(invalid="ignore", divide="ignore"):
+        rms, low, high = np.sqrt(mean_squares)
         final = np.sqrt(scores["square"][-1] / scores["count"][-1])
         sigma = np.sqrt(scores["variance"][settled].sum(0) / scores["known"][settled].sum())
-        nis = float(scores["nis"][settled].sum() / scores["dof"][settled].sum())
         least = np.full(len(rms), np.nan) if bound is None else np.sqrt(bound[settled].mean(0))
-        columns = np.stack(
-            [np.sqrt(rms), np.sqrt(low), np.sqrt(high), final, sigma, least, least / np.sqrt(rms)],
-            -1,
-        )
-        nees_beyond, nis_beyond = (
-            float(scores[name][0] / scores[name][1]) for name in ("nees_beyond", "nis_beyond")
-        )
-    accuracy = tuple(Accuracy(*row) for row in columns.tolist())
-    a, b = chi_square_band(n, runs) if runs else (np.nan, np.nan)
-    return Summary(
-        runs, accuracy, anees, least_anees, most_anees, (a / n, b / n), nis, nees_beyond, nis_beyond
-    )
+        values = np.stack([rms, low, high, final, sigma, least, least / rms], -1)
+        nis = float(scores["nis"][settled].sum() / scores["dof"][settled].sum())
+        beyond = {
+            name: float(scores[name][0] / scores[name][1]) for name in ("nees_beyond", "nis_beyond")
+        }
+    accuracies = {
+        column(name, statistic, unit): value
+        for (name, unit, *_), row in zip(groups, values.tolist(), strict=True)
+        for statistic, value in zip(STATISTICS, row, strict=True)
+    }
+    consistency = dict(zip(("anees", "anees_low", "anees_high"), anees, strict=True))
+    bands = {"band_low": band[0] / n, "band_high": band[1] / n}
+    return {"runs": runs} | accuracies | consistency | bands | {"nis": nis} | beyond
 
 
 def _interval(sums: Array, runs: int) -> tuple[Array, Array, Array]:

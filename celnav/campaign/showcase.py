@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from celnav.campaign import CampaignResult
-from celnav.campaign.figures import PALETTE
 from celnav.campaign.missions import MissionStudy
+from celnav.campaign.scores import column
 from celnav.campaign.units import STUDY
 from celnav.gaussian.linalg import Array
 from celnav.models.earth import SEMI_MAJOR_M
 from celnav.papers import load
 from celnav.papers.own import name_of
 from celnav.show import colors, scenes, showcase
-from celnav.show.draw import Item, Line, Panel, components, curve, panels
+from celnav.show.draw import Item, Line, Panel, components, curve, look, panels
 from celnav.show.estimates import Estimate, Group
 from celnav.show.plots import Curve, Plot
 from celnav.show.showcase import Showcase, Space
@@ -71,7 +71,7 @@ def first_run(study: MissionStudy) -> Showcase | None:
 
 
 def _shades(study: MissionStudy) -> dict[str, str]:
-    return {name: PALETTE[i % len(PALETTE)] for i, name in enumerate(study.filters)}
+    return {name: look(i)["color"] for i, name in enumerate(study.filters)}
 
 
 def errors(shown: Showcase) -> Figure:
@@ -88,7 +88,7 @@ def errors(shown: Showcase) -> Figure:
                 curve(shown.times, -reach, BOUNDS, label=None),
             ]
             labels = [f"component {i + 1}" for i in range(error.shape[1])]
-            shades = [PALETTE[i % 6] for i in range(error.shape[1])]
+            shades = [look(i)["color"] for i in range(error.shape[1])]
             items += components(shown.times, error, labels, shades, linewidth=0.8)
             every.append((name if not rows else "", items))
             seen = np.abs([*error[late].T, reach[late]])
@@ -158,16 +158,15 @@ def _rms(shown: Showcase, outcome: CampaignResult) -> dict[str, Plot]:
 
 
 def _notes(outcome: CampaignResult) -> str:
-    """What one sees."""
+    """The text beside the recording."""
     study = outcome.study
     first = f"{study.runs} runs of `{name_of(study.paper)}`, seed {study.seed}."
     lines = [f"# {study.title}", first, ""]
     for row in outcome.rows:
-        for name, unit in row.groups:
-            accuracy = row.accuracy(name)
-            if accuracy is not None:
-                errs = f"rms {accuracy.rms:.3g} {unit}, takes itself for {accuracy.sigma:.3g}"
-                lines.append(f"- **{row.filter}** {name}: {errs}")
-        if row.failed:
-            lines.append(f"- **{row.filter}**: {row.failed} runs failed")
+        filter = f"- **{row['filter']}**"
+        for name, unit in outcome.groups if row["runs"] else ():
+            rms, sigma = (row[column(name, statistic, unit)] for statistic in ("rms", "sigma"))
+            lines.append(f"{filter} {name}: rms error {rms:.3g} {unit}, predicted {sigma:.3g}")
+        if row["failed"]:
+            lines.append(f"{filter}: {row['failed']} runs failed")
     return "\n".join(lines)

@@ -101,7 +101,7 @@ def warn(line: str) -> None:
 
 def done(rows: Sequence[TableRow]) -> int:
     """Exit status of runs: 1, with a line that says so, where all of them failed."""
-    if any(row.summary is not None for row in rows):
+    if any(row["runs"] for row in rows):
         return 0
     warn("every run of every filter failed")
     return 1

@@ -42,7 +42,7 @@ def run(options: argparse.Namespace) -> int:
     except WorkError as error:
         warn(str(error))
         return 1
-    print(summary(outcome.rows))
+    print(summary(outcome.rows, outcome.groups))
     first, recorded = first_run(study), ""
     drawings = figures(outcome) | ({"errors": errors(first)} if first else {})
     with locked(outputs.directory):
@@ -54,7 +54,7 @@ def run(options: argparse.Namespace) -> int:
         except (ImportError, OSError, RuntimeError, ValueError) as error:
             warn(f"no recording ({error}); everything else is written")
         write(outcome, drawings, outputs, recorded)
-        outputs.text("summary.txt", summary(outcome.rows) + "\n")
+        outputs.text("summary.txt", summary(outcome.rows, outcome.groups) + "\n")
         outputs.text(ORIGIN, json.dumps({"file": str(Path(options.mission).resolve())}) + "\n")
     print(f"wrote {outputs.directory / 'index.html'}")
     return done(outcome.rows)

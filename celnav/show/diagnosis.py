@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -10,23 +10,13 @@ from celnav.analysis.diagnose import Diagnosis, SensorConsistency
 from celnav.analysis.metrics import chi_square_band
 from celnav.gaussian.linalg import Array
 from celnav.show import colors
-from celnav.show.draw import Item, Panel, curve, panels
+from celnav.show.draw import Item, Panel, curve, look, panels
 from celnav.show.draw import level as horizontal
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-SHADES = (
-    colors.COMPARISON,
-    colors.ESTIMATE,
-    colors.TRUTH,
-    colors.OPEN_LOOP,
-    colors.PAPER,
-    colors.MEASUREMENT,
-    colors.REFERENCE,
-)
-MARKS = "osv^Dx+"
 BINS = 60  # means over time
 
 
@@ -44,13 +34,7 @@ def figure(found: Diagnosis) -> Figure:
         ]
         items: list[Item] = [_band(lags[0], components[0].band, f"{percent} band if white")]
         for i, c in enumerate(components):
-            look: dict[str, Any] = {
-                "marker": MARKS[i % len(MARKS)],
-                "markersize": 3.0,
-                "linewidth": 0.9,
-                "color": SHADES[i % len(SHADES)],
-            }
-            items.append(curve(lags[i], c.autocorrelation, label=c.name, **look))
+            items.append(curve(lags[i], c.autocorrelation, label=c.name, linewidth=0.9, **look(i)))
         unit = "s" if regular else "samples"
         rows.append([Panel("Is it white?", items, f"lag ({unit})", "autocorrelation")])
         if not np.isnan(sensor.nis):
