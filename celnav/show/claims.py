@@ -202,8 +202,7 @@ def written(claim: Claim) -> dict[str, Any]:
     """As in ``claims.json``: ``value`` and the like of the decisive number; ``numbers`` has all."""
     row, first = claim.row, claim.decisive
     numbers = [
-        {key: plain(value) for key, value in number._asdict().items()}
-        | {"tier": tier, "agreement": plain(number.agreement), "holds": holds}
+        plain(number) | {"tier": tier, "agreement": plain(number.agreement), "holds": holds}
         for tier, number, holds in claim.outcomes
     ]
     return {
@@ -229,14 +228,19 @@ def written(claim: Claim) -> dict[str, Any]:
 
 
 def plain(value: Any, digits: int = 6) -> Any:
-    """As JSON has it: numbers of so many significant digits, None for those that are not finite."""
+    """A value as JSON has it, records as tables: numbers of so many significant digits, None for
+    those that are not finite.
+    """
+    if hasattr(value, "_asdict"):
+        value = value._asdict()
     if isinstance(value, Mapping):
         return {key: plain(part, digits) for key, part in value.items()}
     if isinstance(value, tuple | list | np.ndarray):
         return [plain(part, digits) for part in value]
-    if isinstance(value, bool | np.bool_ | str | int) or value is None:
-        return bool(value) if isinstance(value, np.bool_) else value
-    return float(f"{float(value):.{digits}g}") if np.isfinite(value) else None
+    value = value.item() if isinstance(value, np.generic) else value
+    if not isinstance(value, float):
+        return value
+    return float(f"{value:.{digits}g}") if np.isfinite(value) else None
 
 
 def dumps(claims: Iterable[Claim]) -> str:

@@ -171,7 +171,7 @@ def _image(model: Motion | Sensor, x: Array, epoch: Epoch, m: int | None = None)
     return np.asarray(y)
 
 
-class Row(NamedTuple):
+class Comparison(NamedTuple):
     """How a filter does on a problem.
 
     problem, filter: names. rms: of the first group over the second half of the epochs; rms_low,
@@ -204,8 +204,8 @@ def compare(
     *,
     runs: int = 200,
     seed: int = 0,
-) -> list[Row]:
-    """Fly filters on problems, all on the same noise: a `Row` for each problem and filter that go
+) -> list[Comparison]:
+    """Fly filters on problems, all on the same noise: a `Comparison` for each problem and filter that go
     together.
 
     problems: by name. runs: of each. seed: run r has the generator of ``(seed, 0, r)``.
@@ -240,7 +240,7 @@ def compare(
             anees = _interval(np.mean, run.nees[half:, sound].mean(0) / n)
             us = 1e6 * _seconds(filter, trial, key) / (runs * len(problem.times))
             lost = int((~sound).sum())
-            rows.append(Row(name, key, *accuracy, efficiency, *anees, lost, us))
+            rows.append(Comparison(name, key, *accuracy, efficiency, *anees, lost, us))
     return rows
 
 
