@@ -60,7 +60,7 @@ drawing: Drawing.set render styled
 rules: check_point_count AnyDimension
 sparse_grid: check_orders univariate
 views: blueprint
-draw: band bars components curve grid interval level panels picture_names pictures quantiles
+draw: band bars components curve grid interval level look panels picture_names pictures quantiles
 figures: consistency errors rmse rmse_table sigma
 ephemeris: de421
 pulsar: known
@@ -75,7 +75,7 @@ operations: counted step_operations
 numbers: all_of consistency correlation count_holding entries given lagged of operations over
     over_time ratio rmse settling some tiers
 parameters: Parameters.check param
-store: Store Store.forget_all_but Store.has Store.path Store.read Store.write code existing resumed
+store: Store Store.forget_all_but Store.has Store.path Store.read Store.write code existing open_store resumed
 sightings: limb
 study: concatenated
 study: Results Results.at Results.claims Results.error Results.first Results.get Results.group Results.nees Results.squares

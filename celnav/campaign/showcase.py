@@ -19,9 +19,9 @@ from celnav.papers import load
 from celnav.papers.own import name_of
 from celnav.show import colors, scenes, showcase
 from celnav.show.draw import Item, Line, Panel, components, curve, look, panels
-from celnav.show.estimates import Estimate, Group
+from celnav.show.estimates import Estimate
 from celnav.show.plots import Curve, Plot
-from celnav.show.showcase import Showcase, Space
+from celnav.show.showcase import SceneView, Showcase
 from celnav.study.montecarlo import generator
 from celnav.study.trial import Evaluation, Trial, evaluate_filter
 
@@ -51,11 +51,6 @@ def first_run(study: MissionStudy) -> Showcase | None:
     if trial.place is not None:
         truths = [epoch.truth for epoch in trial.epochs(some) if epoch.truth is not None]
         orbit = np.stack([trial.place(truth)[0] for truth in truths])
-    groups = []
-    for group in trial.groups:
-        count = group.part.stop - group.part.start
-        axes = "xyz" if count == 3 else [str(i + 1) for i in range(count)]
-        groups.append(Group(*group, axes=tuple(axes)))
     return Showcase(
         f"mission {study.title}",
         "",
@@ -65,7 +60,7 @@ def first_run(study: MissionStudy) -> Showcase | None:
             for name, color in _shades(study).items()
             if (f := filters.get(name)) is not None
         },
-        groups,
+        trial.groups,
         truth=orbit,
     )
 
@@ -115,7 +110,7 @@ def record(shown: Showcase, outcome: CampaignResult, path: str | PathLike[str]) 
     study, orbit, spaces = outcome.study, shown.truth, []
     if orbit is not None:
         eye = float(np.abs(orbit).max()) * np.array([2.2, -1.8, 1.4])
-        spaces = [Space("orbit", "orbit, km", eye, growing=["orbit/satellite/trail"])]
+        spaces = [SceneView("orbit", "orbit, km", eye, growing=["orbit/satellite/trail"])]
 
     def scene(out: Recorder) -> None:
         if orbit is not None:

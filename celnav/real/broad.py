@@ -433,7 +433,7 @@ FIGURES = {
 TABLES = {"table_1": ("RMSE of each filter in each trial.", table)}
 RECORDINGS = ["broad.rrd"]
 SPACES = (
-    showcase.Space(
+    showcase.SceneView(
         "body", "the sensor on Earth axes (x east, z up): truth, and estimates", (2.0, -2.5, 1.5)
     ),
 )
@@ -475,7 +475,7 @@ def record(results: Results, outputs: Outputs) -> list[str]:
         notes,
         t,
         estimates,
-        (estimated.Group(*GROUPS[0], ("east", "north", "up")),),
+        (GROUPS[0]._replace(axes=("east", "north", "up")),),
         posed,
         np.degrees(np.eye(3)),
         "deg",

@@ -52,7 +52,7 @@ from celnav.real.arrivals import (
 from celnav.show import colors
 from celnav.show.figures import Line, Panel, Rows, bars, curve, level, panels
 from celnav.show.plots import Curve, Plot
-from celnav.show.showcase import Showcase, Space, write
+from celnav.show.showcase import SceneView, Showcase, write
 from celnav.study.ledger import Number, Sentence, estimate, finding
 from celnav.study.numbers import Decided, all_of, of
 from celnav.study.study import Part, Results, Rngs, Study, fly
@@ -659,7 +659,7 @@ def record(r: Results, outputs: Outputs) -> list[str]:
         for i, axis in enumerate("xyz")
     }
     notes = "# The Earth by millisecond pulsars\nRays point to the pulsars; units are AU."
-    sky = Space("sky", "Earth and pulsars", (2.5, -2.5, 1.8), growing=("sky/earth",))
+    sky = SceneView("sky", "Earth and pulsars", (2.5, -2.5, 1.8), growing=("sky/earth",))
     show = Showcase(
         "nanograv",
         notes,

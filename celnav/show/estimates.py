@@ -4,32 +4,15 @@ of components.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
 from celnav.gaussian.linalg import Array
 from celnav.show.draw import Line
 from celnav.study.study import Results
-from celnav.study.trial import scales
-
-
-class Group(NamedTuple):
-    """Components of the error that are drawn together: ``part`` of them, times ``scale``, is in
-    ``unit``.
-
-    ``axes``: names of the components. ``truth (T, k)``, in ``unit``: if given, estimates are drawn
-        about it, else their errors are.
-    """
-
-    name: str
-    unit: str
-    part: slice
-    scale: float | Sequence[float] = 1.0
-    axes: Sequence[str] = ("x", "y", "z")
-    truth: Array | None = None
+from celnav.study.trial import Group, scales
 
 
 @dataclass(frozen=True, eq=False)

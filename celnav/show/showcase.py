@@ -18,8 +18,9 @@ from celnav.analysis.metrics import chi_square_band
 from celnav.gaussian.checks import finite, numbers
 from celnav.gaussian.linalg import Array
 from celnav.show import colors
-from celnav.show.estimates import Estimate, Group
+from celnav.show.estimates import Estimate
 from celnav.show.plots import Curve, Plot, draw
+from celnav.study.trial import Group
 
 if TYPE_CHECKING:
     from celnav.files import Outputs
@@ -31,7 +32,7 @@ FAR = 20.0
 """Errors so much larger than their view are left out, as those of the start may be."""
 
 
-class Space(NamedTuple):
+class SceneView(NamedTuple):
     """A view of a study's own entities below ``origin``, from ``eye`` to ``target``; of those
     ``growing`` the past is seen too.
     """
@@ -53,6 +54,7 @@ class Showcase:
     name: what the viewer calls the recording. notes: Markdown. times: ``(T,)`` s.
     estimates: by name, the study's own first: of the first two bounds are seen at first.
     groups: of the error's components. truth: the states ``(T, m)``, to be read back.
+    truths: ``(T, k)`` by name of a group, in its unit: then its estimates are drawn, else errors.
     axes: the linear map ``(3, n)`` from errors to the space of errors, in ``unit``; None: no such
         space.
     measured: errors ``(T, 3)`` of the measurements there, nan where there is none. nis_dof:
@@ -77,7 +79,7 @@ class Showcase:
     nis_dof: int = 1
     bound: Mapping[str, Array] = field(default_factory=dict)
     scene: Callable[[Recorder], None] | None = None
-    spaces: Sequence[Space] = ()
+    spaces: Sequence[SceneView] = ()
     plots: Mapping[str, Mapping[str, Plot]] = field(default_factory=dict)
     bars: Mapping[str, Array] = field(default_factory=dict)
     events: Sequence[tuple[float, str]] = ()
@@ -85,6 +87,7 @@ class Showcase:
     parameters: Mapping[str, Any] = field(default_factory=dict)
     facts: Mapping[str, Any] = field(default_factory=dict)
     counter: str = ""
+    truths: Mapping[str, Array] = field(default_factory=dict)
 
     @property
     def main(self) -> list[str]:
@@ -173,7 +176,7 @@ def _legend(showcase: Showcase) -> str:
         "ellipsoid. Points: other runs."
     )
     lines += [errors] * (showcase.axes is not None)
-    lines.append("Space bar: play. Tabs: other axes. Double-click in a plot: all of its range.")
+    lines.append("SceneView bar: play. Tabs: other axes. Double-click in a plot: all of its range.")
     rows = [
         f"| {name} | {text} |"
         for name, value in showcase.parameters.items()
@@ -232,21 +235,18 @@ def _errors(showcase: Showcase) -> dict[str, dict[str, Plot]]:
         }
         main = [found[key] for key in showcase.main if key in found]
         reach = 1.05 * _reach([error for error, _ in main], [sigma for _, sigma in main], 1.0)
-        about = (
-            np.zeros((len(showcase.times), len(group.axes))) if group.truth is None else group.truth
-        )
+        truth = showcase.truths.get(group.name)
+        about = np.zeros((len(showcase.times), len(group.names))) if truth is None else truth
         limits = (
             (float(np.nanmin(about)) - reach, float(np.nanmax(about)) + reach)
             if reach > 0.0
             else None
         )
         row = rows.setdefault(group.name, {})
-        for i, axis in enumerate(group.axes):
-            curves = (
-                {} if group.truth is None else {"truth": Curve(about[:, i], colors.TRUTH, "truth")}
-            )
+        for i, axis in enumerate(group.names):
+            curves = {} if truth is None else {"truth": Curve(about[:, i], colors.TRUTH, "truth")}
             for key, (error, sigma) in found.items():
-                center = 0.0 if group.truth is None else about[:, i] + error[:, i]
+                center = 0.0 if truth is None else about[:, i] + error[:, i]
                 curves[key] = _curve(
                     showcase,
                     key,
@@ -255,7 +255,7 @@ def _errors(showcase: Showcase) -> dict[str, dict[str, Plot]]:
                     center,
                 )
             row[axis] = Plot(
-                f"{group.name} {'error ' * (group.truth is None)}{axis}, {group.unit}",
+                f"{group.name} {'error ' * (truth is None)}{axis}, {group.unit}",
                 curves,
                 limits=limits,
             )

@@ -42,7 +42,7 @@ class Group(NamedTuple):
     """Components of the error that are judged together, such as a position.
 
     ``part`` of the error's components, times ``scale`` (a number, or one for each of them), are in
-    ``unit``.
+    ``unit``. axes: names of the components, for recordings; x, y and z, or numbers, if empty.
 
     >>> position = celnav.Group("position", "m", slice(0, 3), 1000.0)  # of errors in km
     """
@@ -51,6 +51,13 @@ class Group(NamedTuple):
     unit: str
     part: slice
     scale: float | tuple[float, ...] = 1.0
+    axes: Sequence[str] = ()
+
+    @property
+    def names(self) -> Sequence[str]:
+        """Of the components, one for each."""
+        count = self.part.stop - self.part.start
+        return self.axes or ("xyz" if count == 3 else [str(i + 1) for i in range(count)])
 
 
 class Trial(NamedTuple):

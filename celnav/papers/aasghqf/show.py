@@ -28,9 +28,9 @@ from celnav.papers.aasghqf.study import (
     TABLE_4,
 )
 from celnav.show import colors, scenes
-from celnav.show.estimates import Group, again
+from celnav.show.estimates import again
 from celnav.show.figures import Item, Line, Panel, consistency, curve, errors, panels, rmse, sigma
-from celnav.show.showcase import Showcase, Space, write
+from celnav.show.showcase import SceneView, Showcase, write
 from celnav.study.study import Results
 
 if TYPE_CHECKING:
@@ -358,14 +358,10 @@ def showcase(results: Results, part: str) -> Showcase:
                 out, f"points/{name}", places[..., :3] / std, rule.wm[moved], e.color
             )
 
-    groups = [
-        Group(g.name, g.unit, g.part, g.scale, AXES[g.name])
-        for g in results.study.groups
-        if g.name in AXES
-    ]
+    groups = [g._replace(axes=AXES[g.name]) for g in results.study.groups if g.name in AXES]
     trails = "world/aircraft/trail", "world/inertial/trail"
     spaces = [
-        Space(
+        SceneView(
             "world",
             "flight, m (east, north, up)",
             (60e3, -70e3, 70e3),
@@ -373,7 +369,7 @@ def showcase(results: Results, part: str) -> Showcase:
             growing=trails,
         ),
         *(
-            Space(f"points/{f}", f"sigma points of {LINES[f].label}, σ of SGHQF", (9, -9, 6))
+            SceneView(f"points/{f}", f"sigma points of {LINES[f].label}, σ of SGHQF", (9, -9, 6))
             for f in COMPARED
         ),
     ]

@@ -25,7 +25,7 @@ from celnav.papers.csrukf.study import (
     TABLE_3,
 )
 from celnav.show import colors, scenes, showcase
-from celnav.show.estimates import Group, again
+from celnav.show.estimates import again
 from celnav.show.figures import (
     Item,
     Line,
@@ -454,7 +454,7 @@ def _case(results: Results, case: str) -> showcase.Showcase:
         f"# Sun, Zhuang & Xu (2015), Φ = {phi}\n\n**{CASES[case]}**\n{NOTES}",
         results.times(case),
         found,
-        [Group(*group) for group in results.study.groups],
+        results.study.groups,
         truth,
         np.eye(3, 6),
         "km",
