@@ -79,7 +79,8 @@ store: Store Store.forget_all_but Store.has Store.path Store.read Store.write co
 sightings: limb
 study: concatenated
 study: Results Results.at Results.claims Results.error Results.first Results.get Results.group Results.nees Results.squares
-    Results.times Results.value Study Study.at_hand Study.reproduce Study.results Study.units Unit.check Unit.do fly together
+    Results.times Results.value Study Study.at_hand Study.reproduce Study.results Study.units Unit.check Unit.do evaluate_filters
+    evaluate_from_priors
 page: macro render
 picture: command end picture
 progress: Progress Progress.add Progress.close Progress.runs Progress.say

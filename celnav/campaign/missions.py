@@ -36,8 +36,6 @@ from celnav.papers import PAPERS, is_file, load
 from celnav.papers.own import identity
 from celnav.study.montecarlo import run_count
 
-__all__ = ["Configuration", "MissionError", "MissionStudy", "flat", "read", "study"]
-
 LARGEST_FILE = 1_000_000
 """Bytes."""
 MOST_CONFIGURATIONS = 100_000

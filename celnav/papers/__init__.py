@@ -21,8 +21,6 @@ from celnav.lazy import modules
 
 __getattr__, __dir__ = modules(__name__)
 
-__all__ = ["PAPERS", "REAL", "citation", "is_file", "load"]
-
 PAPERS = {
     name: f"celnav.papers.{name}" for name in ("csrukf", "ssukf", "tstdkf", "aasghqf", "aukf")
 }

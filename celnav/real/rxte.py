@@ -29,7 +29,8 @@ from celnav.models.pulsar import LIGHT_KM_S
 from celnav.papers import citation
 from celnav.real.photons import read
 from celnav.show import colors
-from celnav.show.figures import Line, Panel, Rows, curve, level, panels
+from celnav.show.draw import Line, Panel, curve, level, panels
+from celnav.show.figures import Rows
 from celnav.show.plots import Curve, Plot
 from celnav.show.showcase import SceneView, Showcase, write
 from celnav.study.ledger import Number, Sentence, estimate, finding

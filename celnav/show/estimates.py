@@ -53,7 +53,7 @@ class Estimate:
 def again(
     results: Results, part: str, lines: Mapping[str, Line]
 ) -> tuple[dict[str, Estimate], Array, Array]:
-    """Filters of a part, of which `celnav.study.study.fly` kept the covariances of the first run:
+    """Filters of a part, of which `celnav.study.study.evaluate_filters` kept the covariances of the first run:
     the errors of all runs; its truth ``(T, n)`` and measurements ``(T, m)``, of epochs that are the
     same for all filters."""
     first, some = results.first(part), next(iter(lines))

@@ -1,5 +1,5 @@
-"""A trial: simulated runs of one configuration, the filters that may be flown on them, and how
-their estimates are judged.
+"""A trial: simulated runs of one configuration, the filters that may run on them, and how their
+estimates are judged.
 
 Each paper has a function ``trial(config, rngs) -> Trial``; missions, campaigns and the linear bound
 need nothing else of it.
@@ -182,40 +182,38 @@ def evaluate_filter(trial: Trial, name: str, every: int = 1) -> Evaluation:
     """
     instance("trial", trial, Trial, "a Trial, such as problem.trial(filters, rngs)")
     filter, every = trial.filters[choice("name", name, trial.filters)], integer("every", every)
-    flown = None
-    if (engine := ENGINE.get()) != "numpy":
+    records: Iterable[tuple[Epoch, Any, tuple[Info, ...]]]
+    if (engine := ENGINE.get()) == "numpy":
+        records = steps(filter, trial.prior, trial.epochs(name))
+    else:
         from celnav.engine.compiled import steps_by
 
-        flown = steps_by(engine, filter, trial.prior, trial.epochs(name))
+        records = steps_by(engine, filter, trial.prior, trial.epochs(name))
     lost: dict[int, tuple[float, str]] = {}
     count = 0
 
     def judged() -> Iterator[tuple[Any, ...]]:
         nonlocal count
-        seen, before, left = 0, None, None
-        for epoch, state, infos in flown or steps(filter, trial.prior, trial.epochs(name)):
+        judgeable, before, skipped = 0, None, None
+        for epoch, state, infos in records:
             count += 1
             why = ""
-            if any_lost(
-                state.belief
-            ):  # newly: a filter of single epochs may have had no estimate before
+            if any_lost(state.belief):
+                # Newly lost: a filter of single epochs may have had no estimate before.
                 start = filter.start(trial.prior) if before is None else before
-                why = (
-                    explain(filter, start, state, epoch)
-                    if (state.belief.lost() & ~start.belief.lost()).any()
-                    else ""
-                )
+                if (state.belief.lost() & ~start.belief.lost()).any():
+                    why = explain(filter, start, state, epoch)
             before = state
-            due = epoch.truth is not None and seen % every == 0
+            due = epoch.truth is not None and judgeable % every == 0
             if epoch.truth is not None:
-                seen, left = seen + 1, None if due else (epoch, state.belief, infos)
+                judgeable, skipped = judgeable + 1, None if due else (epoch, state.belief, infos)
             if due or why:
-                _watch(lost, epoch, state.belief, why)
+                _note_lost(lost, epoch, state.belief, why)
             if due:
                 yield _row(trial, epoch, state.belief, infos)
-        if left is not None:
-            _watch(lost, *left[:2])
-            yield _row(trial, *left)
+        if skipped is not None:  # the last one that has a truth
+            _note_lost(lost, *skipped[:2])
+            yield _row(trial, *skipped)
 
     rows, blocks = judged(), []
     for block in iter(lambda: list(islice(rows, TOGETHER)), []):
@@ -223,33 +221,14 @@ def evaluate_filter(trial: Trial, name: str, every: int = 1) -> Evaluation:
             np.array(column, np.float64) for column in zip(*block, strict=True)
         )
         with np.errstate(invalid="ignore"):  # a lost run is nan
-            blocks.append(
-                (
-                    times,
-                    error,
-                    np.sqrt(np.einsum("...ij,...ij->...i", root, root)),
-                    nees(error, root),
-                    nis,
-                    dof,
-                    outer(root.reshape(len(root), -1, *root.shape[-2:])[:, 0]),
-                )
-            )
+            std, normalized = np.sqrt(np.einsum("...ij,...ij->...i", root, root)), nees(error, root)
+            cov = outer(root.reshape(len(root), -1, *root.shape[-2:])[:, 0])
+        blocks.append((times, error, std, normalized, nis, dof, cov))
     if not blocks:
         raise ValueError("epochs: expected some with a truth, got none")
-    times, error, std, normalized, nis, dof, cov = (
-        np.concatenate(column) for column in zip(*blocks, strict=True)
-    )
-    return Evaluation(
-        times,
-        error,
-        std,
-        normalized,
-        nis,
-        dof,
-        cov,
-        [(run, *what) for run, what in sorted(lost.items())],
-        count,
-    )
+    arrays = (np.concatenate(column) for column in zip(*blocks, strict=True))
+    failures = [(run, *what) for run, what in sorted(lost.items())]
+    return Evaluation._make([*arrays, failures, count])
 
 
 def _row(trial: Trial, epoch: Epoch, belief: Belief, infos: tuple[Info, ...]) -> tuple[Any, ...]:
@@ -262,12 +241,14 @@ def _row(trial: Trial, epoch: Epoch, belief: Belief, infos: tuple[Info, ...]) ->
     return epoch.t, error, np.broadcast_to(root, (*runs, *root.shape[-2:])), nis, dof
 
 
-def _watch(lost: dict[int, tuple[float, str]], epoch: Epoch, belief: Belief, why: str = "") -> None:
+def _note_lost(
+    lost: dict[int, tuple[float, str]], epoch: Epoch, belief: Belief, why: str = ""
+) -> None:
     """Note the runs without an estimate; forget those that have one again, as single epochs may."""
-    there = np.atleast_1d(np.isfinite(belief.mean).all(-1))
-    for i in np.flatnonzero(~there).tolist():
+    is_finite = np.atleast_1d(np.isfinite(belief.mean).all(-1))
+    for i in np.flatnonzero(~is_finite).tolist():
         lost.setdefault(i, (float(epoch.t), why or "the estimate is not finite"))
-    for i in [i for i in lost if there[i]]:
+    for i in [i for i in lost if is_finite[i]]:
         del lost[i]
 
 

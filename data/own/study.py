@@ -11,11 +11,12 @@ import numpy as np
 import celnav
 from celnav.models.motion import constant_velocity
 from celnav.show.colors import COMPARISON, ESTIMATE
-from celnav.show.figures import Line, Panel, consistency, panels, rmse
+from celnav.show.draw import Line, Panel, panels
+from celnav.show.figures import consistency, rmse
 from celnav.study import numbers
 from celnav.study.ledger import Sentence, statement
 from celnav.study.parameters import Timed, param
-from celnav.study.study import Part, Study, fly
+from celnav.study.study import Part, Study, evaluate_filters
 from celnav.study.trial import trial_from_arrays
 
 TITLE = "A vehicle by range and bearing"
@@ -62,7 +63,7 @@ def trial(c, rngs):
 
 def flown(c, rngs):
     """What a process does: all filters on some of the runs."""
-    return fly(trial(c, rngs), list(filters(c)))
+    return evaluate_filters(trial(c, rngs), list(filters(c)))
 
 
 def figure(r):

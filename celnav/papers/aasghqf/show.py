@@ -28,8 +28,9 @@ from celnav.papers.aasghqf.study import (
     TABLE_4,
 )
 from celnav.show import colors, scenes
+from celnav.show.draw import Item, Line, Panel, curve, panels
 from celnav.show.estimates import again
-from celnav.show.figures import Item, Line, Panel, consistency, curve, errors, panels, rmse, sigma
+from celnav.show.figures import consistency, errors, rmse, sigma
 from celnav.show.showcase import SceneView, Showcase, write
 from celnav.study.study import Results
 

@@ -43,7 +43,7 @@ from celnav.study.ledger import Bounds, Decision, Number, Tiers, estimate, read_
 from celnav.study.montecarlo import BRIEF, normals
 from celnav.study.numbers import (
     Decided,
-    Flown,
+    PartFilter,
     all_of,
     consistency,
     count_holding,
@@ -52,7 +52,7 @@ from celnav.study.numbers import (
     operations,
 )
 from celnav.study.operations import counted
-from celnav.study.study import Part, Results, Rngs, Study, When, fly
+from celnav.study.study import Part, Results, Rngs, Study, When, evaluate_filters
 
 __all__ = [
     "COMPARED",
@@ -141,7 +141,7 @@ def judged(config: Config, rngs: Any) -> trials.Trial:
 
 def run_filters(names: Sequence[str], config: Config, rngs: Rngs) -> dict[str, Array]:
     """Filters by name, at all epochs."""
-    return fly(judged(config, rngs), names, cov=True)
+    return evaluate_filters(judged(config, rngs), names, cov=True)
 
 
 def bound(config: Config, _: Rngs) -> dict[str, Array]:
@@ -287,7 +287,7 @@ def along(config: Config, rngs: Rngs) -> dict[str, Array]:
 
 def mounting(config: Config, rngs: Rngs) -> dict[str, Array]:
     """Filters that do not know mounting errors, of the sizes of `MOUNTINGS` in the same runs, and
-    one of 19 states that estimates them ("S"): what `fly` gives, by ``<filter>, <size>``."""
+    one of 19 states that estimates them ("S"): what `evaluate_filters` gives, by ``<filter>, <size>``."""
     sim = simulate(config, rngs)
     draws = normals(rngs, (2, 3))[0].swapaxes(0, 1)
     filter, prior = scenario.mounting_filter(config, np.radians(60.0 / 3600.0))
@@ -300,10 +300,10 @@ def mounting(config: Config, rngs: Rngs) -> dict[str, Array]:
     for size, common in MOUNTINGS:
         errors = np.radians(size / 3600.0) * (draws[:, :1] if common else draws) + np.zeros((2, 3))
         trial = shown(scenario.mounted(sim, errors))
-        judged = fly(trial, ("ukf", "nonlinear", "aasghqf"), 10)
+        judged = evaluate_filters(trial, ("ukf", "nonlinear", "aasghqf"), 10)
         if size == 60 and not common:
             trial = trial._replace(filters={"S": filter}, prior=wide, compare=compare)
-            judged |= fly(trial, ("S",), 10)
+            judged |= evaluate_filters(trial, ("S",), 10)
         for key, values in judged.items():
             out[key.replace("/", f", {'common ' * common}{size}/")] = values
     return out
@@ -466,7 +466,7 @@ def savings(_: Results) -> Tiers:
 # -- numbers of the ledger -------------------------------------------------------------------------
 def averaged(
     label: str,
-    seen: Sequence[Flown],
+    seen: Sequence[PartFilter],
     states: slice,
     accept: Bounds = (None, None),
     *,
@@ -493,7 +493,7 @@ def averaged(
     return number
 
 
-def angles(label: str, a: Flown, b: Flown, accept: Bounds, **more: Any) -> Decided:
+def angles(label: str, a: PartFilter, b: PartFilter, accept: Bounds, **more: Any) -> Decided:
     """RMSE of the misalignment, of one filter over another's, see `averaged`."""
     return averaged(label, [a, b], PHI, accept, **more)
 
@@ -599,7 +599,7 @@ def followed(r: Results) -> list[Number]:
     errors = []
     slow = "A-slow, on line"
 
-    def error(a: Flown, b: Flown) -> Number:
+    def error(a: PartFilter, b: PartFilter) -> Number:
         label = f"RMSE of the angles, {a[1]} over {b[1]} of {b[0]}"
         return angles(label, a, b, (0.99, 1.01))(r)
 

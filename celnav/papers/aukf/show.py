@@ -35,20 +35,19 @@ from celnav.receiver.constellation import synthetic
 from celnav.receiver.geodesy import ELLIPSOID
 from celnav.receiver.report import KIND_COLORS, kinds, record_positioned
 from celnav.show import colors, scenes, showcase
-from celnav.show.estimates import Estimate
-from celnav.show.figures import (
+from celnav.show.draw import (
     Item,
     Line,
     Panel,
-    Rows,
     curve,
-    errors,
     figure,
     interval,
     level,
     panels,
     quantiles,
 )
+from celnav.show.estimates import Estimate
+from celnav.show.figures import Rows, errors
 from celnav.show.plots import Curve, Plot
 from celnav.show.showcase import SceneView, Showcase
 from celnav.study.montecarlo import generator

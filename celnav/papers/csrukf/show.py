@@ -25,21 +25,17 @@ from celnav.papers.csrukf.study import (
     TABLE_3,
 )
 from celnav.show import colors, scenes, showcase
-from celnav.show.estimates import again
-from celnav.show.figures import (
+from celnav.show.draw import (
     Item,
     Line,
     Panel,
-    consistency,
     curve,
-    errors,
     figure,
     level,
     panels,
-    rmse,
-    rmse_table,
-    sigma,
 )
+from celnav.show.estimates import again
+from celnav.show.figures import consistency, errors, rmse, rmse_table, sigma
 from celnav.show.plots import Curve, Plot
 from celnav.study.montecarlo import generator
 from celnav.study.study import Results

@@ -60,7 +60,7 @@ from celnav.study.numbers import (
     ratio,
     tiers,
 )
-from celnav.study.study import Part, Results, Rngs, Study, fly
+from celnav.study.study import Part, Results, Rngs, Study, evaluate_filters
 
 __all__ = [
     "BOTH",
@@ -150,7 +150,7 @@ def run_filters(names: Sequence[str], every: int, config: Config, rngs: Rngs) ->
     runs = trial(config, rngs)
     if config.measured == "positions":
         runs = runs._replace(filters={**runs.filters, **variants(config)})
-    return fly(runs, names, every, cov=True)
+    return evaluate_filters(runs, names, every, cov=True)
 
 
 def walk(config: Config, rngs: Rngs) -> dict[str, Array]:

@@ -14,8 +14,9 @@ from celnav.gaussian.spaces import wrap
 from celnav.papers.ssukf.scenario import ARCSEC, DEG_PER_H, GROUPS, RADIUS_KM, STANDARD, path
 from celnav.papers.ssukf.study import AXES, FIELD, FIELD_DEG, ROOTS, STUDY, TIMED, points
 from celnav.show import colors, scenes, showcase
+from celnav.show.draw import Item, Line, Panel, curve, level, panels
 from celnav.show.estimates import again
-from celnav.show.figures import Item, Line, Panel, Rows, consistency, curve, level, panels, rmse
+from celnav.show.figures import Rows, consistency, rmse
 from celnav.study.study import Results
 
 if TYPE_CHECKING:

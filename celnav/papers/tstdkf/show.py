@@ -27,12 +27,10 @@ from celnav.papers.tstdkf.study import (
     squares,
 )
 from celnav.show import colors, scenes, showcase
-from celnav.show.estimates import Estimate
-from celnav.show.figures import (
+from celnav.show.draw import (
     Item,
     Line,
     Panel,
-    Rows,
     band,
     bars,
     components,
@@ -41,6 +39,8 @@ from celnav.show.figures import (
     level,
     panels,
 )
+from celnav.show.estimates import Estimate
+from celnav.show.figures import Rows
 from celnav.show.plots import Curve, Plot
 from celnav.show.showcase import SceneView, Showcase
 from celnav.study.study import Results

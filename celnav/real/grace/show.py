@@ -15,8 +15,17 @@ from celnav.real.grace.positions import STEP_S, aligned, axes, read
 from celnav.real.grace.settings import DEGREE, SETTINGS, orientation
 from celnav.real.grace.study import BEST, DEGREES, NAMES, REVOLUTION, column
 from celnav.show import colors, scenes, showcase
+from celnav.show.draw import (
+    Line,
+    Panel,
+    band,
+    bars,
+    curve,
+    level,
+    panels,
+)
 from celnav.show.estimates import Estimate
-from celnav.show.figures import Line, Panel, Rows, band, bars, curve, level, panels
+from celnav.show.figures import Rows
 from celnav.show.showcase import SceneView, Showcase
 from celnav.study.numbers import correlation, lagged
 from celnav.study.study import Results
