@@ -28,7 +28,7 @@ from concurrent.futures import Executor, Future
 from pathlib import Path
 from typing import Any
 
-from celnav.campaign import campaign, given, processes, serial
+from celnav.campaign import campaign, from_executor, processes, serial
 from celnav.campaign.missions import MissionStudy, study
 from celnav.campaign.units import STUDY
 from celnav.filters.records import Epoch
@@ -123,7 +123,7 @@ def overhead(runs: int) -> None:
     work = workload(runs)
     executor = InTurn(work)
     with tempfile.TemporaryDirectory() as folder:
-        whole = timed(lambda: campaign(work, folder, given(executor)), time.process_time)
+        whole = timed(lambda: campaign(work, folder, from_executor(executor)), time.process_time)
     bare, judged, units = (sum(executor.times[name]) for name in ("bare", "judged", "unit"))
     whole -= bare + judged
     print(

@@ -72,7 +72,7 @@ claims: answer Ledger cells columns counted dumps markdown notes numbers plain r
 gyro: Gyro.drift
 ledger: Claim Row Row.judged estimate order read_ledger read_printed
 operations: counted step_operations
-numbers: all_of consistency correlation count_holding entries given lagged of operations over
+numbers: all_of consistency constant correlation count_holding entries lagged of operations over
     over_time ratio rmse settling some tiers
 parameters: Parameters.check param
 store: Store Store.forget_all_but Store.has Store.path Store.read Store.write code existing open_store resumed
@@ -84,7 +84,7 @@ study: Results Results.at Results.claims Results.error Results.first Results.get
 page: macro render
 picture: command end picture
 progress: Progress Progress.add Progress.close Progress.runs Progress.say
-estimates: Estimate Estimate.error Estimate.sigma again
+estimates: Estimate Estimate.error Estimate.sigma estimates_of
 plots: draw
 diagnose: Diagnosis.biased Diagnosis.white autocorrelation first_order forgotten_wraps grid_index
 diagnosis_text: consistency laid_out page

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from celnav.campaign.engine import UnfinishedError, compute
-from celnav.campaign.executors import Workers, dask, given, processes, serial
+from celnav.campaign.executors import Workers, dask, from_executor, processes, serial
 from celnav.campaign.missions import Configuration, MissionStudy
 from celnav.campaign.table import TableRow, rows_of
 from celnav.campaign.units import Scored, VersionError, WorkError, units_of
@@ -35,7 +35,7 @@ __all__ = [
     "WorkError",
     "campaign",
     "dask",
-    "given",
+    "from_executor",
     "processes",
     "serial",
 ]
@@ -90,7 +90,7 @@ def campaign(
     Parameters
     ----------
     folder: of the store; None: everything stays in memory.
-    workers: `serial` (the default), `processes`, `dask`, or any executor as `given`.
+    workers: `serial` (the default), `processes`, `dask`, or any executor with `from_executor`.
     progress, say: see `Progress` and `Say`; `say` gets a line about each damaged unit.
 
     Raises

@@ -65,33 +65,33 @@ def compute(
                 ):
                     del missing[unit]
                     if isinstance(outcome, Exception):
-                        unfinished.append(_told(unit, _said(outcome)))
+                        unfinished.append(_titled(unit, _message(outcome)))
                     else:
                         keep(unit, outcome)
                         deaths = 0
         except BrokenExecutor as error:
             if not workers.again:
                 raise OSError(
-                    f"the executor is broken ({_said(error)}); what is finished is kept"
+                    f"the executor is broken ({_message(error)}); what is finished is kept"
                 ) from None
             deaths += 1
             if alone:
                 culprit = next(iter(missing))
                 del missing[culprit]
-                unfinished.append(_told(culprit, "its worker dies"))
+                unfinished.append(_titled(culprit, "its worker dies"))
     if unfinished:
         rest = f" and {len(unfinished) - 3} more" if len(unfinished) > 3 else ""
         count = "1 unit is" if len(unfinished) == 1 else f"{len(unfinished)} units are"
         raise UnfinishedError(f"{count} not done: {'; '.join(unfinished[:3])}{rest}")
 
 
-def _told(unit: Work, why: str) -> str:
+def _titled(unit: Work, why: str) -> str:
     return f"{unit.title} ({why})"
 
 
-def _said(error: Exception) -> str:
-    said = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
-    return "; ".join([said, *getattr(error, "__notes__", ())])
+def _message(error: Exception) -> str:
+    message = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+    return "; ".join([message, *getattr(error, "__notes__", ())])
 
 
 def results(

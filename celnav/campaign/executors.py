@@ -52,7 +52,7 @@ def serial() -> Workers:
     return Workers(_Serial, 1)
 
 
-def given(executor: Executor) -> Workers:
+def from_executor(executor: Executor) -> Workers:
     """An executor of somebody else's, such as ``mpi4py.futures.MPIPoolExecutor``; it stays open."""
     return Workers(lambda: contextlib.nullcontext(executor), 1000, again=False)
 

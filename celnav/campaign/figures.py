@@ -215,7 +215,7 @@ def _curves(study: MissionStudy, scored: Scored, group: int) -> Iterator[Item]:
         with np.errstate(invalid="ignore", divide="ignore"):
             rms, sigma = (
                 np.sqrt(scores[a][:, group] / scores[b])
-                for a, b in (("square", "count"), ("variance", "known"))
+                for a, b in (("square", "count"), ("variance", "predicted"))
             )
         yield curve(times, rms, **look)
         yield curve(times, sigma, color=look["color"], linestyle=":", linewidth=0.8)

@@ -181,7 +181,7 @@ def study(table: Mapping[str, Any]) -> MissionStudy:
     ValueError: naming the key, with its unit, what was expected and what came.
     """
     if "paper" not in table:
-        _known("", table, KEYS)
+        _check_keys("", table, KEYS)
         raise ValueError(
             f"paper: expected one of {', '.join(PAPERS)}, or a study of your own, FILE.py, got none"
         )
@@ -189,13 +189,13 @@ def study(table: Mapping[str, Any]) -> MissionStudy:
     module = (
         load(paper, mission=True)
         if is_file(paper)
-        else _part("paper", lambda: load(paper, mission=True))
+        else _with_name("paper", lambda: load(paper, mission=True))
     )
     start = _preset(module, table)
     for key in (set(table) - set(KEYS)) & {f.name for f in fields(start)}:
         raise ValueError(f"{key}: expected it under [config]")
-    _known("", table, KEYS)
-    given = {k: typed(k, table[k], hint) for k, hint in _OPTIONS.items() if k in table}
+    _check_keys("", table, KEYS)
+    chosen = {k: typed(k, table[k], hint) for k, hint in _OPTIONS.items() if k in table}
     if "runs" in typed("config", table.get("config", {}), dict):
         raise ValueError("config.runs: expected runs at the top of the file, outside of [config]")
     swept, fixed = _overrides(start, table.get("config", {}))
@@ -213,7 +213,7 @@ def study(table: Mapping[str, Any]) -> MissionStudy:
         "settle_s": None,
         "engine": "auto",
     }
-    options: dict[str, Any] = usual | given | {"limits": _limits(table, module.JUDGED)}
+    options: dict[str, Any] = usual | chosen | {"limits": _limits(table, module.JUDGED)}
     for name, least in (("runs", 1), ("seed", 0), ("block", 1), ("every", 1)):
         if options[name] < least:
             raise ValueError(
@@ -262,7 +262,7 @@ def _check_flights(points: Sequence[Configuration], options: Mapping[str, Any]) 
             )
 
 
-def _part(name: str, make: Any) -> Any:
+def _with_name(name: str, make: Any) -> Any:
     """``make()``, with the name before what it complains of."""
     try:
         return make()
@@ -272,7 +272,7 @@ def _part(name: str, make: Any) -> Any:
         raise ValueError(f"{name}: expected numbers that can be computed with ({error})") from None
 
 
-def _known(where: str, table: Mapping[str, Any], names: Sequence[str]) -> None:
+def _check_keys(where: str, table: Mapping[str, Any], names: Sequence[str]) -> None:
     """Refuse keys that are not among the names, and hint at the nearest."""
     for key in table:
         if key not in names and where and key in KEYS:
@@ -298,7 +298,7 @@ def _preset(module: ModuleType, table: Mapping[str, Any]) -> Any:
 
 
 def _limits(table: Mapping[str, Any], judged: Mapping[str, str]) -> dict[str, float]:
-    _known("limits.", typed("limits", table.get("limits", {}), dict), list(judged))
+    _check_keys("limits.", typed("limits", table.get("limits", {}), dict), list(judged))
     limits = {k: typed(f"limits.{k}", v, float) for k, v in table.get("limits", {}).items()}
     for name, value in limits.items():
         if value <= 0.0:
@@ -310,23 +310,23 @@ def _filters(
     module: ModuleType, table: Mapping[str, Any], points: Sequence[Configuration]
 ) -> tuple[str, ...]:
     """The names asked for, which all exist in some configuration; by default those of the first."""
-    known: dict[str, Any] = _part("config", lambda: module.filters(points[0].config))
+    available: dict[str, Any] = _with_name("config", lambda: module.filters(points[0].config))
     names = [
         typed("filters", name, str)
-        for name in typed("filters", table.get("filters", list(known)), list)
+        for name in typed("filters", table.get("filters", list(available)), list)
     ]
     if not names:
-        raise ValueError(f"filters: expected some of {', '.join(known)}, got none")
+        raise ValueError(f"filters: expected some of {', '.join(available)}, got none")
     if len(set(names)) != len(names):
         raise ValueError(f"filters: expected different names, got {names!r}")
     for name in names:
         if not any(
-            name in (known if i == 0 else module.filters(point.config))
+            name in (available if i == 0 else module.filters(point.config))
             for i, point in enumerate(points)
         ):
             raise ValueError(
-                f"filters: expected some of {', '.join(known)}, got "
-                f"{name!r}{did_you_mean(name, known)}"
+                f"filters: expected some of {', '.join(available)}, got "
+                f"{name!r}{did_you_mean(name, available)}"
             )
     return tuple(names)
 
@@ -336,7 +336,7 @@ def _overrides(
 ) -> tuple[dict[str, tuple[Any, ...]], dict[str, Any]]:
     """Lists of values, and single values, by dotted key."""
     hints = typing.get_type_hints(type(config))
-    _known(f"config.{prefix}", table, [f.name for f in fields(config)])
+    _check_keys(f"config.{prefix}", table, [f.name for f in fields(config)])
     swept: dict[str, tuple[Any, ...]] = {}
     fixed: dict[str, Any] = {}
     for key, value in table.items():
@@ -349,7 +349,7 @@ def _overrides(
         elif depth(value) > type_depth(hints[key]):
             if not value:
                 raise ValueError(f"config.{name}: expected at least one value, got an empty list")
-            values_of = tuple(typed(f"config.{name}", one, hints[key]) for one in value)
+            values_of = tuple(typed(f"config.{name}", item, hints[key]) for item in value)
             if len(set(values_of)) != len(values_of):
                 raise ValueError(f"config.{name}: expected different values, got {value!r}")
             swept[name] = values_of
@@ -391,16 +391,16 @@ def _point(start: Any, fixed: Mapping[str, Any], values: dict[str, Any]) -> Conf
 def _replaced(config: Any, values: Mapping[str, Any]) -> Any:
     """A configuration with values of dotted keys in it."""
     inner: dict[str, dict[str, Any]] = {}
-    own: dict[str, Any] = {}
+    changes: dict[str, Any] = {}
     for key, value in values.items():
         head, dot, rest = key.partition(".")
         if dot:
             inner.setdefault(head, {})[rest] = value
         else:
-            own[head] = value
+            changes[head] = value
     for head, parts in inner.items():
         try:
-            own[head] = _replaced(getattr(config, head), parts)
+            changes[head] = _replaced(getattr(config, head), parts)
         except ValueError as error:
             raise ValueError(f"{head}.{error}") from None
-    return replace(config, **own)
+    return replace(config, **changes)

@@ -21,10 +21,10 @@ Scores = dict[str, Array]
 
 times ``(K,)`` s. dimension ``()``: of the error. settled ``(K,)``: which epochs statistics are of.
 runs ``()``. count, nis, dof ``(K,)`` and square ``(K, groups)``: at each epoch, over the runs that
-have an estimate there. known ``(K,)``, variance ``(K, groups)``: over those with a covariance too.
-own ``(2, groups)``, own_nees ``(2,)``: of each run's mean over the settled epochs, and of its
-square; judged ``()``: how many runs have a NEES there. nees_beyond, nis_beyond ``(2,)``: single
-values above their 95 % quantile, and all.
+have an estimate there. predicted ``(K,)``, variance ``(K, groups)``: over those with a covariance
+too. run_square ``(2, groups)``, run_nees ``(2,)``: of each run's mean over the settled epochs, and
+of its square; judged ``()``: how many runs have a NEES there. nees_beyond, nis_beyond ``(2,)``:
+single values above their 95 % quantile, and all.
 """
 CONSTANT = ("times", "dimension", "settled")
 """Scores that are no sums."""
@@ -39,7 +39,7 @@ class Failure(NamedTuple):
 
 
 def score(
-    followed: Evaluation,
+    evaluation: Evaluation,
     groups: tuple[Group, ...],
     *,
     settle_s: float | None,
@@ -51,16 +51,16 @@ def score(
     ``settle_s``: the mean over time begins here, not after the last epoch; None: in the middle of
         the run.
     """
-    times, end = followed.times, float(followed.times[-1])
+    times, end = evaluation.times, float(evaluation.times[-1])
     if settle_s is not None and settle_s > end:
         raise ValueError(
             f"settle_s: expected a time of at most {end:g} s, the last epoch, got {settle_s:g}"
         )
     settled = np.arange(len(times)) >= len(times) // 2 if settle_s is None else times >= settle_s
-    square, variance = squares(groups, followed.error), squares(groups, followed.std)
+    square, variance = squares(groups, evaluation.error), squares(groups, evaluation.std)
     there = np.asarray(np.isfinite(square).all(-1))
-    sound = there & np.isfinite(followed.nees)
-    failures = {run: Failure(run, t, why) for run, t, why in followed.lost}
+    sound = there & np.isfinite(evaluation.nees)
+    failures = {run: Failure(run, t, why) for run, t, why in evaluation.lost}
 
     def fail(which: Any, why: str) -> None:
         for run in np.flatnonzero(which).tolist():
@@ -76,12 +76,16 @@ def score(
     )
     good = np.array([run not in failures for run in range(square.shape[1])], bool)
     chosen = slice(None) if good.all() else good
-    nees, nis, dof = followed.nees[:, chosen], followed.nis[:, chosen], followed.dof[:, chosen]
+    nees, nis, dof = (
+        evaluation.nees[:, chosen],
+        evaluation.nis[:, chosen],
+        evaluation.dof[:, chosen],
+    )
     square, variance, there, sound = (
         values[:, chosen] for values in (square, variance, there, sound)
     )
-    known = there & np.isfinite(variance).all(-1)
-    judged, n = sound[settled].any(0), followed.error.shape[-1]
+    predicted = there & np.isfinite(variance).all(-1)
+    judged, n = sound[settled].any(0), evaluation.error.shape[-1]
     scores = {
         "times": times,
         "dimension": n,
@@ -89,13 +93,13 @@ def score(
         "runs": good.sum(),
         "count": there.sum(1),
         "square": _only(square, there).sum(1),
-        "known": known.sum(1),
-        "variance": _only(variance, known).sum(1),
+        "predicted": predicted.sum(1),
+        "variance": _only(variance, predicted).sum(1),
         "nis": _only(nis, there).sum(1),
         "dof": _only(dof, there).sum(1),
         "judged": judged.sum(),
-        "own": _moments(_mean(square[settled], there[settled])),
-        "own_nees": _moments(_mean(nees[settled], sound[settled])[judged]),
+        "run_square": _moments(_mean(square[settled], there[settled])),
+        "run_nees": _moments(_mean(nees[settled], sound[settled])[judged]),
         "nees_beyond": _beyond(nees[settled], np.full(nees[settled].shape, n)),
         "nis_beyond": _beyond(nis[settled], np.where(there[settled], dof[settled], 0.0)),
     }
@@ -119,9 +123,9 @@ def _mean(values: Array, there: Array) -> Array:
     return np.asarray(_only(values, there).sum(0) / count.reshape(-1, *(1,) * (values.ndim - 2)))
 
 
-def _moments(own: Array) -> Array:
+def _moments(values: Array) -> Array:
     """Sums over the runs of values and of their squares."""
-    return np.stack([own.sum(0), np.square(own).sum(0)])
+    return np.stack([values.sum(0), np.square(values).sum(0)])
 
 
 def _beyond(values: Array, dof: Array) -> Array:
@@ -139,9 +143,9 @@ def check_scores(scores: Scores, groups: int, bound: Array | None) -> None:
     """
     K, G = scores.get("times", np.empty(0)).shape[:1], (groups,)
     shapes: dict[str, tuple[int, ...]] = dict.fromkeys(("dimension", "runs", "judged"), ())
-    shapes |= dict.fromkeys(("times", "settled", "count", "known", "nis", "dof"), K)
-    shapes |= dict.fromkeys(("own_nees", "nees_beyond", "nis_beyond"), (2,))
-    shapes |= {"square": K + G, "variance": K + G, "own": (2, *G)}
+    shapes |= dict.fromkeys(("times", "settled", "count", "predicted", "nis", "dof"), K)
+    shapes |= dict.fromkeys(("run_nees", "nees_beyond", "nis_beyond"), (2,))
+    shapes |= {"square": K + G, "variance": K + G, "run_square": (2, *G)}
     if set(scores) != set(shapes):
         raise ValueError(f"expected scores {', '.join(shapes)}, got {', '.join(scores)}")
     for name, shape in shapes.items():
@@ -198,13 +202,13 @@ def summarize(
     """
     runs, n = int(scores["runs"]), int(scores["dimension"])
     settled = scores["settled"] > 0.0
-    mean_squares = _interval(scores["own"], runs)
-    anees = [float(v) / n for v in _interval(scores["own_nees"], int(scores["judged"]))]
+    mean_squares = _interval(scores["run_square"], runs)
+    anees = [float(v) / n for v in _interval(scores["run_nees"], int(scores["judged"]))]
     band = chi_square_band(n, runs) if runs else (np.nan, np.nan)
     with np.errstate(invalid="ignore", divide="ignore"):
         rms, low, high = np.sqrt(mean_squares)
         final = np.sqrt(scores["square"][-1] / scores["count"][-1])
-        sigma = np.sqrt(scores["variance"][settled].sum(0) / scores["known"][settled].sum())
+        sigma = np.sqrt(scores["variance"][settled].sum(0) / scores["predicted"][settled].sum())
         least = np.full(len(rms), np.nan) if bound is None else np.sqrt(bound[settled].mean(0))
         values = np.stack([rms, low, high, final, sigma, least, least / rms], -1)
         nis = float(scores["nis"][settled].sum() / scores["dof"][settled].sum())

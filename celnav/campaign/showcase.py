@@ -86,8 +86,8 @@ def errors(shown: Showcase) -> Figure:
             shades = [look(i)["color"] for i in range(error.shape[1])]
             items += components(shown.times, error, labels, shades, linewidth=0.8)
             every.append((name if not rows else "", items))
-            seen = np.abs([*error[late].T, reach[late]])
-            top = max(top, 1.2 * float(np.nanmax(seen, initial=0.0)))
+            magnitudes = np.abs([*error[late].T, reach[late]])
+            top = max(top, 1.2 * float(np.nanmax(magnitudes, initial=0.0)))
         more = {"ylim": (-top, top)} if top > 0.0 else {}
         label = f"{group.name} error ({group.unit})"
         rows.append([Panel(title, items, "time (s)", label, more=more) for title, items in every])

@@ -49,20 +49,20 @@ def run(options: argparse.Namespace) -> int:
         outputs.check(FILES)
     table = read(Path(options.residuals), options.time, options.columns)
     try:
-        found = diagnose(
+        diagnosis = diagnose(
             table.residuals, table.times, std=table.std, names=table.names, lags=lags, level=level
         )
     except ValueError as error:
         raise InputError(f"{options.residuals}: {str(error).partition(': ')[2]}") from None
-    words = f"{options.residuals}: {found}"
+    words = f"{options.residuals}: {diagnosis}"
     if table.ignored:
         words += f"\n\nnot looked at: {', '.join(table.ignored)} (--columns chooses)"
     print(words)
     if outputs is not None:
         from celnav.show.diagnosis import figure
 
-        drawn = pictures([("diagnosis", figure(found))])
-        listed = json.dumps(plain(found, digits=17), indent=1) + "\n"
+        drawn = pictures([("diagnosis", figure(diagnosis))])
+        listed = json.dumps(plain(diagnosis, digits=17), indent=1) + "\n"
         outputs.publish({"diagnosis.txt": words + "\n", "diagnosis.json": listed}, drawn)
         print(f"wrote {outputs.directory}")
     return 0

@@ -1,4 +1,4 @@
-"""``celnav run``: fly one mission."""
+"""``celnav run``: run one mission."""
 
 from __future__ import annotations
 

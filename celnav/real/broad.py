@@ -72,8 +72,8 @@ UNDISTURBED = range(6)
 
 
 def run_filters(name: str, config: Flight, _rngs: Sequence[Any]) -> dict[str, Array]:
-    """A filter on all trials, see `celnav.study.study.evaluate_filters`; and ``judged (T, trials, 3)`` deg, nan
-    where the benchmark does not.
+    """A filter on all trials, see `celnav.study.study.evaluate_filters`; and ``judged (T, trials,
+    3)`` deg, nan where the benchmark does not.
     """
     out = evaluate_filters(trial(config, on_earth=name not in ("apart", "transported")), [name])
     moving = np.stack([log.moving for log in config.logs()], 1)[..., None]

@@ -166,7 +166,7 @@ def markdown(rows: Iterable[Iterable[str]]) -> str:
     return "\n".join(f"| {' | '.join(row)} |" for row in rows)
 
 
-def answer(found: Iterable[Sentence], claims: Iterable[Row]) -> str:
+def answer(sentences: Iterable[Sentence], claims: Iterable[Row]) -> str:
     """The sentences whose rows have the verdicts that they rest on, and which rows have others."""
     by_id = {claim["id"]: claim for claim in claims}
     verdicts = {id: claim["verdict"] for id, claim in by_id.items()}
@@ -174,18 +174,18 @@ def answer(found: Iterable[Sentence], claims: Iterable[Row]) -> str:
         id: [np.nan if n["value"] is None else n["value"] for n in claim["numbers"]]
         for id, claim in by_id.items()
     }
-    said, otherwise = list[str](), dict[str, str]()
-    for text, rests_on in found:
-        apart = {
+    said, different = list[str](), dict[str, str]()
+    for text, rests_on in sentences:
+        others = {
             id: verdicts.get(id, "not among these rows")
             for id, verdict in rests_on.items()
             if verdicts.get(id) != verdict
         }
-        otherwise |= apart
-        if not apart:
+        different |= others
+        if not others:
             said.append(_filled(text, numbers))
-    if otherwise:
-        listed = ", ".join(f"{id} ({verdict})" for id, verdict in otherwise.items())
+    if different:
+        listed = ", ".join(f"{id} ({verdict})" for id, verdict in different.items())
         said.append(f"Not said here, since rows that it rests on have other verdicts: {listed}.")
     return " ".join(said)
 
@@ -299,8 +299,8 @@ def read_claims(path: str | Path) -> list[dict[str, Any]]:
 
 
 def _right(key: str, value: Any) -> bool:
-    known = {"kind": KINDS, "verdict": VERDICTS, "expected": VERDICTS}.get(key, (value,))
-    if type(value) not in TYPES[key] or value not in known:
+    allowed = {"kind": KINDS, "verdict": VERDICTS, "expected": VERDICTS}.get(key, (value,))
+    if type(value) not in TYPES[key] or value not in allowed:
         return False
     if key == "numbers":
         return all(isinstance(number, dict) and _whole(number) for number in value)

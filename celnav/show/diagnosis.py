@@ -20,14 +20,14 @@ if TYPE_CHECKING:
 BINS = 60  # means over time
 
 
-def figure(found: Diagnosis) -> Figure:
+def figure(diagnosis: Diagnosis) -> Figure:
     """A row for each sensor: its autocorrelations, and NIS per degree of freedom in bins of time.
 
     >>> celnav.show.diagnosis.figure(celnav.analysis.diagnose.diagnose(track))
     """
-    rows, percent = [], f"{100 * found.level:.3g} %"
-    for k, sensor in enumerate(found.sensors):
-        components = [c for c in found.components if c.sensor == k]
+    rows, percent = [], f"{100 * diagnosis.level:.3g} %"
+    for k, sensor in enumerate(diagnosis.sensors):
+        components = [c for c in diagnosis.components if c.sensor == k]
         regular = all(c.step is not None for c in components)
         lags = [
             (c.step or 1.0 if regular else 1.0) * np.arange(1, len(c.band) + 1) for c in components
@@ -39,9 +39,9 @@ def figure(found: Diagnosis) -> Figure:
         rows.append([Panel("Is it white?", items, f"lag ({unit})", "autocorrelation")])
         if not np.isnan(sensor.nis):
             means = size(
-                found.times - found.times[0],
+                diagnosis.times - diagnosis.times[0],
                 sensor,
-                found.level,
+                diagnosis.level,
                 f"{percent} band if as predicted",
                 "NIS / dof",
             )

@@ -50,21 +50,21 @@ class Estimate:
         )
 
 
-def again(
+def estimates_of(
     results: Results, part: str, lines: Mapping[str, Line]
 ) -> tuple[dict[str, Estimate], Array, Array]:
-    """Filters of a part, of which `celnav.study.study.evaluate_filters` kept the covariances of the first run:
-    the errors of all runs; its truth ``(T, n)`` and measurements ``(T, m)``, of epochs that are the
-    same for all filters."""
-    first, some = results.first(part), next(iter(lines))
-    scale = scales(results.study.groups, results.get(part, f"{some}/error").shape[-1])
-    found = {}
+    """Estimates of a part's filters, evaluated with the covariances of the first run; that run's
+    truth ``(T, n)`` and measurements ``(T, m)``. All filters have the same epochs.
+    """
+    first, name = results.first(part), next(iter(lines))
+    epochs = list(first.epochs(name))
+    scale = scales(results.study.groups, results.get(part, f"{name}/error").shape[-1])
+    estimates = {}
     for name, line in lines.items():
         error, cov, nees, nis = (
             results.get(part, f"{name}/{what}") for what in ("error", "cov", "nees", "nis")
         )
-        shown = error / scale, cov[:, 0], nees[:, 0], nis[:, 0]
-        found[name] = Estimate(line.label, line.color, *shown)
-    epochs = list(first.epochs(some))
+        of_first = cov[:, 0], nees[:, 0], nis[:, 0]
+        estimates[name] = Estimate(line.label, line.color, error / scale, *of_first)
     truth, z = ([getattr(epoch, what)[0] for epoch in epochs] for what in ("truth", "z"))
-    return found, np.stack(truth), np.stack(z)
+    return estimates, np.stack(truth), np.stack(z)

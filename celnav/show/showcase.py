@@ -216,9 +216,9 @@ def _reach(errors: Sequence[Array], sigmas: Sequence[Array | None], quantile: fl
     there.
     """
     late = slice(len(errors[0]) // 4 if errors else 0, None)
-    known = [s for s in sigmas if s is not None]
+    predicted = [s for s in sigmas if s is not None]
     bound = 3.0 * max(
-        (min(_largest(s), 2.0 * _largest(s[late]) or np.inf) for s in known), default=0.0
+        (min(_largest(s), 2.0 * _largest(s[late]) or np.inf) for s in predicted), default=0.0
     )
     error = max((_largest(e[late], quantile) for e in errors), default=0.0)
     return max(bound, min(error, 3.0 * bound) if bound else error)
@@ -228,12 +228,12 @@ def _errors(showcase: Showcase) -> dict[str, dict[str, Plot]]:
     """A row of plots for each group: one for each axis, and one of sizes."""
     rows: dict[str, dict[str, Plot]] = {}
     for group in showcase.groups:
-        found = {
+        errors = {
             key: (e.error(group)[:, 0], e.sigma(group))
             for key, e in showcase.estimates.items()
             if e.error(group).size
         }
-        main = [found[key] for key in showcase.main if key in found]
+        main = [errors[key] for key in showcase.main if key in errors]
         reach = 1.05 * _reach([error for error, _ in main], [sigma for _, sigma in main], 1.0)
         truth = showcase.truths.get(group.name)
         about = np.zeros((len(showcase.times), len(group.names))) if truth is None else truth
@@ -245,7 +245,7 @@ def _errors(showcase: Showcase) -> dict[str, dict[str, Plot]]:
         row = rows.setdefault(group.name, {})
         for i, axis in enumerate(group.names):
             curves = {} if truth is None else {"truth": Curve(about[:, i], colors.TRUTH, "truth")}
-            for key, (error, sigma) in found.items():
+            for key, (error, sigma) in errors.items():
                 center = 0.0 if truth is None else about[:, i] + error[:, i]
                 curves[key] = _curve(
                     showcase,
@@ -261,7 +261,7 @@ def _errors(showcase: Showcase) -> dict[str, dict[str, Plot]]:
             )
         lengths = {
             key: [None if part is None else np.linalg.norm(part, axis=1) for part in both]
-            for key, both in found.items()
+            for key, both in errors.items()
         }
         sizes = {key: _curve(showcase, key, *both) for key, both in lengths.items()}
         row["size"] = Plot(f"log10 |{group.name} error|, {group.unit}", sizes, log=True)
@@ -332,18 +332,18 @@ def _mapped(showcase: Showcase) -> tuple[_Mapped, float]:
     """Estimates in the space of errors, and the size of what is to be seen of it."""
     if showcase.axes is None:
         return {}, 1.0
-    found: _Mapped = {}
+    mapped: _Mapped = {}
     for key, e in showcase.estimates.items():
         A = showcase.axes[:, : e.errors.shape[-1]]
-        found[key] = (
+        mapped[key] = (
             e.errors @ A.T,
             A @ e.cov @ A.T if e.cov is not None and e.cov.ndim == 3 else None,
         )
-    errors, covs = zip(*(found[key] for key in showcase.main), strict=True) if found else ((), ())
+    errors, covs = zip(*(mapped[key] for key in showcase.main), strict=True) if mapped else ((), ())
     sigmas = [
         None if cov is None else np.sqrt(np.fmax(cov.diagonal(0, -2, -1), 0.0)) for cov in covs
     ]
-    return found, _reach(
+    return mapped, _reach(
         [np.linalg.norm(e[:, : ENSEMBLE + 1], axis=-1) for e in errors], sigmas, 0.9
     ) or 1.0
 

@@ -22,10 +22,10 @@ __all__ = [
     "PartFilter",
     "all_of",
     "consistency",
+    "constant",
     "correlation",
     "count_holding",
     "entries",
-    "given",
     "lagged",
     "of",
     "operations",
@@ -208,7 +208,7 @@ def of(
     return lambda r: Number(label, float(reduce(r.get(part, name))), accept)
 
 
-def given(label: str, value: float, accept: Bounds = (None, None)) -> Decided:
+def constant(label: str, value: float, accept: Bounds = (None, None)) -> Decided:
     """A number that is known without any run, such as one from what a paper prints."""
     return lambda _: Number(label, float(value), accept)
 

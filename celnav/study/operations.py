@@ -39,7 +39,7 @@ def counted(
 
     >>> arrays = celnav.study.operations.counted({"ukf": filter}, prior, epochs)
     """
-    known = list(epochs)
+    listed = list(epochs)
     return {
-        name: np.array([step_operations(filter, prior, known)]) for name, filter in filters.items()
+        name: np.array([step_operations(filter, prior, listed)]) for name, filter in filters.items()
     }

@@ -1,4 +1,4 @@
-"""A problem of one's own, and how filters do on it: a model, and the runs that it draws of itself.
+"""A user's problem, and how filters do on it: a model, and the runs that it draws of itself.
 
 A filter is consistent, and its accuracy can be compared with a bound, where what happens is what it
 believes: here truth and measurements come from the very model that filters are made of, its
@@ -205,8 +205,8 @@ def compare(
     runs: int = 200,
     seed: int = 0,
 ) -> list[Comparison]:
-    """Fly filters on problems, all on the same noise: a `Comparison` for each problem and filter that go
-    together.
+    """Run filters on problems, all on the same noise: a `Comparison` for each problem and filter
+    that go together.
 
     problems: by name. runs: of each. seed: run r has the generator of ``(seed, 0, r)``.
     filters: by name, functions of a problem that give a filter, or None where there is none.

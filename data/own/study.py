@@ -1,6 +1,6 @@
 """A radar sees a vehicle: its range well, its bearing poorly. Do filters know how little they know? Change what you like.
 
-celnav reproduce study.py --effort 0.1   flies a tenth of the runs and writes out/index.html; without --effort all of them
+celnav reproduce study.py --effort 0.1   does a tenth of the runs and writes out/index.html; without --effort all of them
 celnav list study.py                     parameters, which a mission (paper = "study.py") may change and sweep
 """
 
@@ -61,7 +61,7 @@ def trial(c, rngs):
     return trial_from_arrays(GROUPS, filters(c), believed(c)[2], c.times, z, truth)
 
 
-def flown(c, rngs):
+def evaluate(c, rngs):
     """What a process does: all filters on some of the runs."""
     return evaluate_filters(trial(c, rngs), list(filters(c)))
 
@@ -74,7 +74,7 @@ def figure(r):
 
 
 PRESETS = {"usual": Config()}
-PARTS = {name: Part(flown, c, runs=c.runs) for name, c in PRESETS.items()}
+PARTS = {name: Part(evaluate, c, runs=c.runs) for name, c in PRESETS.items()}
 LINES = {"ekf": Line("EKF", COMPARISON), "ukf": Line("UKF", ESTIMATE)}
 FIGURES = {"figure_01": ("Position error of the runs, and their mean NEES with the 95 % band of a consistent filter.", figure)}
 NEES = numbers.consistency("NEES", ("usual", "ekf"), accept=(4.0, None), at=slice(1, None))

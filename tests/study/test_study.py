@@ -12,10 +12,10 @@ from celnav.study.ledger import Number, Row
 from celnav.study.numbers import (
     all_of,
     consistency,
+    constant,
     correlation,
     count_holding,
     entries,
-    given,
     lagged,
     of,
     operations,
@@ -308,9 +308,9 @@ def test_filters_from_several_priors_are_those_from_each():
 
 
 def test_numbers_go_together(results):
-    both = all_of(given("a", 2.0), of("facts", "values", "b", reduce=np.sum))(results)
+    both = all_of(constant("a", 2.0), of("facts", "values", "b", reduce=np.sum))(results)
     assert [number.value for number in both] == [2.0, 3.0]
-    assert list(tiers(in_part=[given("a", 1.0)])(results)) == ["in part"]
+    assert list(tiers(in_part=[constant("a", 1.0)])(results)) == ["in part"]
     assert [claim.verdict for claim in results.claims()] == ["shown"]
 
 

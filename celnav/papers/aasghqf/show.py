@@ -29,7 +29,7 @@ from celnav.papers.aasghqf.study import (
 )
 from celnav.show import colors, scenes
 from celnav.show.draw import Item, Line, Panel, curve, panels
-from celnav.show.estimates import again
+from celnav.show.estimates import estimates_of
 from celnav.show.figures import consistency, errors, rmse, sigma
 from celnav.show.showcase import SceneView, Showcase, write
 from celnav.study.study import Results
@@ -325,7 +325,9 @@ def record(results: Results, outputs: Outputs) -> list[str]:
 def showcase(results: Results, part: str) -> Showcase:
     """The first run of a part, flown again in full, among the others."""
     c = results.parts[part].config
-    found, truth, z = again(results, part, {f: LINES[f] for f in ("sghqf", "ukf", "aasghqf")})
+    found, truth, z = estimates_of(
+        results, part, {f: LINES[f] for f in ("sghqf", "ukf", "aasghqf")}
+    )
     ground = np.diag(c.meters()) @ np.eye(2, 3)  # from longitude and latitude to east, north, up
     axes = np.zeros((3, 13))
     fix = (z[:, 6:] - truth[:, inertial.POSITION]) @ ground

@@ -46,8 +46,8 @@ from celnav.study.numbers import (
     PartFilter,
     all_of,
     consistency,
+    constant,
     count_holding,
-    given,
     of,
     operations,
 )
@@ -287,7 +287,8 @@ def along(config: Config, rngs: Rngs) -> dict[str, Array]:
 
 def mounting(config: Config, rngs: Rngs) -> dict[str, Array]:
     """Filters that do not know mounting errors, of the sizes of `MOUNTINGS` in the same runs, and
-    one of 19 states that estimates them ("S"): what `evaluate_filters` gives, by ``<filter>, <size>``."""
+    one of 19 states that estimates them ("S"): what `evaluate_filters` gives, by ``<filter>,
+    <size>``."""
     sim = simulate(config, rngs)
     draws = normals(rngs, (2, 3))[0].swapaxes(0, 1)
     filter, prior = scenario.mounting_filter(config, np.radians(60.0 / 3600.0))
@@ -806,7 +807,7 @@ DECISIONS: dict[str, Decision] = {
         operations("times the UKF's", "aasghqf", "ukf", (1.15, None)),
     ),
     "cheaper-than-sghqf": all_of(
-        given("points", point_count(13, 3) / point_count(13, 3, PAPER_WEIGHTS), (1.52, None)),
+        constant("points", point_count(13, 3) / point_count(13, 3, PAPER_WEIGHTS), (1.52, None)),
         operations("operations, at least", "sghqf", "aasghqf", (1.52, None)),
     ),
     "saving-grows": savings,
@@ -875,7 +876,7 @@ DECISIONS: dict[str, Decision] = {
         )
     ),
     "nonlinear-equal": all_of(
-        given("points", point_count(13, 3, scenario.NONLINEAR_WEIGHTS), (57, 57)),
+        constant("points", point_count(13, 3, scenario.NONLINEAR_WEIGHTS), (57, 57)),
         *(
             averaged(
                 f"RMSE of the angles, {p}", [(p, "nonlinear"), (p, "sghqf")], PHI, (0.999, 1.001)

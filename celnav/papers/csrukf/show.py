@@ -34,7 +34,7 @@ from celnav.show.draw import (
     level,
     panels,
 )
-from celnav.show.estimates import again
+from celnav.show.estimates import estimates_of
 from celnav.show.figures import consistency, errors, rmse, rmse_table, sigma
 from celnav.show.plots import Curve, Plot
 from celnav.study.montecarlo import generator
@@ -416,7 +416,9 @@ def _case(results: Results, case: str) -> showcase.Showcase:
     number = results.parts[case].number
     phi = case.rpartition("/")[2]
     sim = simulate(c, [generator(results.seed, number, 0)])
-    found, truth, z = again(results, case, {"csrukf": CSRUKF, "srukf": SRUKF, "openloop": OPEN})
+    found, truth, z = estimates_of(
+        results, case, {"csrukf": CSRUKF, "srukf": SRUKF, "openloop": OPEN}
+    )
     track = run(filters(c)["augmented"], sim.prior, sim.epochs(), keep="std")
     V = sim.noise[:, 0]
     noise = {}

@@ -15,7 +15,7 @@ from celnav.papers.ssukf.scenario import ARCSEC, DEG_PER_H, GROUPS, RADIUS_KM, S
 from celnav.papers.ssukf.study import AXES, FIELD, FIELD_DEG, ROOTS, STUDY, TIMED, points
 from celnav.show import colors, scenes, showcase
 from celnav.show.draw import Item, Line, Panel, curve, level, panels
-from celnav.show.estimates import again
+from celnav.show.estimates import estimates_of
 from celnav.show.figures import Rows, consistency, rmse
 from celnav.study.study import Results
 
@@ -298,17 +298,17 @@ sample takes an error of degrees to 20 arcsec: what follows is shown under a mic
 def record(results: Results, outputs: Outputs) -> list[str]:
     """Write the recording among ``outputs``; returns its name. Needs rerun."""
     lines = {name: LINES[name] for name in ("ssukf", "aukf", "mekf")}
-    found, truth, _ = again(results, "runs", lines)
+    found, truth, _ = estimates_of(results, "runs", lines)
     t = results.times("runs")
     c = results.parts["runs"].config
-    attitude, drift = GROUPS
+    turn, drift = GROUPS
     errors = {name: (found[name].errors[:, 0, :3], line.color) for name, line in lines.items()}
     shown = showcase.Showcase(
         "ssukf",
         NOTES,
         t,
         found,
-        (attitude._replace(axes=AXES), drift),
+        (turn._replace(axes=AXES), drift),
         truth,
         np.eye(3, 6) / ARCSEC,
         "arcsec",

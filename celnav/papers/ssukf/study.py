@@ -59,7 +59,7 @@ from celnav.study.numbers import (
     Decided,
     all_of,
     consistency,
-    given,
+    constant,
     of,
     ratio,
     rmse,
@@ -1008,7 +1008,7 @@ DECISIONS: dict[str, Decision] = {
         ],
     ),
     "erratum-lambda": all_of(
-        given("spread c over right", PRINTED_SPREAD / (15.0 * STANDARD.alpha**2), (2.0, None)),
+        constant("spread c over right", PRINTED_SPREAD / (15.0 * STANDARD.alpha**2), (2.0, None)),
         of(
             "rates",
             "as printed",
