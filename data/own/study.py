@@ -10,9 +10,8 @@ import numpy as np
 
 import celnav
 from celnav.models.motion import constant_velocity
-from celnav.show.colors import COMPARISON, ESTIMATE
+from celnav.show import colors, figures
 from celnav.show.draw import Line, Panel, panels
-from celnav.show.figures import consistency, rmse
 from celnav.study import numbers
 from celnav.study.ledger import Sentence, statement
 from celnav.study.parameters import Timed, param
@@ -68,14 +67,14 @@ def evaluate(c, rngs):
 
 def figure(r):
     """Errors and consistency over time; r: results."""
-    left = [rmse(r, "usual", name, line, "position") for name, line in LINES.items()]
-    right = [consistency(r, "usual", LINES, "nees", 4)]
+    left = [figures.rmse(r, "usual", name, line, "position") for name, line in LINES.items()]
+    right = [figures.consistency(r, "usual", LINES, "nees", 4)]
     return panels([Panel("", left, "time (s)", "RMSE of position (m)"), Panel("", right, "time (s)", "NEES", "y")], size=(7, 3))
 
 
 PRESETS = {"usual": Config()}
 PARTS = {name: Part(evaluate, c, runs=c.runs) for name, c in PRESETS.items()}
-LINES = {"ekf": Line("EKF", COMPARISON), "ukf": Line("UKF", ESTIMATE)}
+LINES = {"ekf": Line("EKF", colors.COMPARISON), "ukf": Line("UKF", colors.ESTIMATE)}
 FIGURES = {"figure_01": ("Position error of the runs, and their mean NEES with the 95 % band of a consistent filter.", figure)}
 NEES = numbers.consistency("NEES", ("usual", "ekf"), accept=(4.0, None), at=slice(1, None))
 WHY = "that of a consistent filter with four states is 4"
