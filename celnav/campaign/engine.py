@@ -14,16 +14,15 @@ from concurrent.futures import (
 from typing import Any, TypeVar
 
 from celnav.campaign.executors import Workers
-from celnav.campaign.units import VersionError, Work, WorkError, execute
+from celnav.campaign.units import VersionError, WorkError, execute
 from celnav.gaussian.linalg import Array
 from celnav.study.store import code
+from celnav.study.study import Unit
 
 ATTEMPTS = 3
 """How often in a row workers may die, and no unit be finished, before units are tried one by one.
 """
 
-W = TypeVar("W", bound=Work)
-U = TypeVar("U")
 R = TypeVar("R")
 
 
@@ -36,9 +35,9 @@ def _nothing() -> None:
 
 
 def compute(
-    units: Iterable[W],
+    units: Iterable[Unit],
     workers: Workers,
-    keep: Callable[[W, dict[str, Array]], None],
+    keep: Callable[[Unit, dict[str, Array]], None],
     opened: Callable[[], None] = _nothing,
 ) -> None:
     """Do all units and give each result to ``keep`` as it comes, in any order; ``opened()`` is
@@ -85,7 +84,7 @@ def compute(
         raise UnfinishedError(f"{count} not done: {'; '.join(unfinished[:3])}{rest}")
 
 
-def _titled(unit: Work, why: str) -> str:
+def _titled(unit: Unit, why: str) -> str:
     return f"{unit.title} ({why})"
 
 
@@ -95,8 +94,12 @@ def _message(error: Exception) -> str:
 
 
 def results(
-    executor: Executor, function: Callable[..., R], todo: Sequence[U], ahead: int, *arguments: Any
-) -> Iterator[tuple[U, R | Exception]]:
+    executor: Executor,
+    function: Callable[..., R],
+    todo: Sequence[Unit],
+    ahead: int,
+    *arguments: Any,
+) -> Iterator[tuple[Unit, R | Exception]]:
     """Results and exceptions of ``function(unit, *arguments)``, as they come; ``ahead`` units are
     handed out before their turn.
 
@@ -105,7 +108,7 @@ def results(
     BrokenExecutor: if a worker died. VersionError: see `execute`. OSError: if the executor dropped
         the work.
     """
-    waiting: dict[Future[R], U] = {}
+    waiting: dict[Future[R], Unit] = {}
     left = iter(todo)
     while True:
         fatal: BaseException | None = None

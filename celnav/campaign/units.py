@@ -14,7 +14,7 @@ from hashlib import sha256
 from itertools import groupby
 from operator import add
 from time import process_time
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -25,7 +25,7 @@ from celnav.lazy import requires_extra
 from celnav.papers import load
 from celnav.papers.own import identity, name_of, place
 from celnav.study.montecarlo import renewed, run_of
-from celnav.study.store import Keyed, code
+from celnav.study.store import code
 from celnav.study.study import Part, Rngs, Study, Unit
 from celnav.study.trial import Noiseless, Trial, bound, evaluate_filter
 from celnav.tape.cuda import CudaError
@@ -52,17 +52,6 @@ class WorkError(RuntimeError):
 
 class VersionError(WorkError):
     """A worker runs another celnav than the one that handed out the work."""
-
-
-class Work(Keyed, Protocol):
-    """A unit of any kind: the engine hands it out, the store keeps what it gives."""
-
-    @property
-    def title(self) -> str:
-        """What it is, for people."""
-
-    def do(self) -> dict[str, Array]:
-        """The result, as arrays by name."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,7 +223,7 @@ def units_of(study: MissionStudy) -> list[list[Unit]]:
     return [list(group) for _, group in each]
 
 
-def execute(unit: Work, made_by: dict[str, str]) -> dict[str, Array]:
+def execute(unit: Unit, made_by: dict[str, str]) -> dict[str, Array]:
     """Do a unit, on one thread of linear algebra: the same numbers wherever it runs.
 
     Raises

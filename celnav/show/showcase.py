@@ -33,12 +33,12 @@ FAR = 20.0
 
 
 class SceneView(NamedTuple):
-    """A view of a study's own entities below ``origin``, from ``eye`` to ``target``; of those
-    ``growing`` the past is seen too.
+    """A view of a study's entities below ``origin``, see `celnav.show.views.space`; all of the past
+    of the ``growing`` ones is seen.
     """
 
     origin: str
-    title: str
+    name: str
     eye: Any
     target: Any = (0.0, 0.0, 0.0)
     up: Any = (0.0, 0.0, 1.0)
@@ -400,15 +400,8 @@ def _layout(showcase: Showcase, rows: Mapping[str, Mapping[str, Plot]], size: fl
         ]
     if showcase.spaces:
         scenes = [
-            views.space(
-                s.origin,
-                s.title,
-                eye=s.eye,
-                target=s.target,
-                up=s.up,
-                growing=dict.fromkeys(s.growing, np.inf),
-            )
-            for s in showcase.spaces
+            views.space(**scene._asdict() | {"growing": dict.fromkeys(scene.growing, np.inf)})
+            for scene in showcase.spaces
         ]
         left = [views.tabs(*scenes), *left]
     # Where there is no scene, there is room for all plots of a row at once; a legend takes more.

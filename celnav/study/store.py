@@ -15,7 +15,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping
 from functools import cache
 from importlib import metadata
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,21 +32,13 @@ from celnav.files import (
     write_text,
 )
 
+if TYPE_CHECKING:
+    from celnav.study.study import Unit
+
 FORMAT = 2
 MANIFEST, RESULTS = "manifest.json", ".results"
 """Of a store; folder of a paper's results below the folder of what is shown of it."""
 Array = NDArray[Any]
-
-
-class Keyed(Protocol):
-    """What a result is of."""
-
-    @property
-    def key(self) -> str:
-        """Hash of everything that determines the result, but the code."""
-
-    def check(self, arrays: dict[str, Array]) -> None:
-        """Raise ValueError if these are not arrays of such a result."""
 
 
 @cache
@@ -76,16 +68,16 @@ class Store:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
 
-    def path(self, unit: Keyed) -> Path:
+    def path(self, unit: Unit) -> Path:
         """Where a unit's result is."""
         return self.folder / "units" / f"{unit.key}.npz"
 
-    def write(self, unit: Keyed, arrays: Mapping[str, Array]) -> None:
+    def write(self, unit: Unit, arrays: Mapping[str, Array]) -> None:
         """Keep a result. OSError names the file if it cannot be written."""
         with replacing(self.path(unit)) as path:
             np.savez(path, allow_pickle=False, **arrays, checksum=np.array(_checksum(unit, arrays)))
 
-    def has(self, unit: Keyed, say: Callable[[str], Any] = print) -> bool:
+    def has(self, unit: Unit, say: Callable[[str], Any] = print) -> bool:
         """Whether a unit is finished and whole; ``say`` takes a line about one that is damaged."""
         try:
             return self.path(unit).exists() and bool(self.read(unit))
@@ -93,14 +85,14 @@ class Store:
             say(f"{error}; it is computed again")
             return False
 
-    def forget_all_but(self, units: Iterable[Keyed]) -> None:
+    def forget_all_but(self, units: Iterable[Unit]) -> None:
         """Remove the results of others."""
         wanted = {self.path(unit) for unit in units}
         for path in (self.folder / "units").glob("*.npz"):
             if path not in wanted:
                 path.unlink(missing_ok=True)
 
-    def read(self, unit: Keyed) -> dict[str, Array]:
+    def read(self, unit: Unit) -> dict[str, Array]:
         """The result of a finished unit.
 
         Raises
@@ -120,7 +112,7 @@ class Store:
         return arrays
 
 
-def _checksum(unit: Keyed, arrays: Mapping[str, Array]) -> str:
+def _checksum(unit: Unit, arrays: Mapping[str, Array]) -> str:
     """Of the key too: a copy of another unit is no result of this one."""
     digest = hashlib.sha256(f"{unit.key} ".encode())
     for name in sorted(arrays):
