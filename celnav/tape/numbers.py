@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from celnav.tape.routine import Loop, Recorder, rolled_loop
+from celnav.tape.routine import Loop, LoopRecorder, rolled_loop
 from celnav.tape.tape import (
     Scalar,
     Tape,
@@ -615,7 +615,7 @@ def rarely(
         inputs = {x.i: x for array in arrays for x in _bare(array).flat if type(x) is TracedScalar}
         first = 1 + len(inputs)
         # Memory: the condition, the inputs, then the results.
-        stage = Recorder(1, given=(1, 0), made=(first, 0))
+        stage = LoopRecorder(1, given=(1, 0), made=(first, 0))
         inside = {i: stage.take("given", k, tape.absent[i]) for k, i in enumerate(inputs)}
         images = [
             traced(_each(lambda x: inside[x.i] if type(x) is TracedScalar else x, _bare(array)))

@@ -83,7 +83,7 @@ class Loop:
         return [tape.node("part", call.i, cell) for cell in self.left]
 
 
-class Recorder:
+class LoopRecorder:
     """A stage while it is recorded: numbers are read from places, and written to them."""
 
     def __init__(self, rows: int, **places: tuple[int, int]):
@@ -135,7 +135,7 @@ def rolled_loop(
     # Memory: common numbers, then the values (rows, n), then the results (rows, m).
     common = sorted(i for i in used - inside if ops[i][0] != "const")
     at, made = len(common), len(common) + n * len(rows)
-    stage = Recorder(len(rows), common=(0, 0), given=(at, n), made=(made, m))
+    stage = LoopRecorder(len(rows), common=(0, 0), given=(at, n), made=(made, m))
     mapped = {i: stage.take("common", k, tape.absent[i]) for k, i in enumerate(common)}
     mapped |= {x.i: stage.take("given", k) for k, x in enumerate(variables)}
     mapped |= {i: stage.tape.lift(ops[i][1]) for i in used - inside if ops[i][0] == "const"}
