@@ -419,8 +419,12 @@ def recording(
     with contextlib.ExitStack() as stack:
         stack.callback(rr.set_strict_mode, strict_mode())
         rr.set_strict_mode(True)  # or a wrong call is only a warning and its data are missing
+        # Batches that end by a clock would make the file depend on how busy the machine is.
         stream = rr.RecordingStream(
-            _slug(f"{APPLICATION} {name}"), recording_id=_slug(name), send_properties=False
+            _slug(f"{APPLICATION} {name}"),
+            recording_id=_slug(name),
+            send_properties=False,
+            batcher_config=rr.ChunkBatcherConfig.NEVER(),
         )
         stack.callback(stream.disconnect)
         # Not to a file: its writer works in the background, keeps a full disk to itself and then
