@@ -53,7 +53,7 @@ def serial() -> Workers:
 
 
 def from_executor(executor: Executor) -> Workers:
-    """An executor of somebody else's, such as ``mpi4py.futures.MPIPoolExecutor``; it stays open."""
+    """A given executor, such as ``mpi4py.futures.MPIPoolExecutor``; it stays open."""
     return Workers(lambda: contextlib.nullcontext(executor), 1000, again=False)
 
 

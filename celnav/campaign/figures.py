@@ -187,12 +187,12 @@ def _failures(outcome: CampaignResult) -> Figure:
     def full(*_: Array) -> Item:
         return lambda ax: ax.set_ylim(-0.02 * runs, 1.02 * runs)
 
-    return _over_keys(outcome, f"failed of {runs} runs", "failures", ["failed"], full)
+    return _over_keys(outcome, f"runs that failed, of {runs}", "failures", ["failed"], full)
 
 
 def over_time(outcome: CampaignResult, group: int) -> Figure:
-    """Root mean square errors at each epoch of the first configurations, what filters take them
-    for, and the bound.
+    """Root mean square errors at each epoch of the first configurations, what the filters
+    predict, and the bound.
     """
     study = outcome.study
     name, unit = outcome.first[0][1].groups[group]

@@ -108,5 +108,5 @@ def done(rows: Sequence[TableRow]) -> int:
 
 
 def folder_of(kind: str, file: str) -> Path:
-    """Where the results of a file go, unless somebody says otherwise: ``out/KIND/NAME``."""
+    """Where the results of a file go, by default: ``out/KIND/NAME``."""
     return Path("out", kind) / (re.sub(r"[^\w.-]+", "-", Path(file).stem).strip(".-") or "mission")

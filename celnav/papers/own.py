@@ -1,4 +1,4 @@
-"""A study of one's own: a file of the shape of a paper's module (see `celnav.papers`), wherever it
+"""A user's study: a file of the shape of a paper's module (see `celnav.papers`), wherever it
 lies.
 
 ``celnav new study.py`` writes one. It needs ``TITLE`` and ``STUDY``, and to be run by missions
@@ -254,7 +254,7 @@ EXPECTED: dict[str, tuple[Check, str, str]] = {
     "MISSION": (_is(dict), "parameters by name", ""),
     "INPUTS": (
         lambda value: not value,
-        "none: a study of one's own reads its files itself",
+        "none: a user's study reads its files itself",
         "",
     ),
 }

@@ -14,7 +14,7 @@ import numpy as np
 from celnav.files import InputError, read_json
 from celnav.study.ledger import BETWEEN, KINDS, OPEN, VERDICTS, WORDS, Claim, Sentence
 
-Row = Mapping[str, Any]
+WrittenClaim = Mapping[str, Any]
 """A claim as `written` has it."""
 COLUMNS = ("place", "what is said", "printed", "ours", "verdict")
 WIDE = 10.0
@@ -40,7 +40,7 @@ def style(verdict: str) -> str:
     return "error" if verdict == WORDS["erratum"][0] else "part"
 
 
-def cells(claim: Row) -> dict[str, str]:
+def cells(claim: WrittenClaim) -> dict[str, str]:
     """What stands under each of `COLUMNS`; "printed" is the paper's value of the number "ours"."""
     printed = claim["printed_value"]
     shown = "" if printed is None else str(printed)
@@ -48,7 +48,7 @@ def cells(claim: Row) -> dict[str, str]:
     return dict(zip(COLUMNS, values, strict=True))
 
 
-def columns(claims: Sequence[Row]) -> list[str]:
+def columns(claims: Sequence[WrittenClaim]) -> list[str]:
     """Those of `COLUMNS` in which some claim has anything."""
     every = [cells(claim) for claim in claims]
     return [name for name in COLUMNS if not every or any(row[name] for row in every)]
@@ -70,7 +70,7 @@ def _flat(value: Any) -> Iterable[Any]:
         yield value
 
 
-def _ours(number: Row) -> str:
+def _ours(number: WrittenClaim) -> str:
     """A number with its interval, with as many digits as the paper prints of it."""
     value, ci = number["value"], number["ci"]
     if value is None:
@@ -83,7 +83,7 @@ def _ours(number: Row) -> str:
     return f"{value:.{digits}g} [{ci[0]:.3g}, {ci[1]:.3g}]{heavy}"
 
 
-def _accepted(number: Row) -> str:
+def _accepted(number: WrittenClaim) -> str:
     """The accepted range of a number, in words."""
     low, high = number["accept"]
     if low is None:
@@ -91,18 +91,18 @@ def _accepted(number: Row) -> str:
     return f"≥ {low:g}" if high is None else f"{low:g} … {high:g}"
 
 
-def tally(claims: Iterable[Row]) -> dict[str, int]:
+def tally(claims: Iterable[WrittenClaim]) -> dict[str, int]:
     """How many claims have which verdict, in the order of `VERDICTS`."""
     count = Counter(claim["verdict"] for claim in claims)
     return {verdict: count[verdict] for verdict in VERDICTS if count[verdict]}
 
 
-def counted(claims: Iterable[Row]) -> str:
+def counted(claims: Iterable[WrittenClaim]) -> str:
     """The same in words: "4 reproduced, 1 undecided"."""
     return ", ".join(f"{number} {verdict}" for verdict, number in tally(claims).items())
 
 
-def notes(claim: Row) -> list[str]:
+def notes(claim: WrittenClaim) -> list[str]:
     """What stands below a claim: what we find, what the paper prints too, what was revised."""
     printed = _printed(claim["printed"])
     texts = [claim["note"]]
@@ -112,13 +112,13 @@ def notes(claim: Row) -> list[str]:
     return [text for text in texts if text]
 
 
-def numbers(claim: Row) -> list[str]:
+def numbers(claim: WrittenClaim) -> list[str]:
     """A line for each number: what is accepted, for which of several verdicts, and if it is."""
     several = len({number["tier"] for number in claim["numbers"]}) > 1
     return [_number(number, several) for number in claim["numbers"]]
 
 
-def _number(number: Row, several: bool) -> str:
+def _number(number: WrittenClaim, several: bool) -> str:
     about = f"for {number['tier']}, " * several + f"{number['label']}: {_ours(number)}"
     if number["accept"] == [None, None] and number["printed"] is None:
         return f"{about} (told only)"
@@ -166,7 +166,7 @@ def markdown(rows: Iterable[Iterable[str]]) -> str:
     return "\n".join(f"| {' | '.join(row)} |" for row in rows)
 
 
-def answer(sentences: Iterable[Sentence], claims: Iterable[Row]) -> str:
+def answer(sentences: Iterable[Sentence], claims: Iterable[WrittenClaim]) -> str:
     """The sentences whose rows have the verdicts that they rest on, and which rows have others."""
     by_id = {claim["id"]: claim for claim in claims}
     verdicts = {id: claim["verdict"] for id, claim in by_id.items()}
@@ -307,7 +307,7 @@ def _right(key: str, value: Any) -> bool:
     return key not in ("ci", "accept") or value is None or _pair(value)
 
 
-def _whole(number: Row) -> bool:
+def _whole(number: WrittenClaim) -> bool:
     return (
         set(number) >= PARTS
         and _pair(number["accept"])

@@ -1,4 +1,4 @@
-"""What filters made of runs, as a showcase takes it: errors, covariances and consistency, in groups
+"""Estimates of runs, as a showcase draws them: errors, covariances and consistency, in groups
 of components.
 """
 
@@ -17,7 +17,7 @@ from celnav.study.trial import Group, scales
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """What one filter made of the runs, in the units of the state.
+    """Estimates of one filter for all runs, in the units of the state.
 
     Attributes
     ----------

@@ -67,7 +67,7 @@ def sigma(
     *,
     absolute: bool = False,
 ) -> Item:
-    """Three of the deviations that a filter takes for those of its first run."""
+    """Three standard deviations that a filter predicts in its first run."""
 
     def item(ax: Axes) -> None:
         t, std = results.times(part), 3.0 * results.error(part, filter, group, "std")[:, 0, axis]

@@ -66,8 +66,8 @@ class Trial(NamedTuple):
     groups: what is judged. filters: by name. prior: of all runs, ``(runs, n)``.
     epochs: ``name ->`` epochs for the filter of that name, from the start at every call. Those with
         a ``truth`` are judged.
-    compare: ``(truth, belief) ->`` errors ``(runs, n)`` and roots ``(runs, n, n)`` of what the
-        belief takes for their covariance.
+    compare: ``(truth, belief) ->`` errors ``(runs, n)`` and roots ``(runs, n, n)`` of the
+        covariance that the belief predicts.
     reference: name of a filter that is as good as can be where errors are small, for `bound`; empty
         if there is none.
     place: position ``(..., 3)`` km about the Earth's center of a state ``(..., n)``; None if it is
@@ -158,9 +158,9 @@ class Noiseless:
 class Evaluation(NamedTuple):
     """A filter's runs at the ``K`` epochs that were judged; nan where a run has no estimate.
 
-    times: ``(K,)`` s. error: ``(K, runs, n)``, and std: what the filter takes for its deviations.
+    times: ``(K,)`` s. error: ``(K, runs, n)``, and std: the deviations that the filter predicts.
     nees, nis, dof: ``(K, runs)``; ``dof`` is the number of measured components behind ``nis``.
-    cov: ``(K, n, n)``, what it takes for the covariance of the first run's error.
+    cov: ``(K, n, n)``, the covariance that it predicts for the first run.
     lost: ``(run, t, why)`` of each run whose estimate ceased to be finite. epochs: of the filter,
         judged or not.
     """
