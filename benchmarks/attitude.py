@@ -39,7 +39,7 @@ from celnav.papers.ssukf.scenario import (
     trial,
 )
 from celnav.study.montecarlo import blocks, generator
-from celnav.study.study import fly
+from celnav.study.study import evaluate_filters
 
 Matrix = list[list[float]]
 POINTWISE = {"aukf": (9, 9), "ssukf": (6, 3)}
@@ -364,7 +364,7 @@ def full_rate(runs: int = 200) -> dict[str, float]:
     cpu, wall, apart, first = process_time(), perf_counter(), 0.0, 0.0
     for part in blocks(runs, 200):
         one = trial(PRESETS["100 Hz"], [generator(0, 0, r) for r in part])
-        found = fly(one, ("aukf", "ssukf"))
+        found = evaluate_filters(one, ("aukf", "ssukf"))
         difference = np.abs(found["aukf/error"] - found["ssukf/error"])[1:, :, :3]
         apart = max(apart, float(difference.max()))
         first += float(np.square(found["ssukf/error"][1, :, :3]).sum())

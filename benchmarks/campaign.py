@@ -28,8 +28,8 @@ from concurrent.futures import Executor, Future
 from pathlib import Path
 from typing import Any
 
-from celnav.campaign import campaign, given, processes, serial
-from celnav.campaign.missions import Study, study
+from celnav.campaign import campaign, from_executor, processes, serial
+from celnav.campaign.missions import MissionStudy, study
 from celnav.campaign.units import STUDY
 from celnav.filters.records import Epoch
 from celnav.filters.run import run
@@ -41,7 +41,7 @@ from celnav.study.study import Unit
 FILTER = "csrukf+z0"
 
 
-def workload(runs: int, steps: int = 600) -> Study:
+def workload(runs: int, steps: int = 600) -> MissionStudy:
     """The scenario of csrukf with colored noise, and its square-root filter in one transform."""
     return study(
         {
@@ -53,19 +53,19 @@ def workload(runs: int, steps: int = 600) -> Study:
     )
 
 
-def bare(work: Study) -> None:
+def bare(work: MissionStudy) -> None:
     """The same runs, blocks and filter, and nothing else."""
     for part in blocks(work.runs, work.block):
         bare_block(work, part)
 
 
-def bare_block(work: Study, part: range) -> None:
+def bare_block(work: MissionStudy, part: range) -> None:
     """Simulate and filter the runs of a block."""
     made = trial(work.configurations[0].config, [generator(work.seed, STUDY, r) for r in part])
     run(made.filters[FILTER], made.prior, made.epochs(FILTER), keep="nothing", on_failure="flag")
 
 
-def judged_block(work: Study, part: range) -> None:
+def judged_block(work: MissionStudy, part: range) -> None:
     """The same with what a study of its own would take down at each epoch: errors, deviations,
     NEES, and NIS.
     """
@@ -84,7 +84,7 @@ class InTurn(Executor):
     runs, and the judged one.
     """
 
-    def __init__(self, work: Study) -> None:
+    def __init__(self, work: MissionStudy) -> None:
         self._work = work
         self.times: dict[str, list[float]] = {"bare": [], "judged": [], "unit": []}
 
@@ -103,7 +103,7 @@ class InTurn(Executor):
         return done
 
 
-def stored(work: Study, jobs: int = 1) -> None:
+def stored(work: MissionStudy, jobs: int = 1) -> None:
     """A campaign from an empty folder."""
     with tempfile.TemporaryDirectory() as folder:
         campaign(work, folder, serial() if jobs == 1 else processes(jobs))
@@ -123,7 +123,7 @@ def overhead(runs: int) -> None:
     work = workload(runs)
     executor = InTurn(work)
     with tempfile.TemporaryDirectory() as folder:
-        whole = timed(lambda: campaign(work, folder, given(executor)), time.process_time)
+        whole = timed(lambda: campaign(work, folder, from_executor(executor)), time.process_time)
     bare, judged, units = (sum(executor.times[name]) for name in ("bare", "judged", "unit"))
     whole -= bare + judged
     print(
@@ -167,7 +167,7 @@ def scaling(rounds: int, runs: int) -> None:
     )
 
 
-def _apart(work: Study, count: int) -> None:
+def _apart(work: MissionStudy, count: int) -> None:
     """Processes that do the bare work at the same time."""
     command = [sys.executable, "-m", "benchmarks.campaign", "bare", "--runs", str(work.runs)]
     for process in [subprocess.Popen(command) for _ in range(count)]:

@@ -64,9 +64,9 @@ class InputError(ValueError):
     """A file that was given cannot be used; the message names it, and the line if there is one."""
 
 
-def did_you_mean(word: str, known: Iterable[str]) -> str:
+def did_you_mean(word: str, words: Iterable[str]) -> str:
     """The end of an error about an unknown word: the known one that is nearest, if one is near."""
-    near = difflib.get_close_matches(word, list(known), 1)
+    near = difflib.get_close_matches(word, list(words), 1)
     return f"; did you mean {near[0]}?" if near else ""
 
 

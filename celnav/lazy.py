@@ -29,27 +29,27 @@ def modules(
     """
 
     def getattribute(name: str) -> Any:
-        own = sys.modules[package]
+        parent = sys.modules[package]
         if name in late:
-            setattr(own, name, getattr(import_module(late[name]), name))
-            return vars(own)[name]
+            setattr(parent, name, getattr(import_module(late[name]), name))
+            return vars(parent)[name]
         if not name.startswith("_"):
             try:
                 return import_module(f"{package}.{name}")
             except MissingError as error:
                 # No attribute where its package is not installed: `help` and `hasattr` ask for all.
-                raise AttributeError(str(error), name=name, obj=own) from error
+                raise AttributeError(str(error), name=name, obj=parent) from error
             except ModuleNotFoundError as error:
                 if error.name != f"{package}.{name}":
                     raise
             for door in doors:
                 if name in (module := import_module(f"{package}.{door}")).__all__:
                     return vars(module)[name]
-        raise AttributeError(f"module {package!r} has no attribute {name!r}", name=name, obj=own)
+        raise AttributeError(f"module {package!r} has no attribute {name!r}", name=name, obj=parent)
 
     def directory() -> list[str]:
-        own = sys.modules[package]
-        names = {*vars(own), *late, *(found.name for found in iter_modules(own.__path__))}
+        parent = sys.modules[package]
+        names = {*vars(parent), *late, *(info.name for info in iter_modules(parent.__path__))}
         with suppress(MissingError):
             names.update(
                 name for door in doors for name in import_module(f"{package}.{door}").__all__

@@ -19,7 +19,7 @@ from celnav import cli, papers
 from celnav.campaign.missions import flat
 from celnav.campaign.typed import described, unit_of
 from celnav.papers import load
-from celnav.show.figures import figure
+from celnav.show.draw import figure
 from celnav.study.ledger import Number, Row, Sentence
 from celnav.study.study import Part, Study
 

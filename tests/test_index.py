@@ -17,8 +17,8 @@ from celnav.campaign.page import write
 from celnav.commands.index import index, verdicts
 from celnav.files import Outputs
 from celnav.show.claims import dumps, written
+from celnav.show.draw import figure as empty
 from celnav.show.drawing import render
-from celnav.show.figures import figure as empty
 from celnav.study.ledger import Number, Row
 
 BROWSER = next(

@@ -17,7 +17,8 @@ from celnav.filters.switching import Fallback, Switching
 from celnav.gaussian.belief import nees
 from celnav.models.motion import constant_velocity
 from celnav.show import diagnosis
-from celnav.show.estimates import Estimate, Group
+from celnav.show.estimates import Estimate
+from celnav.study.trial import Group
 
 T, RUNS = 40, 3
 TIMES = np.arange(float(T))

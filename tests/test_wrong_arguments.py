@@ -60,7 +60,7 @@ drawing: Drawing.set render styled
 rules: check_point_count AnyDimension
 sparse_grid: check_orders univariate
 views: blueprint
-draw: band bars components curve grid interval level panels picture_names pictures quantiles
+draw: band bars components curve grid interval level look panels picture_names pictures quantiles
 figures: consistency errors rmse rmse_table sigma
 ephemeris: de421
 pulsar: known
@@ -72,18 +72,19 @@ claims: answer Ledger cells columns counted dumps markdown notes numbers plain r
 gyro: Gyro.drift
 ledger: Claim Row Row.judged estimate order read_ledger read_printed
 operations: counted step_operations
-numbers: all_of consistency correlation count_holding entries given lagged of operations over
+numbers: all_of consistency constant correlation count_holding entries lagged of operations over
     over_time ratio rmse settling some tiers
 parameters: Parameters.check param
-store: Store Store.forget_all_but Store.has Store.path Store.read Store.write code existing resumed
+store: Store Store.forget_all_but Store.has Store.path Store.read Store.write code existing open_store resumed
 sightings: limb
 study: concatenated
 study: Results Results.at Results.claims Results.error Results.first Results.get Results.group Results.nees Results.squares
-    Results.times Results.value Study Study.at_hand Study.reproduce Study.results Study.units Unit.check Unit.do fly together
+    Results.times Results.value Study Study.at_hand Study.reproduce Study.results Study.units Unit.check Unit.do evaluate_filters
+    evaluate_from_priors
 page: macro render
 picture: command end picture
 progress: Progress Progress.add Progress.close Progress.runs Progress.say
-estimates: Estimate Estimate.error Estimate.sigma again
+estimates: Estimate Estimate.error Estimate.sigma estimates_of
 plots: draw
 diagnose: Diagnosis.biased Diagnosis.white autocorrelation first_order forgotten_wraps grid_index
 diagnosis_text: consistency laid_out page

@@ -1,9 +1,10 @@
 """Campaigns: sweeps of thousands of configurations and runs, on one machine or on a cluster,
 resumable and bit for bit the same.
 
-`campaign` does a study and keeps it in a folder, `fly` does a mission in memory. `units` says what
-a piece of work is, `engine` hands the pieces out to one of `executors`, `store` keeps them, `table`
-says what they come to, `figures` and `page` show it, and `showcase` follows a mission's first run.
+`campaign` computes a study, in memory or with a store in a folder. `units` says what a piece of
+work is, `engine` hands the pieces out to one of `executors`, `celnav.study.store` stores them,
+`table` lists the scores, `figures` and `page` show them, and `showcase` records a mission's first
+run.
 """
 
 from __future__ import annotations
@@ -13,29 +14,28 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from celnav.campaign.engine import UnfinishedError, compute
-from celnav.campaign.executors import Workers, dask, given, processes, serial
-from celnav.campaign.missions import Configuration, Study
-from celnav.campaign.store import StoreError, open_store
-from celnav.campaign.table import Row, rows_of
+from celnav.campaign.executors import Workers, dask, from_executor, processes, serial
+from celnav.campaign.missions import Configuration, MissionStudy
+from celnav.campaign.table import TableRow, rows_of
 from celnav.campaign.units import Scored, VersionError, WorkError, units_of
 from celnav.files import locked
 from celnav.gaussian.linalg import Array
 from celnav.lazy import modules
+from celnav.study.store import StoreError, open_store
 from celnav.study.study import Unit
 
 __getattr__, __dir__ = modules(__name__)
 
 __all__ = [
-    "Outcome",
-    "Row",
+    "CampaignResult",
     "StoreError",
+    "TableRow",
     "UnfinishedError",
     "VersionError",
     "WorkError",
     "campaign",
     "dask",
-    "fly",
-    "given",
+    "from_executor",
     "processes",
     "serial",
 ]
@@ -46,55 +46,69 @@ Say = Callable[[str], None]
 """Takes a line that a user should read."""
 
 
-def _silent(*_: object) -> None:
-    """Tell nobody."""
+def _ignore(*_: object) -> None:
+    """Nobody reads it."""
 
 
-FOLLOWED = 6
-"""Configurations whose errors over time are kept for drawing: the first that could be simulated."""
+MOST_DRAWN = 6
+"""Configurations whose errors over time are drawn: the first that could be simulated."""
 
 
-class Outcome(NamedTuple):
-    """What a study comes to: one row for each configuration and filter, the first configurations
-    that could be simulated in full, and where the first exception came from, if there was one."""
+class CampaignResult(NamedTuple):
+    """The scores of a study.
 
-    study: Study
-    rows: list[Row]
+    rows: one for each configuration and filter. first: the first configurations that could be
+    simulated, with their scores over time. trace: where the first exception came from; empty if
+    there was none.
+    """
+
+    study: MissionStudy
+    rows: list[TableRow]
     first: list[tuple[Configuration, Scored]]
     trace: str
 
+    @property
+    def groups(self) -> tuple[tuple[str, str], ...]:
+        """Name and unit of what is judged; empty if no configuration could be simulated."""
+        return self.first[0][1].groups if self.first else ()
+
 
 def campaign(
-    study: Study,
-    folder: str | Path,
+    study: MissionStudy,
+    folder: str | Path | None = None,
     workers: Workers | None = None,
     *,
-    progress: Progress = _silent,
-    say: Say = _silent,
-) -> Outcome:
-    """Do what is missing of a study whose store is ``folder``, and merge it.
+    progress: Progress = _ignore,
+    say: Say = _ignore,
+) -> CampaignResult:
+    """Compute what is missing of a study whose store is ``folder``, and merge all of it.
 
     Where the folder has the same study with fewer runs, or fewer values of what is swept, only the
-    others are flown; a last block that was not whole is flown anew. The table is that of the whole
-    study flown at once, byte for byte.
+    others are computed; a last block that was not whole is computed anew. The table is that of the
+    whole study computed at once, byte for byte.
 
     Parameters
     ----------
-    workers: `serial` (the default), `processes`, `dask`, or any executor as `given`.
-    progress, say: see `Progress` and `Say`; `say` is told of damaged units.
+    folder: of the store; None: everything stays in memory.
+    workers: `serial` (the default), `processes`, `dask`, or any executor with `from_executor`.
+    progress, say: see `Progress` and `Say`; `say` gets a line about each damaged unit.
 
     Raises
     ------
     StoreError: if the folder belongs to another study, or was begun with another celnav.
     BlockingIOError: if another process is at work there. OSError: if it cannot be written, or the
-        executor is lost. UnfinishedError: if units failed; the others are kept.
+        executor is lost. UnfinishedError: if units failed; the others are stored.
     VersionError: if workers have another celnav.
     """
+    if folder is None:
+        results: dict[Unit, dict[str, Array]] = {}
+        access = results.__setitem__, results.__getitem__, results.__contains__
+        return _compute(study, workers, progress, *access)
     Path(folder).mkdir(parents=True, exist_ok=True)
     with locked(folder):
-        store = open_store(folder, study)
+        store = open_store(folder, study.to_dict(), study.may_grow)
         try:
-            return _done(
+            return _compute(
                 study, workers, progress, store.write, store.read, lambda unit: store.has(unit, say)
             )
         except (ValueError, IndexError) as error:
@@ -103,23 +117,15 @@ def campaign(
             ) from None
 
 
-def fly(study: Study, workers: Workers | None = None, *, progress: Progress = _silent) -> Outcome:
-    """Do a study in memory, without a store. Raises UnfinishedError if units failed."""
-    results: dict[Unit, dict[str, Array]] = {}
-    return _done(
-        study, workers, progress, results.__setitem__, results.__getitem__, results.__contains__
-    )
-
-
-def _done(
-    study: Study,
+def _compute(
+    study: MissionStudy,
     workers: Workers | None,
     progress: Progress,
     write: Callable[[Unit, dict[str, Array]], None],
     read: Callable[[Unit], dict[str, Array]],
     has: Callable[[Unit], bool],
-) -> Outcome:
-    """Do the units that are missing, and read what each configuration comes to."""
+) -> CampaignResult:
+    """Compute the units that are missing, and merge those of each configuration."""
     plan = units_of(study)
     todo = [unit for units in plan for unit in units if not has(unit)]
     total = study.runs * len(plan)
@@ -134,7 +140,7 @@ def _done(
         progress(done, total)
 
     compute(todo, workers or serial(), keep, lambda: progress(done, total))
-    rows: list[Row] = []
+    rows: list[TableRow] = []
     first: list[tuple[Configuration, Scored]] = []
     trace = ""
     for units, point in zip(plan, study.configurations, strict=True):
@@ -142,6 +148,6 @@ def _done(
         scored = work.read(map(read, units))
         rows += rows_of(study, point, scored)
         trace = trace or scored.trace
-        if scored.groups and len(first) < FOLLOWED:
+        if scored.groups and len(first) < MOST_DRAWN:
             first.append((point, scored))
-    return Outcome(study, rows, first, trace)
+    return CampaignResult(study, rows, first, trace)

@@ -14,16 +14,15 @@ from concurrent.futures import (
 from typing import Any, TypeVar
 
 from celnav.campaign.executors import Workers
-from celnav.campaign.units import VersionError, Work, WorkError, execute
+from celnav.campaign.units import VersionError, WorkError, execute
 from celnav.gaussian.linalg import Array
 from celnav.study.store import code
+from celnav.study.study import Unit
 
 ATTEMPTS = 3
 """How often in a row workers may die, and no unit be finished, before units are tried one by one.
 """
 
-W = TypeVar("W", bound=Work)
-U = TypeVar("U")
 R = TypeVar("R")
 
 
@@ -36,9 +35,9 @@ def _nothing() -> None:
 
 
 def compute(
-    units: Iterable[W],
+    units: Iterable[Unit],
     workers: Workers,
-    keep: Callable[[W, dict[str, Array]], None],
+    keep: Callable[[Unit, dict[str, Array]], None],
     opened: Callable[[], None] = _nothing,
 ) -> None:
     """Do all units and give each result to ``keep`` as it comes, in any order; ``opened()`` is
@@ -65,38 +64,42 @@ def compute(
                 ):
                     del missing[unit]
                     if isinstance(outcome, Exception):
-                        unfinished.append(_told(unit, _said(outcome)))
+                        unfinished.append(_titled(unit, _message(outcome)))
                     else:
                         keep(unit, outcome)
                         deaths = 0
         except BrokenExecutor as error:
             if not workers.again:
                 raise OSError(
-                    f"the executor is broken ({_said(error)}); what is finished is kept"
+                    f"the executor is broken ({_message(error)}); what is finished is kept"
                 ) from None
             deaths += 1
             if alone:
                 culprit = next(iter(missing))
                 del missing[culprit]
-                unfinished.append(_told(culprit, "its worker dies"))
+                unfinished.append(_titled(culprit, "its worker dies"))
     if unfinished:
         rest = f" and {len(unfinished) - 3} more" if len(unfinished) > 3 else ""
         count = "1 unit is" if len(unfinished) == 1 else f"{len(unfinished)} units are"
         raise UnfinishedError(f"{count} not done: {'; '.join(unfinished[:3])}{rest}")
 
 
-def _told(unit: Work, why: str) -> str:
+def _titled(unit: Unit, why: str) -> str:
     return f"{unit.title} ({why})"
 
 
-def _said(error: Exception) -> str:
-    said = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
-    return "; ".join([said, *getattr(error, "__notes__", ())])
+def _message(error: Exception) -> str:
+    message = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+    return "; ".join([message, *getattr(error, "__notes__", ())])
 
 
 def results(
-    executor: Executor, function: Callable[..., R], todo: Sequence[U], ahead: int, *arguments: Any
-) -> Iterator[tuple[U, R | Exception]]:
+    executor: Executor,
+    function: Callable[..., R],
+    todo: Sequence[Unit],
+    ahead: int,
+    *arguments: Any,
+) -> Iterator[tuple[Unit, R | Exception]]:
     """Results and exceptions of ``function(unit, *arguments)``, as they come; ``ahead`` units are
     handed out before their turn.
 
@@ -105,7 +108,7 @@ def results(
     BrokenExecutor: if a worker died. VersionError: see `execute`. OSError: if the executor dropped
         the work.
     """
-    waiting: dict[Future[R], U] = {}
+    waiting: dict[Future[R], Unit] = {}
     left = iter(todo)
     while True:
         fatal: BaseException | None = None

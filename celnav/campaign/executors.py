@@ -52,8 +52,8 @@ def serial() -> Workers:
     return Workers(_Serial, 1)
 
 
-def given(executor: Executor) -> Workers:
-    """An executor of somebody else's, such as ``mpi4py.futures.MPIPoolExecutor``; it stays open."""
+def from_executor(executor: Executor) -> Workers:
+    """A given executor, such as ``mpi4py.futures.MPIPoolExecutor``; it stays open."""
     return Workers(lambda: contextlib.nullcontext(executor), 1000, again=False)
 
 

@@ -7,30 +7,21 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from celnav.campaign import Outcome, Row
-from celnav.campaign.missions import Study
+from celnav.campaign import CampaignResult
+from celnav.campaign.missions import MissionStudy
+from celnav.campaign.scores import column
 from celnav.campaign.table import plain
 from celnav.campaign.units import Scored
 from celnav.gaussian.linalg import Array
 from celnav.papers import load
 from celnav.show import colors
-from celnav.show.draw import Item, Panel, curve, grid, panels
+from celnav.show.draw import Item, Panel, curve, grid, look, panels
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 MOST_PANELS = 12
-PALETTE = (
-    colors.ESTIMATE,
-    colors.COMPARISON,
-    colors.OPEN_LOOP,
-    colors.REFERENCE,
-    colors.PAPER,
-    colors.MEASUREMENT,
-)
-MARKERS = "osD^vP"
-STYLES = ("-", "--", ":")
 BOUND: Any = {
     "color": "black",
     "linewidth": 0.9,
@@ -38,46 +29,36 @@ BOUND: Any = {
     "label": "bound",
     "zorder": 0,
 }
-Drawn = Callable[[list[Row], Array, dict[str, Any], bool], Iterator[Item]]
-"""Items of a filter's rows, which stand at places along the x axis, of its look, and whether it is
-the first filter.
-"""
+Common = Callable[[Array, Array], Item]
+"""What is drawn once in a panel: of places along the x axis, and columns of the first filter."""
 
 
-def stems(study: Study) -> list[str]:
+def stems(study: MissionStudy) -> list[str]:
     """Of everything that `figures` may draw."""
     judged = load(study.paper).JUDGED
     each = [f"{kind}_{name}" for kind in ("accuracy", "time") for name in judged]
     return [*each, "consistency", "failures"]
 
 
-def figures(outcome: Outcome) -> dict[str, Figure]:
+def figures(outcome: CampaignResult) -> dict[str, Figure]:
     """Drawings by file stem: the accuracy of each group, the consistency, failures if there are
     any, and errors over time.
     """
-    groups = next((row.groups for row in outcome.rows if row.groups), ())
-    out = {f"accuracy_{name}": accuracy(outcome, name, unit) for name, unit in groups}
-    if groups:
+    out = {f"accuracy_{name}": accuracy(outcome, name, unit) for name, unit in outcome.groups}
+    if outcome.groups:
         out["consistency"] = consistency(outcome)
-        out |= {f"time_{name}": over_time(outcome, i) for i, (name, _) in enumerate(groups)}
-    if any(row.failed for row in outcome.rows):
+        out |= {f"time_{name}": over_time(outcome, i) for i, (name, _) in enumerate(outcome.groups)}
+    if any(row["failed"] for row in outcome.rows):
         out["failures"] = _failures(outcome)
     return out
 
 
-def _look(study: Study, filter: str) -> dict[str, Any]:
-    """Color, marker and line of a filter, the same in all figures."""
-    i = study.filters.index(filter)
-    return {
-        "color": PALETTE[i % 6],
-        "marker": MARKERS[i % 6],
-        "markersize": 3,
-        "linestyle": STYLES[i // 6 % 3],
-        "label": filter,
-    }
+def _look(study: MissionStudy, filter: str) -> dict[str, Any]:
+    """Of a filter, the same in all figures."""
+    return look(study.filters.index(filter)) | {"label": filter}
 
 
-def _axis(study: Study) -> tuple[str, Sequence[Any], bool]:
+def _axis(study: MissionStudy) -> tuple[str, Sequence[Any], bool]:
     """The key along the x axis, which has the most values (numbers before words), its values, and
     whether they are numbers.
     """
@@ -91,12 +72,20 @@ def _axis(study: Study) -> tuple[str, Sequence[Any], bool]:
     return key, study.swept[key], is_numeric(key)
 
 
-def _over_keys(outcome: Outcome, label: str, title: str, draw: Drawn) -> Figure:
-    """A panel for each combination of the other keys, a curve for each filter over the first."""
+def _over_keys(
+    outcome: CampaignResult, label: str, title: str, names: Sequence[str], common: Common
+) -> Figure:
+    """A panel for each combination of the other keys, a curve for each filter over the first.
+
+    names: columns of the table: value, low and high (or the value alone), then those of ``common``.
+    """
     study = outcome.study
     key, values, numeric = _axis(study)
-    others = [{k: v for k, v in point.values.items() if k != key} for point in study.configurations]
+    others = [
+        {k: plain(v) for k, v in point.values.items() if k != key} for point in study.configurations
+    ]
     combinations = [others[i] for i in range(len(others)) if others[i] not in others[:i]]
+    words = [plain(value) for value in values]
     drawn = []
     for fixed in combinations[:MOST_PANELS]:
         items: list[Item] = [_ticks(values, numeric)]
@@ -104,17 +93,16 @@ def _over_keys(outcome: Outcome, label: str, title: str, draw: Drawn) -> Figure:
             rows = [
                 row
                 for row in outcome.rows
-                if row.filter == name and fixed.items() <= row.values.items()
+                if row["filter"] == name and fixed.items() <= row.items()
             ]
-            at = [
-                row.values[key] if numeric else values.index(row.values.get(key, ""))
-                for row in rows
-            ]
+            at = np.array([row[key] if numeric else words.index(row.get(key, "")) for row in rows])
             order = np.argsort(at)
             # Words leave room for filters side by side.
             beside = 0.0 if numeric else 0.6 * ((number + 0.5) / len(study.filters) - 0.5)
-            places = np.asarray(at, np.float64)[order] + beside
-            items += draw([rows[i] for i in order], places, _look(study, name), not number)
+            places = at[order] + beside
+            columns = np.array([[rows[i].get(name, np.nan) for i in order] for name in names])
+            items.append(_interval(places, columns[:3], _look(study, name)))
+            items += [] if number else [common(places, columns[3:])]
         drawn.append(Panel(_named(fixed), items, key, label))
     return _figure(drawn, len(combinations), title, "panels", (4, 3.1, 4.6, 2.9))
 
@@ -158,63 +146,53 @@ def _figure(
 
 
 def _interval(at: Array, values: Array, look: dict[str, Any]) -> Item:
-    """Values with intervals: rows value, low and high."""
-    value, low, high = values
-    reach = np.nan_to_num([value - low, high - value])
-    return lambda ax: ax.errorbar(at, value, reach, capsize=2, **look)
+    """Values with intervals: rows value, low and high; or values alone."""
+    reach = np.nan_to_num(np.abs(values[1:] - values[0])) if len(values) > 1 else None
+    return lambda ax: ax.errorbar(at, values[0], reach, capsize=2, **look)
 
 
-def accuracy(outcome: Outcome, group: str, unit: str) -> Figure:
+def accuracy(outcome: CampaignResult, group: str, unit: str) -> Figure:
     """Root mean square errors over the settled epochs, with intervals, and the bound."""
-    study = outcome.study
 
-    def draw(rows: list[Row], at: Array, look: dict[str, Any], first: bool) -> Iterator[Item]:
-        accuracies = [row.accuracy(group) for row in rows]
-        stats = ("rms", "low", "high", "bound")
-        columns = [
-            [np.nan if a is None else getattr(a, stat) for a in accuracies] for stat in stats
-        ]
-        *values, bound = np.array(columns)
-        yield _interval(at, np.array(values), look)
-        if first and np.isfinite(bound).any():
-            alone = len(at) == 1
-            yield curve(
-                [-0.35, 0.35] if alone else at, [*bound, *bound] if alone else bound, **BOUND
-            )
+    def draw_bound(at: Array, columns: Array) -> Item:
+        (bound,) = columns
+        if not np.isfinite(bound).any():
+            return curve([], [])
+        alone = len(at) == 1  # a level, then
+        return curve([-0.35, 0.35] if alone else at, [*bound, *bound] if alone else bound, **BOUND)
 
-    title = f"{group}: settled rms of {study.runs} runs, 95 % interval"
-    return _over_keys(outcome, f"rms error ({unit})", title, draw)
+    names = [column(group, statistic, unit) for statistic in ("rms", "low", "high", "bound")]
+    title = f"{group}: settled rms of {outcome.study.runs} runs, 95 % interval"
+    return _over_keys(outcome, f"rms error ({unit})", title, names, draw_bound)
 
 
-def consistency(outcome: Outcome) -> Figure:
+def consistency(outcome: CampaignResult) -> Figure:
     """NEES over its dimension, and the band of a consistent filter."""
-    title = "consistency: average NEES over its dimension"
-    return _over_keys(outcome, "NEES / dimension (-)", title, _anees)
 
-
-def _anees(rows: list[Row], at: Array, look: dict[str, Any], first: bool) -> Iterator[Item]:
-    summaries = [row.summary for row in rows]
-    values = [(np.nan,) * 3 if s is None else (s.anees, s.low, s.high) for s in summaries]
-    yield _interval(at, np.array(values).T, look)
-    band = next((s.band for s in summaries if s is not None), None)
-    if first and band is not None:
+    def draw_band(_: Array, bands: Array) -> Item:
         shade: Any = {"color": colors.SIGMA, "alpha": 0.25, "linewidth": 0.0}
-        yield lambda ax: ax.axhspan(*band, label="consistent (95 %, one epoch)", **shade)
+        known = bands[:, np.isfinite(bands[0])].T[:1]
+        label = "consistent (95 %, one epoch)"
+        return lambda ax: [ax.axhspan(*band, label=label, **shade) for band in known]
+
+    names = ("anees", "anees_low", "anees_high", "band_low", "band_high")
+    title = "consistency: average NEES over its dimension"
+    return _over_keys(outcome, "NEES / dimension (-)", title, names, draw_band)
 
 
-def _failures(outcome: Outcome) -> Figure:
-    """Part of the runs that failed."""
+def _failures(outcome: CampaignResult) -> Figure:
+    """How many runs failed."""
+    runs = outcome.study.runs
 
-    def draw(rows: list[Row], at: Array, look: dict[str, Any], _: bool) -> Iterator[Item]:
-        yield curve(at, [row.failed / outcome.study.runs for row in rows], **look)
-        yield lambda ax: ax.set_ylim(-0.02, 1.02)
+    def full(*_: Array) -> Item:
+        return lambda ax: ax.set_ylim(-0.02 * runs, 1.02 * runs)
 
-    return _over_keys(outcome, "runs that failed (part)", "failures", draw)
+    return _over_keys(outcome, f"runs that failed, of {runs}", "failures", ["failed"], full)
 
 
-def over_time(outcome: Outcome, group: int) -> Figure:
-    """Root mean square errors at each epoch of the first configurations, what filters take them
-    for, and the bound.
+def over_time(outcome: CampaignResult, group: int) -> Figure:
+    """Root mean square errors at each epoch of the first configurations, what the filters
+    predict, and the bound.
     """
     study = outcome.study
     name, unit = outcome.first[0][1].groups[group]
@@ -229,7 +207,7 @@ def over_time(outcome: Outcome, group: int) -> Figure:
     return _figure(drawn, total, title, "configurations", (3, 4.0, 5.0, 2.8))
 
 
-def _curves(study: Study, scored: Scored, group: int) -> Iterator[Item]:
+def _curves(study: MissionStudy, scored: Scored, group: int) -> Iterator[Item]:
     times: Array | None = None
     yield lambda ax: ax.set_yscale("log")
     for name, scores in scored.scores.items():
@@ -237,7 +215,7 @@ def _curves(study: Study, scored: Scored, group: int) -> Iterator[Item]:
         with np.errstate(invalid="ignore", divide="ignore"):
             rms, sigma = (
                 np.sqrt(scores[a][:, group] / scores[b])
-                for a, b in (("square", "count"), ("variance", "known"))
+                for a, b in (("square", "count"), ("variance", "predicted"))
             )
         yield curve(times, rms, **look)
         yield curve(times, sigma, color=look["color"], linestyle=":", linewidth=0.8)

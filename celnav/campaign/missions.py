@@ -12,8 +12,8 @@ A file names a paper, may start from one of its presets, and overrides any param
     phi = 0.95
 
 A list where a parameter is one value makes it a study: every combination of the lists is a
-configuration. In place of a paper may stand a study of one's own, ``paper = "study.py"``, a file
-beside this one (`celnav.papers.own`).
+configuration. In place of a paper may stand a user's study, ``paper = "study.py"``, a file beside this
+one (`celnav.papers.own`).
 """
 
 from __future__ import annotations
@@ -35,8 +35,6 @@ from celnav.gaussian.checks import choice
 from celnav.papers import PAPERS, is_file, load
 from celnav.papers.own import identity
 from celnav.study.montecarlo import run_count
-
-__all__ = ["Configuration", "MissionError", "Study", "flat", "read", "study"]
 
 LARGEST_FILE = 1_000_000
 """Bytes."""
@@ -77,7 +75,7 @@ class Configuration(typing.NamedTuple):
 
 
 @dataclass(frozen=True)
-class Study:
+class MissionStudy:
     """What a file asks for; a mission is a study of one configuration.
 
     Attributes
@@ -105,6 +103,11 @@ class Study:
     engine: str
     swept: dict[str, tuple[Any, ...]]
     configurations: tuple[Configuration, ...]
+
+    @property
+    def may_grow(self) -> set[str]:
+        """Keys of `to_dict` whose values a store may have less of: of the rest it is reused."""
+        return {"runs", *(f"config.{key}" for key in self.swept)}
 
     def to_dict(self) -> dict[str, Any]:
         """All that determines results, in plain types, by which stores are compared. No title."""
@@ -136,7 +139,7 @@ def flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     return out
 
 
-def read(path: str | Path, effort: float = 1.0) -> Study:
+def read(path: str | Path, effort: float = 1.0) -> MissionStudy:
     """Read a mission or study; ``effort``, in (0, 1], is the part of its runs to do, at least 2.
 
     Raises
@@ -170,7 +173,7 @@ def read(path: str | Path, effort: float = 1.0) -> Study:
 _DEEP = "lists or tables within one another too deeply"
 
 
-def study(table: Mapping[str, Any]) -> Study:
+def study(table: Mapping[str, Any]) -> MissionStudy:
     """A study from the tables of a file.
 
     Raises
@@ -178,7 +181,7 @@ def study(table: Mapping[str, Any]) -> Study:
     ValueError: naming the key, with its unit, what was expected and what came.
     """
     if "paper" not in table:
-        _known("", table, KEYS)
+        _check_keys("", table, KEYS)
         raise ValueError(
             f"paper: expected one of {', '.join(PAPERS)}, or a study of your own, FILE.py, got none"
         )
@@ -186,13 +189,13 @@ def study(table: Mapping[str, Any]) -> Study:
     module = (
         load(paper, mission=True)
         if is_file(paper)
-        else _part("paper", lambda: load(paper, mission=True))
+        else _with_name("paper", lambda: load(paper, mission=True))
     )
     start = _preset(module, table)
     for key in (set(table) - set(KEYS)) & {f.name for f in fields(start)}:
         raise ValueError(f"{key}: expected it under [config]")
-    _known("", table, KEYS)
-    given = {k: typed(k, table[k], hint) for k, hint in _OPTIONS.items() if k in table}
+    _check_keys("", table, KEYS)
+    chosen = {k: typed(k, table[k], hint) for k, hint in _OPTIONS.items() if k in table}
     if "runs" in typed("config", table.get("config", {}), dict):
         raise ValueError("config.runs: expected runs at the top of the file, outside of [config]")
     swept, fixed = _overrides(start, table.get("config", {}))
@@ -210,7 +213,7 @@ def study(table: Mapping[str, Any]) -> Study:
         "settle_s": None,
         "engine": "auto",
     }
-    options: dict[str, Any] = usual | given | {"limits": _limits(table, module.JUDGED)}
+    options: dict[str, Any] = usual | chosen | {"limits": _limits(table, module.JUDGED)}
     for name, least in (("runs", 1), ("seed", 0), ("block", 1), ("every", 1)):
         if options[name] < least:
             raise ValueError(
@@ -225,7 +228,7 @@ def study(table: Mapping[str, Any]) -> Study:
         )
     _check_flights(points, options)
     names = _filters(module, table, points)
-    return Study(paper=paper, filters=names, swept=swept, configurations=points, **options)
+    return MissionStudy(paper=paper, filters=names, swept=swept, configurations=points, **options)
 
 
 _OPTIONS: dict[str, Any] = {
@@ -259,7 +262,7 @@ def _check_flights(points: Sequence[Configuration], options: Mapping[str, Any]) 
             )
 
 
-def _part(name: str, make: Any) -> Any:
+def _with_name(name: str, make: Any) -> Any:
     """``make()``, with the name before what it complains of."""
     try:
         return make()
@@ -269,7 +272,7 @@ def _part(name: str, make: Any) -> Any:
         raise ValueError(f"{name}: expected numbers that can be computed with ({error})") from None
 
 
-def _known(where: str, table: Mapping[str, Any], names: Sequence[str]) -> None:
+def _check_keys(where: str, table: Mapping[str, Any], names: Sequence[str]) -> None:
     """Refuse keys that are not among the names, and hint at the nearest."""
     for key in table:
         if key not in names and where and key in KEYS:
@@ -295,7 +298,7 @@ def _preset(module: ModuleType, table: Mapping[str, Any]) -> Any:
 
 
 def _limits(table: Mapping[str, Any], judged: Mapping[str, str]) -> dict[str, float]:
-    _known("limits.", typed("limits", table.get("limits", {}), dict), list(judged))
+    _check_keys("limits.", typed("limits", table.get("limits", {}), dict), list(judged))
     limits = {k: typed(f"limits.{k}", v, float) for k, v in table.get("limits", {}).items()}
     for name, value in limits.items():
         if value <= 0.0:
@@ -307,23 +310,23 @@ def _filters(
     module: ModuleType, table: Mapping[str, Any], points: Sequence[Configuration]
 ) -> tuple[str, ...]:
     """The names asked for, which all exist in some configuration; by default those of the first."""
-    known: dict[str, Any] = _part("config", lambda: module.filters(points[0].config))
+    available: dict[str, Any] = _with_name("config", lambda: module.filters(points[0].config))
     names = [
         typed("filters", name, str)
-        for name in typed("filters", table.get("filters", list(known)), list)
+        for name in typed("filters", table.get("filters", list(available)), list)
     ]
     if not names:
-        raise ValueError(f"filters: expected some of {', '.join(known)}, got none")
+        raise ValueError(f"filters: expected some of {', '.join(available)}, got none")
     if len(set(names)) != len(names):
         raise ValueError(f"filters: expected different names, got {names!r}")
     for name in names:
         if not any(
-            name in (known if i == 0 else module.filters(point.config))
+            name in (available if i == 0 else module.filters(point.config))
             for i, point in enumerate(points)
         ):
             raise ValueError(
-                f"filters: expected some of {', '.join(known)}, got "
-                f"{name!r}{did_you_mean(name, known)}"
+                f"filters: expected some of {', '.join(available)}, got "
+                f"{name!r}{did_you_mean(name, available)}"
             )
     return tuple(names)
 
@@ -333,7 +336,7 @@ def _overrides(
 ) -> tuple[dict[str, tuple[Any, ...]], dict[str, Any]]:
     """Lists of values, and single values, by dotted key."""
     hints = typing.get_type_hints(type(config))
-    _known(f"config.{prefix}", table, [f.name for f in fields(config)])
+    _check_keys(f"config.{prefix}", table, [f.name for f in fields(config)])
     swept: dict[str, tuple[Any, ...]] = {}
     fixed: dict[str, Any] = {}
     for key, value in table.items():
@@ -346,7 +349,7 @@ def _overrides(
         elif depth(value) > type_depth(hints[key]):
             if not value:
                 raise ValueError(f"config.{name}: expected at least one value, got an empty list")
-            values_of = tuple(typed(f"config.{name}", one, hints[key]) for one in value)
+            values_of = tuple(typed(f"config.{name}", item, hints[key]) for item in value)
             if len(set(values_of)) != len(values_of):
                 raise ValueError(f"config.{name}: expected different values, got {value!r}")
             swept[name] = values_of
@@ -388,16 +391,16 @@ def _point(start: Any, fixed: Mapping[str, Any], values: dict[str, Any]) -> Conf
 def _replaced(config: Any, values: Mapping[str, Any]) -> Any:
     """A configuration with values of dotted keys in it."""
     inner: dict[str, dict[str, Any]] = {}
-    own: dict[str, Any] = {}
+    changes: dict[str, Any] = {}
     for key, value in values.items():
         head, dot, rest = key.partition(".")
         if dot:
             inner.setdefault(head, {})[rest] = value
         else:
-            own[head] = value
+            changes[head] = value
     for head, parts in inner.items():
         try:
-            own[head] = _replaced(getattr(config, head), parts)
+            changes[head] = _replaced(getattr(config, head), parts)
         except ValueError as error:
             raise ValueError(f"{head}.{error}") from None
-    return replace(config, **own)
+    return replace(config, **changes)

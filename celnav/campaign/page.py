@@ -7,8 +7,8 @@ from collections.abc import Iterable, Mapping
 from platform import machine, python_version
 from typing import TYPE_CHECKING, Any
 
-from celnav.campaign import Outcome
-from celnav.campaign.table import columns, costs, plain, to_csv, to_parquet
+from celnav.campaign import CampaignResult
+from celnav.campaign.table import TIME, columns, costs, plain, to_csv, to_parquet
 from celnav.files import Outputs
 from celnav.papers.own import name_of
 from celnav.show.draw import picture_names, pictures
@@ -29,7 +29,7 @@ def names(stems: Iterable[str]) -> list[str]:
 
 
 def write(
-    outcome: Outcome, drawings: Mapping[str, Figure], outputs: Outputs, recording: str = ""
+    outcome: CampaignResult, drawings: Mapping[str, Figure], outputs: Outputs, recording: str = ""
 ) -> None:
     """Write tables, figures and page; ``recording``: the name of one to link to.
 
@@ -42,14 +42,14 @@ def write(
     drawn = pictures((f"figures/{stem}", drawing) for stem, drawing in drawings.items())
     texts = {"table.csv": to_csv(cells), "times.csv": to_csv(times)}
     parquet = {"table.parquet": to_parquet(cells)}
-    cells["us_per_run_step"] = times["us_per_run_step"]
+    cells[TIME] = times[TIME]
     study, versions = outcome.study, {**code(), "python": python_version(), "machine": machine()}
     texts[PAGE] = render(
         "campaign.html",
         title=study.title,
         study=study,
         paper=name_of(study.paper),
-        failed=sum(row.failed for row in outcome.rows),
+        failed=sum(row["failed"] for row in outcome.rows),
         files=[*TABLES, recording] if recording else TABLES,
         pictures={
             stem: base64.b64encode(drawn[f"figures/{stem}.png"]).decode() for stem in drawings

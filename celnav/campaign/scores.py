@@ -1,12 +1,12 @@
 """Scores: sums over runs, enough for every statistic of a campaign, so that no track is ever kept.
 
 A block of runs is scored, scores of blocks are merged by adding, in whatever number they come, and
-a `Summary` reads the sum.
+`summarize` makes statistics of the sum.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,10 +21,10 @@ Scores = dict[str, Array]
 
 times ``(K,)`` s. dimension ``()``: of the error. settled ``(K,)``: which epochs statistics are of.
 runs ``()``. count, nis, dof ``(K,)`` and square ``(K, groups)``: at each epoch, over the runs that
-have an estimate there. known ``(K,)``, variance ``(K, groups)``: over those with a covariance too.
-own ``(2, groups)``, own_nees ``(2,)``: of each run's mean over the settled epochs, and of its
-square; judged ``()``: how many runs have a NEES there. nees_beyond, nis_beyond ``(2,)``: single
-values above their 95 % quantile, and all.
+have an estimate there. predicted ``(K,)``, variance ``(K, groups)``: over those with a covariance
+too. run_square ``(2, groups)``, run_nees ``(2,)``: of each run's mean over the settled epochs, and
+of its square; judged ``()``: how many runs have a NEES there. nees_beyond, nis_beyond ``(2,)``:
+single values above their 95 % quantile, and all.
 """
 CONSTANT = ("times", "dimension", "settled")
 """Scores that are no sums."""
@@ -39,7 +39,7 @@ class Failure(NamedTuple):
 
 
 def score(
-    followed: Evaluation,
+    evaluation: Evaluation,
     groups: tuple[Group, ...],
     *,
     settle_s: float | None,
@@ -51,16 +51,16 @@ def score(
     ``settle_s``: the mean over time begins here, not after the last epoch; None: in the middle of
         the run.
     """
-    times, end = followed.times, float(followed.times[-1])
+    times, end = evaluation.times, float(evaluation.times[-1])
     if settle_s is not None and settle_s > end:
         raise ValueError(
             f"settle_s: expected a time of at most {end:g} s, the last epoch, got {settle_s:g}"
         )
     settled = np.arange(len(times)) >= len(times) // 2 if settle_s is None else times >= settle_s
-    square, variance = squares(groups, followed.error), squares(groups, followed.std)
+    square, variance = squares(groups, evaluation.error), squares(groups, evaluation.std)
     there = np.asarray(np.isfinite(square).all(-1))
-    sound = there & np.isfinite(followed.nees)
-    failures = {run: Failure(run, t, why) for run, t, why in followed.lost}
+    sound = there & np.isfinite(evaluation.nees)
+    failures = {run: Failure(run, t, why) for run, t, why in evaluation.lost}
 
     def fail(which: Any, why: str) -> None:
         for run in np.flatnonzero(which).tolist():
@@ -76,12 +76,16 @@ def score(
     )
     good = np.array([run not in failures for run in range(square.shape[1])], bool)
     chosen = slice(None) if good.all() else good
-    nees, nis, dof = followed.nees[:, chosen], followed.nis[:, chosen], followed.dof[:, chosen]
+    nees, nis, dof = (
+        evaluation.nees[:, chosen],
+        evaluation.nis[:, chosen],
+        evaluation.dof[:, chosen],
+    )
     square, variance, there, sound = (
         values[:, chosen] for values in (square, variance, there, sound)
     )
-    known = there & np.isfinite(variance).all(-1)
-    judged, n = sound[settled].any(0), followed.error.shape[-1]
+    predicted = there & np.isfinite(variance).all(-1)
+    judged, n = sound[settled].any(0), evaluation.error.shape[-1]
     scores = {
         "times": times,
         "dimension": n,
@@ -89,13 +93,13 @@ def score(
         "runs": good.sum(),
         "count": there.sum(1),
         "square": _only(square, there).sum(1),
-        "known": known.sum(1),
-        "variance": _only(variance, known).sum(1),
+        "predicted": predicted.sum(1),
+        "variance": _only(variance, predicted).sum(1),
         "nis": _only(nis, there).sum(1),
         "dof": _only(dof, there).sum(1),
         "judged": judged.sum(),
-        "own": _moments(_mean(square[settled], there[settled])),
-        "own_nees": _moments(_mean(nees[settled], sound[settled])[judged]),
+        "run_square": _moments(_mean(square[settled], there[settled])),
+        "run_nees": _moments(_mean(nees[settled], sound[settled])[judged]),
         "nees_beyond": _beyond(nees[settled], np.full(nees[settled].shape, n)),
         "nis_beyond": _beyond(nis[settled], np.where(there[settled], dof[settled], 0.0)),
     }
@@ -119,9 +123,9 @@ def _mean(values: Array, there: Array) -> Array:
     return np.asarray(_only(values, there).sum(0) / count.reshape(-1, *(1,) * (values.ndim - 2)))
 
 
-def _moments(own: Array) -> Array:
+def _moments(values: Array) -> Array:
     """Sums over the runs of values and of their squares."""
-    return np.stack([own.sum(0), np.square(own).sum(0)])
+    return np.stack([values.sum(0), np.square(values).sum(0)])
 
 
 def _beyond(values: Array, dof: Array) -> Array:
@@ -139,9 +143,9 @@ def check_scores(scores: Scores, groups: int, bound: Array | None) -> None:
     """
     K, G = scores.get("times", np.empty(0)).shape[:1], (groups,)
     shapes: dict[str, tuple[int, ...]] = dict.fromkeys(("dimension", "runs", "judged"), ())
-    shapes |= dict.fromkeys(("times", "settled", "count", "known", "nis", "dof"), K)
-    shapes |= dict.fromkeys(("own_nees", "nees_beyond", "nis_beyond"), (2,))
-    shapes |= {"square": K + G, "variance": K + G, "own": (2, *G)}
+    shapes |= dict.fromkeys(("times", "settled", "count", "predicted", "nis", "dof"), K)
+    shapes |= dict.fromkeys(("run_nees", "nees_beyond", "nis_beyond"), (2,))
+    shapes |= {"square": K + G, "variance": K + G, "run_square": (2, *G)}
     if set(scores) != set(shapes):
         raise ValueError(f"expected scores {', '.join(shapes)}, got {', '.join(scores)}")
     for name, shape in shapes.items():
@@ -167,72 +171,58 @@ def merge(parts: Iterable[Scores]) -> Scores:
     return total
 
 
-class Accuracy(NamedTuple):
-    """Root mean squares of a group: over the settled epochs with a 95 % interval, at the end, and
-    what the filter takes it for.
-
-    The interval comes from how the runs differ: no errors need be Gaussian. ``efficiency``:
-    `celnav.study.trial.bound` over rms.
-    """
-
-    rms: float
-    low: float
-    high: float
-    final: float
-    sigma: float
-    bound: float
-    efficiency: float
+STATISTICS = ("rms", "low", "high", "final", "sigma", "bound", "efficiency")
+"""Of each group: root mean square error over the settled epochs with its 95 % interval; at the last
+epoch; the filter's prediction; `celnav.study.trial.bound`, and that over rms. The interval comes
+from how the runs differ: no errors need be Gaussian.
+"""
 
 
-class Summary(NamedTuple):
-    """What scores say.
+def column(group: str, statistic: str, unit: str) -> str:
+    """The name of a column of the table, such as "velocity_rms_m_per_s"."""
+    name = f"{group}_{statistic}"
+    return name if statistic == "efficiency" else f"{name}_{unit.replace('/', '_per_')}"
 
-    Attributes
-    ----------
-    runs: scored. accuracy: of each group.
-    anees, low, high: NEES averaged over runs and settled epochs, over its dimension (1 if
-        consistent), with a 95 % interval from how the runs differ. band: where the mean over the
-        runs at a single epoch lies with 95 %, if consistent.
+
+def summarize(
+    scores: Scores, groups: Iterable[Sequence[Any]], bound: Array | None = None
+) -> dict[str, Any]:
+    """Statistics of scores by column of the table; nan where no run is left.
+
+    groups: name and unit of each. bound: mean squares ``(K, groups)``.
+
+    Returns
+    -------
+    runs: that were scored. The `STATISTICS` of each group.
+    anees, anees_low, anees_high: NEES averaged over runs and settled epochs, over its dimension (1
+        if consistent), with a 95 % interval from how the runs differ. band_low, band_high: where
+        the mean over the runs at a single epoch lies with 95 %, if consistent.
     nis: NIS over its degrees of freedom, averaged over the settled epochs.
     nees_beyond, nis_beyond: part of single values above their 95 % quantiles, .05 if consistent.
     """
-
-    runs: int
-    accuracy: tuple[Accuracy, ...]
-    anees: float
-    low: float
-    high: float
-    band: tuple[float, float]
-    nis: float
-    nees_beyond: float
-    nis_beyond: float
-
-
-def summarize(scores: Scores, bound: Array | None = None) -> Summary:
-    """Statistics of scores; ``bound (K, groups)``: mean squares. nan where no run is left."""
     runs, n = int(scores["runs"]), int(scores["dimension"])
     settled = scores["settled"] > 0.0
-    rms, low, high = _interval(scores["own"], runs)
-    anees, least_anees, most_anees = (
-        float(v[0]) / n for v in _interval(scores["own_nees"][:, None], int(scores["judged"]))
-    )
+    mean_squares = _interval(scores["run_square"], runs)
+    anees = [float(v) / n for v in _interval(scores["run_nees"], int(scores["judged"]))]
+    band = chi_square_band(n, runs) if runs else (np.nan, np.nan)
     with np.errstate(invalid="ignore", divide="ignore"):
+        rms, low, high = np.sqrt(mean_squares)
         final = np.sqrt(scores["square"][-1] / scores["count"][-1])
-        sigma = np.sqrt(scores["variance"][settled].sum(0) / scores["known"][settled].sum())
-        nis = float(scores["nis"][settled].sum() / scores["dof"][settled].sum())
+        sigma = np.sqrt(scores["variance"][settled].sum(0) / scores["predicted"][settled].sum())
         least = np.full(len(rms), np.nan) if bound is None else np.sqrt(bound[settled].mean(0))
-        columns = np.stack(
-            [np.sqrt(rms), np.sqrt(low), np.sqrt(high), final, sigma, least, least / np.sqrt(rms)],
-            -1,
-        )
-        nees_beyond, nis_beyond = (
-            float(scores[name][0] / scores[name][1]) for name in ("nees_beyond", "nis_beyond")
-        )
-    accuracy = tuple(Accuracy(*row) for row in columns.tolist())
-    a, b = chi_square_band(n, runs) if runs else (np.nan, np.nan)
-    return Summary(
-        runs, accuracy, anees, least_anees, most_anees, (a / n, b / n), nis, nees_beyond, nis_beyond
-    )
+        values = np.stack([rms, low, high, final, sigma, least, least / rms], -1)
+        nis = float(scores["nis"][settled].sum() / scores["dof"][settled].sum())
+        beyond = {
+            name: float(scores[name][0] / scores[name][1]) for name in ("nees_beyond", "nis_beyond")
+        }
+    accuracies = {
+        column(name, statistic, unit): value
+        for (name, unit, *_), row in zip(groups, values.tolist(), strict=True)
+        for statistic, value in zip(STATISTICS, row, strict=True)
+    }
+    consistency = dict(zip(("anees", "anees_low", "anees_high"), anees, strict=True))
+    bands = {"band_low": band[0] / n, "band_high": band[1] / n}
+    return {"runs": runs} | accuracies | consistency | bands | {"nis": nis} | beyond
 
 
 def _interval(sums: Array, runs: int) -> tuple[Array, Array, Array]:

@@ -9,19 +9,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from celnav.campaign import Outcome
-from celnav.campaign.figures import PALETTE
-from celnav.campaign.missions import Study
+from celnav.campaign import CampaignResult
+from celnav.campaign.missions import MissionStudy
+from celnav.campaign.scores import column
 from celnav.campaign.units import STUDY
 from celnav.gaussian.linalg import Array
 from celnav.models.earth import SEMI_MAJOR_M
 from celnav.papers import load
 from celnav.papers.own import name_of
 from celnav.show import colors, scenes, showcase
-from celnav.show.draw import Item, Line, Panel, components, curve, panels
-from celnav.show.estimates import Estimate, Group
+from celnav.show.draw import Item, Line, Panel, components, curve, look, panels
+from celnav.show.estimates import Estimate
 from celnav.show.plots import Curve, Plot
-from celnav.show.showcase import Showcase, Space
+from celnav.show.showcase import SceneView, Showcase
 from celnav.study.montecarlo import generator
 from celnav.study.trial import Evaluation, Trial, evaluate_filter
 
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 BOUNDS = Line("±3σ, the largest of them", colors.SIGMA, width=0.8)
 
 
-def first_run(study: Study) -> Showcase | None:
+def first_run(study: MissionStudy) -> Showcase | None:
     """The first run of a mission with the filters that can; None if it cannot be simulated, or no
     filter can.
     """
@@ -51,11 +51,6 @@ def first_run(study: Study) -> Showcase | None:
     if trial.place is not None:
         truths = [epoch.truth for epoch in trial.epochs(some) if epoch.truth is not None]
         orbit = np.stack([trial.place(truth)[0] for truth in truths])
-    groups = []
-    for group in trial.groups:
-        count = group.part.stop - group.part.start
-        axes = "xyz" if count == 3 else [str(i + 1) for i in range(count)]
-        groups.append(Group(*group, axes=tuple(axes)))
     return Showcase(
         f"mission {study.title}",
         "",
@@ -65,13 +60,13 @@ def first_run(study: Study) -> Showcase | None:
             for name, color in _shades(study).items()
             if (f := filters.get(name)) is not None
         },
-        groups,
+        trial.groups,
         truth=orbit,
     )
 
 
-def _shades(study: Study) -> dict[str, str]:
-    return {name: PALETTE[i % len(PALETTE)] for i, name in enumerate(study.filters)}
+def _shades(study: MissionStudy) -> dict[str, str]:
+    return {name: look(i)["color"] for i, name in enumerate(study.filters)}
 
 
 def errors(shown: Showcase) -> Figure:
@@ -88,11 +83,11 @@ def errors(shown: Showcase) -> Figure:
                 curve(shown.times, -reach, BOUNDS, label=None),
             ]
             labels = [f"component {i + 1}" for i in range(error.shape[1])]
-            shades = [PALETTE[i % 6] for i in range(error.shape[1])]
+            shades = [look(i)["color"] for i in range(error.shape[1])]
             items += components(shown.times, error, labels, shades, linewidth=0.8)
             every.append((name if not rows else "", items))
-            seen = np.abs([*error[late].T, reach[late]])
-            top = max(top, 1.2 * float(np.nanmax(seen, initial=0.0)))
+            magnitudes = np.abs([*error[late].T, reach[late]])
+            top = max(top, 1.2 * float(np.nanmax(magnitudes, initial=0.0)))
         more = {"ylim": (-top, top)} if top > 0.0 else {}
         label = f"{group.name} error ({group.unit})"
         rows.append([Panel(title, items, "time (s)", label, more=more) for title, items in every])
@@ -105,7 +100,7 @@ def errors(shown: Showcase) -> Figure:
     )
 
 
-def record(shown: Showcase, outcome: Outcome, path: str | PathLike[str]) -> None:
+def record(shown: Showcase, outcome: CampaignResult, path: str | PathLike[str]) -> None:
     """Record the first run, and the rms of all runs. Needs rerun.
 
     Raises
@@ -115,7 +110,7 @@ def record(shown: Showcase, outcome: Outcome, path: str | PathLike[str]) -> None
     study, orbit, spaces = outcome.study, shown.truth, []
     if orbit is not None:
         eye = float(np.abs(orbit).max()) * np.array([2.2, -1.8, 1.4])
-        spaces = [Space("orbit", "orbit, km", eye, growing=["orbit/satellite/trail"])]
+        spaces = [SceneView("orbit", "orbit, km", eye, growing=["orbit/satellite/trail"])]
 
     def scene(out: Recorder) -> None:
         if orbit is not None:
@@ -133,7 +128,7 @@ def record(shown: Showcase, outcome: Outcome, path: str | PathLike[str]) -> None
     showcase.record(replace(run, plots=plots, facts=facts), path)
 
 
-def _rms(shown: Showcase, outcome: Outcome) -> dict[str, Plot]:
+def _rms(shown: Showcase, outcome: CampaignResult) -> dict[str, Plot]:
     """Errors of all runs, at the epochs that were scored, by group."""
     study, scored, plots = outcome.study, outcome.first[0][1], {}
 
@@ -157,17 +152,16 @@ def _rms(shown: Showcase, outcome: Outcome) -> dict[str, Plot]:
     return plots
 
 
-def _notes(outcome: Outcome) -> str:
-    """What one sees."""
+def _notes(outcome: CampaignResult) -> str:
+    """The text beside the recording."""
     study = outcome.study
     first = f"{study.runs} runs of `{name_of(study.paper)}`, seed {study.seed}."
     lines = [f"# {study.title}", first, ""]
     for row in outcome.rows:
-        for name, unit in row.groups:
-            accuracy = row.accuracy(name)
-            if accuracy is not None:
-                errs = f"rms {accuracy.rms:.3g} {unit}, takes itself for {accuracy.sigma:.3g}"
-                lines.append(f"- **{row.filter}** {name}: {errs}")
-        if row.failed:
-            lines.append(f"- **{row.filter}**: {row.failed} runs failed")
+        filter = f"- **{row['filter']}**"
+        for name, unit in outcome.groups if row["runs"] else ():
+            rms, sigma = (row[column(name, statistic, unit)] for statistic in ("rms", "sigma"))
+            lines.append(f"{filter} {name}: rms error {rms:.3g} {unit}, predicted {sigma:.3g}")
+        if row["failed"]:
+            lines.append(f"{filter}: {row['failed']} runs failed")
     return "\n".join(lines)

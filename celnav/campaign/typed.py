@@ -65,18 +65,20 @@ def described(of: type) -> dict[str, tuple[str, str, tuple[Any, ...]]]:
     """What the parameters of a configuration mean, where they come from, and what words they can
     be; nested ones are dotted.
     """
-    found: dict[str, tuple[str, str, tuple[Any, ...]]] = {}
+    parameters: dict[str, tuple[str, str, tuple[Any, ...]]] = {}
     hints = typing.get_type_hints(of)
     for f in fields(of):
         if is_dataclass(hints[f.name]) and isinstance(hints[f.name], type):
-            found |= {f"{f.name}.{key}": told for key, told in described(hints[f.name]).items()}
+            parameters |= {
+                f"{f.name}.{key}": about for key, about in described(hints[f.name]).items()
+            }
         else:
-            found[f.name] = (
+            parameters[f.name] = (
                 f.metadata.get("meaning", ""),
                 f.metadata.get("source", ""),
                 f.metadata.get("one_of", ()),
             )
-    return found
+    return parameters
 
 
 _WORDS = {

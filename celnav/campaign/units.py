@@ -7,25 +7,25 @@ import platform
 import traceback
 import warnings
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, field
-from functools import reduce
+from functools import partial, reduce
 from hashlib import sha256
 from itertools import groupby
 from operator import add
 from time import process_time
-from typing import Any, Protocol
+from typing import Any, TypeVar
 
 import numpy as np
 
-from celnav.campaign import missions
+from celnav.campaign.missions import MissionStudy
 from celnav.campaign.scores import Scores, check_scores, merge, score
 from celnav.gaussian.linalg import Array
 from celnav.lazy import requires_extra
 from celnav.papers import load
 from celnav.papers.own import identity, name_of, place
 from celnav.study.montecarlo import renewed, run_of
-from celnav.study.store import Keyed, code
+from celnav.study.store import code
 from celnav.study.study import Part, Rngs, Study, Unit
 from celnav.study.trial import Noiseless, Trial, bound, evaluate_filter
 from celnav.tape.cuda import CudaError
@@ -43,23 +43,15 @@ not depend on the others.
 """
 
 
+T = TypeVar("T")
+
+
 class WorkError(RuntimeError):
     """Work that could not be done."""
 
 
 class VersionError(WorkError):
     """A worker runs another celnav than the one that handed out the work."""
-
-
-class Work(Keyed, Protocol):
-    """A unit of any kind: the engine hands it out, the store keeps what it gives."""
-
-    @property
-    def title(self) -> str:
-        """What it is, for people."""
-
-    def do(self) -> dict[str, Array]:
-        """The result, as arrays by name."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,10 +144,48 @@ class Scoring:
     limits: tuple[tuple[str, float], ...]
 
     def __call__(self, config: Any, rngs: Rngs) -> dict[str, Array]:
-        """Arrays of what is `Scored`."""
+        """Arrays of what is `Scored`: all filters, and with the first run the bound."""
+        make = partial(load(self.paper).trial, config)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # said once, where the study is read
-            return _Block(self, config).scored(rngs).arrays(self.filters)
+            trial, trace = _attempt(make, rngs)  # where it fails, fewer runs at once are tried
+            total = Scored(trace=trace)
+            for name in self.filters:
+                total += self.score_filter(make, name, rngs, trial)
+            if run_of(rngs[0]) == 0:
+                least, trace = _attempt(lambda: bound(make([Noiseless()]), self.every))
+                total += Scored(bound=least, trace=trace)
+        return total.arrays(self.filters)
+
+    def score_filter(
+        self, make: Callable[[Rngs], Trial], name: str, rngs: Rngs, trial: Trial | None = None
+    ) -> Scored:
+        """A filter on some runs. A batch that raises is halved until the runs are found that do."""
+        groups = tuple[tuple[str, str], ...]()
+        try:
+            trial = trial or make([renewed(rng) for rng in rngs])
+            groups = tuple((group.name, group.unit) for group in trial.groups)
+            if name not in trial.filters:
+                return Scored(groups)
+            start = process_time()
+            run = evaluate_filter(trial, name, self.every)
+            seconds = process_time() - start
+            limits = dict(self.limits)
+            scores, failures = score(run, trial.groups, settle_s=self.settle_s, limits=limits)
+        except (MemoryError, CudaError):
+            raise
+        except Exception as error:
+            failed, half = Scored(groups, trace=traceback.format_exc()), len(rngs) // 2
+            if half:
+                halves = (
+                    self.score_filter(make, name, some) for some in (rngs[:half], rngs[half:])
+                )
+                return sum(halves, failed)
+            failed.reasons[name, f"{type(error).__name__}: {error}"] = 1
+            return failed
+        reasons = Counter((name, failure.why) for failure in failures)
+        steps = Counter({name: run.epochs * len(rngs)})
+        return Scored(groups, {name: scores}, reasons, Counter({name: seconds}), steps)
 
     def join(self, blocks: Iterable[dict[str, Array]]) -> dict[str, Array]:
         """The sum of blocks in their order; ValueError if they are no such arrays, or not alike."""
@@ -166,64 +196,17 @@ class Scoring:
         return reduce(add, (read(arrays, self.filters) for arrays in blocks))
 
 
-class _Block:
-    """Runs of a configuration, and what goes wrong in them."""
-
-    def __init__(self, scoring: Scoring, config: Any):
-        self.work, self.config, self.make = scoring, config, load(scoring.paper).trial
-
-    def trial(self, rngs: Sequence[Any]) -> Trial:
-        trial: Trial = self.make(self.config, rngs)
-        return trial
-
-    def scored(self, rngs: Rngs) -> Scored:
-        """All filters, and with the first run the bound."""
-        total, whole = Scored(), None
-        try:
-            whole = self.trial(rngs)
-        except MemoryError:
-            raise
-        except Exception:  # then it is tried for fewer runs at once
-            total = Scored(trace=traceback.format_exc())
-        for name in self.work.filters:
-            total += self.flown(name, rngs, whole)
-        return total + self.bound() if run_of(rngs[0]) == 0 else total
-
-    def flown(self, name: str, rngs: Rngs, trial: Trial | None = None) -> Scored:
-        """A filter on some runs. A batch that raises is halved until the runs are found that do."""
-        work, groups = self.work, tuple[tuple[str, str], ...]()
-        try:
-            trial = trial or self.trial([renewed(rng) for rng in rngs])
-            groups = tuple((group.name, group.unit) for group in trial.groups)
-            if name not in trial.filters:
-                return Scored(groups)
-            start = process_time()
-            run = evaluate_filter(trial, name, work.every)
-            seconds = process_time() - start
-            limits = dict(work.limits)
-            scores, failures = score(run, trial.groups, settle_s=work.settle_s, limits=limits)
-        except (MemoryError, CudaError):
-            raise
-        except Exception as error:
-            failed, half = Scored(groups, trace=traceback.format_exc()), len(rngs) // 2
-            if half:
-                return failed + self.flown(name, rngs[:half]) + self.flown(name, rngs[half:])
-            failed.reasons[name, f"{type(error).__name__}: {error}"] = 1
-            return failed
-        reasons = Counter((name, failure.why) for failure in failures)
-        steps = Counter({name: run.epochs * len(rngs)})
-        return Scored(groups, {name: scores}, reasons, Counter({name: seconds}), steps)
-
-    def bound(self) -> Scored:
-        try:
-            return Scored(bound=bound(self.trial([Noiseless()]), self.work.every))
-        except MemoryError:
-            raise
-        except Exception:
-            return Scored(trace=traceback.format_exc())
+def _attempt(make: Callable[..., T], *arguments: Any) -> tuple[T | None, str]:
+    """What a model or filter gives, or None and where its exception came from."""
+    try:
+        return make(*arguments), ""
+    except (MemoryError, CudaError):
+        raise
+    except Exception:
+        return None, traceback.format_exc()
 
 
-def units_of(study: missions.Study) -> list[list[Unit]]:
+def units_of(study: MissionStudy) -> list[list[Unit]]:
     """Units of each configuration, in the order in which they are joined."""
     limits = tuple(sorted(study.limits.items()))
     work = Scoring(study.paper, study.filters, study.every, study.settle_s, limits)
@@ -240,7 +223,7 @@ def units_of(study: missions.Study) -> list[list[Unit]]:
     return [list(group) for _, group in each]
 
 
-def execute(unit: Work, made_by: dict[str, str]) -> dict[str, Array]:
+def execute(unit: Unit, made_by: dict[str, str]) -> dict[str, Array]:
     """Do a unit, on one thread of linear algebra: the same numbers wherever it runs.
 
     Raises

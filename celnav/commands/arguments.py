@@ -17,7 +17,7 @@ from celnav.study.montecarlo import effort
 
 if TYPE_CHECKING:
     from celnav.campaign.executors import Workers
-    from celnav.campaign.table import Row
+    from celnav.campaign.table import TableRow
 
 MOST_PER_CORE = 4
 """Processes."""
@@ -99,14 +99,14 @@ def warn(line: str) -> None:
     print(f"celnav: {line}", file=sys.stderr)
 
 
-def done(rows: Sequence[Row]) -> int:
+def done(rows: Sequence[TableRow]) -> int:
     """Exit status of runs: 1, with a line that says so, where all of them failed."""
-    if any(row.summary is not None for row in rows):
+    if any(row["runs"] for row in rows):
         return 0
     warn("every run of every filter failed")
     return 1
 
 
 def folder_of(kind: str, file: str) -> Path:
-    """Where the results of a file go, unless somebody says otherwise: ``out/KIND/NAME``."""
+    """Where the results of a file go, by default: ``out/KIND/NAME``."""
     return Path("out", kind) / (re.sub(r"[^\w.-]+", "-", Path(file).stem).strip(".-") or "mission")

@@ -48,7 +48,7 @@ def run(options: argparse.Namespace) -> int:
     except KeyboardInterrupt:
         warn(f"interrupted; what is finished is kept in {folder}, the same command goes on")
         return 130
-    print(summary(outcome.rows))
+    print(summary(outcome.rows, outcome.groups))
     with locked(folder):
         write(outcome, figures(outcome), outputs)
     print(f"wrote {folder / 'index.html'}")

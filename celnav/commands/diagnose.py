@@ -8,7 +8,7 @@ import json
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from celnav.commands.arguments import UsageError, number, whole
 from celnav.files import InputError, Outputs
 from celnav.gaussian.linalg import Array
 from celnav.lazy import require
+from celnav.show.claims import plain
 from celnav.show.draw import picture_names, pictures
 
 FILES = ("diagnosis.txt", "diagnosis.json", *picture_names(["diagnosis"]))
@@ -48,33 +49,23 @@ def run(options: argparse.Namespace) -> int:
         outputs.check(FILES)
     table = read(Path(options.residuals), options.time, options.columns)
     try:
-        found = diagnose(
+        diagnosis = diagnose(
             table.residuals, table.times, std=table.std, names=table.names, lags=lags, level=level
         )
     except ValueError as error:
         raise InputError(f"{options.residuals}: {str(error).partition(': ')[2]}") from None
-    words = f"{options.residuals}: {found}"
+    words = f"{options.residuals}: {diagnosis}"
     if table.ignored:
         words += f"\n\nnot looked at: {', '.join(table.ignored)} (--columns chooses)"
     print(words)
     if outputs is not None:
         from celnav.show.diagnosis import figure
 
-        drawn = pictures([("diagnosis", figure(found))])
-        listed = json.dumps(_plain(found), indent=1) + "\n"
+        drawn = pictures([("diagnosis", figure(diagnosis))])
+        listed = json.dumps(plain(diagnosis, digits=17), indent=1) + "\n"
         outputs.publish({"diagnosis.txt": words + "\n", "diagnosis.json": listed}, drawn)
         print(f"wrote {outputs.directory}")
     return 0
-
-
-def _plain(x: Any) -> Any:
-    """A diagnosis as JSON has it; nan is null."""
-    if hasattr(x, "_asdict"):
-        return {name: _plain(part) for name, part in x._asdict().items()}
-    if isinstance(x, tuple | list | np.ndarray):
-        return [_plain(part) for part in x]
-    x = x.item() if isinstance(x, np.generic) else x
-    return None if isinstance(x, float) and not np.isfinite(x) else x
 
 
 def read(path: Path, time: str | None = None, columns: Sequence[str] | None = None) -> Table:

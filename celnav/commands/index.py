@@ -89,15 +89,15 @@ def study_of(out: Path, name: str, word: str = "") -> Any:
 def summary(
     names: Sequence[str],
     out: Path = Path("out"),
-    found: Mapping[str, Claims] = MappingProxyType({}),
+    claims: Mapping[str, Claims] = MappingProxyType({}),
 ) -> str:
-    """Paragraphs in Markdown: what studies say and what we find; ``found``: claims at hand."""
+    """Paragraphs in Markdown: what studies say and what we find; ``claims``: those at hand."""
     paragraphs = []
     for name in names:
         module = study_of(out, name)
         said = " ".join(sentence.text for sentence in module.STUDY.found)
-        if name in found:
-            said = answer(module.STUDY.found, found[name])
+        if name in claims:
+            said = answer(module.STUDY.found, claims[name])
         source = f": {cited(module.CITATION)}" if module.CITATION else ""
         paragraphs.append(
             f"**{module.TITLE}** (`{name}`{source}). {_whose(name)}{module.STUDY.says}\n"
@@ -128,9 +128,9 @@ def cited(citation: str) -> str:
     return f"{authors} ({year})" if year else authors
 
 
-def verdicts(found: Mapping[str, Claims]) -> str:
+def verdicts(studies: Mapping[str, Claims]) -> str:
     """A table in Markdown of how many statements of each paper have which verdict."""
-    counts = {name: tally(_of_kind(claims, "statement")) for name, claims in found.items()}
+    counts = {name: tally(_of_kind(claims, "statement")) for name, claims in studies.items()}
     shown = [verdict for verdict in VERDICTS if any(verdict in count for count in counts.values())]
     rows = [["paper", "statements", *shown], ["---", *["---:"] * (len(shown) + 1)]]
     for name, count in counts.items():

@@ -78,12 +78,14 @@ def _parameters(paper: str) -> None:
     for key, value in first[1].items():
         if key != "runs":
             meaning, source, words = said[key]
-            known = (
+            choices = (
                 f" One of {', '.join(_written(w) for w in words if w is not None)}."
                 if words
                 else ""
             )
-            line = f"  {key:32} {_written(value):24} {unit_of(key):9} {meaning}.{known} [{source}]"
+            line = (
+                f"  {key:32} {_written(value):24} {unit_of(key):9} {meaning}.{choices} [{source}]"
+            )
             print(*textwrap.wrap(line, WIDTH, **UNBROKEN), sep="\n")
     for name, values in others:
         changed = {key: value for key, value in values.items() if value != first[1][key]}

@@ -1,4 +1,4 @@
-"""``celnav run``: fly one mission."""
+"""``celnav run``: run one mission."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ ORIGIN = "mission.json"
 
 def run(options: argparse.Namespace) -> int:
     """Everything is computed before anything is written."""
-    from celnav.campaign import WorkError, fly
+    from celnav.campaign import WorkError, campaign
     from celnav.campaign.figures import figures, stems
     from celnav.campaign.missions import read
     from celnav.campaign.page import names, write
@@ -38,11 +38,11 @@ def run(options: argparse.Namespace) -> int:
     outputs.check([*names([*stems(study), "errors"]), "summary.txt", RECORDING, ORIGIN])
     try:
         with closing(Progress(study.title)) as progress:
-            outcome = fly(study, pool, progress=progress.runs)
+            outcome = campaign(study, workers=pool, progress=progress.runs)
     except WorkError as error:
         warn(str(error))
         return 1
-    print(summary(outcome.rows))
+    print(summary(outcome.rows, outcome.groups))
     first, recorded = first_run(study), ""
     drawings = figures(outcome) | ({"errors": errors(first)} if first else {})
     with locked(outputs.directory):
@@ -54,7 +54,7 @@ def run(options: argparse.Namespace) -> int:
         except (ImportError, OSError, RuntimeError, ValueError) as error:
             warn(f"no recording ({error}); everything else is written")
         write(outcome, drawings, outputs, recorded)
-        outputs.text("summary.txt", summary(outcome.rows) + "\n")
+        outputs.text("summary.txt", summary(outcome.rows, outcome.groups) + "\n")
         outputs.text(ORIGIN, json.dumps({"file": str(Path(options.mission).resolve())}) + "\n")
     print(f"wrote {outputs.directory / 'index.html'}")
     return done(outcome.rows)

@@ -27,5 +27,5 @@ def run(options: argparse.Namespace) -> int:
             f"{path}: is there already, and nothing is overwritten; choose another name, or move "
             "it away"
         ) from None
-    print(f"wrote {path}; fly it with: celnav reproduce {path} --effort 0.1")
+    print(f"wrote {path}; run it with: celnav reproduce {path} --effort 0.1")
     return 0

@@ -38,7 +38,7 @@ def run(options: argparse.Namespace) -> int:
         number("acceleration-noise", options.acceleration_noise),
     )
     alarm = number("false-alarm", options.false_alarm)
-    given = (
+    reference = (
         None
         if options.position is None
         else np.array([number("position", text) for text in options.position])
@@ -48,8 +48,8 @@ def run(options: argparse.Namespace) -> int:
     _checked("--acceleration-noise", lambda: positioning_filters.filters(4, acceleration=noise))
     _checked("--false-alarm", lambda: probability(alarm))
     _checked("--sigma", lambda: positioning.deviations(sigma))
-    if given is not None:
-        _checked("--position", partial(on_earth, "position", given))
+    if reference is not None:
+        _checked("--position", partial(on_earth, "position", reference))
     names = ["ls", *positioning_filters.filters(4)]
     if options.filter not in names:
         raise UsageError(f"--filter: expected one of {', '.join(names)}, got {options.filter!r}")
@@ -79,41 +79,41 @@ def run(options: argparse.Namespace) -> int:
         observations, navigation, systems=systems, mask_deg=mask, sigma=sigma, false_alarm=alarm
     )
     east, north, up = observations.antenna
-    source = "the header" if given is None else "--position"
+    source = "the header" if reference is None else "--position"
     of = f"the marker's by {source} and the header's offset, {east:.3f} m east, "
     of += f"{north:.3f} north, {up:.3f} up"
     try:
-        found = positioning_report.position(
-            log, options.filter, observations.reference(given), acceleration=noise, of=of
+        solution = positioning_report.position(
+            log, options.filter, observations.reference(reference), acceleration=noise, of=of
         )
     except FilterError as error:
         raise InputError(
             f"{options.filter} is lost on {options.observations}: "
             f"{str(error).partition(' (on_failure')[0]}"
         ) from None
-    print(positioning_report.summary(found))
-    status = int(options.strict and bool(found.doubtful.any()))
+    print(positioning_report.summary(solution))
+    status = int(options.strict and bool(solution.doubtful.any()))
     if track is not None:
-        outputs.text(out.name, track(found))
+        outputs.text(out.name, track(solution))
         print(f"wrote {out}")
         return status
-    positioning_report.write(found, outputs)
+    positioning_report.write(solution, outputs)
     try:
         with outputs.path_for(positioning_report.RECORDING) as path:
-            positioning_report.record_positioned(found, path)
+            positioning_report.record_positioned(solution, path)
     except (ImportError, OSError, RuntimeError, ValueError) as error:  # of one epoch there is none
         warn(f"no recording ({error}); everything else is written")
     print(f"wrote {outputs.directory}")
     return status
 
 
-def _ionosphere(given: str) -> tuple[Array, Array]:
+def _ionosphere(text: str) -> tuple[Array, Array]:
     """Klobuchar's coefficients, of a file's header or of eight numbers."""
     from celnav.receiver.rinex import ionosphere, read_ionosphere
 
-    parts = given.split(",")
-    if len(parts) == 1 or Path(given).exists():
-        return read_ionosphere(given)
+    parts = text.split(",")
+    if len(parts) == 1 or Path(text).exists():
+        return read_ionosphere(text)
     if len(parts) != 8:
         raise UsageError(
             "--ion: expected a navigation file, or eight numbers with commas between, got "

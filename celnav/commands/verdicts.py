@@ -12,11 +12,11 @@ from celnav.papers import REAL
 def run(options: argparse.Namespace) -> int:
     """Count the verdicts of the papers that were reproduced."""
     out = Path(options.out)
-    found = {name: claims for name, claims in reproduced(out).items() if name not in REAL}
-    if not found:
+    claims = {name: listed for name, listed in reproduced(out).items() if name not in REAL}
+    if not claims:
         raise FileNotFoundError(
             f"{options.out}: no paper was reproduced there; use: celnav reproduce --out "
             f"{options.out}"
         )
-    print(*partial(out, found), verdicts(found), summary(list(found), out, found), sep="\n\n")
+    print(*partial(out, claims), verdicts(claims), summary(list(claims), out, claims), sep="\n\n")
     return 0

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from celnav.tape.numbers import TracedArray, each_row, tape_of, traced
-from celnav.tape.routine import Loop, LoopBody, Recorder
+from celnav.tape.routine import Loop, LoopBody, LoopRecorder
 from celnav.tape.tape import TracedScalar, emit, total
 
 Array = Any
@@ -148,7 +148,7 @@ def _rolled(nonzero: tuple[tuple[bool, ...], ...]) -> tuple[Loop, list[tuple[int
         pivot = {"pivot": (i * q, 0), "kept": (mirror_at, 0)}
 
         def row(
-            stage: Recorder, place: str, which: Array, i: int = i, rest: Array = rest
+            stage: LoopRecorder, place: str, which: Array, i: int = i, rest: Array = rest
         ) -> tuple[Any, list[Any]]:
             first, *others = (
                 stage.take(place, j) if which[j] else 0.0 for j in (i, *rest.tolist())
@@ -156,7 +156,7 @@ def _rolled(nonzero: tuple[tuple[bool, ...], ...]) -> tuple[Loop, list[tuple[int
             return first, others
 
         # First the pivot row i, which defines the reflection.
-        stage = Recorder(1, left=(root_at + i * n + i, 0), **pivot)
+        stage = LoopRecorder(1, left=(root_at + i * n + i, 0), **pivot)
         mirror = _mirror(*row(stage, "pivot", full[i]))
         stage.put("left", 0, mirror.length)
         for k, x in enumerate((mirror.inverse, mirror.scale, mirror.there)):
@@ -165,7 +165,7 @@ def _rolled(nonzero: tuple[tuple[bool, ...], ...]) -> tuple[Loop, list[tuple[int
         positions.append((i, i))
         # Then the rows below it, one loop whose addresses advance by q and by n.
         if below[[i, *rest]].any():
-            stage = Recorder(
+            stage = LoopRecorder(
                 n - i - 1, row=((i + 1) * q, q), left=(root_at + (i + 1) * n + i, n), **pivot
             )
             a, others = row(stage, "pivot", full[i])

@@ -21,8 +21,6 @@ from celnav.lazy import modules
 
 __getattr__, __dir__ = modules(__name__)
 
-__all__ = ["PAPERS", "REAL", "citation", "is_file", "load"]
-
 PAPERS = {
     name: f"celnav.papers.{name}" for name in ("csrukf", "ssukf", "tstdkf", "aasghqf", "aukf")
 }
@@ -55,14 +53,14 @@ def load(study: str, *, mission: bool = False) -> ModuleType:
     if is_file(study):
         module: ModuleType = import_module("celnav.papers.own").load(study, mission=mission)
         return module
-    known = PAPERS if mission else PAPERS | {name: f"celnav.real.{name}" for name in REAL}
-    if study not in known:
-        names = [*known, "a file FILE.py"]
+    studies = PAPERS if mission else PAPERS | {name: f"celnav.real.{name}" for name in REAL}
+    if study not in studies:
+        names = [*studies, "a file FILE.py"]
         raise ValueError(
             f"unknown paper {study!r}: expected one of "
             f"{', '.join(names)}{did_you_mean(study, names)}"
         )
-    return import_module(known[study])
+    return import_module(studies[study])
 
 
 def citation(key: str) -> str:

@@ -1,7 +1,7 @@
-"""A study of one's own: a file of the shape of a paper's module (see `celnav.papers`), wherever it
+"""A user's study: a file of the shape of a paper's module (see `celnav.papers`), wherever it
 lies.
 
-``celnav new study.py`` writes one. It needs ``TITLE`` and ``STUDY``, and to be flown by missions
+``celnav new study.py`` writes one. It needs ``TITLE`` and ``STUDY``, and to be run by missions
 ``PRESETS`` and ``filters``; the rest may be left out. Its module is called
 ``celnav.papers.own.<path>_<hash>``, in hexadecimal digits, so that other processes which are given
 a part of it find the file, and refuse it if it has changed since. What it imports may lie beside
@@ -49,7 +49,7 @@ def identity(paper: str) -> str:
 
 
 def load(paper: str | Path, *, mission: bool = False) -> ModuleType:
-    """The module of a file, checked: all that is missing or of another kind is told at once.
+    """The module of a file, checked: one error lists all that is missing or of another kind.
 
     ``mission``: whether missions and lists of parameters are to be made of it.
 
@@ -111,8 +111,8 @@ def source(path: Path) -> str:
 
 @cache
 def _source(path: Path, _beside: Any) -> str:
-    digest, todo, seen = sha256(), [path], {path}
-    for file in todo:
+    digest, files = sha256(), [path]
+    for file in files:  # which grows
         tree = ast.parse(file.read_bytes(), str(file))
         digest.update(f"{file.name} {ast.dump(tree)} ".encode())
         imported: list[str] = []
@@ -121,9 +121,8 @@ def _source(path: Path, _beside: Any) -> str:
             imported += [node.module] if isinstance(node, ast.ImportFrom) and node.module else []
         for name in imported:
             other = path.parent / f"{name.partition('.')[0]}.py"
-            if other not in seen and other.is_file():
-                seen.add(other)
-                todo.append(other)
+            if other not in files and other.is_file():
+                files.append(other)
     return digest.hexdigest()[:16]
 
 
@@ -173,12 +172,12 @@ def place(error: BaseException, *paths: Path) -> tuple[str, int, str] | None:
 
 def explain_error(error: BaseException, *paths: Path) -> str:
     """An error with its `place`; empty if it has none."""
-    found = place(error, *paths)
-    if found is None:
+    location = place(error, *paths)
+    if location is None:
         return ""
-    file, line, text = found
-    said = error.msg if isinstance(error, SyntaxError) else str(error)
-    return f"{file}, line {line}: {type(error).__name__}: {said}\n    {text}"
+    file, line, text = location
+    message = error.msg if isinstance(error, SyntaxError) else str(error)
+    return f"{file}, line {line}: {type(error).__name__}: {message}\n    {text}"
 
 
 # -- what is expected of one ---------------------------------------------------------------------
@@ -255,7 +254,7 @@ EXPECTED: dict[str, tuple[Check, str, str]] = {
     "MISSION": (_is(dict), "parameters by name", ""),
     "INPUTS": (
         lambda value: not value,
-        "none: a study of one's own reads its files itself",
+        "none: a user's study reads its files itself",
         "",
     ),
 }

@@ -39,10 +39,19 @@ from celnav.real.handheld import (
 from celnav.show import colors, scenes, showcase
 from celnav.show import estimates as estimated
 from celnav.show.claims import answer, written
-from celnav.show.figures import Item, Line, Panel, Rows, bars, curve, level, panels
+from celnav.show.draw import (
+    Item,
+    Line,
+    Panel,
+    bars,
+    curve,
+    level,
+    panels,
+)
+from celnav.show.figures import Rows
 from celnav.study.ledger import Bounds, Number, Sentence, check, estimate, finding
 from celnav.study.numbers import Decided, all_of, of
-from celnav.study.study import Part, Results, Study, fly
+from celnav.study.study import Part, Results, Study, evaluate_filters
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -63,10 +72,10 @@ UNDISTURBED = range(6)
 
 
 def run_filters(name: str, config: Flight, _rngs: Sequence[Any]) -> dict[str, Array]:
-    """A filter on all trials, see `celnav.study.study.fly`; and ``judged (T, trials, 3)`` deg, nan
-    where the benchmark does not.
+    """A filter on all trials, see `celnav.study.study.evaluate_filters`; and ``judged (T, trials,
+    3)`` deg, nan where the benchmark does not.
     """
-    out = fly(trial(config, on_earth=name not in ("apart", "transported")), [name])
+    out = evaluate_filters(trial(config, on_earth=name not in ("apart", "transported")), [name])
     moving = np.stack([log.moving for log in config.logs()], 1)[..., None]
     return out | {"judged": np.where(moving, judged(out[f"{name}/error"]), np.nan)}
 
@@ -433,7 +442,7 @@ FIGURES = {
 TABLES = {"table_1": ("RMSE of each filter in each trial.", table)}
 RECORDINGS = ["broad.rrd"]
 SPACES = (
-    showcase.Space(
+    showcase.SceneView(
         "body", "the sensor on Earth axes (x east, z up): truth, and estimates", (2.0, -2.5, 1.5)
     ),
 )
@@ -475,7 +484,7 @@ def record(results: Results, outputs: Outputs) -> list[str]:
         notes,
         t,
         estimates,
-        (estimated.Group(*GROUPS[0], ("east", "north", "up")),),
+        (GROUPS[0]._replace(axes=("east", "north", "up")),),
         posed,
         np.degrees(np.eye(3)),
         "deg",

@@ -50,12 +50,13 @@ from celnav.real.arrivals import (
     weekly,
 )
 from celnav.show import colors
-from celnav.show.figures import Line, Panel, Rows, bars, curve, level, panels
+from celnav.show.draw import Line, Panel, bars, curve, level, panels
+from celnav.show.figures import Rows
 from celnav.show.plots import Curve, Plot
-from celnav.show.showcase import Showcase, Space, write
+from celnav.show.showcase import SceneView, Showcase, write
 from celnav.study.ledger import Number, Sentence, estimate, finding
 from celnav.study.numbers import Decided, all_of, of
-from celnav.study.study import Part, Results, Rngs, Study, fly
+from celnav.study.study import Part, Results, Rngs, Study, evaluate_filters
 from celnav.study.trial import Group, Trial
 
 if TYPE_CHECKING:
@@ -184,7 +185,9 @@ def fly_all(c: Flight, rngs: Rngs) -> Arrays:
     whole = Gaussian(
         np.hstack([flown.prior.mean, free.mean]), block_diag(flown.prior.cov, free.cov)
     )
-    return fly(flown, FILTERS) | fly(flown._replace(prior=whole), ["drift", "clocks"])
+    return evaluate_filters(flown, FILTERS) | evaluate_filters(
+        flown._replace(prior=whole), ["drift", "clocks"]
+    )
 
 
 def fixes(folder: Path, _rngs: Rngs) -> Arrays:
@@ -659,7 +662,7 @@ def record(r: Results, outputs: Outputs) -> list[str]:
         for i, axis in enumerate("xyz")
     }
     notes = "# The Earth by millisecond pulsars\nRays point to the pulsars; units are AU."
-    sky = Space("sky", "Earth and pulsars", (2.5, -2.5, 1.8), growing=("sky/earth",))
+    sky = SceneView("sky", "Earth and pulsars", (2.5, -2.5, 1.8), growing=("sky/earth",))
     show = Showcase(
         "nanograv",
         notes,

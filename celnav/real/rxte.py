@@ -29,9 +29,10 @@ from celnav.models.pulsar import LIGHT_KM_S
 from celnav.papers import citation
 from celnav.real.photons import read
 from celnav.show import colors
-from celnav.show.figures import Line, Panel, Rows, curve, level, panels
+from celnav.show.draw import Line, Panel, curve, level, panels
+from celnav.show.figures import Rows
 from celnav.show.plots import Curve, Plot
-from celnav.show.showcase import Showcase, Space, write
+from celnav.show.showcase import SceneView, Showcase, write
 from celnav.study.ledger import Number, Sentence, estimate, finding
 from celnav.study.numbers import Decided, all_of
 from celnav.study.study import Part, Results, Rngs, Study
@@ -446,7 +447,7 @@ def record(r: Results, outputs: Outputs) -> list[str]:
         "# A satellite by the photons of a pulsar\nThe ray points to PSR B1509-58, in 1000 km. "
         "Across it photons say nothing."
     )
-    space = Space("sky", "RXTE and a pulsar", (-14.0, -22.0, 8.0), growing=("sky/orbit",))
+    space = SceneView("sky", "RXTE and a pulsar", (-14.0, -22.0, 8.0), growing=("sky/orbit",))
     show = Showcase(
         "rxte",
         notes,

@@ -14,7 +14,7 @@ import numpy as np
 from celnav.files import InputError, read_json
 from celnav.study.ledger import BETWEEN, KINDS, OPEN, VERDICTS, WORDS, Claim, Sentence
 
-Row = Mapping[str, Any]
+WrittenClaim = Mapping[str, Any]
 """A claim as `written` has it."""
 COLUMNS = ("place", "what is said", "printed", "ours", "verdict")
 WIDE = 10.0
@@ -40,7 +40,7 @@ def style(verdict: str) -> str:
     return "error" if verdict == WORDS["erratum"][0] else "part"
 
 
-def cells(claim: Row) -> dict[str, str]:
+def cells(claim: WrittenClaim) -> dict[str, str]:
     """What stands under each of `COLUMNS`; "printed" is the paper's value of the number "ours"."""
     printed = claim["printed_value"]
     shown = "" if printed is None else str(printed)
@@ -48,7 +48,7 @@ def cells(claim: Row) -> dict[str, str]:
     return dict(zip(COLUMNS, values, strict=True))
 
 
-def columns(claims: Sequence[Row]) -> list[str]:
+def columns(claims: Sequence[WrittenClaim]) -> list[str]:
     """Those of `COLUMNS` in which some claim has anything."""
     every = [cells(claim) for claim in claims]
     return [name for name in COLUMNS if not every or any(row[name] for row in every)]
@@ -70,7 +70,7 @@ def _flat(value: Any) -> Iterable[Any]:
         yield value
 
 
-def _ours(number: Row) -> str:
+def _ours(number: WrittenClaim) -> str:
     """A number with its interval, with as many digits as the paper prints of it."""
     value, ci = number["value"], number["ci"]
     if value is None:
@@ -83,7 +83,7 @@ def _ours(number: Row) -> str:
     return f"{value:.{digits}g} [{ci[0]:.3g}, {ci[1]:.3g}]{heavy}"
 
 
-def _accepted(number: Row) -> str:
+def _accepted(number: WrittenClaim) -> str:
     """The accepted range of a number, in words."""
     low, high = number["accept"]
     if low is None:
@@ -91,18 +91,18 @@ def _accepted(number: Row) -> str:
     return f"≥ {low:g}" if high is None else f"{low:g} … {high:g}"
 
 
-def tally(claims: Iterable[Row]) -> dict[str, int]:
+def tally(claims: Iterable[WrittenClaim]) -> dict[str, int]:
     """How many claims have which verdict, in the order of `VERDICTS`."""
     count = Counter(claim["verdict"] for claim in claims)
     return {verdict: count[verdict] for verdict in VERDICTS if count[verdict]}
 
 
-def counted(claims: Iterable[Row]) -> str:
+def counted(claims: Iterable[WrittenClaim]) -> str:
     """The same in words: "4 reproduced, 1 undecided"."""
     return ", ".join(f"{number} {verdict}" for verdict, number in tally(claims).items())
 
 
-def notes(claim: Row) -> list[str]:
+def notes(claim: WrittenClaim) -> list[str]:
     """What stands below a claim: what we find, what the paper prints too, what was revised."""
     printed = _printed(claim["printed"])
     texts = [claim["note"]]
@@ -112,13 +112,13 @@ def notes(claim: Row) -> list[str]:
     return [text for text in texts if text]
 
 
-def numbers(claim: Row) -> list[str]:
+def numbers(claim: WrittenClaim) -> list[str]:
     """A line for each number: what is accepted, for which of several verdicts, and if it is."""
     several = len({number["tier"] for number in claim["numbers"]}) > 1
     return [_number(number, several) for number in claim["numbers"]]
 
 
-def _number(number: Row, several: bool) -> str:
+def _number(number: WrittenClaim, several: bool) -> str:
     about = f"for {number['tier']}, " * several + f"{number['label']}: {_ours(number)}"
     if number["accept"] == [None, None] and number["printed"] is None:
         return f"{about} (told only)"
@@ -166,7 +166,7 @@ def markdown(rows: Iterable[Iterable[str]]) -> str:
     return "\n".join(f"| {' | '.join(row)} |" for row in rows)
 
 
-def answer(found: Iterable[Sentence], claims: Iterable[Row]) -> str:
+def answer(sentences: Iterable[Sentence], claims: Iterable[WrittenClaim]) -> str:
     """The sentences whose rows have the verdicts that they rest on, and which rows have others."""
     by_id = {claim["id"]: claim for claim in claims}
     verdicts = {id: claim["verdict"] for id, claim in by_id.items()}
@@ -174,18 +174,18 @@ def answer(found: Iterable[Sentence], claims: Iterable[Row]) -> str:
         id: [np.nan if n["value"] is None else n["value"] for n in claim["numbers"]]
         for id, claim in by_id.items()
     }
-    said, otherwise = list[str](), dict[str, str]()
-    for text, rests_on in found:
-        apart = {
+    said, different = list[str](), dict[str, str]()
+    for text, rests_on in sentences:
+        others = {
             id: verdicts.get(id, "not among these rows")
             for id, verdict in rests_on.items()
             if verdicts.get(id) != verdict
         }
-        otherwise |= apart
-        if not apart:
+        different |= others
+        if not others:
             said.append(_filled(text, numbers))
-    if otherwise:
-        listed = ", ".join(f"{id} ({verdict})" for id, verdict in otherwise.items())
+    if different:
+        listed = ", ".join(f"{id} ({verdict})" for id, verdict in different.items())
         said.append(f"Not said here, since rows that it rests on have other verdicts: {listed}.")
     return " ".join(said)
 
@@ -202,8 +202,7 @@ def written(claim: Claim) -> dict[str, Any]:
     """As in ``claims.json``: ``value`` and the like of the decisive number; ``numbers`` has all."""
     row, first = claim.row, claim.decisive
     numbers = [
-        {key: plain(value) for key, value in number._asdict().items()}
-        | {"tier": tier, "agreement": plain(number.agreement), "holds": holds}
+        plain(number) | {"tier": tier, "agreement": plain(number.agreement), "holds": holds}
         for tier, number, holds in claim.outcomes
     ]
     return {
@@ -229,14 +228,19 @@ def written(claim: Claim) -> dict[str, Any]:
 
 
 def plain(value: Any, digits: int = 6) -> Any:
-    """As JSON has it: numbers of so many significant digits, None for those that are not finite."""
+    """A value as JSON has it, records as tables: numbers of so many significant digits, None for
+    those that are not finite.
+    """
+    if hasattr(value, "_asdict"):
+        value = value._asdict()
     if isinstance(value, Mapping):
         return {key: plain(part, digits) for key, part in value.items()}
     if isinstance(value, tuple | list | np.ndarray):
         return [plain(part, digits) for part in value]
-    if isinstance(value, bool | np.bool_ | str | int) or value is None:
-        return bool(value) if isinstance(value, np.bool_) else value
-    return float(f"{float(value):.{digits}g}") if np.isfinite(value) else None
+    value = value.item() if isinstance(value, np.generic) else value
+    if not isinstance(value, float):
+        return value
+    return float(f"{value:.{digits}g}") if np.isfinite(value) else None
 
 
 def dumps(claims: Iterable[Claim]) -> str:
@@ -295,15 +299,15 @@ def read_claims(path: str | Path) -> list[dict[str, Any]]:
 
 
 def _right(key: str, value: Any) -> bool:
-    known = {"kind": KINDS, "verdict": VERDICTS, "expected": VERDICTS}.get(key, (value,))
-    if type(value) not in TYPES[key] or value not in known:
+    allowed = {"kind": KINDS, "verdict": VERDICTS, "expected": VERDICTS}.get(key, (value,))
+    if type(value) not in TYPES[key] or value not in allowed:
         return False
     if key == "numbers":
         return all(isinstance(number, dict) and _whole(number) for number in value)
     return key not in ("ci", "accept") or value is None or _pair(value)
 
 
-def _whole(number: Row) -> bool:
+def _whole(number: WrittenClaim) -> bool:
     return (
         set(number) >= PARTS
         and _pair(number["accept"])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -10,54 +10,38 @@ from celnav.analysis.diagnose import Diagnosis, SensorConsistency
 from celnav.analysis.metrics import chi_square_band
 from celnav.gaussian.linalg import Array
 from celnav.show import colors
-from celnav.show.draw import Item, Panel, curve, panels
+from celnav.show.draw import Item, Panel, curve, look, panels
 from celnav.show.draw import level as horizontal
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-SHADES = (
-    colors.COMPARISON,
-    colors.ESTIMATE,
-    colors.TRUTH,
-    colors.OPEN_LOOP,
-    colors.PAPER,
-    colors.MEASUREMENT,
-    colors.REFERENCE,
-)
-MARKS = "osv^Dx+"
 BINS = 60  # means over time
 
 
-def figure(found: Diagnosis) -> Figure:
+def figure(diagnosis: Diagnosis) -> Figure:
     """A row for each sensor: its autocorrelations, and NIS per degree of freedom in bins of time.
 
     >>> celnav.show.diagnosis.figure(celnav.analysis.diagnose.diagnose(track))
     """
-    rows, percent = [], f"{100 * found.level:.3g} %"
-    for k, sensor in enumerate(found.sensors):
-        components = [c for c in found.components if c.sensor == k]
+    rows, percent = [], f"{100 * diagnosis.level:.3g} %"
+    for k, sensor in enumerate(diagnosis.sensors):
+        components = [c for c in diagnosis.components if c.sensor == k]
         regular = all(c.step is not None for c in components)
         lags = [
             (c.step or 1.0 if regular else 1.0) * np.arange(1, len(c.band) + 1) for c in components
         ]
         items: list[Item] = [_band(lags[0], components[0].band, f"{percent} band if white")]
         for i, c in enumerate(components):
-            look: dict[str, Any] = {
-                "marker": MARKS[i % len(MARKS)],
-                "markersize": 3.0,
-                "linewidth": 0.9,
-                "color": SHADES[i % len(SHADES)],
-            }
-            items.append(curve(lags[i], c.autocorrelation, label=c.name, **look))
+            items.append(curve(lags[i], c.autocorrelation, label=c.name, linewidth=0.9, **look(i)))
         unit = "s" if regular else "samples"
         rows.append([Panel("Is it white?", items, f"lag ({unit})", "autocorrelation")])
         if not np.isnan(sensor.nis):
             means = size(
-                found.times - found.times[0],
+                diagnosis.times - diagnosis.times[0],
                 sensor,
-                found.level,
+                diagnosis.level,
                 f"{percent} band if as predicted",
                 "NIS / dof",
             )

@@ -27,6 +27,15 @@ KINDS = ("png", "svg")
 """Of each figure that is written."""
 Item = Callable[["Axes"], Any]
 """Draws something."""
+SERIES = (
+    colors.ESTIMATE,
+    colors.COMPARISON,
+    colors.OPEN_LOOP,
+    colors.REFERENCE,
+    colors.PAPER,
+    colors.MEASUREMENT,
+)
+MARKERS, STYLES = "osD^vP", ("-", "--", ":")
 
 
 def figure(
@@ -142,6 +151,12 @@ class Line(NamedTuple):
             "linestyle": self.style,
             "linewidth": self.width,
         }
+
+
+def look(i: int) -> dict[str, Any]:
+    """Color, marker and style of the ``i``-th of several curves, for `curve`."""
+    color, marker, style = SERIES[i % 6], MARKERS[i % 6], STYLES[i // 6 % 3]
+    return {"color": color, "marker": marker, "markersize": 3.0, "linestyle": style}
 
 
 def curve(x: Any, y: Any, line: Line | None = None, **look: Any) -> Item:

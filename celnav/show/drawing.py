@@ -52,7 +52,7 @@ class Drawing(Figure):
 
 
 def _sparse_ticks(fig: Figure) -> None:
-    """No minor ticks on logarithmic axes of many decades: nobody reads them, and they take half of
+    """No minor ticks on logarithmic axes of many decades: they cannot be read, and take half of
     the time of a drawing.
     """
     for axis in (axis for ax in fig.axes for axis in (ax.xaxis, ax.yaxis)):

@@ -1,40 +1,23 @@
-"""What filters made of runs, as a showcase takes it: errors, covariances and consistency, in groups
+"""Estimates of runs, as a showcase draws them: errors, covariances and consistency, in groups
 of components.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
 from celnav.gaussian.linalg import Array
 from celnav.show.draw import Line
 from celnav.study.study import Results
-from celnav.study.trial import scales
-
-
-class Group(NamedTuple):
-    """Components of the error that are drawn together: ``part`` of them, times ``scale``, is in
-    ``unit``.
-
-    ``axes``: names of the components. ``truth (T, k)``, in ``unit``: if given, estimates are drawn
-        about it, else their errors are.
-    """
-
-    name: str
-    unit: str
-    part: slice
-    scale: float | Sequence[float] = 1.0
-    axes: Sequence[str] = ("x", "y", "z")
-    truth: Array | None = None
+from celnav.study.trial import Group, scales
 
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """What one filter made of the runs, in the units of the state.
+    """Estimates of one filter for all runs, in the units of the state.
 
     Attributes
     ----------
@@ -67,21 +50,21 @@ class Estimate:
         )
 
 
-def again(
+def estimates_of(
     results: Results, part: str, lines: Mapping[str, Line]
 ) -> tuple[dict[str, Estimate], Array, Array]:
-    """Filters of a part, of which `celnav.study.study.fly` kept the covariances of the first run:
-    the errors of all runs; its truth ``(T, n)`` and measurements ``(T, m)``, of epochs that are the
-    same for all filters."""
-    first, some = results.first(part), next(iter(lines))
-    scale = scales(results.study.groups, results.get(part, f"{some}/error").shape[-1])
-    found = {}
+    """Estimates of a part's filters, evaluated with the covariances of the first run; that run's
+    truth ``(T, n)`` and measurements ``(T, m)``. All filters have the same epochs.
+    """
+    first, name = results.first(part), next(iter(lines))
+    epochs = list(first.epochs(name))
+    scale = scales(results.study.groups, results.get(part, f"{name}/error").shape[-1])
+    estimates = {}
     for name, line in lines.items():
         error, cov, nees, nis = (
             results.get(part, f"{name}/{what}") for what in ("error", "cov", "nees", "nis")
         )
-        shown = error / scale, cov[:, 0], nees[:, 0], nis[:, 0]
-        found[name] = Estimate(line.label, line.color, *shown)
-    epochs = list(first.epochs(some))
+        of_first = cov[:, 0], nees[:, 0], nis[:, 0]
+        estimates[name] = Estimate(line.label, line.color, error / scale, *of_first)
     truth, z = ([getattr(epoch, what)[0] for epoch in epochs] for what in ("truth", "z"))
-    return found, np.stack(truth), np.stack(z)
+    return estimates, np.stack(truth), np.stack(z)

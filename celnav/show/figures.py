@@ -2,7 +2,8 @@
 `celnav.show.draw`.
 
 >>> drawn = errors(results, "0", "srukf", SRUKF, "position", 0)
->>> panels(Panel("Figure 2", [drawn], "time (s)", "error of x (km)"), size=(7.0, 3.2))
+>>> panel = celnav.show.draw.Panel("Figure 2", [drawn], "time (s)", "error of x (km)")
+>>> celnav.show.draw.panels(panel, size=(7.0, 3.2))
 """
 
 from __future__ import annotations
@@ -17,42 +18,13 @@ from celnav.show import colors
 from celnav.show.draw import (
     Item,
     Line,
-    Panel,
-    band,
-    bars,
-    components,
     curve,
-    figure,
-    interval,
-    level,
-    panels,
     quantiles,
 )
 from celnav.study.study import Results, When
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-__all__ = [
-    "Item",
-    "Line",
-    "Panel",
-    "Rows",
-    "band",
-    "bars",
-    "components",
-    "consistency",
-    "curve",
-    "errors",
-    "figure",
-    "interval",
-    "level",
-    "panels",
-    "quantiles",
-    "rmse",
-    "rmse_table",
-    "sigma",
-]
 
 
 # -- items of results ----------------------------------------------------------------------------
@@ -95,7 +67,7 @@ def sigma(
     *,
     absolute: bool = False,
 ) -> Item:
-    """Three of the deviations that a filter takes for those of its first run."""
+    """Three standard deviations that a filter predicts in its first run."""
 
     def item(ax: Axes) -> None:
         t, std = results.times(part), 3.0 * results.error(part, filter, group, "std")[:, 0, axis]

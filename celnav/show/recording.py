@@ -109,6 +109,26 @@ class Recorder:
     def _style(self, entity: str, style: Any) -> None:
         self.stream.log(_text("entity", entity), style, static=True)
 
+    def _moving(
+        self, entity: str, archetype: Any, style: Any, things: bool = False, **columns: Array
+    ) -> None:
+        """Log what moves: its style once, and its columns ``(T, ...)``, or of several ``things``
+        ``(T, k, ...)``, where all of their numbers are finite: there ``(T,)`` or ``(T, k)``.
+        """
+        self._style(entity, archetype.from_fields(**style))
+        lead = 2 if things else 1
+        there = np.all(
+            [
+                np.isfinite(x).all(tuple(range(lead, x.ndim)))
+                for x in columns.values()
+                if x.dtype.kind != "U"
+            ],
+            0,
+        )
+        rows = {name: values[there] for name, values in columns.items()}
+        counts = there.reshape(len(there), -1).sum(1)
+        self._send(entity, archetype.columns(**rows).partition(counts))
+
     def _array(
         self, entity: str, name: str, values: ArrayLike, shape: tuple[int | None, ...]
     ) -> Array:
@@ -139,12 +159,9 @@ class Recorder:
         scalars = self._array(entity, "values", values, ())
         if log:
             scalars = np.log10(scalars, out=np.full(scalars.shape, np.nan), where=scalars > 0.0)
-        style = {
-            "colors": rgba(color),
-            "widths": number("width", width, 0.0),
-            "names": _text("name", name),
-        }
-        self._style(entity, rr.SeriesLines(**style, visible_series=shown))
+        about: Any = {"colors": rgba(color), "names": _text("name", name)}
+        width = number("width", width, 0.0)
+        self._style(entity, rr.SeriesLines(**about, widths=width, visible_series=shown))
         # An empty row is a gap too, and two files with a nan never compare equal.
         there = np.isfinite(scalars)
         self._send(entity, rr.Scalars.columns(scalars=scalars[there]).partition(there.astype(int)))
@@ -189,11 +206,9 @@ class Recorder:
         list it as ``growing``.
         """
         p = self._array(entity, "points", points, (3,))
-        segments = np.stack([p[:-1], p[1:]], 1)
-        there = np.isfinite(segments).all((1, 2))
-        self._style(entity, rr.LineStrips3D.from_fields(colors=rgba(color), radii=_size(radius)))
-        counts = np.concatenate([[0], there.astype(int)])
-        self._send(entity, rr.LineStrips3D.columns(strips=segments[there]).partition(counts))
+        segments = np.stack([np.concatenate([p[:1] * np.nan, p[:-1]]), p], 1)
+        style = {"colors": rgba(color), "radii": _size(radius)}
+        self._moving(entity, rr.LineStrips3D, style, strips=segments)
 
     def path(
         self, entity: str, strips: Sequence[Array], color: str, *, radius: float = 0.5
@@ -217,17 +232,16 @@ class Recorder:
         """``k`` lines ``(T, k, points, 3)`` that move; lines that are partly nan are left out."""
         shades = _colors(colors)
         lines = self._array(entity, "strips", strips, (len(shades), None, 3))
-        there = np.isfinite(lines).all((2, 3))
-        self._style(entity, rr.LineStrips3D.from_fields(radii=_size(radius)))
-        palette = np.array(shades, np.uint8)[np.nonzero(there)[1]]
-        texts = _labels(labels, len(shades))
-        names = {"labels": np.array(texts)[np.nonzero(there)[1]].tolist()} if texts else {}
-        self._send(
-            entity,
-            rr.LineStrips3D.columns(strips=lines[there], colors=palette, **names).partition(
-                there.sum(1)
-            ),
-        )
+        about = {
+            "colors": np.array(shades, np.uint8),
+            "labels": np.array(_labels(labels, len(shades))),
+        }
+        each: Any = {
+            name: np.broadcast_to(values, (len(lines), *values.shape))
+            for name, values in about.items()
+            if len(values)
+        }
+        self._moving(entity, rr.LineStrips3D, {"radii": _size(radius)}, True, strips=lines, **each)
 
     def arrow(
         self, entity: str, origins: ArrayLike, vectors: ArrayLike, color: str, label: str
@@ -237,19 +251,8 @@ class Recorder:
             self._array(entity, "origins", origins, (3,)),
             self._array(entity, "vectors", vectors, (3,)),
         )
-        there = np.isfinite(start + vector).all(1)
-        self._style(
-            entity,
-            rr.Arrows3D.from_fields(
-                colors=rgba(color), radii=_size(1.5), labels=_text("label", label)
-            ),
-        )
-        self._send(
-            entity,
-            rr.Arrows3D.columns(origins=start[there], vectors=vector[there]).partition(
-                there.astype(int)
-            ),
-        )
+        style = {"colors": rgba(color), "radii": _size(1.5), "labels": _text("label", label)}
+        self._moving(entity, rr.Arrows3D, style, origins=start, vectors=vector)
 
     def pose(self, entity: str, origins: ArrayLike, quaternions: ArrayLike) -> None:
         """Where everything below ``entity`` is: origins ``(T, 3)`` and attitudes ``(T, 4)`` (see
@@ -291,15 +294,9 @@ class Recorder:
         """Points ``(T, 3)`` or, ``k`` at a time, ``(T, k, 3)``; none where one is partly nan."""
         p = numbers(f"{entity} points", points)
         p = self._array(entity, "points", p[:, None] if p.ndim == 2 else p, (None, 3))
-        there = np.isfinite(p).all(2)
         style = {"colors": rgba(color, alpha), "radii": _size(radius), "point_shading": "flat"}
-        self._style(
-            entity,
-            rr.Points3D.from_fields(
-                **style, **({"labels": label} if _text("label", label) else {})
-            ),
-        )
-        self._send(entity, rr.Points3D.columns(positions=p[there]).partition(there.sum(1)))
+        style |= {"labels": label} if _text("label", label) else {}
+        self._moving(entity, rr.Points3D, style, True, positions=p)
 
     def ellipsoids(
         self,
@@ -322,17 +319,13 @@ class Recorder:
             self._array(entity, "centers", centers, (3,)),
             self._array(entity, "covariance", covariance, (3, 3)),
         )
-        there = np.isfinite(c).all(1) & np.isfinite(P).all((1, 2))
-        half, quaternions = ellipsoid_axes(P[there], sigmas)
+        there = np.asarray(np.isfinite(c).all(1) & np.isfinite(P).all((1, 2)))
+        half, quaternions = ellipsoid_axes(np.where(there[:, None, None], P, 0.0), sigmas)
+        c = np.where(there[:, None], c, np.nan)
         mode = rr.components.FillMode.TransparentFillMajorWireframe
-        style = rr.Ellipsoids3D.from_fields(
-            colors=rgba(color, alpha), fill_mode=mode, line_radii=rr.Radius.ui_points(0.7)
-        )
-        self._style(entity, style)
-        columns = rr.Ellipsoids3D.columns(
-            centers=c[there], half_sizes=half, quaternions=quaternions
-        )
-        self._send(entity, columns.partition(there.astype(int)))
+        style = {"colors": rgba(color, alpha), "fill_mode": mode, "line_radii": _size(0.7)}
+        shape: Any = {"centers": c, "half_sizes": half, "quaternions": quaternions}
+        self._moving(entity, rr.Ellipsoids3D, style, **shape)
 
     def globe(self, entity: str, radius: float) -> None:
         """A sphere about the origin, with circles of latitude and longitude every 15 degrees."""
@@ -426,8 +419,12 @@ def recording(
     with contextlib.ExitStack() as stack:
         stack.callback(rr.set_strict_mode, strict_mode())
         rr.set_strict_mode(True)  # or a wrong call is only a warning and its data are missing
+        # Batches that end by a clock would make the file depend on how busy the machine is.
         stream = rr.RecordingStream(
-            _slug(f"{APPLICATION} {name}"), recording_id=_slug(name), send_properties=False
+            _slug(f"{APPLICATION} {name}"),
+            recording_id=_slug(name),
+            send_properties=False,
+            batcher_config=rr.ChunkBatcherConfig.NEVER(),
         )
         stack.callback(stream.disconnect)
         # Not to a file: its writer works in the background, keeps a full disk to itself and then

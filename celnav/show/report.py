@@ -295,12 +295,12 @@ def _errors(track: Track, truth: Any, space: Space) -> Array:
 def _component(name: str, error: Array, std: Array, level: float) -> Component:
     """Of errors ``(T, runs)`` and claims."""
     squares, counts = np.nansum(error * error, 0), np.isfinite(error).sum(0)
-    seen, total = counts > 0, int(counts.sum())
+    has_error, total = counts > 0, int(counts.sum())
     if not total:
         return Component(name, np.nan, (np.nan, np.nan), np.nan, np.nan, np.nan)
     interval = np.nan, np.nan
-    if seen.sum() > 1:
-        samples = squares[seen], counts[seen]
+    if has_error.sum() > 1:
+        samples = squares[has_error], counts[has_error]
         interval = bootstrap(_rms, *samples, level=level)
     inside = np.abs(error) <= float(ndtri(0.5 + level / 2)) * std  # nan lies nowhere
     return Component(
@@ -329,8 +329,8 @@ def _consistency(
     if not count.any():
         return None, np.nan
     bands = {k: chi_square_band(n, k, level) for k in set(count.tolist()) if k}
-    seen = [(s / k, bands[k]) for s, k in zip(squares, count.tolist(), strict=True) if k]
-    within = np.mean([low <= mean <= high for mean, (low, high) in seen])
+    means = [(s / k, bands[k]) for s, k in zip(squares, count.tolist(), strict=True) if k]
+    within = np.mean([low <= mean <= high for mean, (low, high) in means])
     total, shared = int(count.sum()), _shared(every, times)
     band = chi_square_band(1.0, n * max(total / shared, 1.0), level)
     ratio, names = float(squares.sum() / total / n), (f"NEES / {n}",)
@@ -341,11 +341,11 @@ def _shared(every: Array, times: Array) -> float:
     """How many epochs vary as one: errors of a consistent filter follow each other, those of
     different runs do not.
     """
-    seen = np.isfinite(every).any(-1)
-    place, _ = grid_index(times[seen])
+    present = np.isfinite(every).any(-1)
+    place, _ = grid_index(times[present])
     if len(place) < 4 or np.nanvar(every) == 0.0 or place[-1] < 2:
         return float(len(place))
-    longer = autocorrelation(every[seen], place, 1)[2]
+    longer = autocorrelation(every[present], place, 1)[2]
     return min(max(longer, 1.0), float(len(place)))
 
 

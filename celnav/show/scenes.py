@@ -13,7 +13,7 @@ from celnav.gaussian import attitude
 from celnav.gaussian.linalg import Array
 from celnav.models.sightings import limb
 from celnav.show import colors
-from celnav.show.showcase import Space
+from celnav.show.showcase import SceneView
 
 if TYPE_CHECKING:
     from celnav.show.recording import Recorder
@@ -81,14 +81,16 @@ def sightings(
     )
 
 
-def beside(origin: str, title: str, state: Array, radius: float, growing: Sequence[str]) -> Space:
+def beside(
+    origin: str, title: str, state: Array, radius: float, growing: Sequence[str]
+) -> SceneView:
     """A view of a satellite's scene with an orbit's plane from its side, from above the equator;
     ``state (6)`` is on the orbit.
     """
     side = np.cross(unit(state[:3]), unit(state[3:]))
     target = 0.8 * radius * unit(state[:3])
     eye = target + 1.7 * radius * unit(np.copysign(1.0, side[2]) * side + np.array([0.0, 0.0, 0.8]))
-    return Space(origin, title, eye, target, growing=growing)
+    return SceneView(origin, title, eye, target, growing=growing)
 
 
 def turning(

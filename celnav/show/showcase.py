@@ -18,8 +18,9 @@ from celnav.analysis.metrics import chi_square_band
 from celnav.gaussian.checks import finite, numbers
 from celnav.gaussian.linalg import Array
 from celnav.show import colors
-from celnav.show.estimates import Estimate, Group
+from celnav.show.estimates import Estimate
 from celnav.show.plots import Curve, Plot, draw
+from celnav.study.trial import Group
 
 if TYPE_CHECKING:
     from celnav.files import Outputs
@@ -31,13 +32,13 @@ FAR = 20.0
 """Errors so much larger than their view are left out, as those of the start may be."""
 
 
-class Space(NamedTuple):
-    """A view of a study's own entities below ``origin``, from ``eye`` to ``target``; of those
-    ``growing`` the past is seen too.
+class SceneView(NamedTuple):
+    """A view of a study's entities below ``origin``, see `celnav.show.views.space`; all of the past
+    of the ``growing`` ones is seen.
     """
 
     origin: str
-    title: str
+    name: str
     eye: Any
     target: Any = (0.0, 0.0, 0.0)
     up: Any = (0.0, 0.0, 1.0)
@@ -53,6 +54,7 @@ class Showcase:
     name: what the viewer calls the recording. notes: Markdown. times: ``(T,)`` s.
     estimates: by name, the study's own first: of the first two bounds are seen at first.
     groups: of the error's components. truth: the states ``(T, m)``, to be read back.
+    truths: ``(T, k)`` by name of a group, in its unit: then its estimates are drawn, else errors.
     axes: the linear map ``(3, n)`` from errors to the space of errors, in ``unit``; None: no such
         space.
     measured: errors ``(T, 3)`` of the measurements there, nan where there is none. nis_dof:
@@ -77,7 +79,7 @@ class Showcase:
     nis_dof: int = 1
     bound: Mapping[str, Array] = field(default_factory=dict)
     scene: Callable[[Recorder], None] | None = None
-    spaces: Sequence[Space] = ()
+    spaces: Sequence[SceneView] = ()
     plots: Mapping[str, Mapping[str, Plot]] = field(default_factory=dict)
     bars: Mapping[str, Array] = field(default_factory=dict)
     events: Sequence[tuple[float, str]] = ()
@@ -85,6 +87,7 @@ class Showcase:
     parameters: Mapping[str, Any] = field(default_factory=dict)
     facts: Mapping[str, Any] = field(default_factory=dict)
     counter: str = ""
+    truths: Mapping[str, Array] = field(default_factory=dict)
 
     @property
     def main(self) -> list[str]:
@@ -173,7 +176,7 @@ def _legend(showcase: Showcase) -> str:
         "ellipsoid. Points: other runs."
     )
     lines += [errors] * (showcase.axes is not None)
-    lines.append("Space bar: play. Tabs: other axes. Double-click in a plot: all of its range.")
+    lines.append("SceneView bar: play. Tabs: other axes. Double-click in a plot: all of its range.")
     rows = [
         f"| {name} | {text} |"
         for name, value in showcase.parameters.items()
@@ -213,9 +216,9 @@ def _reach(errors: Sequence[Array], sigmas: Sequence[Array | None], quantile: fl
     there.
     """
     late = slice(len(errors[0]) // 4 if errors else 0, None)
-    known = [s for s in sigmas if s is not None]
+    predicted = [s for s in sigmas if s is not None]
     bound = 3.0 * max(
-        (min(_largest(s), 2.0 * _largest(s[late]) or np.inf) for s in known), default=0.0
+        (min(_largest(s), 2.0 * _largest(s[late]) or np.inf) for s in predicted), default=0.0
     )
     error = max((_largest(e[late], quantile) for e in errors), default=0.0)
     return max(bound, min(error, 3.0 * bound) if bound else error)
@@ -225,28 +228,25 @@ def _errors(showcase: Showcase) -> dict[str, dict[str, Plot]]:
     """A row of plots for each group: one for each axis, and one of sizes."""
     rows: dict[str, dict[str, Plot]] = {}
     for group in showcase.groups:
-        found = {
+        errors = {
             key: (e.error(group)[:, 0], e.sigma(group))
             for key, e in showcase.estimates.items()
             if e.error(group).size
         }
-        main = [found[key] for key in showcase.main if key in found]
+        main = [errors[key] for key in showcase.main if key in errors]
         reach = 1.05 * _reach([error for error, _ in main], [sigma for _, sigma in main], 1.0)
-        about = (
-            np.zeros((len(showcase.times), len(group.axes))) if group.truth is None else group.truth
-        )
+        truth = showcase.truths.get(group.name)
+        about = np.zeros((len(showcase.times), len(group.names))) if truth is None else truth
         limits = (
             (float(np.nanmin(about)) - reach, float(np.nanmax(about)) + reach)
             if reach > 0.0
             else None
         )
         row = rows.setdefault(group.name, {})
-        for i, axis in enumerate(group.axes):
-            curves = (
-                {} if group.truth is None else {"truth": Curve(about[:, i], colors.TRUTH, "truth")}
-            )
-            for key, (error, sigma) in found.items():
-                center = 0.0 if group.truth is None else about[:, i] + error[:, i]
+        for i, axis in enumerate(group.names):
+            curves = {} if truth is None else {"truth": Curve(about[:, i], colors.TRUTH, "truth")}
+            for key, (error, sigma) in errors.items():
+                center = 0.0 if truth is None else about[:, i] + error[:, i]
                 curves[key] = _curve(
                     showcase,
                     key,
@@ -255,13 +255,13 @@ def _errors(showcase: Showcase) -> dict[str, dict[str, Plot]]:
                     center,
                 )
             row[axis] = Plot(
-                f"{group.name} {'error ' * (group.truth is None)}{axis}, {group.unit}",
+                f"{group.name} {'error ' * (truth is None)}{axis}, {group.unit}",
                 curves,
                 limits=limits,
             )
         lengths = {
             key: [None if part is None else np.linalg.norm(part, axis=1) for part in both]
-            for key, both in found.items()
+            for key, both in errors.items()
         }
         sizes = {key: _curve(showcase, key, *both) for key, both in lengths.items()}
         row["size"] = Plot(f"log10 |{group.name} error|, {group.unit}", sizes, log=True)
@@ -332,18 +332,18 @@ def _mapped(showcase: Showcase) -> tuple[_Mapped, float]:
     """Estimates in the space of errors, and the size of what is to be seen of it."""
     if showcase.axes is None:
         return {}, 1.0
-    found: _Mapped = {}
+    mapped: _Mapped = {}
     for key, e in showcase.estimates.items():
         A = showcase.axes[:, : e.errors.shape[-1]]
-        found[key] = (
+        mapped[key] = (
             e.errors @ A.T,
             A @ e.cov @ A.T if e.cov is not None and e.cov.ndim == 3 else None,
         )
-    errors, covs = zip(*(found[key] for key in showcase.main), strict=True) if found else ((), ())
+    errors, covs = zip(*(mapped[key] for key in showcase.main), strict=True) if mapped else ((), ())
     sigmas = [
         None if cov is None else np.sqrt(np.fmax(cov.diagonal(0, -2, -1), 0.0)) for cov in covs
     ]
-    return found, _reach(
+    return mapped, _reach(
         [np.linalg.norm(e[:, : ENSEMBLE + 1], axis=-1) for e in errors], sigmas, 0.9
     ) or 1.0
 
@@ -400,15 +400,8 @@ def _layout(showcase: Showcase, rows: Mapping[str, Mapping[str, Plot]], size: fl
         ]
     if showcase.spaces:
         scenes = [
-            views.space(
-                s.origin,
-                s.title,
-                eye=s.eye,
-                target=s.target,
-                up=s.up,
-                growing=dict.fromkeys(s.growing, np.inf),
-            )
-            for s in showcase.spaces
+            views.space(**scene._asdict() | {"growing": dict.fromkeys(scene.growing, np.inf)})
+            for scene in showcase.spaces
         ]
         left = [views.tabs(*scenes), *left]
     # Where there is no scene, there is room for all plots of a row at once; a legend takes more.

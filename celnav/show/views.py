@@ -33,10 +33,10 @@ rows, columns, tabs = rrb.Vertical, rrb.Horizontal, partial(rrb.Tabs, active_tab
 
 def _named(origin: str, name: str) -> dict[str, Any]:
     """Where a view looks, and what it is called; ValueError unless both are texts."""
-    given = {"origin": origin, "name": name}
+    texts = {"origin": origin, "name": name}
     return {
         key: instance(key, value, str, "a text, such as 'plots/error'")
-        for key, value in given.items()
+        for key, value in texts.items()
     }
 
 

@@ -1,4 +1,4 @@
-"""Studies: runs that are drawn, flown and judged."""
+"""Studies: runs that are simulated, filtered and judged."""
 
 from celnav.lazy import modules
 

@@ -238,22 +238,22 @@ class Row:
         if self.decide is None:
             verdict = expected if self.needs_no_decision else OPEN[1]
             return Claim(self, (), verdict, expected, full)
-        found = self.decide(results)
-        if not isinstance(found, Mapping):
-            found = {good: [found] if isinstance(found, Number) else found}
+        tiers = self.decide(results)
+        if not isinstance(tiers, Mapping):
+            tiers = {good: [tiers] if isinstance(tiers, Number) else tiers}
         exact = (WORDS["statement"][0], BETWEEN[0])  # where a printed number has to agree
         outcomes = [
             Outcome(word, number, number.reproduces if word in exact else number.holds)
-            for word, numbers in found.items()
+            for word, numbers in tiers.items()
             for number in numbers
         ]
         verdict = bad
-        for word in found:
-            own = [one for one in outcomes if one.tier == word]
-            if any(not np.isfinite(one.number.value) for one in own):
+        for word in tiers:
+            of_tier = [outcome for outcome in outcomes if outcome.tier == word]
+            if any(not np.isfinite(outcome.number.value) for outcome in of_tier):
                 verdict = "no number"
-            elif all(one.holds is not False for one in own):
-                verdict = word if all(one.holds for one in own) else "undecided"
+            elif all(outcome.holds is not False for outcome in of_tier):
+                verdict = word if all(outcome.holds for outcome in of_tier) else "undecided"
             else:
                 continue
             break
@@ -301,7 +301,7 @@ class Claim:
     @property
     def numbers(self) -> tuple[Number, ...]:
         """All that were computed, each once."""
-        return tuple(dict.fromkeys(one.number for one in self.outcomes))
+        return tuple(dict.fromkeys(outcome.number for outcome in self.outcomes))
 
     @property
     def decisive(self) -> Number | None:
@@ -309,7 +309,8 @@ class Claim:
         computed.
         """
         return next(
-            (one.number for one in self.outcomes if not one.holds), (*self.numbers, None)[0]
+            (outcome.number for outcome in self.outcomes if not outcome.holds),
+            (*self.numbers, None)[0],
         )
 
     @property

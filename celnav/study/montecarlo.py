@@ -68,8 +68,8 @@ def generators(seed: int, study: int, runs: int) -> list[np.random.Generator]:
     factor = _INIT_A * pow(_MULT_A, 20, 1 << 32)  # after 4 words, 12 pairs of them and the study
     for i, mixed in enumerate(pool.tolist()):
         hashed, factor = _hashed(word, factor, _MULT_A)
-        one = np.uint32(_MIX_L * mixed % (1 << 32)) - np.uint32(_MIX_R) * hashed
-        last[i] = one ^ (one >> np.uint32(16))
+        combined = np.uint32(_MIX_L * mixed % (1 << 32)) - np.uint32(_MIX_R) * hashed
+        last[i] = combined ^ (combined >> np.uint32(16))
     words, factor = np.empty((runs, 8), np.uint32), _INIT_B
     for i in range(8):
         words[:, i], factor = _hashed(last[i % 4], factor, _MULT_B)
@@ -159,17 +159,17 @@ def effort(value: str | float | None = None, default: float = 1.0) -> float:
     """A fraction in (0, 1] of the Monte-Carlo runs: the argument, else ``CELNAV_EFFORT``, which is
     read only here, or a default.
     """
-    name, given = (
+    name, text = (
         ("effort", value)
         if value is not None
         else ("CELNAV_EFFORT", os.environ.get("CELNAV_EFFORT", default))
     )
     try:
-        fraction = float(given)
+        fraction = float(text)
     except (TypeError, ValueError):
         fraction = 0.0
     if not 0.0 < fraction <= 1.0:
-        raise ValueError(f"{name}: expected a number in (0, 1], got {given!r}")
+        raise ValueError(f"{name}: expected a number in (0, 1], got {text!r}")
     return fraction
 
 

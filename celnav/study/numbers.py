@@ -19,13 +19,13 @@ from celnav.study.study import Results, When
 __all__ = [
     "SAME_ORDER",
     "Decided",
-    "Flown",
+    "PartFilter",
     "all_of",
     "consistency",
+    "constant",
     "correlation",
     "count_holding",
     "entries",
-    "given",
     "lagged",
     "of",
     "operations",
@@ -39,16 +39,16 @@ __all__ = [
 ]
 
 Decided = Callable[[Results], Number]
-Flown = tuple[str, str]
-"""Part and filter."""
+PartFilter = tuple[str, str]
+"""Name of a part, and of a filter that runs in it."""
 SAME_ORDER = 3.2
 """Factor within which two levels are of one order of magnitude."""
 
 
 def ratio(
     label: str,
-    a: Flown,
-    b: Flown,
+    a: PartFilter,
+    b: PartFilter,
     group: str,
     accept: Bounds = (None, None),
     *,
@@ -58,8 +58,8 @@ def ratio(
     median: bool = False,
     **more: Any,
 ) -> Decided:
-    """RMSE of a group's length: of one flown filter ``at`` epochs over that of another at the same,
-    or at those of ``to``.
+    """RMSE of a group's length: of one filter ``at`` epochs over that of another at the same, or at
+    those of ``to``.
 
     ``axes``: of some components only. ``median``: of medians over the runs instead.
     """
@@ -67,7 +67,7 @@ def ratio(
     return lambda r: estimate(
         label,
         statistic,
-        [r.squares(*one, group, when)[:, axes].sum(-1) for one, when in both],
+        [r.squares(*source, group, when)[:, axes].sum(-1) for source, when in both],
         accept,
         **more,
     )
@@ -82,13 +82,13 @@ def over(
     group: str = "position",
     **more: Any,
 ) -> Decided:
-    """`ratio` of two filters that are flown in the same part."""
+    """`ratio` of two filters that run in the same part."""
     return ratio(label, (part, a), (part, b), group, accept, **more)
 
 
 def rmse(
     label: str,
-    a: Flown,
+    a: PartFilter,
     group: str,
     accept: Bounds = (None, None),
     *,
@@ -105,12 +105,12 @@ def rmse(
 
 def settling(
     label: str,
-    a: Flown,
+    a: PartFilter,
     group: str,
     level: float,
     accept: Bounds = (None, None),
     *,
-    sooner: Flown | None = None,
+    sooner: PartFilter | None = None,
     axes: slice = slice(None),
     window: slice = slice(None),
     **more: Any,
@@ -120,22 +120,22 @@ def settling(
 
     ``window``: epochs that are looked at, to the end of which it has to stay there.
     """
-    flown = [a] if sooner is None else [a, sooner]
+    sources = [a] if sooner is None else [a, sooner]
 
     def number(r: Results) -> Number:
         t = r.times(a[0])[window]
         times = np.append(t, 2.0 * t[-1] - t[-2])  # where it never does
 
         def settled(*squares: Array) -> float:
-            above = [
-                np.flatnonzero(np.append(True, one.mean(0) >= level**2))[-1] for one in squares
+            last = [
+                np.flatnonzero(np.append(True, runs.mean(0) >= level**2))[-1] for runs in squares
             ]
-            return float(times[above[0]] - (times[above[1]] if len(above) > 1 else 0.0))
+            return float(times[last[0]] - (times[last[1]] if len(last) > 1 else 0.0))
 
         return estimate(
             label,
             settled,
-            [np.square(r.error(*one, group)[window, :, axes]).mean(-1).T for one in flown],
+            [np.square(r.error(*source, group)[window, :, axes]).mean(-1).T for source in sources],
             accept,
             **more,
         )
@@ -145,7 +145,7 @@ def settling(
 
 def consistency(
     label: str,
-    a: Flown,
+    a: PartFilter,
     accept: Bounds = (None, None),
     *,
     at: When = -1,
@@ -174,10 +174,12 @@ def over_time(
     """
 
     def decide(r: Results) -> Number:
-        each = [np.asarray(column)[start:] for column in columns(r)]
-        known = np.all([np.isfinite(column.reshape(len(column), -1)).all(-1) for column in each], 0)
+        samples = [np.asarray(column)[start:] for column in columns(r)]
+        finite = np.all(
+            [np.isfinite(column.reshape(len(column), -1)).all(-1) for column in samples], 0
+        )
         return estimate(
-            label, statistic, [column[known] for column in each], accept, block=block, **more
+            label, statistic, [column[finite] for column in samples], accept, block=block, **more
         )
 
     return decide
@@ -206,7 +208,7 @@ def of(
     return lambda r: Number(label, float(reduce(r.get(part, name))), accept)
 
 
-def given(label: str, value: float, accept: Bounds = (None, None)) -> Decided:
+def constant(label: str, value: float, accept: Bounds = (None, None)) -> Decided:
     """A number that is known without any run, such as one from what a paper prints."""
     return lambda _: Number(label, float(value), accept)
 
@@ -251,7 +253,7 @@ def tiers(**words: Sequence[Decided]) -> Callable[[Results], Tiers]:
 
 
 def entries(
-    cells: Sequence[tuple[Flown, Sequence[float]]],
+    cells: Sequence[tuple[PartFilter, Sequence[float]]],
     groups: Sequence[str],
     best: str,
     printed_runs: int,
@@ -271,18 +273,17 @@ def entries(
     factor = float(np.exp(1.96 * np.sqrt(0.5 / printed_runs)))
 
     def decide(r: Results) -> Tiers:
-        samples = [r.squares(*flown, group, at) for flown, _ in cells for group in groups]
+        samples = [r.squares(*source, group, at) for source, _ in cells for group in groups]
 
-        def logs(*parts: Array) -> Array:
-            return np.asarray(
-                np.abs(np.log(np.concatenate([np.sqrt(part.mean(0)) for part in parts]) / printed))
-            )
+        def logs(*squares: Array) -> Array:
+            rms = np.concatenate([np.sqrt(runs.mean(0)) for runs in squares])
+            return np.asarray(np.abs(np.log(rms / printed)))
 
-        def beyond(*parts: Array) -> float:
-            return float((logs(*parts) > np.log(factor)).sum())
+        def beyond(*squares: Array) -> float:
+            return float((logs(*squares) > np.log(factor)).sum())
 
-        def farthest(*parts: Array) -> float:
-            return float(np.exp(logs(*parts).max()))
+        def farthest(*squares: Array) -> float:
+            return float(np.exp(logs(*squares).max()))
 
         label = f"entries of {len(printed)} beyond a factor {factor:.2f}"
         outside = estimate(label, beyond, samples, (None, most))

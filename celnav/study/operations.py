@@ -15,8 +15,6 @@ from celnav.filters.track import KEEP
 from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.linalg import Array
 
-__all__ = ["counted", "step_operations"]
-
 
 def step_operations(filter: Filter, prior: Gaussian, epochs: Sequence[Epoch]) -> int:
     """Arithmetic operations of the step (prediction and update) of one run over the second of some
@@ -41,7 +39,7 @@ def counted(
 
     >>> arrays = celnav.study.operations.counted({"ukf": filter}, prior, epochs)
     """
-    known = list(epochs)
+    listed = list(epochs)
     return {
-        name: np.array([step_operations(filter, prior, known)]) for name, filter in filters.items()
+        name: np.array([step_operations(filter, prior, listed)]) for name, filter in filters.items()
     }

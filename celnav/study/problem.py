@@ -1,4 +1,4 @@
-"""A problem of one's own, and how filters do on it: a model, and the runs that it draws of itself.
+"""A user's problem, and how filters do on it: a model, and the runs that it draws of itself.
 
 A filter is consistent, and its accuracy can be compared with a bound, where what happens is what it
 believes: here truth and measurements come from the very model that filters are made of, its
@@ -171,7 +171,7 @@ def _image(model: Motion | Sensor, x: Array, epoch: Epoch, m: int | None = None)
     return np.asarray(y)
 
 
-class Row(NamedTuple):
+class Comparison(NamedTuple):
     """How a filter does on a problem.
 
     problem, filter: names. rms: of the first group over the second half of the epochs; rms_low,
@@ -204,9 +204,9 @@ def compare(
     *,
     runs: int = 200,
     seed: int = 0,
-) -> list[Row]:
-    """Fly filters on problems, all on the same noise: a `Row` for each problem and filter that go
-    together.
+) -> list[Comparison]:
+    """Run filters on problems, all on the same noise: a `Comparison` for each problem and filter
+    that go together.
 
     problems: by name. runs: of each. seed: run r has the generator of ``(seed, 0, r)``.
     filters: by name, functions of a problem that give a filter, or None where there is none.
@@ -240,7 +240,7 @@ def compare(
             anees = _interval(np.mean, run.nees[half:, sound].mean(0) / n)
             us = 1e6 * _seconds(filter, trial, key) / (runs * len(problem.times))
             lost = int((~sound).sum())
-            rows.append(Row(name, key, *accuracy, efficiency, *anees, lost, us))
+            rows.append(Comparison(name, key, *accuracy, efficiency, *anees, lost, us))
     return rows
 
 

@@ -104,11 +104,11 @@ def simulate(
             )
         return model.space.plus(y, added)
 
-    seen, V = white, None
+    measured_noise, V = white, None
     if Phi is not None:
         phi, zeta = coloring(Phi, sensors[0].m), zeta_of(sensors[0], Phi, None)
 
-        def seen(model: Motion | Sensor, x: Array, epoch: Epoch, rows: int) -> Any:
+        def measured_noise(model: Motion | Sensor, x: Array, epoch: Epoch, rows: int) -> Any:
             nonlocal V
             V = (
                 white(model, x, epoch, rows)
@@ -124,7 +124,7 @@ def simulate(
         try:
             if epoch.dt:
                 x = image("Q", motion, x, epoch)
-            z.append([image("R", each, x, epoch, seen) for each in sensors])
+            z.append([image("R", each, x, epoch, measured_noise) for each in sensors])
         except (AttributeError, TypeError) as error:
             raise without_input(error, epoch) from error
         truth.append(x)

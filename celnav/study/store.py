@@ -2,8 +2,8 @@
 work.
 
 Every file is written under a temporary name and renamed: the folder is right after any
-interruption. The manifest says which code
-made the results: another one's are not used.
+interruption. The manifest says which code made the results: another one's are not used. That of a
+campaign says also which study they are of.
 """
 
 from __future__ import annotations
@@ -11,33 +11,34 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from functools import cache
 from importlib import metadata
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 import celnav
-from celnav.files import data, read_json, read_npz, remove_leftovers, replacing, write_text
+from celnav.files import (
+    InputError,
+    Outputs,
+    data,
+    read_json,
+    read_npz,
+    remove_leftovers,
+    replacing,
+    write_text,
+)
+
+if TYPE_CHECKING:
+    from celnav.study.study import Unit
 
 FORMAT = 2
 MANIFEST, RESULTS = "manifest.json", ".results"
 """Of a store; folder of a paper's results below the folder of what is shown of it."""
 Array = NDArray[Any]
-
-
-class Keyed(Protocol):
-    """What a result is of."""
-
-    @property
-    def key(self) -> str:
-        """Hash of everything that determines the result, but the code."""
-
-    def check(self, arrays: dict[str, Array]) -> None:
-        """Raise ValueError if these are not arrays of such a result."""
 
 
 @cache
@@ -62,23 +63,21 @@ def code() -> dict[str, str]:
 
 
 class Store:
-    """Finished units in ``folder / "units"``; see `resumed`, `existing` and
-    `celnav.campaign.open_store`.
-    """
+    """Finished units in ``folder / "units"``; see `resumed`, `existing` and `open_store`."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
 
-    def path(self, unit: Keyed) -> Path:
+    def path(self, unit: Unit) -> Path:
         """Where a unit's result is."""
         return self.folder / "units" / f"{unit.key}.npz"
 
-    def write(self, unit: Keyed, arrays: Mapping[str, Array]) -> None:
+    def write(self, unit: Unit, arrays: Mapping[str, Array]) -> None:
         """Keep a result. OSError names the file if it cannot be written."""
         with replacing(self.path(unit)) as path:
             np.savez(path, allow_pickle=False, **arrays, checksum=np.array(_checksum(unit, arrays)))
 
-    def has(self, unit: Keyed, say: Callable[[str], Any] = print) -> bool:
+    def has(self, unit: Unit, say: Callable[[str], Any] = print) -> bool:
         """Whether a unit is finished and whole; ``say`` takes a line about one that is damaged."""
         try:
             return self.path(unit).exists() and bool(self.read(unit))
@@ -86,14 +85,14 @@ class Store:
             say(f"{error}; it is computed again")
             return False
 
-    def forget_all_but(self, units: Iterable[Keyed]) -> None:
+    def forget_all_but(self, units: Iterable[Unit]) -> None:
         """Remove the results of others."""
         wanted = {self.path(unit) for unit in units}
         for path in (self.folder / "units").glob("*.npz"):
             if path not in wanted:
                 path.unlink(missing_ok=True)
 
-    def read(self, unit: Keyed) -> dict[str, Array]:
+    def read(self, unit: Unit) -> dict[str, Array]:
         """The result of a finished unit.
 
         Raises
@@ -113,7 +112,7 @@ class Store:
         return arrays
 
 
-def _checksum(unit: Keyed, arrays: Mapping[str, Array]) -> str:
+def _checksum(unit: Unit, arrays: Mapping[str, Array]) -> str:
     """Of the key too: a copy of another unit is no result of this one."""
     digest = hashlib.sha256(f"{unit.key} ".encode())
     for name in sorted(arrays):
@@ -126,11 +125,7 @@ def _checksum(unit: Keyed, arrays: Mapping[str, Array]) -> str:
 def existing(folder: Path) -> Store | None:
     """The store in a folder, if there is one and this code made it; nothing is written."""
     try:
-        return (
-            Store(folder)
-            if read_json(folder / MANIFEST) == {"format": FORMAT, "code": code()}
-            else None
-        )
+        return Store(folder) if read_json(folder / MANIFEST) == _manifest() else None
     except (OSError, ValueError):
         return None
 
@@ -140,8 +135,89 @@ def resumed(folder: Path) -> Store:
     if existing(folder) is None:
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(parents=True)
-        write_text(
-            folder / MANIFEST, json.dumps({"format": FORMAT, "code": code()}, indent=1) + "\n"
-        )
+        _write_manifest(folder, _manifest())
     remove_leftovers(folder, folder / "units")
     return Store(folder)
+
+
+class StoreError(InputError):
+    """A folder that does not belong to this study."""
+
+
+def open_store(folder: str | Path, study: Mapping[str, Any], may_grow: Collection[str]) -> Store:
+    """Begin a campaign's store, or go on with one of the same study, in a folder that is locked.
+
+    study: all that determines the results, in plain types. may_grow: keys of it whose numbers or
+    lists may have less in them where the study was smaller.
+
+    Raises
+    ------
+    StoreError: if the folder belongs to another study, or one of more, or was begun with another
+        celnav, numpy or scipy (the message lists the differences), or holds something else.
+    OSError: if it cannot be made or written.
+    """
+    path = Path(folder)
+    Outputs(path)
+    remove_leftovers(path, path / "units")
+    wanted = json.loads(json.dumps(_manifest(study=study)))
+    cure = "choose another --out, or remove the folder"
+    if (path / MANIFEST).exists():
+        stored = _read_manifest(path / MANIFEST)
+        if stored is None:
+            raise StoreError(
+                f"{path / MANIFEST}: not a manifest of a campaign of this celnav; {cure}"
+            )
+        for key, what in (
+            ("study", "belongs to another study"),
+            ("code", "was begun with another celnav"),
+        ):
+            if changed := _differences(stored[key], wanted[key], may_grow):
+                raise StoreError(f"{path}: {what} ({'; '.join(changed)}); {cure}")
+        if stored["study"] == wanted["study"]:
+            return Store(path)
+    elif (path / "units").exists():
+        raise StoreError(f"{path}: has units but no {MANIFEST}; {cure}")
+    _write_manifest(path, wanted)
+    return Store(path)
+
+
+def _manifest(**about: Any) -> dict[str, Any]:
+    return {"format": FORMAT, **about, "code": code()}
+
+
+def _write_manifest(folder: Path, about: Mapping[str, Any]) -> None:
+    text = json.dumps(about, indent=1, ensure_ascii=False)
+    write_text(folder / MANIFEST, text + "\n")
+
+
+def _read_manifest(path: Path) -> dict[str, Any] | None:
+    """The manifest of a campaign; None if the file is none."""
+    try:
+        manifest: dict[str, Any] = read_json(path)
+        tables = isinstance(manifest["study"], dict) and isinstance(manifest["code"], dict)
+        return manifest if tables and manifest["format"] == FORMAT else None
+    except (ValueError, KeyError, TypeError):
+        return None
+
+
+def _differences(
+    old: Mapping[str, Any], new: Mapping[str, Any], may_grow: Collection[str]
+) -> list[str]:
+    """``key: old -> new`` of everything that differs, but for numbers and lists that have grown."""
+
+    def is_same(key: str) -> bool:
+        return key in may_grow and key in old and _is_within(old[key], new[key])
+
+    keys = [key for key in {**old, **new} if _text(old, key) != _text(new, key)]
+    return [f"{key}: {_text(old, key)} -> {_text(new, key)}" for key in keys if not is_same(key)]
+
+
+def _is_within(old: Any, new: Any) -> bool:
+    """Whether a list has the old value, or all of the old list, or a number is not smaller."""
+    if not isinstance(new, list):
+        return isinstance(old, int) and old <= new
+    return old in new or (isinstance(old, list) and all(value in new for value in old))
+
+
+def _text(table: Mapping[str, Any], key: str) -> str:
+    return json.dumps(table[key], ensure_ascii=False) if key in table else "absent"

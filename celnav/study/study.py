@@ -1,5 +1,5 @@
-"""A study: parts that are drawn and flown, one labelled store of what they gave, and a ledger that
-is judged from it.
+"""A study: parts that are simulated and filtered, their results by name, and a ledger that is
+judged from them.
 
 A paper is data over this: configurations, filters by name, parts, rows of a ledger, figures and
     tables as calls.
@@ -29,7 +29,16 @@ from celnav.study.montecarlo import blocks, effort, generator, run_count
 from celnav.study.store import RESULTS, existing
 from celnav.study.trial import Group, Trial, evaluate_filter, scales
 
-__all__ = ["Part", "Results", "Rngs", "Study", "Unit", "When", "fly", "together"]
+__all__ = [
+    "Part",
+    "Results",
+    "Rngs",
+    "Study",
+    "Unit",
+    "When",
+    "evaluate_filters",
+    "evaluate_from_priors",
+]
 
 Rngs = Sequence[np.random.Generator]
 When = int | slice | str
@@ -70,61 +79,62 @@ class Part(NamedTuple):
     join: Callable[[Iterable[dict[str, Array]]], dict[str, Array]] = concatenated
 
 
-def fly(
+def evaluate_filters(
     trial: Trial, names: Sequence[str], every: int = 1, *, cov: bool = False
 ) -> dict[str, Array]:
-    """Filters of a trial by name, judged at each ``every``-th epoch that has a truth.
+    """Run filters of a trial by name, and judge them at each ``every``-th epoch with a truth.
 
     Returns
     -------
     times ``(T,)`` s; of each filter ``<name>/error`` and ``<name>/std`` ``(T, runs, n)`` in the
     units of the groups, ``<name>/nees`` and ``<name>/nis`` ``(T, runs)``, the latter nan where
-    nothing was measured. A run that is lost is nan. With ``cov`` also ``<name>/cov (T, 1, n, n)``
+    nothing was measured. A run that fails is nan. With ``cov`` also ``<name>/cov (T, 1, n, n)``
     of the first run, in the units of the state.
     """
     out: dict[str, Array] = {}
     for name in names:
-        found = evaluate_filter(trial, name, every)
-        scale = scales(trial.groups, found.error.shape[-1])
-        nis = np.where(found.dof > 0, found.nis, np.nan)
-        each = {
-            "error": found.error * scale,
-            "std": found.std * scale,
-            "nees": found.nees,
-            "nis": nis,
+        evaluation = evaluate_filter(trial, name, every)
+        scale = scales(trial.groups, evaluation.error.shape[-1])
+        arrays = {
+            "error": evaluation.error * scale,
+            "std": evaluation.std * scale,
+            "nees": evaluation.nees,
+            "nis": np.where(evaluation.dof > 0, evaluation.nis, np.nan),
         }
         if cov:
-            each["cov"] = found.cov[:, None]
-        out |= {"times": found.times} | {f"{name}/{what}": values for what, values in each.items()}
+            arrays["cov"] = evaluation.cov[:, None]
+        out |= {"times": evaluation.times}
+        out |= {f"{name}/{what}": values for what, values in arrays.items()}
     return out
 
 
-def together(
+def evaluate_from_priors(
     trial: Trial, priors: Mapping[str, Gaussian], names: Sequence[str], every: int = 1
 ) -> dict[str, Array]:
-    """Filters of a trial from several priors, on the same runs and in one batch: what `fly` gives,
-    by ``<filter>, <prior>``.
+    """Run filters of a trial from several priors, on the same runs and in one batch: what
+    `evaluate_filters` gives, by ``<filter>, <prior>``.
     """
-    count, each = len(priors), list(priors.values())
-    covs = [np.broadcast_to(prior.cov, (len(prior.mean), *prior.cov.shape[-2:])) for prior in each]
+    count, starts = len(priors), list(priors.values())
+    covs = [
+        np.broadcast_to(start.cov, (len(start.mean), *start.cov.shape[-2:])) for start in starts
+    ]
 
     def epochs(name: str) -> Iterator[Epoch]:
         for epoch in trial.epochs(name):
-            u, z, truth = (
-                None if part is None else np.tile(part, (count, 1))
-                for part in (epoch.u, epoch.z, epoch.truth)
-            )
-            yield epoch._replace(u=u, z=z, truth=truth)
+            tiled: Any = {
+                name: np.tile(values, (count, 1))
+                for name in ("u", "z", "truth")
+                if (values := getattr(epoch, name)) is not None
+            }
+            yield epoch._replace(**tiled)
 
-    prior = Gaussian(np.concatenate([prior.mean for prior in each]), np.concatenate(covs))
-    flown = fly(trial._replace(prior=prior, epochs=epochs), names, every)
-    out = {"times": flown.pop("times")}
-    for key, values in flown.items():
+    prior = Gaussian(np.concatenate([start.mean for start in starts]), np.concatenate(covs))
+    arrays = evaluate_filters(trial._replace(prior=prior, epochs=epochs), names, every)
+    out = {"times": arrays.pop("times")}
+    for key, values in arrays.items():
         name, what = key.split("/")
-        out |= {
-            f"{name}, {label}/{what}": part
-            for label, part in zip(priors, np.split(values, count, 1), strict=True)
-        }
+        for label, runs in zip(priors, np.split(values, count, 1), strict=True):
+            out[f"{name}, {label}/{what}"] = runs
     return out
 
 
@@ -190,18 +200,18 @@ class Study:
         for name in only or parts:
             part = parts[name]
             count = part.runs if part.runs == 1 else run_count(part.runs, None, effort)
-            each = blocks(count, part.block)
-            unit = Unit(self.name, name, part, seed, each[0], about, engine, len(each))
-            units += [unit._replace(runs=runs) for runs in each]
+            ranges = blocks(count, part.block)
+            unit = Unit(self.name, name, part, seed, ranges[0], about, engine, len(ranges))
+            units += [unit._replace(runs=runs) for runs in ranges]
         return units
 
     def results(
-        self, units: Sequence[Unit], found: Iterable[dict[str, Array]], *, effort: float = 1.0
+        self, units: Sequence[Unit], blocks: Iterable[dict[str, Array]], *, effort: float = 1.0
     ) -> Results:
-        """What units gave, in their order, joined over runs. One part is joined before the next is
-        asked for: they are large.
+        """The arrays of units, in their order, joined over runs. One part is joined before the next
+        is asked for: they are large.
         """
-        parts = groupby(zip(units, found, strict=True), lambda pair: pair[0].part)
+        parts = groupby(zip(units, blocks, strict=True), lambda pair: pair[0].part)
         works = {unit.part: unit.work for unit in units}
         joined = {name: works[name].join(arrays for _, arrays in pairs) for name, pairs in parts}
         return Results(self, units[0].seed, effort, works, joined)
@@ -216,11 +226,11 @@ class Study:
         """
         units = self.units(effort=effort, **options)
         store = None if out is None else existing(Path(out) / self.name / RESULTS)
-        found = (
+        arrays = (
             store.read(unit) if store is not None and store.has(unit) else unit.do()
             for unit in units
         )
-        return self.results(units, found, effort=effort)
+        return self.results(units, arrays, effort=effort)
 
     def at_hand(self, out: str | Path = "out", *, small: float = 0.02) -> Results:
         """All results, if ``celnav reproduce --out`` has computed them with this code; else those
@@ -286,11 +296,11 @@ class Unit(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Results:
-    """What the parts of a study gave; figures, tables and the ledger read nothing else.
+    """The arrays of a study's parts; figures, tables and the ledger read nothing else.
 
     Attributes
     ----------
-    parts: as flown. data: ``data[part][name]``, arrays as `Part.work` returns them.
+    parts: by name. data: ``data[part][name]``, arrays as `Part.work` returns them.
     """
 
     study: Study
@@ -312,8 +322,8 @@ class Results:
         return self.data[part]["times"]
 
     def error(self, part: str, filter: str, group: str, what: str = "error") -> Array:
-        """Errors, or with ``what="std"`` what the filter takes for their deviations, ``(T, runs,
-        k)`` in the unit of a group.
+        """Errors, or with ``what="std"`` the standard deviations that the filter predicts,
+        ``(T, runs, k)`` in the unit of a group.
         """
         return self.data[part][f"{filter}/{what}"][..., self.group(group).part]
 
@@ -341,15 +351,13 @@ class Results:
         return values if isinstance(at, int) else np.asarray(values.mean(0))
 
     def group(self, name: str) -> Group:
-        """What is judged under a name."""
+        """The group of a name."""
         return next(group for group in self.study.groups if group.name == name)
 
     def first(self, part: str) -> Trial:
-        """The first run of a part alone, with its filters, to be flown again in full."""
+        """The first run of a part alone, with its filters, to be run again in full."""
         config, number = self.parts[part].config, self.parts[part].number
-        assert self.study.trial is not None, (
-            "a study that draws nothing has no runs to be flown again"
-        )
+        assert self.study.trial is not None, "a study that draws nothing has no runs to run again"
         return self.study.trial(config, [generator(self.seed, number, 0)])
 
     @property

@@ -1,5 +1,5 @@
-"""A trial: simulated runs of one configuration, the filters that may be flown on them, and how
-their estimates are judged.
+"""A trial: simulated runs of one configuration, the filters that may run on them, and how their
+estimates are judged.
 
 Each paper has a function ``trial(config, rngs) -> Trial``; missions, campaigns and the linear bound
 need nothing else of it.
@@ -42,7 +42,7 @@ class Group(NamedTuple):
     """Components of the error that are judged together, such as a position.
 
     ``part`` of the error's components, times ``scale`` (a number, or one for each of them), are in
-    ``unit``.
+    ``unit``. axes: names of the components, for recordings; x, y and z, or numbers, if empty.
 
     >>> position = celnav.Group("position", "m", slice(0, 3), 1000.0)  # of errors in km
     """
@@ -51,6 +51,13 @@ class Group(NamedTuple):
     unit: str
     part: slice
     scale: float | tuple[float, ...] = 1.0
+    axes: Sequence[str] = ()
+
+    @property
+    def names(self) -> Sequence[str]:
+        """Of the components, one for each."""
+        count = self.part.stop - self.part.start
+        return self.axes or ("xyz" if count == 3 else [str(i + 1) for i in range(count)])
 
 
 class Trial(NamedTuple):
@@ -59,8 +66,8 @@ class Trial(NamedTuple):
     groups: what is judged. filters: by name. prior: of all runs, ``(runs, n)``.
     epochs: ``name ->`` epochs for the filter of that name, from the start at every call. Those with
         a ``truth`` are judged.
-    compare: ``(truth, belief) ->`` errors ``(runs, n)`` and roots ``(runs, n, n)`` of what the
-        belief takes for their covariance.
+    compare: ``(truth, belief) ->`` errors ``(runs, n)`` and roots ``(runs, n, n)`` of the
+        covariance that the belief predicts.
     reference: name of a filter that is as good as can be where errors are small, for `bound`; empty
         if there is none.
     place: position ``(..., 3)`` km about the Earth's center of a state ``(..., n)``; None if it is
@@ -151,9 +158,9 @@ class Noiseless:
 class Evaluation(NamedTuple):
     """A filter's runs at the ``K`` epochs that were judged; nan where a run has no estimate.
 
-    times: ``(K,)`` s. error: ``(K, runs, n)``, and std: what the filter takes for its deviations.
+    times: ``(K,)`` s. error: ``(K, runs, n)``, and std: the deviations that the filter predicts.
     nees, nis, dof: ``(K, runs)``; ``dof`` is the number of measured components behind ``nis``.
-    cov: ``(K, n, n)``, what it takes for the covariance of the first run's error.
+    cov: ``(K, n, n)``, the covariance that it predicts for the first run.
     lost: ``(run, t, why)`` of each run whose estimate ceased to be finite. epochs: of the filter,
         judged or not.
     """
@@ -175,40 +182,38 @@ def evaluate_filter(trial: Trial, name: str, every: int = 1) -> Evaluation:
     """
     instance("trial", trial, Trial, "a Trial, such as problem.trial(filters, rngs)")
     filter, every = trial.filters[choice("name", name, trial.filters)], integer("every", every)
-    flown = None
-    if (engine := ENGINE.get()) != "numpy":
+    records: Iterable[tuple[Epoch, Any, tuple[Info, ...]]]
+    if (engine := ENGINE.get()) == "numpy":
+        records = steps(filter, trial.prior, trial.epochs(name))
+    else:
         from celnav.engine.compiled import steps_by
 
-        flown = steps_by(engine, filter, trial.prior, trial.epochs(name))
+        records = steps_by(engine, filter, trial.prior, trial.epochs(name))
     lost: dict[int, tuple[float, str]] = {}
     count = 0
 
     def judged() -> Iterator[tuple[Any, ...]]:
         nonlocal count
-        seen, before, left = 0, None, None
-        for epoch, state, infos in flown or steps(filter, trial.prior, trial.epochs(name)):
+        judgeable, before, skipped = 0, None, None
+        for epoch, state, infos in records:
             count += 1
             why = ""
-            if any_lost(
-                state.belief
-            ):  # newly: a filter of single epochs may have had no estimate before
+            if any_lost(state.belief):
+                # Newly lost: a filter of single epochs may have had no estimate before.
                 start = filter.start(trial.prior) if before is None else before
-                why = (
-                    explain(filter, start, state, epoch)
-                    if (state.belief.lost() & ~start.belief.lost()).any()
-                    else ""
-                )
+                if (state.belief.lost() & ~start.belief.lost()).any():
+                    why = explain(filter, start, state, epoch)
             before = state
-            due = epoch.truth is not None and seen % every == 0
+            due = epoch.truth is not None and judgeable % every == 0
             if epoch.truth is not None:
-                seen, left = seen + 1, None if due else (epoch, state.belief, infos)
+                judgeable, skipped = judgeable + 1, None if due else (epoch, state.belief, infos)
             if due or why:
-                _watch(lost, epoch, state.belief, why)
+                _note_lost(lost, epoch, state.belief, why)
             if due:
                 yield _row(trial, epoch, state.belief, infos)
-        if left is not None:
-            _watch(lost, *left[:2])
-            yield _row(trial, *left)
+        if skipped is not None:  # the last one that has a truth
+            _note_lost(lost, *skipped[:2])
+            yield _row(trial, *skipped)
 
     rows, blocks = judged(), []
     for block in iter(lambda: list(islice(rows, TOGETHER)), []):
@@ -216,33 +221,14 @@ def evaluate_filter(trial: Trial, name: str, every: int = 1) -> Evaluation:
             np.array(column, np.float64) for column in zip(*block, strict=True)
         )
         with np.errstate(invalid="ignore"):  # a lost run is nan
-            blocks.append(
-                (
-                    times,
-                    error,
-                    np.sqrt(np.einsum("...ij,...ij->...i", root, root)),
-                    nees(error, root),
-                    nis,
-                    dof,
-                    outer(root.reshape(len(root), -1, *root.shape[-2:])[:, 0]),
-                )
-            )
+            std, normalized = np.sqrt(np.einsum("...ij,...ij->...i", root, root)), nees(error, root)
+            cov = outer(root.reshape(len(root), -1, *root.shape[-2:])[:, 0])
+        blocks.append((times, error, std, normalized, nis, dof, cov))
     if not blocks:
         raise ValueError("epochs: expected some with a truth, got none")
-    times, error, std, normalized, nis, dof, cov = (
-        np.concatenate(column) for column in zip(*blocks, strict=True)
-    )
-    return Evaluation(
-        times,
-        error,
-        std,
-        normalized,
-        nis,
-        dof,
-        cov,
-        [(run, *what) for run, what in sorted(lost.items())],
-        count,
-    )
+    arrays = (np.concatenate(column) for column in zip(*blocks, strict=True))
+    failures = [(run, *what) for run, what in sorted(lost.items())]
+    return Evaluation._make([*arrays, failures, count])
 
 
 def _row(trial: Trial, epoch: Epoch, belief: Belief, infos: tuple[Info, ...]) -> tuple[Any, ...]:
@@ -255,12 +241,14 @@ def _row(trial: Trial, epoch: Epoch, belief: Belief, infos: tuple[Info, ...]) ->
     return epoch.t, error, np.broadcast_to(root, (*runs, *root.shape[-2:])), nis, dof
 
 
-def _watch(lost: dict[int, tuple[float, str]], epoch: Epoch, belief: Belief, why: str = "") -> None:
+def _note_lost(
+    lost: dict[int, tuple[float, str]], epoch: Epoch, belief: Belief, why: str = ""
+) -> None:
     """Note the runs without an estimate; forget those that have one again, as single epochs may."""
-    there = np.atleast_1d(np.isfinite(belief.mean).all(-1))
-    for i in np.flatnonzero(~there).tolist():
+    is_finite = np.atleast_1d(np.isfinite(belief.mean).all(-1))
+    for i in np.flatnonzero(~is_finite).tolist():
         lost.setdefault(i, (float(epoch.t), why or "the estimate is not finite"))
-    for i in [i for i in lost if there[i]]:
+    for i in [i for i in lost if is_finite[i]]:
         del lost[i]
 
 

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from celnav.tape.routine import Loop, Recorder, rolled_loop
+from celnav.tape.routine import Loop, LoopRecorder, rolled_loop
 from celnav.tape.tape import (
     Scalar,
     Tape,
@@ -595,7 +595,7 @@ def rarely(
         inputs = {x.i: x for array in arrays for x in _bare(array).flat if type(x) is TracedScalar}
         first = 1 + len(inputs)
         # Memory: the condition, the inputs, then the results.
-        stage = Recorder(1, inputs=(1, 0), results=(first, 0))
+        stage = LoopRecorder(1, inputs=(1, 0), results=(first, 0))
         # Inside the routine each input stands for the number of the outer tape.
         inside = {i: stage.take("inputs", k, tape.absent[i]) for k, i in enumerate(inputs)}
         images = [

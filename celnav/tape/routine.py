@@ -93,7 +93,7 @@ class Loop:
         return [tape.node("part", call.i, cell) for cell in self.returned]
 
 
-class Recorder:
+class LoopRecorder:
     """A stage while it is recorded: numbers are read from places, and written to them."""
 
     def __init__(self, rows: int, **places: tuple[int, int]):
@@ -143,7 +143,7 @@ def rolled_loop(
     # Memory: common numbers, then the values (rows, n), then the results (rows, m).
     common = sorted(i for i in used - inside if ops[i][0] != "const")
     at, first = len(common), len(common) + n * len(rows)
-    stage = Recorder(len(rows), common=(0, 0), values=(at, n), results=(first, m))
+    stage = LoopRecorder(len(rows), common=(0, 0), values=(at, n), results=(first, m))
     # The body is recorded again on the stage's own tape.
     mapped = {i: stage.take("common", k, tape.absent[i]) for k, i in enumerate(common)}
     mapped |= {x.i: stage.take("values", k) for k, x in enumerate(variables)}

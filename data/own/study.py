@@ -1,6 +1,6 @@
 """A radar sees a vehicle: its range well, its bearing poorly. Do filters know how little they know? Change what you like.
 
-celnav reproduce study.py --effort 0.1   flies a tenth of the runs and writes out/index.html; without --effort all of them
+celnav reproduce study.py --effort 0.1   does a tenth of the runs and writes out/index.html; without --effort all of them
 celnav list study.py                     parameters, which a mission (paper = "study.py") may change and sweep
 """
 
@@ -10,12 +10,12 @@ import numpy as np
 
 import celnav
 from celnav.models.motion import constant_velocity
-from celnav.show.colors import COMPARISON, ESTIMATE
-from celnav.show.figures import Line, Panel, consistency, panels, rmse
+from celnav.show import colors, figures
+from celnav.show.draw import Line, Panel, panels
 from celnav.study import numbers
 from celnav.study.ledger import Sentence, statement
 from celnav.study.parameters import Timed, param
-from celnav.study.study import Part, Study, fly
+from celnav.study.study import Part, Study, evaluate_filters
 from celnav.study.trial import trial_from_arrays
 
 TITLE = "A vehicle by range and bearing"
@@ -60,21 +60,21 @@ def trial(c, rngs):
     return trial_from_arrays(GROUPS, filters(c), believed(c)[2], c.times, z, truth)
 
 
-def flown(c, rngs):
+def evaluate(c, rngs):
     """What a process does: all filters on some of the runs."""
-    return fly(trial(c, rngs), list(filters(c)))
+    return evaluate_filters(trial(c, rngs), list(filters(c)))
 
 
 def figure(r):
     """Errors and consistency over time; r: results."""
-    left = [rmse(r, "usual", name, line, "position") for name, line in LINES.items()]
-    right = [consistency(r, "usual", LINES, "nees", 4)]
+    left = [figures.rmse(r, "usual", name, line, "position") for name, line in LINES.items()]
+    right = [figures.consistency(r, "usual", LINES, "nees", 4)]
     return panels([Panel("", left, "time (s)", "RMSE of position (m)"), Panel("", right, "time (s)", "NEES", "y")], size=(7, 3))
 
 
 PRESETS = {"usual": Config()}
-PARTS = {name: Part(flown, c, runs=c.runs) for name, c in PRESETS.items()}
-LINES = {"ekf": Line("EKF", COMPARISON), "ukf": Line("UKF", ESTIMATE)}
+PARTS = {name: Part(evaluate, c, runs=c.runs) for name, c in PRESETS.items()}
+LINES = {"ekf": Line("EKF", colors.COMPARISON), "ukf": Line("UKF", colors.ESTIMATE)}
 FIGURES = {"figure_01": ("Position error of the runs, and their mean NEES with the 95 % band of a consistent filter.", figure)}
 NEES = numbers.consistency("NEES", ("usual", "ekf"), accept=(4.0, None), at=slice(1, None))
 WHY = "that of a consistent filter with four states is 4"

@@ -159,13 +159,11 @@ def test_the_figures_of_a_sweep_show_the_numbers_of_its_table(sweep, tmp_path):
     for ax, noise in zip(fig.axes, ("R", "stationary"), strict=True):
         for name, container in zip(("srukf", "csrukf"), ax.containers, strict=True):
             rows = [
-                row
-                for row in outcome.rows
-                if row.filter == name and row.values["first_noise"] == noise
+                row for row in outcome.rows if row["filter"] == name and row["first_noise"] == noise
             ]
             np.testing.assert_array_equal(container[0].get_xdata(), [0.1, 0.2, 0.4])
             np.testing.assert_array_equal(
-                container[0].get_ydata(), [row.accuracy("position").rms for row in rows]
+                container[0].get_ydata(), [row["position_rms_km"] for row in rows]
             )
 
 
@@ -179,7 +177,7 @@ def test_where_the_first_exception_came_from_is_on_the_page(mission, tmp_path, m
 
     monkeypatch.setattr(csrukf, "trial", broken)
     outcome = campaign(read(mission), tmp_path / "store")
-    assert [row.failed for row in outcome.rows] == [0, 0]  # one by one they can be simulated
+    assert [row["failed"] for row in outcome.rows] == [0, 0]  # one by one they can be simulated
     write(outcome, {}, Outputs(tmp_path / "store"))
     page = (tmp_path / "store" / "index.html").read_text()
     assert "<h2>The first exception</h2><pre>Traceback" in page
@@ -199,7 +197,7 @@ def test_a_mission_of_failures_only_has_a_page_and_reasons(mission, tmp_path, ca
     mission.write_text(MISSION.replace("runs = 12", "runs = 3\nlimits = { position = 1e-9 }"))
     assert cli.main(["run", str(mission)]) == 1
     printed = capsys.readouterr().out
-    assert "srukf: 3 failed (position: error above 1e-09 km at the end)" in printed
+    assert "srukf: failed: 3 x position: error above 1e-09 km at the end" in printed
     assert (
         "3 x position: error above 1e-09 km at the end"
         in (tmp_path / "out" / "missions" / "my-mission" / "table.csv").read_text()

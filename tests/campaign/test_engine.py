@@ -8,7 +8,14 @@ from contextlib import contextmanager
 
 import pytest
 
-from celnav.campaign import UnfinishedError, VersionError, campaign, given, processes, serial
+from celnav.campaign import (
+    UnfinishedError,
+    VersionError,
+    campaign,
+    from_executor,
+    processes,
+    serial,
+)
 from celnav.campaign.engine import ATTEMPTS, compute
 from celnav.campaign.executors import Workers
 from celnav.campaign.missions import study
@@ -59,12 +66,12 @@ class Shuffled(Executor):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_any_order_of_completion_gives_the_same_table(wanted, tmp_path, seed):
-    assert csv(campaign(study(TABLE), tmp_path, given(Shuffled(seed)))) == wanted
+    assert csv(campaign(study(TABLE), tmp_path, from_executor(Shuffled(seed)))) == wanted
 
 
 def test_an_executor_of_threads_gives_the_same_table(wanted, tmp_path):
     with ThreadPoolExecutor(2) as pool:
-        assert csv(campaign(study(TABLE), tmp_path, given(pool))) == wanted
+        assert csv(campaign(study(TABLE), tmp_path, from_executor(pool))) == wanted
 
 
 def mortal(lives, dies=lambda unit: True, opened=None):
@@ -162,7 +169,7 @@ def failing(error):
                 future.set_result(fn(unit, *args))
             return future
 
-    return given(Failing())
+    return from_executor(Failing())
 
 
 def test_units_that_fail_are_told_after_all_others_are_done(plan):
@@ -219,5 +226,5 @@ def test_an_executor_that_cannot_be_opened_again_is_told_and_what_it_did_is_kept
     with pytest.raises(
         OSError, match=r"the executor is broken \(BrokenExecutor: the machine is gone\)"
     ):
-        compute(plan, given(Broken()), lambda unit, result: kept.append(unit))
+        compute(plan, from_executor(Broken()), lambda unit, result: kept.append(unit))
     assert kept == plan[:3]

@@ -12,13 +12,12 @@ import zipfile
 import numpy as np
 import pytest
 
-import celnav.study.store as store_room
 from celnav.campaign import StoreError, campaign, serial
-from celnav.campaign import store as stores
 from celnav.campaign.missions import study
 from celnav.campaign.table import columns, to_csv, to_parquet
 from celnav.campaign.units import units_of
 from celnav.files import ForeignFileError, Outputs, locked
+from celnav.study import store as stores
 
 TABLE = {
     "paper": "csrukf",
@@ -118,7 +117,7 @@ def sealed(**change):
             arrays = {name: stored[name] for name in stored.files if name != "checksum"}
         for name, value in change.items():
             arrays[name] = value(arrays[name]) if callable(value) else value
-        np.savez(path, **arrays, checksum=np.array(store_room._checksum(unit, arrays)))
+        np.savez(path, **arrays, checksum=np.array(stores._checksum(unit, arrays)))
 
     return damage
 
@@ -303,7 +302,7 @@ def test_another_title_is_the_same_study(made):
 
 def test_whatever_byte_is_damaged_nothing_wrong_is_read(made):
     folder, _ = made
-    store = stores.open_store(folder, study(TABLE))
+    store = stores.open_store(folder, study(TABLE).to_dict(), ())
     unit = units_of(study(TABLE))[0][0]
     path, whole = store.path(unit), store.read(unit)
     content = path.read_bytes()

@@ -82,12 +82,12 @@ def seen(hooks=(), gain=None):
 
 
 def made(make):
-    """Flown, of one that makes a filter of a motion, a sensor and other arguments."""
+    """PartFilter, of one that makes a filter of a motion, a sensor and other arguments."""
     return lambda motion=MOTION, sensor=SENSOR, **a: flown(make(motion, sensor, **a))
 
 
 def of(make, *fixed):
-    """Flown by points and by Jacobians."""
+    """PartFilter by points and by Jacobians."""
 
     def call(**a):
         record = make(*fixed, **a)

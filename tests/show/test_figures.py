@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from readable import faults
 
+from celnav.show.draw import Panel, band, figure, panels
 from celnav.show.drawing import render
-from celnav.show.figures import Panel, band, figure, panels
 
 
 def drawing():

@@ -13,9 +13,10 @@ from celnav.analysis.metrics import chi_square_band
 from celnav.models.orbit import EARTH, from_elements, propagate
 from celnav.models.sightings import star_directions
 from celnav.show import colors, scenes
-from celnav.show.estimates import Estimate, Group
+from celnav.show.estimates import Estimate
 from celnav.show.plots import Curve, Plot
 from celnav.show.showcase import Showcase, record
+from celnav.study.trial import Group
 
 KEYS = ("own", "other", "third")
 SHADES = (colors.ESTIMATE, colors.COMPARISON, colors.OPEN_LOOP)
@@ -254,8 +255,11 @@ def test_a_group_about_its_truth_shows_the_states(case, tmp_path):
         errors=case.estimates["third"].errors[..., :3],
         cov=case.estimates["third"].cov[:, :3, :3],
     )
-    groups = (Group("velocity", "m/s", slice(3, 6), 1e3, truth=truth),)
-    record(dataclasses.replace(few, groups=groups, scene=None, bound={}), tmp_path / "a.rrd")
+    groups = (Group("velocity", "m/s", slice(3, 6), 1e3),)
+    record(
+        dataclasses.replace(few, groups=groups, truths={"velocity": truth}, scene=None, bound={}),
+        tmp_path / "a.rrd",
+    )
     found = {
         str(c.entity_path): c.to_record_batch()
         for c in chunks(tmp_path / "a.rrd")

@@ -12,10 +12,10 @@ from celnav.study.ledger import Number, Row
 from celnav.study.numbers import (
     all_of,
     consistency,
+    constant,
     correlation,
     count_holding,
     entries,
-    given,
     lagged,
     of,
     operations,
@@ -29,7 +29,7 @@ from celnav.study.numbers import (
 )
 from celnav.study.parameters import Parameters, Timed, param
 from celnav.study.problem import Problem
-from celnav.study.study import Part, Study, Unit, fly, together
+from celnav.study.study import Part, Study, Unit, evaluate_filters, evaluate_from_priors
 from celnav.study.trial import Group
 
 GROUPS = (Group("position", "m", slice(0, 1)), Group("velocity", "mm/s", slice(1, 2), 1e3))
@@ -50,7 +50,7 @@ def trial(sigma, rngs):
 
 
 def work(sigma, rngs):
-    return fly(trial(sigma, rngs), ("kf", "blind"))
+    return evaluate_filters(trial(sigma, rngs), ("kf", "blind"))
 
 
 def facts(value, rngs):
@@ -296,9 +296,9 @@ def test_filters_from_several_priors_are_those_from_each():
     one = trial(0.5, [celnav.study.montecarlo.generator(1, 0, r) for r in range(4)])
     mean, cov = np.arange(8.0).reshape(4, 2), np.arange(1.0, 5.0)[:, None, None] * np.eye(2)
     priors = {"shared": one.prior, "own": celnav.Gaussian(mean, cov)}
-    found = together(one, priors, ("kf", "blind"))
+    found = evaluate_from_priors(one, priors, ("kf", "blind"))
     for label, prior in priors.items():
-        alone = fly(one._replace(prior=prior), ("kf", "blind"))
+        alone = evaluate_filters(one._replace(prior=prior), ("kf", "blind"))
         np.testing.assert_array_equal(found["times"], alone.pop("times"))
         for key, values in alone.items():
             name, what = key.split("/")
@@ -308,9 +308,9 @@ def test_filters_from_several_priors_are_those_from_each():
 
 
 def test_numbers_go_together(results):
-    both = all_of(given("a", 2.0), of("facts", "values", "b", reduce=np.sum))(results)
+    both = all_of(constant("a", 2.0), of("facts", "values", "b", reduce=np.sum))(results)
     assert [number.value for number in both] == [2.0, 3.0]
-    assert list(tiers(in_part=[given("a", 1.0)])(results)) == ["in part"]
+    assert list(tiers(in_part=[constant("a", 1.0)])(results)) == ["in part"]
     assert [claim.verdict for claim in results.claims()] == ["shown"]
 
 

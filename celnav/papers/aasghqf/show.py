@@ -28,9 +28,10 @@ from celnav.papers.aasghqf.study import (
     TABLE_4,
 )
 from celnav.show import colors, scenes
-from celnav.show.estimates import Group, again
-from celnav.show.figures import Item, Line, Panel, consistency, curve, errors, panels, rmse, sigma
-from celnav.show.showcase import Showcase, Space, write
+from celnav.show.draw import Item, Line, Panel, curve, panels
+from celnav.show.estimates import estimates_of
+from celnav.show.figures import consistency, errors, rmse, sigma
+from celnav.show.showcase import SceneView, Showcase, write
 from celnav.study.study import Results
 
 if TYPE_CHECKING:
@@ -318,7 +319,9 @@ def record(results: Results, outputs: Outputs) -> list[str]:
 def showcase(results: Results, part: str) -> Showcase:
     """The first run of a part, flown again in full, among the others."""
     c = results.parts[part].config
-    estimates, truth, z = again(results, part, {f: LINES[f] for f in ("sghqf", "ukf", "aasghqf")})
+    estimates, truth, z = estimates_of(
+        results, part, {f: LINES[f] for f in ("sghqf", "ukf", "aasghqf")}
+    )
     ground = np.diag(c.meters()) @ np.eye(2, 3)  # from longitude and latitude to east, north, up
     axes = np.zeros((3, 13))
     fix = (z[:, 6:] - truth[:, inertial.POSITION]) @ ground
@@ -350,7 +353,7 @@ def showcase(results: Results, part: str) -> Showcase:
             )
 
     spaces = [
-        Space(
+        SceneView(
             "world",
             "flight, m (east, north, up)",
             (60e3, -70e3, 70e3),
@@ -358,7 +361,7 @@ def showcase(results: Results, part: str) -> Showcase:
             growing=("world/aircraft/trail", "world/inertial/trail"),
         ),
         *(
-            Space(f"points/{f}", f"sigma points of {LINES[f].label}, σ of SGHQF", (9, -9, 6))
+            SceneView(f"points/{f}", f"sigma points of {LINES[f].label}, σ of SGHQF", (9, -9, 6))
             for f in COMPARED
         ),
     ]
@@ -367,7 +370,7 @@ def showcase(results: Results, part: str) -> Showcase:
         NOTES.format(part),
         results.times(part),
         estimates,
-        [Group(*g, AXES[g.name]) for g in results.study.groups if g.name in AXES],
+        [g._replace(axes=AXES[g.name]) for g in results.study.groups if g.name in AXES],
         truth,
         axes,
         "m",

@@ -42,16 +42,16 @@ from celnav.study.ledger import Bounds, Decision, Number, Tiers, estimate, read_
 from celnav.study.montecarlo import BRIEF, normals
 from celnav.study.numbers import (
     Decided,
-    Flown,
+    PartFilter,
     all_of,
     consistency,
+    constant,
     count_holding,
-    given,
     of,
     operations,
 )
 from celnav.study.operations import counted
-from celnav.study.study import Part, Results, Rngs, Study, When, fly
+from celnav.study.study import Part, Results, Rngs, Study, When, evaluate_filters
 
 __all__ = ["STUDY"]
 
@@ -107,7 +107,7 @@ def judged(config: Config, rngs: Any) -> trials.Trial:
 
 def run_filters(names: Sequence[str], config: Config, rngs: Rngs) -> dict[str, Array]:
     """Filters by name, at all epochs."""
-    return fly(judged(config, rngs), names, cov=True)
+    return evaluate_filters(judged(config, rngs), names, cov=True)
 
 
 def bound(config: Config, _: Rngs) -> dict[str, Array]:
@@ -253,16 +253,19 @@ def along(config: Config, rngs: Rngs) -> dict[str, Array]:
 
 def mounting(config: Config, rngs: Rngs) -> dict[str, Array]:
     """Filters that do not know mounting errors, of the sizes of `MOUNTINGS` in the same runs, and
-    one of 19 states that estimates them ("S"): what `fly` gives, by ``<filter>, <size>``."""
+    one of 19 states that estimates them ("S"): what `evaluate_filters` gives, by ``<filter>,
+    <size>``."""
     sim = simulate(config, rngs)
     draws = normals(rngs, (2, 3))[0].swapaxes(0, 1)
     filter, prior = scenario.mounting_filter(config, np.radians(60.0 / 3600.0), len(rngs))
     out = dict[str, Array]()
     for size in MOUNTINGS:
         trial = shown(scenario.mounted(sim, np.radians(size / 3600.0) * draws))
-        arrays = fly(trial, ("ukf", "nonlinear"), 10)
+        arrays = evaluate_filters(trial, ("ukf", "nonlinear"), 10)
         if size == 60:
-            arrays |= fly(trial._replace(filters={"S": filter}, prior=prior), ("S",), 10)
+            arrays |= evaluate_filters(
+                trial._replace(filters={"S": filter}, prior=prior), ("S",), 10
+            )
         out |= {key.replace("/", f", {size}/"): values for key, values in arrays.items()}
     return out
 
@@ -450,7 +453,7 @@ def savings(_: Results) -> Tiers:
 # -- numbers of the ledger -------------------------------------------------------------------------
 def averaged(
     label: str,
-    cells: Sequence[Flown],
+    cells: Sequence[PartFilter],
     accept: Bounds = (None, None),
     states: slice = PHI,
     *,
@@ -479,7 +482,7 @@ def averaged(
 
 
 def by_state(
-    r: Results, label: str, cells: Sequence[Flown], accept: Bounds = (None, None)
+    r: Results, label: str, cells: Sequence[PartFilter], accept: Bounds = (None, None)
 ) -> list[Number]:
     """`averaged` of each state of Table 3."""
     return [
@@ -810,7 +813,7 @@ DECISIONS: dict[str, Decision] = {
         operations("times the UKF's", "aasghqf", "ukf", (1.15, None)),
     ),
     "cheaper-than-sghqf": all_of(
-        given("points", point_count(13, 3) / point_count(13, 3, PAPER_WEIGHTS), (1.52, None)),
+        constant("points", point_count(13, 3) / point_count(13, 3, PAPER_WEIGHTS), (1.52, None)),
         operations("operations, at least", "sghqf", "aasghqf", (1.52, None)),
     ),
     "saving-grows": savings,
@@ -868,7 +871,7 @@ DECISIONS: dict[str, Decision] = {
         ),
     ),
     "nonlinear-equal": all_of(
-        given("points", point_count(13, 3, scenario.NONLINEAR_WEIGHTS), (57, 57)),
+        constant("points", point_count(13, 3, scenario.NONLINEAR_WEIGHTS), (57, 57)),
         *(
             averaged(f"RMSE of the angles, {p}", [(p, "nonlinear"), (p, "sghqf")], (0.999, 1.001))
             for p in SHOWN

@@ -35,24 +35,24 @@ from celnav.receiver.constellation import synthetic
 from celnav.receiver.geodesy import ELLIPSOID
 from celnav.receiver.report import KIND_COLORS, kinds, record_positioned
 from celnav.show import colors, scenes, showcase
-from celnav.show.estimates import Estimate, Group
-from celnav.show.figures import (
+from celnav.show.draw import (
     Item,
     Line,
     Panel,
-    Rows,
     curve,
-    errors,
     figure,
     interval,
     level,
     panels,
     quantiles,
 )
+from celnav.show.estimates import Estimate
+from celnav.show.figures import Rows, errors
 from celnav.show.plots import Curve, Plot
-from celnav.show.showcase import Showcase, Space
+from celnav.show.showcase import SceneView, Showcase
 from celnav.study.montecarlo import generator
 from celnav.study.study import Results
+from celnav.study.trial import Group
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -558,8 +558,8 @@ def _burst(results: Results) -> Showcase:
         nis_dof=2 * S,
         scene=scene,
         spaces=(
-            Space("world", "satellites, 1000 km (Earth-fixed)", (-50.0, 75.0, 45.0)),
-            Space(
+            SceneView("world", "satellites, 1000 km (Earth-fixed)", (-50.0, 75.0, 45.0)),
+            SceneView(
                 "track",
                 "track, m (east, north, up)",
                 (-4e3, -9e3, 9e3),

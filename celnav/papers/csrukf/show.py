@@ -25,21 +25,17 @@ from celnav.papers.csrukf.study import (
     TABLE_3,
 )
 from celnav.show import colors, scenes, showcase
-from celnav.show.estimates import Group, again
-from celnav.show.figures import (
+from celnav.show.draw import (
     Item,
     Line,
     Panel,
-    consistency,
     curve,
-    errors,
     figure,
     level,
     panels,
-    rmse,
-    rmse_table,
-    sigma,
 )
+from celnav.show.estimates import estimates_of
+from celnav.show.figures import consistency, errors, rmse, rmse_table, sigma
 from celnav.show.plots import Curve, Plot
 from celnav.study.montecarlo import generator
 from celnav.study.study import Results
@@ -420,7 +416,9 @@ def _case(results: Results, case: str) -> showcase.Showcase:
     number = results.parts[case].number
     phi = case.rpartition("/")[2]
     sim = simulate(c, [generator(results.seed, number, 0)])
-    found, truth, z = again(results, case, {"csrukf": CSRUKF, "srukf": SRUKF, "openloop": OPEN})
+    found, truth, z = estimates_of(
+        results, case, {"csrukf": CSRUKF, "srukf": SRUKF, "openloop": OPEN}
+    )
     track = run(filters(c)["augmented"], sim.prior, sim.epochs(), keep="std")
     V = sim.noise[:, 0]
     noise = {}
@@ -454,7 +452,7 @@ def _case(results: Results, case: str) -> showcase.Showcase:
         f"# Sun, Zhuang & Xu (2015), Φ = {phi}\n\n**{CASES[case]}**\n{NOTES}",
         results.times(case),
         found,
-        [Group(*group) for group in results.study.groups],
+        results.study.groups,
         truth,
         np.eye(3, 6),
         "km",

@@ -53,14 +53,14 @@ from celnav.study.numbers import (
     Decided,
     all_of,
     consistency,
+    constant,
     entries,
-    given,
     of,
     over,
     ratio,
     tiers,
 )
-from celnav.study.study import Part, Results, Rngs, Study, fly
+from celnav.study.study import Part, Results, Rngs, Study, evaluate_filters
 
 __all__ = [
     "BOTH",
@@ -150,7 +150,7 @@ def run_filters(names: Sequence[str], every: int, config: Config, rngs: Rngs) ->
     runs = trial(config, rngs)
     if config.measured == "positions":
         runs = runs._replace(filters={**runs.filters, **variants(config)})
-    return fly(runs, names, every, cov=True)
+    return evaluate_filters(runs, names, every, cov=True)
 
 
 def walk(config: Config, rngs: Rngs) -> dict[str, Array]:
@@ -620,7 +620,7 @@ DECISIONS: dict[str, Decision] = {
     ),
     "little-change": all_of(
         *(
-            given(
+            constant(
                 f"{g}, the paper's own",
                 length(TABLE_2["CSRUKF"], g) / length(TABLE_1["CSRUKF"], g),
                 (None, 3.2),
@@ -675,7 +675,7 @@ DECISIONS: dict[str, Decision] = {
     ),
     "erratum-radius": of("geometry", "radius", "printed over right", (0.39, 0.41)),
     "erratum-hemisphere": of("geometry", "later", "km, 300 s past the equator", (3900.0, 4100.0)),
-    "erratum-shapes": given("columns of H less rows of Φ", len(H.T) - len(P.Phi), (1, None)),
+    "erratum-shapes": constant("columns of H less rows of Φ", len(H.T) - len(P.Phi), (1, None)),
     "erratum-moments": of("linear", "cross", "cross-covariance by the right ones", (None, 1e-9)),
     "erratum-9-roots-nees": all_of(
         consistency("final NEES, Φ = 0, in km", ("0", "printed roots"), (1e3, None)),
@@ -692,10 +692,10 @@ DECISIONS: dict[str, Decision] = {
         of("redrawn", "reused", "one linear step against the Kalman filter", (0.01, None)),
         of("redrawn", "redrawn", "with new points", (None, 1e-12)),
     ),
-    "erratum-19-growth": given(
+    "erratum-19-growth": constant(
         "largest growth of an axis", growth(TABLE_1["CSRUKF"], TABLE_2["CSRUKF"]), (3.0, None)
     ),
-    "erratum-20-contradiction": given(
+    "erratum-20-contradiction": constant(
         "largest ratio of SRUKF", growth(TABLE_2["SRUKF"], TABLE_3["I"]["SRUKF"]), (3.0, None)
     ),
     "erratum-21-growth": all_of(

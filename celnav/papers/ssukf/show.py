@@ -14,8 +14,9 @@ from celnav.gaussian.spaces import wrap
 from celnav.papers.ssukf.scenario import ARCSEC, DEG_PER_H, GROUPS, RADIUS_KM, STANDARD, path
 from celnav.papers.ssukf.study import AXES, FIELD, FIELD_DEG, ROOTS, STUDY, TIMED, points
 from celnav.show import colors, scenes, showcase
-from celnav.show.estimates import Group, again
-from celnav.show.figures import Item, Line, Panel, Rows, consistency, curve, level, panels, rmse
+from celnav.show.draw import Item, Line, Panel, curve, level, panels
+from celnav.show.estimates import estimates_of
+from celnav.show.figures import Rows, consistency, rmse
 from celnav.study.study import Results
 
 if TYPE_CHECKING:
@@ -270,14 +271,14 @@ RECORDINGS = ["ssukf.rrd"]
 ARM_KM = 1500.0
 EXAGGERATION = 1000.0
 SPACES = (
-    showcase.Space(
+    showcase.SceneView(
         "world",
         "orbit, km (inertial axes)",
         (11e3, -9e3, -15e3),
         (1e3, 0.0, -2e3),
         (0.0, -1.0, 0.0),
     ),
-    showcase.Space(
+    showcase.SceneView(
         "body",
         f"axes: truth, and estimates with errors x{EXAGGERATION:g}",
         (3.0, -2.0, 2.0),
@@ -297,21 +298,22 @@ sample takes an error of degrees to 20 arcsec: what follows is shown under a mic
 def record(results: Results, outputs: Outputs) -> list[str]:
     """Write the recording among ``outputs``; returns its name. Needs rerun."""
     lines = {name: LINES[name] for name in ("ssukf", "aukf", "mekf")}
-    found, truth, _ = again(results, "runs", lines)
+    found, truth, _ = estimates_of(results, "runs", lines)
     t = results.times("runs")
     c = results.parts["runs"].config
-    attitude, drift = GROUPS
+    turn, drift = GROUPS
     errors = {name: (found[name].errors[:, 0, :3], line.color) for name, line in lines.items()}
     shown = showcase.Showcase(
         "ssukf",
         NOTES,
         t,
         found,
-        (Group(*attitude, AXES), Group(*drift, truth=truth[:, 4:] / DEG_PER_H)),
+        (turn._replace(axes=AXES), drift),
         truth,
         np.eye(3, 6) / ARCSEC,
         "arcsec",
         nis_dof=3,
+        truths={"drift": truth[:, 4:] / DEG_PER_H},
         spaces=SPACES,
         counter="star_epoch",
         parameters=vars(c),

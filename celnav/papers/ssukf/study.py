@@ -59,7 +59,7 @@ from celnav.study.numbers import (
     Decided,
     all_of,
     consistency,
-    given,
+    constant,
     of,
     ratio,
     rmse,
@@ -67,7 +67,15 @@ from celnav.study.numbers import (
     some,
     tiers,
 )
-from celnav.study.study import Part, Results, Rngs, Study, When, fly, together
+from celnav.study.study import (
+    Part,
+    Results,
+    Rngs,
+    Study,
+    When,
+    evaluate_filters,
+    evaluate_from_priors,
+)
 from celnav.study.trial import Trial
 from celnav.tape.numbers import TracedArray
 from celnav.tape.tape import Tape
@@ -148,7 +156,7 @@ def run_filters(
     names: Sequence[str], config: Config, rngs: Rngs, **options: Any
 ) -> dict[str, Array]:
     """Filters by name from the paper's initial error; ``options``: see `filters`."""
-    return fly(scenario.trial(config, rngs, drawn=False, **options), names, cov=True)
+    return evaluate_filters(scenario.trial(config, rngs, drawn=False, **options), names, cov=True)
 
 
 def isotropic(mean: Array, degrees: float) -> Gaussian:
@@ -172,7 +180,7 @@ def starts(
         found[f"{d:g}"] = isotropic(
             sim.prior.mean if error is None else scenario.displaced(sim.truth[0], error), d
         )
-    return together(
+    return evaluate_from_priors(
         Trial(GROUPS, filters(config), sim.prior, sim.epochs, scenario.compare), found, names
     )
 
@@ -379,7 +387,9 @@ def vector(config: Config, rngs: Rngs, **options: Any) -> dict[str, Array]:
         for d in FIELD_DEG
     }
     known = plain | {f"{name} transported": filter for name, filter in moved.items()}
-    return together(Trial(GROUPS, known, sim.prior, sim.epochs, scenario.compare), priors, FIELD)
+    return evaluate_from_priors(
+        Trial(GROUPS, known, sim.prior, sim.epochs, scenario.compare), priors, FIELD
+    )
 
 
 # -- noise inside a nonlinearity -------------------------------------------------------------------
@@ -458,7 +468,9 @@ def heads(config: Config, rngs: Rngs) -> dict[str, Array]:
         )
         for name, each in roots.items()
     }
-    return fly(Trial(GROUPS, known, sim.drawn, epochs, scenario.compare), tuple(HEADS), 8)
+    return evaluate_filters(
+        Trial(GROUPS, known, sim.drawn, epochs, scenario.compare), tuple(HEADS), 8
+    )
 
 
 # -- what needs no runs, or one --------------------------------------------------------------------
@@ -529,7 +541,9 @@ def by_components(config: Config, rngs: Rngs) -> dict[str, Array]:
 
     known = {"rodrigues": filters(config)["ssukf"], "aligned": filter(np.array)}
     known |= {"signs": filter(changed), "wide": filter(changed, 15.0)}
-    return fly(Trial(GROUPS, known, sim.prior, sim.epochs, scenario.compare), tuple(known))
+    return evaluate_filters(
+        Trial(GROUPS, known, sim.prior, sim.epochs, scenario.compare), tuple(known)
+    )
 
 
 # -- operations of point-by-point code, counted on a tape: nothing is known beforehand -------------
@@ -994,7 +1008,7 @@ DECISIONS: dict[str, Decision] = {
         ],
     ),
     "erratum-lambda": all_of(
-        given("spread c over right", PRINTED_SPREAD / (15.0 * STANDARD.alpha**2), (2.0, None)),
+        constant("spread c over right", PRINTED_SPREAD / (15.0 * STANDARD.alpha**2), (2.0, None)),
         of(
             "rates",
             "as printed",

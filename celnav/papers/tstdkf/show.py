@@ -27,12 +27,10 @@ from celnav.papers.tstdkf.study import (
     squares,
 )
 from celnav.show import colors, scenes, showcase
-from celnav.show.estimates import Estimate, Group
-from celnav.show.figures import (
+from celnav.show.draw import (
     Item,
     Line,
     Panel,
-    Rows,
     band,
     bars,
     components,
@@ -41,9 +39,12 @@ from celnav.show.figures import (
     level,
     panels,
 )
+from celnav.show.estimates import Estimate
+from celnav.show.figures import Rows
 from celnav.show.plots import Curve, Plot
-from celnav.show.showcase import Showcase, Space
+from celnav.show.showcase import SceneView, Showcase
 from celnav.study.study import Results
+from celnav.study.trial import Group
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -583,8 +584,8 @@ EARTH_KM = 6378.137
 AU_KM = 1.495978707e8
 EXAGGERATION = 1000.0
 SPACES = (
-    Space("world", f"about the Earth, km (errors x{EXAGGERATION:g})", (20e3, 15e3, 12e3)),
-    Space("sun", "around the Sun, AU", (0.5, -2.2, 1.6)),
+    SceneView("world", f"about the Earth, km (errors x{EXAGGERATION:g})", (20e3, 15e3, 12e3)),
+    SceneView("sun", "around the Sun, AU", (0.5, -2.2, 1.6)),
 )
 MONTH = f"""# Xu et al. (2023): two stages and strong tracking for X-ray pulsars
 
@@ -681,10 +682,7 @@ def month(results: Results) -> Showcase:
                 name,
             )
 
-    groups = (
-        *(Group(*group) for group in s.GROUPS),
-        Group("bias", "km", slice(6, 9), truth=truth[rows, 6:]),
-    )
+    groups = (*s.GROUPS, Group("bias", "km", slice(6, 9)))
     return Showcase(
         "tstdkf",
         MONTH,
@@ -697,6 +695,7 @@ def month(results: Results) -> Showcase:
         scene=scene,
         spaces=SPACES,
         legend={colors.STAR: "Sun, pulsars", colors.BODY: "Moon, Earth"},
+        truths={"bias": truth[rows, 6:]},
         parameters=vars(c),
         counter="step",
         facts={"paper": "tstdkf", "seed": results.seed, "exaggeration": EXAGGERATION},

@@ -15,11 +15,21 @@ from celnav.real.grace.positions import STEP_S, aligned, axes, read
 from celnav.real.grace.settings import DEGREE, SETTINGS, orientation
 from celnav.real.grace.study import BEST, DEGREES, NAMES, REVOLUTION, column
 from celnav.show import colors, scenes, showcase
-from celnav.show.estimates import Estimate, Group
-from celnav.show.figures import Line, Panel, Rows, band, bars, curve, level, panels
-from celnav.show.showcase import Showcase, Space
+from celnav.show.draw import (
+    Line,
+    Panel,
+    band,
+    bars,
+    curve,
+    level,
+    panels,
+)
+from celnav.show.estimates import Estimate
+from celnav.show.figures import Rows
+from celnav.show.showcase import SceneView, Showcase
 from celnav.study.numbers import correlation, lagged
 from celnav.study.study import Results
+from celnav.study.trial import Group
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -275,7 +285,7 @@ def _shown(results: Results) -> Showcase:
         nis_dof=3,
         scene=scene,
         spaces=[
-            Space(
+            SceneView(
                 "world",
                 f"orbit, 1000 km, errors {LARGER:,.0f} times as large",
                 (12.0, -16.0, 9.0),
