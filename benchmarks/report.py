@@ -1,7 +1,7 @@
-"""Tables and sentences of what was measured, and where READMEs quote them.
+"""Tables and sentences of what was measured, and the pages that quote them.
 
-A README quotes between two comments, ``<!-- speed: NAME -->`` and ``<!-- end of speed -->``. NAME
-is that of a cell, "sentences", "machine" or "details".
+A page quotes between two comments, ``<!-- speed: NAME -->`` and ``<!-- end of speed -->``. NAME is
+that of a cell, "summary", "sentences", "machine" or "details".
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from benchmarks.cells import cells
 from benchmarks.measure import BESIDE, HERE, ROOT
 
 MEASURED = ROOT / "benchmarks" / "speed.json"
-"""What the READMEs quote."""
-READMES = (ROOT / "README.md", ROOT / "benchmarks" / "README.md")
+"""What the pages quote."""
+PAGES = (ROOT / "README.md", ROOT / "docs" / "speed.md", ROOT / "benchmarks" / "README.md")
 QUOTED = re.compile(r"(<!-- speed: (\w+) -->\n).*?(<!-- end of speed -->)", re.DOTALL)
 PACKAGES = ("numpy", "llvmlite", "filterpy", "numba", "stonesoup", "dynamax", "jax", "cuthbert")
 Result = dict[str, Any]
@@ -115,6 +115,23 @@ def table(result: Result, cell: str) -> str:
     for what in problems:
         body.append([what, *(cell_of(result, cell, what, method) for method in methods)])
     return grid([*head, *methods], body)
+
+
+def summary(result: Result) -> str:
+    """Five methods, with one run and with many."""
+    sizes = "1 run, 300 epochs", "4,096 runs, 48 epochs"
+    methods = {
+        "celnav, machine code": "celnav compiled, square root",
+        "celnav, numpy": "celnav numpy, square root",
+        "dynamax": "dynamax",
+        "filterpy": "filterpy",
+        "Stone Soup": "Stone Soup",
+    }
+    body = [
+        [name, *(cell_of(result, "filtering", size, method) for size in sizes)]
+        for name, method in methods.items()
+    ]
+    return grid(["CPU time, µs per step of a run", "1 run", "4,096 runs"], body)
 
 
 def cell_of(result: Result, cell: str, problem: str, method: str) -> str:
@@ -236,7 +253,12 @@ def quoted(text: str, result: Result) -> str:
 
     def anew(found: re.Match[str]) -> str:
         name = found[2]
-        makers = {"sentences": sentences, "machine": machine_line, "details": details}
+        makers = {
+            "summary": summary,
+            "sentences": sentences,
+            "machine": machine_line,
+            "details": details,
+        }
         made = makers[name](result) if name in makers else table(result, name)
         return f"{found[1]}{made}\n{found[3]}"
 
@@ -259,13 +281,13 @@ def markdown(result: Result) -> str:
 
 
 def quote(result: Result) -> None:
-    """Put cells among those that READMEs quote, and write READMEs anew."""
+    """Put cells among those that pages quote, and write the pages anew."""
     known = json.loads(MEASURED.read_text(encoding="utf-8")) if MEASURED.exists() else {}
     measured = known.get("cells", {}) | result["cells"]
     order = [cell.name for cell in cells() if cell.name in measured]
     merged = {"machine": result["machine"], "cells": {name: measured[name] for name in order}}
     # The texts are made before anything is written, because the sentences need all cells.
-    texts = {path: quoted(path.read_text(encoding="utf-8"), merged) for path in READMES}
+    texts = {path: quoted(path.read_text(encoding="utf-8"), merged) for path in PAGES}
     numbers = json.dumps(merged, ensure_ascii=False)
     texts[MEASURED] = numbers.replace('{"method"', '\n {"method"') + "\n"
     for path, text in texts.items():

@@ -43,13 +43,20 @@ def linked(page: str) -> str:
     )
 
 
+def drawn(page: str) -> str:
+    """A page whose picture of verdicts stands in it as SVG, so that its squares are links."""
+    picture = (HERE / "verdicts.svg").read_text(encoding="utf-8")
+    return re.sub(r"!\[[^\]]*\]\(verdicts\.svg\)", f"```{{raw}} html\n{picture}```", page)
+
+
 def build(out: Path) -> int:
     """Write the site to a folder; the exit status of Sphinx."""
     with tempfile.TemporaryDirectory() as temporary:
         source = Path(temporary) / "source"
         shutil.copytree(HERE, source, ignore=shutil.ignore_patterns("__pycache__"))
         for path in source.rglob("*.md"):
-            path.write_text(linked(path.read_text(encoding="utf-8")), encoding="utf-8")
+            page = drawn(path.read_text(encoding="utf-8"))
+            path.write_text(linked(page), encoding="utf-8")
         for path in sorted((HERE.parent / "notebooks").glob("*.ipynb")):
             (source / "notebooks" / path.name).write_text(
                 within(path.read_text(encoding="utf-8")), encoding="utf-8"

@@ -1,14 +1,23 @@
 """Pages that are made of what the package holds: sources of the bibliography, errata of the
-ledgers.
+ledgers, and verdicts of the executed notebooks.
+
+``python -m docs.pages`` writes the page of verdicts and its picture, which the README shows.
 """
 
 from __future__ import annotations
 
 import re
+from pathlib import Path
+from typing import Any
 
+import nbformat
+
+from celnav.commands.index import summary, verdicts
 from celnav.files import data
 from celnav.papers import PAPERS, load
+from celnav.show.squares import squares
 
+HERE = Path(__file__).parent
 FIELD = re.compile(r"(\w+)\s*=\s*\{((?:[^{}]|\{[^{}]*\})*)\}")
 
 
@@ -90,3 +99,69 @@ def errata() -> str:
                     )
                 )
     return "\n\n".join(made) + "\n"
+
+
+# -- verdicts --------------------------------------------------------------------------------------
+ROW = re.compile(
+    r'<tr id="([^"]*)"[^>]*>.*?<td class="\w+">(?:<a [^>]*>)?([^<]*)(?:</a>)?</td></tr>'
+)
+
+
+def notebook_of(paper: str) -> str:
+    """The name of a paper's notebook."""
+    return f"{list(PAPERS).index(paper) + 1:02d}_{paper}.ipynb"
+
+
+def judged(paper: str) -> list[dict[str, Any]]:
+    """Statements of a paper with the verdicts of its notebook, which was executed with all runs."""
+    cells = nbformat.read(HERE.parent / "notebooks" / notebook_of(paper), as_version=4).cells
+    outputs = [output for cell in cells if cell.cell_type == "code" for output in cell.outputs]
+    pages = [output.data.get("text/html", "") for output in outputs if "data" in output]
+    ledger = next(page for page in pages if "<th>verdict</th>" in page)
+    rows = {row.id: row for row in load(paper).STUDY.rows}
+    return [
+        {
+            "kind": "statement",
+            "id": id,
+            "verdict": verdict,
+            "statement": rows[id].says,
+            "place": rows[id].place,
+        }
+        for id, verdict in ROW.findall(ledger)
+    ]
+
+
+def picture() -> str:
+    """The verdicts of all papers as squares, each linked to its row on the page of verdicts."""
+    return squares({paper: judged(paper) for paper in PAPERS}, lambda paper, id: f"#{paper}-{id}")
+
+
+def verdict_page() -> str:
+    """What each paper says, what holds, and the verdict on every statement."""
+    claims = {paper: judged(paper) for paper in PAPERS}
+    parts = [
+        "# Verdicts",
+        "Each statement of a paper is judged by numbers with 95 % intervals, against a range that "
+        "follows from the paper's own words. If the interval does not decide, the verdict is "
+        "*undecided*. *With fitted parameters* means that some parameters are not given in the "
+        "paper and were chosen so that the numbers agree. `celnav reproduce` computes them, and "
+        "`celnav verdicts` prints the table.",
+        "![Verdicts as squares, a row for each paper](verdicts.svg)",
+        verdicts(claims),
+    ]
+    for paper, rows in claims.items():
+        parts += [f"## {paper}", summary([paper])]
+        notebook = f"[the notebook](notebooks/{notebook_of(paper)})"
+        parts.append(f"Numbers and figures are in {notebook}; errors in print are in the errata.")
+        lines = ["| verdict | statement | place |", "|---|---|---|"]
+        for row in rows:
+            anchor = f'<a id="{paper}-{row["id"]}"></a>'
+            statement = row["statement"].replace("|", "\\|")
+            lines.append(f"| {anchor}{row['verdict']} | {statement} | {row['place']} |")
+        parts.append("\n".join(lines))
+    return "\n\n".join(parts) + "\n"
+
+
+if __name__ == "__main__":
+    (HERE / "verdicts.svg").write_text(picture(), encoding="utf-8")
+    (HERE / "verdicts.md").write_text(verdict_page(), encoding="utf-8")

@@ -15,12 +15,12 @@ from benchmarks.using_celnav import compiled, run
 CELLS = {cell.name: cell for cell in cells.cells()}
 
 
-@pytest.mark.parametrize("path", report.READMES, ids=lambda path: path.parent.name)
-def test_a_readme_quotes_what_was_measured(path):
+@pytest.mark.parametrize("path", report.PAGES, ids=lambda path: path.parent.name)
+def test_a_page_quotes_what_was_measured(path):
     """``python -m benchmarks --quote`` writes both."""
     result = json.loads(report.MEASURED.read_text(encoding="utf-8"))
     text = path.read_text(encoding="utf-8")
-    assert text.count("<!-- speed: ") == text.count("<!-- end of speed -->") == 2
+    assert text.count("<!-- speed: ") == text.count("<!-- end of speed -->") >= 1
     assert report.quoted(text, result) == text
 
 

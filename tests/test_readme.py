@@ -1,55 +1,102 @@
-"""The README: its table of verdicts is that of the executed notebooks, its links and pictures are there."""
+"""The README and the page of verdicts: short, and what they say is what the package computes."""
 
 from __future__ import annotations
 
+import json
 import pydoc
 import re
 import subprocess
 import sys
 from pathlib import Path
 
-import nbformat
+import numpy as np
 import pytest
 
 import celnav
-from celnav.commands.index import summary, verdicts
+from benchmarks.report import MEASURED, shown
 from celnav.papers import PAPERS, load
+from docs.pages import judged, picture, verdict_page
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
+PROSE = re.sub(r"```.*?```|<!--.*?-->", "", README, flags=re.DOTALL)
 
 
-def found(paper):
-    """Verdicts in the ledger of a paper's notebook, which was executed with all runs."""
-    path = ROOT / "notebooks" / f"{list(PAPERS).index(paper) + 1:02d}_{paper}.ipynb"
-    cells = nbformat.read(path, as_version=4).cells
-    pages = [
-        o.data.get("text/html", "")
-        for c in cells
-        if c.cell_type == "code"
-        for o in c.outputs
-        if "data" in o
+def test_it_is_read_in_a_minute():
+    assert README.count("\n") <= 120
+    assert len(PROSE.split()) <= 900
+    cells = [
+        cell for line in PROSE.splitlines() if line.startswith("|") for cell in line.split("|")
     ]
-    ledger = next(page for page in pages if "<th>verdict</th>" in page)
-    found = re.findall(
-        r'<tr id="([^"]*)"[^>]*>.*?<td class="\w+">(?:<a [^>]*>)?([^<]*)(?:</a>)?</td></tr>', ledger
-    )
-    return [{"kind": "statement", "id": id, "verdict": verdict} for id, verdict in found]
+    assert max(len(cell.strip()) for cell in cells) <= 90
 
 
-def test_the_table_of_verdicts_is_not_stale():
-    assert verdicts({paper: found(paper) for paper in PAPERS}) in README
+def sentences(text):
+    """Sentences of a page, without programs, tables and headings."""
+    text = re.sub(r"```.*?```", "", text, flags=re.DOTALL)
+    lines = [line for line in text.splitlines() if not line.startswith(("|", "#", "<", "!"))]
+    return re.split(r"(?<=[.:;!?])\s+|\n\n", "\n".join(lines))
 
 
-def test_the_words_are_those_of_the_page():
-    assert summary(list(PAPERS)) in README
+def test_sentences_are_short():
+    """Of README, site and the papers' findings at most ten have more than 35 words."""
+    pages = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+    texts = [path.read_text(encoding="utf-8") for path in pages]
+    texts += [s.text for paper in PAPERS for s in load(paper).STUDY.found]
+    long = [s for text in texts for s in sentences(text) if len(s.split()) > 35]
+    assert len(long) <= 10, long
+
+
+def test_the_program_prints_what_is_shown(capsys):
+    program, output = re.search(r"```python\n(.*?)```\n\n```\n(.*?)```", README, re.DOTALL).groups()
+    exec(compile(program, "README.md", "exec"), {})
+    printed = capsys.readouterr().out.splitlines()
+    assert [line for line in output.splitlines() if line not in (*printed, "...")] == []
+
+
+def test_the_diagnosis_is_what_is_shown(tmp_path):
+    """Of fixes whose errors have a correlation of 0.95 from second to second."""
+    rng, error = np.random.default_rng(1), np.zeros(1200)
+    for k in range(1, 1200):
+        error[k] = 0.95 * error[k - 1] + np.sqrt(1 - 0.95**2) * 1.5 * rng.standard_normal()
+    rows = np.c_[np.arange(1200.0), error, np.full(1200, 1.5)]
+    log = tmp_path / "residuals.csv"
+    np.savetxt(log, rows, "%.4f", ",", header="t,east_m,std_east_m", comments="")
+    command = [sys.executable, "-m", "celnav", "diagnose", str(log)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=tmp_path)
+    output = re.search(r"predicted σ:\n\n```\n(.*?)```", README, re.DOTALL)[1]
+    assert [line for line in output.splitlines() if line not in done.stdout.splitlines()] == []
+
+
+def test_the_verdicts_are_those_of_the_notebooks():
+    """``python -m docs.pages`` writes the page and its picture."""
+    assert (ROOT / "docs" / "verdicts.md").read_text(encoding="utf-8") == verdict_page()
+    assert (ROOT / "docs" / "verdicts.svg").read_text(encoding="utf-8") == picture()
     count = sum(row.kind == "statement" for paper in PAPERS for row in load(paper).STUDY.rows)
-    assert f"make {count} statements" in README
+    assert f"judge each of {count} statements" in README
+
+
+@pytest.mark.parametrize("paper", PAPERS)
+def test_what_is_said_of_a_paper_is_one_of_its_findings(paper):
+    line = re.search(rf"- \[`{paper}`\]\(notebooks/\d\d_{paper}.ipynb\): (.*)", README)[1]
+    found = " ".join(sentence.text for sentence in load(paper).STUDY.found)
+    assert line in found
+
+
+def test_a_step_takes_what_was_measured():
+    rows = json.loads(MEASURED.read_text(encoding="utf-8"))["cells"]["filtering"]["rows"]
+    row = next(
+        row
+        for row in rows
+        if (row["problem"], row["method"])
+        == ("4,096 runs, 48 epochs", "celnav compiled, square root")
+    )
+    assert f"machine code: {shown(float(np.median(row['values'])))} µs per step" in README
 
 
 @pytest.mark.parametrize("paper", PAPERS)
 def test_a_notebook_shows_every_statement(paper):
-    assert [claim["id"] for claim in found(paper)] == [
+    assert [claim["id"] for claim in judged(paper)] == [
         row.id for row in load(paper).STUDY.rows if row.kind == "statement"
     ]
 
@@ -97,7 +144,7 @@ def test_import_celnav_stays_fast():
 
 
 def test_it_says_how_to_cite_this_version():
-    assert f"version = {{{celnav.__version__}}}" in README
+    assert "(CITATION.cff)" in README
     assert f"version: {celnav.__version__}" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
 
 

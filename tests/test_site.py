@@ -23,13 +23,15 @@ PAGES = [
 
 @pytest.mark.parametrize("path", PAGES, ids=lambda p: p.stem)
 def test_a_page_runs(path, capsys, tmp_path, monkeypatch):
-    """The programs of a page, one after the other."""
+    """The programs of a page, one after the other, print what the page shows."""
     monkeypatch.chdir(tmp_path)
-    program = "\n".join(
-        re.findall(r"```python\n(.*?)```", path.read_text(encoding="utf-8"), re.DOTALL)
-    )
+    text = path.read_text(encoding="utf-8")
+    program = "\n".join(re.findall(r"```python\n(.*?)```", text, re.DOTALL))
     exec(compile(program, str(path), "exec"), {})
-    assert "nan" not in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "nan" not in printed
+    shown = "".join(re.findall(r"```text\n(.*?)```", text, re.DOTALL))
+    assert [line for line in shown.splitlines() if line not in printed.splitlines()] == []
 
 
 def test_every_source_is_on_the_page_of_sources():

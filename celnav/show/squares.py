@@ -1,0 +1,74 @@
+"""Verdicts as a picture: a row of squares for each paper, a square for each statement.
+
+The picture is SVG. It reads in light and dark, in gray, and by those who do not see red from green:
+each verdict has a sign of its own. A square has the statement as its tooltip.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from html import escape
+from typing import Any
+
+from celnav.show.claims import tally
+
+SIDE, STEP, LEFT = 18, 22, 92  # px: a square, from square to square, the names on the left
+SIGNS = {
+    "reproduced": ("#00795a", "✓"),
+    "reproduced with fitted parameters": ("#4d8f2f", "✓*"),
+    "level only": ("#8a6d00", "≈"),
+    "in part": ("#b35c00", "½"),
+    "not reproduced": ("#b02a1a", "✗"),
+}
+"""Colors on which white has a contrast of 4.5, and signs."""
+OTHER = "#6b6b6b", "?"
+STYLE = """<style>
+text{font:12px system-ui,sans-serif;fill:#222}a{text-decoration:none}.sign{fill:#fff;text-anchor:middle;font-size:11px}
+@media(prefers-color-scheme:dark){.name{fill:#ddd}}
+</style>"""
+
+
+def squares(
+    claims: Mapping[str, Sequence[Mapping[str, Any]]], link: Callable[[str, str], str]
+) -> str:
+    """The picture of the statements of studies, by name.
+
+    link: ``(study, id) -> address`` of a statement.
+    """
+    most = max((len(rows) for rows in claims.values()), default=0)
+    width = max(LEFT + STEP * most, 620)
+    parts, y = [STYLE], 4
+    for study, rows in claims.items():
+        parts.append(_text(4, y + 14, study, "name"))
+        for i, row in enumerate(rows):
+            color, sign = SIGNS.get(row["verdict"], OTHER)
+            title = escape(f"{row['verdict']}: {row.get('statement', row['id'])}")
+            square = _square(LEFT + STEP * i, y, color, sign)
+            address = escape(link(study, row["id"]))
+            parts.append(f'<a href="{address}"><title>{title}</title>{square}</a>')
+        y += STEP + 4
+    y += 6
+    x = LEFT
+    counts = tally(row for rows in claims.values() for row in rows)
+    for verdict, count in counts.items():
+        text = f"{count} {verdict}"
+        if x + 30 + 7 * len(text) > width:
+            x, y = LEFT, y + STEP
+        parts += [_square(x, y, *SIGNS.get(verdict, OTHER)), _text(x + 24, y + 14, text, "name")]
+        x += 40 + 7 * len(text)
+    label = ", ".join(f"{count} {verdict}" for verdict, count in counts.items())
+    size = f'width="{width}" height="{y + STEP + 4}" viewBox="0 0 {width} {y + STEP + 4}"'
+    head = (
+        f'<svg xmlns="http://www.w3.org/2000/svg" {size} role="img" aria-label="{escape(label)}">'
+    )
+    return "\n".join([head, *parts, "</svg>", ""])
+
+
+def _square(x: int, y: int, color: str, sign: str) -> str:
+    """A square with its sign."""
+    box = f'<rect x="{x}" y="{y}" width="{SIDE}" height="{SIDE}" rx="3" fill="{color}"/>'
+    return box + _text(x + SIDE // 2, y + 13, sign, "sign")
+
+
+def _text(x: int, y: int, text: str, style: str) -> str:
+    return f'<text class="{style}" x="{x}" y="{y}">{escape(text)}</text>'
