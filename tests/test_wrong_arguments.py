@@ -35,7 +35,7 @@ MODULES = {
 HOT = """
 attitude: multiply inverse positive matrix rotate exp log angle to_euler to_rodrigues from_rodrigues cross transport
 spaces: wrap component_major components_first points_last
-rules: Rule.points Rule.image Rule.kept Rule.num_sigmas Taylor.points Taylor.image Taylor.kept
+rules: Rule.points Rule.image Rule.state_columns Rule.num_sigmas Taylor.points Taylor.image Taylor.state_columns
 earth: meridian_radius transverse_radius radii normal_gravity earth_rate transport_rate inertial_forces
 gravity: Gravity.potential Gravity.acceleration Gravity.gradient
 orbit: acceleration third_body step transition gradient advance flow
@@ -46,9 +46,9 @@ gyro: Body.nadir Body.rates
 pulsar: Timing.delay Timing.shapiro Timing.shapiro_exact Timing.gradient
 gnss: satellites eccentric_anomaly tilted turned spun
 pseudorange: sources emitted emitted_each measure jacobian
-linalg: block cholesky downdate sigma_deviations matvec outer semidefinite_root side_by_side solve_lower is_concretely_true
+linalg: block cholesky downdate present sigma_deviations matvec outer semidefinite_root side_by_side solve_lower is_concretely_true
     solve_right tria whiten SquareRoot.lost Covariance.lost
-recorded: cholesky semidefinite_root solve_lower tria
+recorded: cholesky present semidefinite_root solve_lower tria
 belief: any_lost nees mask_failed
 trial: check_groups scales squares Noiseless.standard_normal
 """
