@@ -62,9 +62,14 @@ SIGN = np.array(
 
 def multiply(q: Array, p: Array) -> Array:
     """Product ``(..., 4)``: first p, then q."""
-    # (..., 4, 4), the matrix of p: its product with the column q is q p.
-    matrix_of_p = p[..., INDEX] * SIGN
-    return np.asanyarray(np.einsum("...ki,...i->...k", matrix_of_p, q))
+    # Components first: large batches are then sums over contiguous arrays.
+    a, b = component_major(q), component_major(p)
+    if a.ndim != b.ndim:
+        ndim = max(a.ndim, b.ndim)
+        a, b = (c.reshape(4, *(1,) * (ndim - c.ndim), *c.shape[1:]) for c in (a, b))
+    # (4, 4, ...), the matrix of p: its product with the column q is q p.
+    matrix_of_p = b[INDEX] * SIGN.reshape(4, 4, *(1,) * (b.ndim - 1))
+    return points_last(np.einsum("ki...,i...->k...", matrix_of_p, a))
 
 
 def inverse(q: Array) -> Array:
