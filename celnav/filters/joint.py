@@ -308,13 +308,30 @@ def evaluate(
     run must be treated separately. The function may change its argument: the points are made for
     one call, and a caller that uses them twice passes a copy.
     """
-    name = model.name
-    function: Any = getattr(model, name)
+    function: Any = getattr(model, model.name)
     if not callable(function):
         return matvec(function, x)
-    copies = None
     if unknown(function, x):
         copies = [array.copy(order="K") for array in (x, *noise)]
+        # The model may return a buffer of its own, which the check would overwrite.
+        y = _values(model, x, epoch, noise, m).copy(order="K")
+        check_apart(model.name, function, copies, epoch, y)
+    else:
+        y = _values(model, x, epoch, noise, m)
+    if (look := WATCH.get()) is not None:
+        other = look(model.name, y)
+        y = y if other is None else other
+    return np.asanyarray(y)
+
+
+def _values(
+    model: Motion | Sensor, x: Array, epoch: Any, noise: Sequence[Array], m: int | None
+) -> Array:
+    """Values of a model as floats of the expected shape; an error carries a note with the arguments
+    of the model.
+    """
+    name = model.name
+    function: Any = getattr(model, name)
     try:
         if x.dtype.hasobject:
             y: Any = in_model(
@@ -339,14 +356,8 @@ def evaluate(
     if not y.ndim or y.shape[:-1] != x.shape[:-1] or size not in (None, y.shape[-1]):
         expected = ", ".join(map(str, (*x.shape[:-1], "m" if size is None else size)))
         raise ValueError(f"{name} returned shape {y.shape}, expected ({expected}); {POINTS}")
-    if copies is not None:
-        # The model may return a buffer of its own, which the check would overwrite.
-        y = y.copy(order="K")
-        check_apart(name, function, copies, epoch, y)
-    if (look := WATCH.get()) is not None:
-        other = look(name, y)
-        y = y if other is None else other
-    return np.asanyarray(y)
+    values: Array = y
+    return values
 
 
 # -- by matrices -----------------------------------------------------------------------------------

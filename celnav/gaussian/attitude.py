@@ -62,14 +62,13 @@ SIGN = np.array(
 
 def multiply(q: Array, p: Array) -> Array:
     """Product ``(..., 4)``: first p, then q."""
-    # Components first: large batches are then sums over contiguous arrays.
-    a, b = component_major(q), component_major(p)
-    if a.ndim != b.ndim:
-        ndim = max(a.ndim, b.ndim)
-        a, b = (c.reshape(4, *(1,) * (ndim - c.ndim), *c.shape[1:]) for c in (a, b))
+    ndim = max(q.ndim, p.ndim)
+    # Components first (4, ...): for large batches the inner loop then runs along the batch.
+    a = q.reshape((1,) * (ndim - q.ndim) + q.shape).T
+    b = p.reshape((1,) * (ndim - p.ndim) + p.shape).T
     # (4, 4, ...), the matrix of p: its product with the column q is q p.
-    matrix_of_p = b[INDEX] * SIGN.reshape(4, 4, *(1,) * (b.ndim - 1))
-    return points_last(np.einsum("ki...,i...->k...", matrix_of_p, a))
+    matrix_of_p = b[INDEX] * SIGN.reshape(4, 4, *(1,) * (ndim - 1))
+    return np.asanyarray(np.einsum("ki...,i...->k...", matrix_of_p, a).T)
 
 
 def inverse(q: Array) -> Array:

@@ -26,8 +26,8 @@ STILL = celnav.Gaussian(np.concatenate([TURN, np.zeros(3)]), 1e-4 * np.eye(6))
 @pytest.mark.parametrize(
     ("filter", "prior", "z", "calls", "files"),
     [
-        (UKF, celnav.Gaussian(np.zeros(2), np.eye(2)), np.zeros(1), 49, 5),
-        (MEKF, STILL, TURN, 106, 8),
+        (UKF, celnav.Gaussian(np.zeros(2), np.eye(2)), np.zeros(1), 50, 5),
+        (MEKF, STILL, TURN, 108, 8),
     ],
     ids=["ukf with a matrix", "mekf"],
 )
