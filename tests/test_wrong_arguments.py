@@ -40,7 +40,7 @@ earth: meridian_radius transverse_radius radii normal_gravity earth_rate transpo
 gravity: Gravity.potential Gravity.acceleration Gravity.gradient
 orbit: acceleration third_body step transition gradient advance flow
 sightings: angles visible observe
-inertial: derivative advance star_residuals misalignment_matrix misalignment_angles
+misalignment: derivative advance star_residuals misalignment_matrix misalignment_angles
 gyro: Gyro.factor Gyro.rate_std Gyro.drift_std Gyro.process_noise Gyro.propagate Gyro.transition
 gyro: Body.nadir Body.rates
 pulsar: Timing.delay Timing.shapiro Timing.shapiro_exact Timing.gradient
@@ -252,9 +252,9 @@ CALLS = {
     "gyro.Gyro.measure": (GYRO.measure, dict(q=np.tile(Q4, (3, 1)), drift=np.zeros((2, 3)), noise=np.zeros((2, 3)), dt=1.0)),
     "gyro.preintegrate": dict(measured=np.zeros((2, 3)), drift=np.zeros(3), dt=1.0),
     "gyro.steady_state": dict(sigma_n=1e-5, gyro=GYRO, interval=1.0),
-    "inertial.navigation": dict(flight=FLOWN, at=[1], phi=np.zeros(3), bias=np.zeros(3)),
-    "inertial.wahba_misalignment": dict(z=np.zeros(6), attitude=I3, stars=STARS),
-    "inertial.mechanize": dict(flight=FLOWN, attitude=I3, drift=np.zeros(3), bias=np.zeros(3)),
+    "misalignment.navigation": dict(flight=FLOWN, at=[1], phi=np.zeros(3), bias=np.zeros(3)),
+    "misalignment.wahba_misalignment": dict(z=np.zeros(6), attitude=I3, stars=STARS),
+    "misalignment.mechanize": dict(flight=FLOWN, attitude=I3, drift=np.zeros(3), bias=np.zeros(3)),
     "noise.stationary_covariance": dict(Phi=0.5 * I2, R=I2),
     "noise.effective_covariance": dict(Phi=0.5 * I2, R=I2),
     "noise.ar1": dict(Phi=0.5 * I2, increments=np.ones((3, 2)), first=np.ones(2)),
@@ -327,7 +327,7 @@ MEANT = {
     "attitude.unit q": "nan",
     "gyro.Gyro tau": "infinite",
     "gyro.Gyro.measure q": "nan",
-    "inertial.navigation at": "empty",
+    "misalignment.navigation at": "empty",
     "metrics.bootstrap seed": "a billion",
     "report.report truth": "nan",
     "motion.constant_velocity q": "several",

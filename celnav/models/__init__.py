@@ -1,7 +1,7 @@
 """Physical models, which do not depend on filters.
 
 `orbit` and `sightings` of a satellite · `pulsar` and `ephemeris` for its X-ray timing · `gnss` and
-`pseudorange` for a receiver · `earth` and `inertial` for an aircraft · `gyro` for attitudes ·
+`pseudorange` for a receiver · `earth` and `misalignment` for an aircraft · `gyro` for attitudes ·
 `motion` of vehicles and targets · `noise`.
 """
 

@@ -3,7 +3,7 @@ sensors and by SAR images.
 
 Eqs. 11-14, 16-18, sparse rules: `celnav.gaussian.sparse_grid`. Eqs. 15, 19, degrees of
 observability and weights by a threshold: `celnav.analysis.observability`. Eqs. 20-28, errors of the
-inertial system, its state, star sensors: `celnav.models.inertial`.
+inertial system, its state, star sensors: `celnav.models.misalignment`.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ from celnav.gaussian.rules import (
     unscented,
 )
 from celnav.gaussian.sparse_grid import DELAYED, smolyak
-from celnav.models import earth, inertial
-from celnav.models.inertial import BIAS, DRIFT, PHI, POSITION, VELOCITY, Navigation
+from celnav.models import earth, misalignment
+from celnav.models.misalignment import BIAS, DRIFT, PHI, POSITION, VELOCITY, Navigation
 from celnav.papers import citation
 from celnav.study.montecarlo import MOST_STEPS, normals
 from celnav.study.parameters import Timed, param
@@ -260,9 +260,9 @@ class Scenario(NamedTuple):
             now = self.truth[k]
             before = self.truth[max(k - 1, 0)]
             middle = max(2 * k - 1, 0)
-            interval = inertial.navigation(flight, middle, before[:, PHI], before[:, BIAS])
+            interval = misalignment.navigation(flight, middle, before[:, PHI], before[:, BIAS])
             attitude = flight.attitude[2 * k]
-            known = inertial.misalignment_matrix(now[:, PHI]) @ attitude
+            known = misalignment.misalignment_matrix(now[:, PHI]) @ attitude
             fix = c.sar_m / c.meters(float(flight.latitude[2 * k]))
             u = Inputs(interval, known, BORESIGHTS @ attitude.T, np.diag([*star, *fix]))
             yield Epoch(k, t, c.step_s if k else 0.0, u, self.z[k], now)
@@ -271,7 +271,7 @@ class Scenario(NamedTuple):
 def simulate(
     config: Config,
     rngs: Sequence[np.random.Generator],
-    advance: Callable[[Array, Navigation, float], Array] = inertial.advance,
+    advance: Callable[[Array, Navigation, float], Array] = misalignment.advance,
     free: Sequence[int] = range(13),
 ) -> Scenario:
     """One run for each generator: initial errors drawn from the prior, process and measurement
@@ -287,7 +287,7 @@ def simulate(
     truth[0] = initial * config.sigma0 * has_error
     for k in range(1, T):
         x = truth[k - 1]
-        middle = inertial.navigation(config.flight, 2 * k - 1, x[:, PHI], x[:, BIAS])
+        middle = misalignment.navigation(config.flight, 2 * k - 1, x[:, PHI], x[:, BIAS])
         truth[k] = (advance(x, middle, config.step_s) + w[k - 1]) * has_error
     prior = Gaussian(np.zeros(truth.shape[1:]), np.diag(config.sigma0**2))
     runs = Scenario(config, truth, z, prior)
@@ -302,16 +302,16 @@ def simulate(
 def dynamics(x: Array, epoch: Epoch) -> Array:
     """One step of the error model; a point beyond 89 degrees of phi_x is lost (nan), and with it
     its run."""
-    y = inertial.advance(x, epoch.u.interval, epoch.dt)
-    if is_concretely_true(np.abs(x[..., 0]).max() >= inertial.SINGULAR):
-        y = np.where(np.abs(x[..., :1]) < inertial.SINGULAR, y, np.nan)
+    y = misalignment.advance(x, epoch.u.interval, epoch.dt)
+    if is_concretely_true(np.abs(x[..., 0]).max() >= misalignment.SINGULAR):
+        y = np.where(np.abs(x[..., :1]) < misalignment.SINGULAR, y, np.nan)
     return y
 
 
 def measurement(x: Array, epoch: Epoch) -> Array:
     """Two star residuals and the position, ``(..., 8)`` [Liang2014, Eqs. 26-28]."""
     out = np.empty_like(x, shape=(*x.shape[:-1], 8))  # in the order of x in memory
-    out[..., :6] = inertial.star_residuals(x, epoch.u.attitude, epoch.u.stars)
+    out[..., :6] = misalignment.star_residuals(x, epoch.u.attitude, epoch.u.stars)
     out[..., 6:] = x[..., POSITION]
     return out
 
@@ -368,7 +368,7 @@ def wahba_start(belief: Belief, z: Array, epoch: Epoch) -> Array:
     """The mean, with the misalignment that both star vectors give; beyond 90 deg of phi_x on
     another branch of the angles."""
     at = np.array(np.broadcast_to(belief.mean, (*z.shape[:-1], 13)))
-    at[..., PHI] = inertial.wahba_misalignment(z[..., :6], epoch.u.attitude, epoch.u.stars)
+    at[..., PHI] = misalignment.wahba_misalignment(z[..., :6], epoch.u.attitude, epoch.u.stars)
     return at
 
 
@@ -387,7 +387,11 @@ def observability(x: Array, epoch: Epoch, units: tuple[Array, Array], order: int
     """Observability matrix ``(..., 8 (order + 1), 13)`` at states ``(..., 13)``, in units of states
     and outputs."""
     states, outputs = units
-    F = jacobian(lambda x: inertial.derivative(x, epoch.u.interval), x) * states / states[:, None]
+    F = (
+        jacobian(lambda x: misalignment.derivative(x, epoch.u.interval), x)
+        * states
+        / states[:, None]
+    )
     H = jacobian(lambda x: measurement(x, epoch), x) * states * outputs[:, None]
     return observability_matrix(F, H, order)
 
@@ -418,7 +422,7 @@ def by_nonlinearity(threshold: float = 0.1) -> Choose:
         std = belief.std
 
         def f(x: Array) -> Array:
-            return inertial.advance(x, epoch.u.interval, epoch.dt)
+            return misalignment.advance(x, epoch.u.interval, epoch.dt)
 
         def h(x: Array) -> Array:
             return measurement(x, epoch)
@@ -486,7 +490,7 @@ tensor rule has 729 points."""
 def euler(x: Array, nav: Navigation, dt: float) -> Array:
     """One step of the error model without velocity errors, so that positions do not move by half a
     step of acceleration."""
-    return x + dt * inertial.derivative(x, nav)
+    return x + dt * misalignment.derivative(x, nav)
 
 
 @cache

@@ -23,7 +23,7 @@ from celnav.gaussian.belief import Gaussian, nees
 from celnav.gaussian.linalg import Array
 from celnav.gaussian.rules import gauss_hermite, simplex, tensor_product
 from celnav.gaussian.sparse_grid import ORDERS, index_set, integrates, point_count, smolyak
-from celnav.models import earth, inertial
+from celnav.models import earth, misalignment
 from celnav.papers.aasghqf import scenario
 from celnav.papers.aasghqf.scenario import (
     DEGREE,
@@ -79,7 +79,7 @@ COMPARED = ("ukf", "sghqf", "aasghqf")  # the paper's three filters
 FLOWN = (*COMPARED, "nonlinear", "triad-ekf")
 MANY = "T3, 200 runs"
 SHOWN = ("T3", "A-slow", "A")
-PHI = inertial.PHI
+PHI = misalignment.PHI
 SIX = replace(T3, step_s=5.0, steps=24, star_interval=6, sar_interval=5)
 """Fixes when T3 has them, in longer steps and for two minutes only: a tensor rule takes ten times
 as long as all other filters."""
@@ -194,9 +194,9 @@ def degrees(config: Config, _: Rngs) -> dict[str, Array]:
     13)`` for all units of angles, and of positions, drifts, biases, star residuals, fixes: first
     rad, m, deg/h, micro g, 1, m, the nearest to Table 2; then deg."""
     epoch = next(simulate(replace(config, steps=1), UNDISTURBED).epochs())
-    nav = inertial.navigation(config.flight, 0, np.zeros(3), np.zeros(3))
+    nav = misalignment.navigation(config.flight, 0, np.zeros(3), np.zeros(3))
     found = lie_gradients(
-        lambda x: inertial.derivative(x, nav), lambda x: measurement(x, epoch), np.zeros(13), 3
+        lambda x: misalignment.derivative(x, nav), lambda x: measurement(x, epoch), np.zeros(13), 3
     )
     radius = float(config.meters().mean())
     star = 1.0 / epoch.u.sqrt_R[0, 0]
@@ -276,7 +276,9 @@ def along(config: Config, rngs: Rngs) -> dict[str, Array]:
         rows.append(np.stack(row, 1))
     degrees = []
     for flight in (config.flight, scenario.TURNING.flight):
-        nav = inertial.navigation(flight, slice(0, None, 2), *np.zeros((2, config.steps + 1, 3)))
+        nav = misalignment.navigation(
+            flight, slice(0, None, 2), *np.zeros((2, config.steps + 1, 3))
+        )
         stars = scenario.BORESIGHTS @ nav.attitude.mT
         epoch = Epoch(u=scenario.Inputs(nav, nav.attitude, stars, np.eye(8)))
         still = np.zeros((len(nav.force), 13))
@@ -667,7 +669,9 @@ def degree(r: Results) -> Tiers:
     return {
         "reproduced": fewest("states of 13 that do not agree", far),
         "in part": fewest("pairs of states that are not in the printed order", turned),
-        "not reproduced": [Number(*state) for state in zip(inertial.STATES, every[0, 0].tolist())],
+        "not reproduced": [
+            Number(*state) for state in zip(misalignment.STATES, every[0, 0].tolist())
+        ],
     }
 
 

@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from celnav.models import earth, inertial
+from celnav.models import earth, misalignment
 from celnav.models.earth import turning_flight
-from celnav.models.inertial import Navigation, mechanize
+from celnav.models.misalignment import Navigation, mechanize
 
 RNG = np.random.default_rng(0)
 FLIGHT = {
@@ -36,7 +36,7 @@ def passive(axis, angle):
 def example(batch=()):
     flight = turning_flight(np.arange(3) * 0.5, **FLIGHT)
     phi, bias = 0.4 * RNG.standard_normal((*batch, 3)), 2e-3 * RNG.standard_normal((*batch, 3))
-    return inertial.navigation(flight, 1, phi, bias)
+    return misalignment.navigation(flight, 1, phi, bias)
 
 
 def state(shape=()):
@@ -80,23 +80,25 @@ def textbook(x, nav):
 def test_misalignment_is_three_turns_and_back(angles):
     phi = np.array(angles)
     C = passive(1, phi[1]) @ passive(0, phi[0]) @ passive(2, phi[2])
-    np.testing.assert_allclose(inertial.misalignment_matrix(phi), C, atol=1e-14)
-    np.testing.assert_allclose(inertial.misalignment_angles(C), phi, atol=1e-9)
+    np.testing.assert_allclose(misalignment.misalignment_matrix(phi), C, atol=1e-14)
+    np.testing.assert_allclose(misalignment.misalignment_angles(C), phi, atol=1e-9)
 
 
 def test_the_rate_is_the_equations_written_out():
     for _ in range(10):
         nav, x = example(), state()
         np.testing.assert_allclose(
-            inertial.derivative(x, nav), textbook(x, nav), rtol=1e-11, atol=1e-16
+            misalignment.derivative(x, nav), textbook(x, nav), rtol=1e-11, atol=1e-16
         )
 
 
 def test_the_rate_of_the_angles_is_that_of_the_matrix():
     """C' = -[w x] C for the rotation w = (I - C) w_in of n' against n, without other errors."""
     nav, phi, dt = example(), 0.4 * RNG.standard_normal(3), 1e-6
-    rate = inertial.derivative(np.append(phi, np.zeros(10)), nav)[:3]
-    before, C, after = (inertial.misalignment_matrix(phi + s * dt * rate) for s in (-1.0, 0.0, 1.0))
+    rate = misalignment.derivative(np.append(phi, np.zeros(10)), nav)[:3]
+    before, C, after = (
+        misalignment.misalignment_matrix(phi + s * dt * rate) for s in (-1.0, 0.0, 1.0)
+    )
     W = -((after - before) / (2.0 * dt)) @ C.T
     in_ = earth.earth_rate(nav.latitude) + earth.transport_rate(
         nav.velocity, nav.latitude, nav.height_m
@@ -106,8 +108,8 @@ def test_the_rate_of_the_angles_is_that_of_the_matrix():
 
 def test_without_errors_nothing_moves():
     flight = turning_flight(np.arange(3) * 0.5, **FLIGHT)
-    nav = inertial.navigation(flight, 1, np.zeros(3), np.zeros(3))
-    np.testing.assert_allclose(inertial.derivative(np.zeros(13), nav), 0.0, atol=1e-15)
+    nav = misalignment.navigation(flight, 1, np.zeros(3), np.zeros(3))
+    np.testing.assert_allclose(misalignment.derivative(np.zeros(13), nav), 0.0, atol=1e-15)
 
 
 def test_the_step_is_linear_in_the_other_states():
@@ -115,7 +117,7 @@ def test_the_step_is_linear_in_the_other_states():
     b, c = a.copy(), a.copy()
     b[3:], c[3:] = state()[3:], state()[3:]
     mixed = np.concatenate([a[:3], 0.3 * b[3:] - 0.2 * c[3:] + 0.9 * a[3:]])
-    step = [inertial.advance(x, nav, 1.0) for x in (a, b, c, mixed)]
+    step = [misalignment.advance(x, nav, 1.0) for x in (a, b, c, mixed)]
     np.testing.assert_allclose(
         0.9 * step[0] + 0.3 * step[1] - 0.2 * step[2], step[3], rtol=1e-12, atol=1e-18
     )
@@ -125,8 +127,8 @@ def test_the_position_moves_with_half_of_the_acceleration():
     nav, x = example(), state()
     x[3:7] = 0.0
     east = float(earth.transverse_radius(nav.latitude)) + nav.height_m
-    moved = inertial.advance(x, nav, 2.0)
-    rate = inertial.derivative(x, nav)
+    moved = misalignment.advance(x, nav, 2.0)
+    rate = misalignment.derivative(x, nav)
     np.testing.assert_allclose(
         moved[5], 0.5 * 4.0 * rate[3] / (east * np.cos(nav.latitude)), rtol=1e-12
     )
@@ -134,9 +136,9 @@ def test_the_position_moves_with_half_of_the_acceleration():
 
 def test_a_batch_of_points_and_runs_is_each_of_them():
     nav, x = example((4,)), state((7, 4))
-    together = inertial.advance(x, nav, 1.0)
+    together = misalignment.advance(x, nav, 1.0)
     stars = STARS @ np.eye(3)
-    seen = inertial.star_residuals(x, nav.attitude, stars)
+    seen = misalignment.star_residuals(x, nav.attitude, stars)
     for run in range(4):
         alone = Navigation(
             nav.attitude[run], nav.force[run], nav.velocity, nav.latitude, nav.height_m
@@ -144,13 +146,13 @@ def test_a_batch_of_points_and_runs_is_each_of_them():
         for point in range(7):
             np.testing.assert_allclose(
                 together[point, run],
-                inertial.advance(x[point, run], alone, 1.0),
+                misalignment.advance(x[point, run], alone, 1.0),
                 rtol=1e-13,
                 atol=1e-19,
             )
             np.testing.assert_allclose(
                 seen[point, run],
-                inertial.star_residuals(x[point, run], nav.attitude[run], stars),
+                misalignment.star_residuals(x[point, run], nav.attitude[run], stars),
                 atol=1e-15,
             )
 
@@ -160,7 +162,7 @@ def test_arguments_are_left_alone_in_any_memory_order():
     for given_x in (x, np.asfortranarray(x), x[::-1][::-1]):
         kept = given_x.copy()
         np.testing.assert_array_equal(
-            inertial.advance(given_x, nav, 1.0), inertial.advance(x, nav, 1.0)
+            misalignment.advance(given_x, nav, 1.0), misalignment.advance(x, nav, 1.0)
         )
         np.testing.assert_array_equal(given_x, kept)
 
@@ -170,8 +172,8 @@ def test_complex_states_give_derivatives():
     # The rate is linear in all but the angles: a difference over any length is exact there.
     lengths = np.repeat([1e-5, 1.0, 1e-3, 1e-5, 1e-2], [3, 2, 2, 3, 3])
     for j, d in enumerate(lengths):
-        step = np.imag(inertial.derivative(x + 1j * h * np.eye(13)[j], nav)) / h
-        shifted = [inertial.derivative(x + s * d * np.eye(13)[j], nav) for s in (1.0, -1.0)]
+        step = np.imag(misalignment.derivative(x + 1j * h * np.eye(13)[j], nav)) / h
+        shifted = [misalignment.derivative(x + s * d * np.eye(13)[j], nav) for s in (1.0, -1.0)]
         np.testing.assert_allclose(
             step, (shifted[0] - shifted[1]) / (2 * d), rtol=1e-6, atol=1e-8 * np.abs(step).max()
         )
@@ -179,27 +181,29 @@ def test_complex_states_give_derivatives():
 
 def test_star_residuals_are_the_difference_of_two_views():
     nav, x = example(), state()
-    C = inertial.misalignment_matrix(x[:3])
+    C = misalignment.misalignment_matrix(x[:3])
     expected = [nav.attitude.T @ (C @ r - r) for r in STARS]
     np.testing.assert_allclose(
-        inertial.star_residuals(x, nav.attitude, STARS), np.concatenate(expected), atol=1e-15
+        misalignment.star_residuals(x, nav.attitude, STARS), np.concatenate(expected), atol=1e-15
     )
 
 
 @given(ANGLES)
 @settings(max_examples=30, deadline=None)
 def test_wahba_finds_the_misalignment(angles):
-    phi, attitude = np.array(angles), inertial.misalignment_matrix(np.array([0.2, -0.5, 1.0]))
-    z = inertial.star_residuals(np.append(phi, np.zeros(10)), attitude, STARS)
-    np.testing.assert_allclose(inertial.wahba_misalignment(z, attitude, STARS), phi, atol=1e-8)
+    phi, attitude = np.array(angles), misalignment.misalignment_matrix(np.array([0.2, -0.5, 1.0]))
+    z = misalignment.star_residuals(np.append(phi, np.zeros(10)), attitude, STARS)
+    np.testing.assert_allclose(misalignment.wahba_misalignment(z, attitude, STARS), phi, atol=1e-8)
 
 
 def test_wahba_with_noise_errs_by_the_noise():
     phi, sigma = np.tile([0.2, -0.3, 0.4], (2000, 1)), 1e-4
     attitude = np.eye(3)
-    z = inertial.star_residuals(np.concatenate([phi, np.zeros((2000, 10))], -1), attitude, STARS)
+    z = misalignment.star_residuals(
+        np.concatenate([phi, np.zeros((2000, 10))], -1), attitude, STARS
+    )
     z = z + sigma * RNG.standard_normal(z.shape)
-    error = inertial.wahba_misalignment(z, attitude, STARS) - phi
+    error = misalignment.wahba_misalignment(z, attitude, STARS) - phi
     assert (np.abs(error.mean(0)) < 5 * error.std(0) / np.sqrt(2000)).all()
     assert (error.std(0) < 2.0 * sigma).all()
     assert (error.std(0) > 0.5 * sigma).all()
@@ -214,11 +218,13 @@ def test_agrees_with_a_whole_navigation_system(degrees, limits):
     dt, steps, phi = 0.05, 1200, np.radians(degrees)
     drift, bias = np.full(3, np.radians(0.1) / 3600.0), np.full(3, 200e-6 * 9.80665)
     flight = turning_flight(0.5 * dt * np.arange(2 * steps + 1), **FLIGHT)
-    solved = mechanize(flight, inertial.misalignment_matrix(phi) @ flight.attitude[0], drift, bias)
+    solved = mechanize(
+        flight, misalignment.misalignment_matrix(phi) @ flight.attitude[0], drift, bias
+    )
     x = np.concatenate([phi, np.zeros(4), drift, bias])
     for k in range(1, 2 * steps, 2):
-        x = inertial.advance(x, inertial.navigation(flight, k, x[:3], bias), dt)
-    attitude = inertial.misalignment_angles(solved.attitude[-1] @ flight.attitude[-1].T)
+        x = misalignment.advance(x, misalignment.navigation(flight, k, x[:3], bias), dt)
+    attitude = misalignment.misalignment_angles(solved.attitude[-1] @ flight.attitude[-1].T)
     assert np.degrees(np.abs(x[:3] - attitude)).max() * 3600.0 < limits[0]
     assert np.abs(x[3:5] - (solved.velocity[-1] - flight.velocity[-1, :2])).max() < limits[1]
     L = flight.latitude[-1]
@@ -248,15 +254,15 @@ def test_a_flight_without_the_middle_of_each_step_is_refused(count):
 def test_stars_are_parallel_only_if_all_pairs_are():
     """Two of three may be: the third direction fixes the rotation."""
     attitude, phi = (
-        inertial.misalignment_matrix(np.array([0.2, -0.5, 1.0])),
+        misalignment.misalignment_matrix(np.array([0.2, -0.5, 1.0])),
         np.array([0.3, 0.1, -0.2]),
     )
     stars = STARS[[0, 0, 1]]
-    z = inertial.star_residuals(np.append(phi, np.zeros(10)), attitude, stars)
-    np.testing.assert_allclose(inertial.wahba_misalignment(z, attitude, stars), phi, atol=1e-9)
+    z = misalignment.star_residuals(np.append(phi, np.zeros(10)), attitude, stars)
+    np.testing.assert_allclose(misalignment.wahba_misalignment(z, attitude, stars), phi, atol=1e-9)
     near = np.array([[1.0, 0.0, 0.0], [np.sqrt(1.0 - 1.1e-3**2), 1.1e-3, 0.0]])
-    z = inertial.star_residuals(np.append(phi, np.zeros(10)), attitude, near)
-    np.testing.assert_allclose(inertial.wahba_misalignment(z, attitude, near), phi, atol=1e-9)
+    z = misalignment.star_residuals(np.append(phi, np.zeros(10)), attitude, near)
+    np.testing.assert_allclose(misalignment.wahba_misalignment(z, attitude, near), phi, atol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -277,11 +283,11 @@ def test_parallel_stars_are_refused(stars):
         ValueError,
         match=r"^stars: expected two directions that are not parallel \(\|r_i x r_j\| >= 1e-3\)$",
     ):
-        inertial.wahba_misalignment(z, np.eye(3), stars)
+        misalignment.wahba_misalignment(z, np.eye(3), stars)
 
 
 def test_stars_of_another_length_are_refused():
     with pytest.raises(
         ValueError, match=r"^stars: expected unit vectors, got lengths from 2 to 2$"
     ):
-        inertial.wahba_misalignment(np.zeros(6), np.eye(3), 2.0 * STARS)
+        misalignment.wahba_misalignment(np.zeros(6), np.eye(3), 2.0 * STARS)
