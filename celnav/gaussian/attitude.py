@@ -252,7 +252,7 @@ def attitude(a: float = 1.0, b: float = 4.0, *, transported: bool = False) -> Sp
     """
     a, b = number("a", a, 0.0, 1.0), number("b", b, above=0.0)
     carry = partial(transport, a=a, b=b) if transported else None
-    return Space(partial(_turned, a, b), partial(_difference, a, b), carry, check=unit)
+    return Space(partial(_turned, a, b), partial(_difference, a, b), carry, check=unit, size=4)
 
 
 def _turned(a: float, b: float, point: Array, tangent: Array) -> Array:
