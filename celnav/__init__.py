@@ -9,8 +9,9 @@ Filters   `ukf`, `ekf`, `ckf`, `ghkf`, `sparse_grid_filter`, `sigma_point`; `col
           take turns. ``celnav.filters.adaptive`` has hooks.
 Rules     `unscented`, `cubature`, `gauss_hermite`, `simplex`, `smolyak`, `from_filterpy`; `Rule` is
           data, `Taylor` expands.
-Run       `run` gives a `Track`, `steps` and `epochs` go one by one, a lost run is a `FilterError`;
-          `compiled` and `export_c` make code of a filter.
+Run       `run` gives a `Track`, `steps` and `epochs` go one by one, `merge` makes one clock of an
+          inertial unit's and of others; a lost run is a `FilterError`; `compiled` and `export_c`
+          make code of a filter.
 Smooth    `smooth`, `iterated_smoother`.
 Judge     `simulate` draws truth and measurements, `Track.report` compares with the truth, `compare`
           flies filters on a `Problem`; ``celnav.analysis`` has metrics, tuning, bounds,
@@ -52,6 +53,7 @@ from typing import TYPE_CHECKING
 from celnav.filters.colored import augmented, colored, decorrelated
 from celnav.filters.imm import imm
 from celnav.filters.iterated_smoother import iterated_smoother
+from celnav.filters.merge import merge
 from celnav.filters.model import Linear, Motion, Sensor
 from celnav.filters.records import Epoch as Epoch
 from celnav.filters.records import Filter, FilterError, epochs
@@ -118,6 +120,7 @@ __all__ = [
     "ghkf",
     "imm",
     "iterated_smoother",
+    "merge",
     "product",
     "run",
     "sigma_point",
