@@ -61,7 +61,7 @@ class Space(NamedTuple):
         >>> h = lambda x, epoch: space.part(x, "p")
         """
         points, tangents = self.places(name)
-        n = self.parts[-1].tangents[1]
+        n = max(part.tangents[1] for part in self.parts)
         if x.shape[-1] not in (self.size, n):
             raise ValueError(
                 f"x: expected points of {self.size} components or deviations of {n}, got "
@@ -136,7 +136,8 @@ def product(*factors: tuple[Space, int, int], **parts: Any) -> Space:
     """Product of spaces, by name or by place.
 
     parts: by name, each a space, a number (a vector of that length), or, for a space of any length,
-        ``(space, N)``. `Space.part` and `Track.part` then take a part by its name.
+        ``(space, N)``. `Space.part` and `Track.part` then take a part by its name, and by the names
+        within a part.
     factors: by place, each ``(space, N, n)``: the lengths of its points and of its tangents.
 
     >>> space = celnav.product(q=celnav.attitude(), v=3, course=(celnav.angles(), 1))
@@ -169,13 +170,18 @@ def product(*factors: tuple[Space, int, int], **parts: Any) -> Space:
     spaces = [space for space, _, _ in factors]
     # One place on the points' axis and one on the tangents' axis for each space.
     places = list(zip(pairwise(points), pairwise(tangents), strict=True))
-    named = tuple(Part(name, *place) for name, place in zip(parts, places, strict=False))
+    named = [Part(name, *place) for name, place in zip(parts, places, strict=False)]
+    for (_, (at, _), (by, _)), space in zip(tuple(named), spaces, strict=False):
+        for name, (a, b), (c, d) in space.parts:
+            named.append(Part(name, (at + a, at + b), (by + c, by + d)))
+    if len({part.name for part in named}) < len(named):
+        raise ValueError("parts: expected names that differ from those within a part")
     blocks = tuple(
         (space, slice(*at), slice(*by)) for space, (at, by) in zip(spaces, places, strict=True)
     )
     joined = _Product(blocks, points[-1], tangents[-1])
     if parts and all(space == EUCLIDEAN for space in spaces):
-        return EUCLIDEAN._replace(check=joined.check, size=joined.N, parts=named)
+        return EUCLIDEAN._replace(check=joined.check, size=joined.N, parts=tuple(named))
     curved = any(space.transport is not None for space in spaces)
     particular = any(space.check is not None for space in spaces)
     return Space(
@@ -184,7 +190,7 @@ def product(*factors: tuple[Space, int, int], **parts: Any) -> Space:
         joined.transport if curved else None,
         check=joined.check if particular else None,
         size=joined.N,
-        parts=named,
+        parts=tuple(named),
     )
 
 
