@@ -1,0 +1,295 @@
+"""The strapdown system against an integration in inertial space, its sensors against trajectories that are differentiated."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
+from scipy.spatial.transform import Rotation
+
+import celnav
+from celnav.gaussian import attitude as at
+from celnav.models import earth, inertial
+
+LATITUDE, HEIGHT = 0.7, 250.0
+IMU = inertial.Imu(2e-4, 1e-3, 1e-3, 0.02, 1e-6, 1e-5)
+ERRORS = ("body", "local", "invariant")
+NAMES = ("lag", "lever", "scale", "mount", "axle", "wheel")
+SPIN = 7.2921151467e-5
+
+
+def rates(t):
+    """What ideal gyros measure, rad/s on body axes."""
+    return np.array([0.3 * np.sin(1.1 * t), 0.2 * np.cos(0.7 * t), 0.25 + 0.2 * np.sin(0.5 * t)])
+
+
+def forces(t):
+    return np.array([1.5 * np.cos(0.9 * t), 2.0 * np.sin(0.4 * t), -9.8 + 0.8 * np.cos(1.3 * t)])
+
+
+def fixed_to_local(latitude):
+    """Rotation from Earth-fixed axes to north, east, down at longitude 0."""
+    s, c = np.sin(latitude), np.cos(latitude)
+    return np.array([[-s, 0.0, c], [0.0, 1.0, 0.0], [-c, 0.0, -s]])
+
+
+def place(latitude, height):
+    a, e2 = 6378137.0, 6.69437999014e-3
+    N = a / np.sqrt(1.0 - e2 * np.sin(latitude) ** 2)
+    return np.array(
+        [(N + height) * np.cos(latitude), 0.0, (N * (1.0 - e2) + height) * np.sin(latitude)]
+    )
+
+
+def gravitation(r):
+    """Normal gravity less the centrifugal acceleration, at an Earth-fixed place; textbook formulas."""
+    a, f, gm, e2 = 6378137.0, 1.0 / 298.257223563, 3.986004418e14, 6.69437999014e-3
+    across, latitude, height = np.hypot(r[0], r[1]), np.arctan2(r[2], np.hypot(r[0], r[1])), 0.0
+    for _ in range(8):
+        N = a / np.sqrt(1.0 - e2 * np.sin(latitude) ** 2)
+        height = across / np.cos(latitude) - N
+        latitude = np.arctan2(r[2], across * (1.0 - e2 * N / (N + height)))
+    s2 = np.sin(latitude) ** 2
+    g = 9.7803253359 * (1.0 + 0.00193185265241 * s2) / np.sqrt(1.0 - e2 * s2)
+    m = SPIN**2 * a**2 * a * (1.0 - f) / gm
+    g *= 1.0 - 2.0 / a * (1.0 + f + m - 2.0 * f * s2) * height + 3.0 * height**2 / a**2
+    longitude = np.arctan2(r[1], r[0])
+    up = [
+        np.cos(latitude) * np.cos(longitude),
+        np.cos(latitude) * np.sin(longitude),
+        np.sin(latitude),
+    ]
+    return -g * np.array(up) - SPIN**2 * np.array([r[0], r[1], 0.0])
+
+
+def flown(times, q, v, p):
+    """Attitude, velocity, position at the times: rotation matrices and Newton's law in inertial space, by Runge-Kutta."""
+    local = fixed_to_local(LATITUDE)
+    origin, w = place(LATITUDE, HEIGHT), np.array([0.0, 0.0, SPIN])
+
+    def turned(t):  # Earth-fixed to inertial
+        return Rotation.from_rotvec(SPIN * t * np.array([0.0, 0.0, 1.0])).as_matrix()
+
+    def rate(t, y):
+        C, r, change = y[:9].reshape(3, 3), y[9:12], y[12:]
+        x, yy, z = rates(t)
+        W = np.array([[0.0, -z, yy], [z, 0.0, -x], [-yy, x, 0.0]])
+        fixed = turned(t).T @ r
+        return np.r_[(C @ W).ravel(), change, C @ forces(t) + turned(t) @ gravitation(fixed)]
+
+    to_body = Rotation.from_quat(q).as_matrix().T  # of north, east, down
+    r = origin + local.T @ p
+    start = np.r_[(local.T @ to_body.T).ravel(), r, local.T @ v + np.cross(w, r)]
+    y = solve_ivp(rate, (0.0, times[-1]), start, "DOP853", times, rtol=1e-12, atol=1e-9).y.T
+    out = []
+    for t, row in zip(times, y, strict=True):
+        back = turned(t).T
+        C, r = back @ row[:9].reshape(3, 3), back @ row[9:12]
+        change = back @ row[12:] - np.cross(w, r)
+        q = Rotation.from_matrix(local @ C).as_quat()
+        out.append(np.r_[q, local @ change, local @ (r - origin)])
+    return np.array(out)
+
+
+START = np.r_[at.from_euler([0.1, -0.2, 1.0]), 20.0, -10.0, 1.0, 3000.0, -5000.0, -200.0]
+
+
+def moved(system, times, x):
+    """The motion by itself, with the inputs in the middles of the intervals."""
+    for t, dt in zip(times[:-1], np.diff(times), strict=True):
+        middle = t + 0.5 * dt
+        epoch = celnav.Epoch(t=t + dt, dt=dt, u=(rates(middle), forces(middle)))
+        x = system.motion.f(x, epoch)
+    return x
+
+
+def test_the_motion_against_newton_in_inertial_space():
+    """It is of second order."""
+    near = np.r_[START[:7], 0.1 * START[7:]]
+    truth = flown(np.array([0.0, 10.0]), near[:4], near[4:7], near[7:])[-1]
+    system, errors = inertial.strapdown(LATITUDE, HEIGHT, IMU), []
+    for steps in (500, 1000, 2000):
+        x = moved(system, np.linspace(0.0, 10.0, steps + 1), np.r_[near, np.zeros(6)])
+        turn = at.log(at.multiply(x[:4], at.inverse(truth[:4])))
+        errors.append(np.r_[turn, x[4:10] - truth[4:]])
+    fine, finer = errors[1:]
+    size = np.linalg.norm(np.reshape(errors, (3, 3, 3)), axis=-1)
+    np.testing.assert_allclose(size[0] / size[1], 4.0, rtol=0.02)
+    assert (size[1] < [1e-5, 1e-4, 1e-3]).all(), size  # rad, m/s, m at 100 Hz
+    beyond = np.linalg.norm(((4.0 * finer - fine) / 3.0).reshape(3, 3), axis=-1)
+    assert (beyond < [1e-9, 2e-6, 1e-5]).all(), beyond
+
+
+@pytest.mark.parametrize(("kilometers", "most"), [(6.0, 1.5e-5), (60.0, 1.5e-3)])
+def test_gravity_away_from_the_origin(kilometers, most):
+    """Its direction and size follow to first order."""
+    system, local = inertial.strapdown(LATITUDE, HEIGHT, IMU), fixed_to_local(LATITUDE)
+    p = 1e3 * kilometers * np.array([0.6, -0.8, 0.0])
+    r = place(LATITUDE, HEIGHT) + local.T @ p
+    gravity = local @ (gravitation(r) + SPIN**2 * np.array([r[0], r[1], 0.0]))
+    x = np.r_[at.IDENTITY, 0.0, 0.0, 0.0, p, np.zeros(6)]
+    after = system.motion.f(x, celnav.Epoch(dt=1e-3, u=(np.zeros(3), np.zeros(3))))
+    np.testing.assert_allclose(after[4:7] / 1e-3, gravity, atol=most)
+    assert np.abs(gravity - [0.0, 0.0, gravity[2]]).max() > 100.0 * most / kilometers
+
+
+@pytest.mark.parametrize("error", ERRORS)
+def test_the_process_noise_against_an_integral(error):
+    """Of the errors' linear dynamics, with white noise acting all along; what is left out is below 1 %."""
+    system = inertial.strapdown(LATITUDE, HEIGHT, IMU, error=error)
+    x = np.r_[START, np.zeros(6)]
+    dt, u = 0.01, (rates(0.0), forces(0.0))
+
+    def jacobian(h):
+        """Of the transition over h seconds, by differences of the space."""
+        epoch = celnav.Epoch(dt=h, u=u)
+        f, space = system.motion.f, system.space
+        sides = [f(space.plus(x, s * 1e-4 * np.eye(15)), epoch) for s in (1.0, -1.0)]
+        return space.minus(sides[0], sides[1]).T / 2e-4
+
+    F = (jacobian(1e-3) - np.eye(15)) / 1e-3
+    density = np.zeros(15)
+    density[:3], density[3:6] = IMU.gyro_noise**2, IMU.accelerometer_noise**2
+    density[9:12], density[12:] = IMU.gyro_walk**2, IMU.accelerometer_walk**2
+    nodes, weights = np.polynomial.legendre.leggauss(6)
+    integral = sum(
+        0.5 * dt * w * (E := expm(0.5 * dt * (1.0 + s) * F)) @ np.diag(density) @ E.T
+        for s, w in zip(nodes, weights, strict=True)
+    )
+    columns = system.motion.sqrt_Q(x, celnav.Epoch(dt=dt))
+    Q = columns @ columns.T
+    scale = np.sqrt(np.diag(integral))
+    apart = (Q - integral) / np.outer(scale, scale)
+    assert np.abs(apart).max() < 0.01
+    assert np.abs(apart[3:9, 3:9]).max() < 1e-3
+
+
+def trajectory(t):
+    """Roll, pitch, yaw ``(..., 3)`` and position ``(..., 3)`` of a car that is shaken, north, east, down."""
+    t = np.asarray(t)
+    angles = [0.2 * np.sin(1.3 * t), 0.1 * np.cos(2.1 * t), 0.5 * np.sin(0.4 * t) + 0.3 * t]
+    p = [60.0 * np.sin(0.3 * t), 50.0 * np.cos(0.25 * t), 2.0 * np.sin(0.5 * t)]
+    return np.stack(angles, -1), np.stack(p, -1)
+
+
+def slope(f, t, h=1e-4):
+    """Derivative of fifth order."""
+    return (f(t - 2 * h) - 8.0 * f(t - h) + 8.0 * f(t + h) - f(t + 2 * h)) / (12.0 * h)
+
+
+def body(t):
+    """C ``(..., 3, 3)`` from north, east, down to the body, by scipy."""
+    return Rotation.from_euler("ZYX", trajectory(t)[0][..., ::-1]).as_matrix().swapaxes(-1, -2)
+
+
+def axial(W):
+    return np.stack([W[..., 2, 1], W[..., 0, 2], W[..., 1, 0]], -1)
+
+
+SPUN = SPIN * np.array([np.cos(LATITUDE), 0.0, -np.sin(LATITUDE)])
+
+
+def ideal(t):
+    """What ideal units measure at ``t (...)``: rate and force on body axes, of the trajectory, differentiated."""
+    t = np.asarray(t)
+    C = body(t)
+    rate = axial(C @ slope(lambda s: body(s).swapaxes(-1, -2), t)) + C @ SPUN
+    v = slope(lambda s: trajectory(s)[1], t)
+    a = slope(lambda s: slope(lambda r: trajectory(r)[1], s, 1e-2), t, 1e-2)
+    g = float(earth.normal_gravity(LATITUDE, HEIGHT)) * np.array([0.0, 0.0, 1.0])
+    return rate, np.einsum("...ij,...j->...i", C, a - g + 2.0 * np.cross(SPUN, v))
+
+
+def true_state(t):
+    angles, p = trajectory(t)
+    return np.concatenate([at.from_euler(angles), slope(lambda s: trajectory(s)[1], t), p], -1)
+
+
+BIASES = np.r_[0.01, -0.02, 0.03, 0.1, -0.2, 0.3]
+EXTRA = {
+    "lag": [0.03],
+    "lever": [0.2, -0.1, 0.3],
+    "scale": [0.01, -0.02, 0.03, -0.01, 0.02, 0.015],
+    "mount": [0.03, -0.05],
+    "axle": [-0.4],
+    "wheel": [0.02],
+}
+LEVER, AXLE = np.array([0.3, -0.5, -1.2]), np.array([-1.5, 0.2, 0.9])
+
+
+def with_errors(t, states):
+    """A system, its true state at t and the epoch of a unit with these errors."""
+    system = inertial.strapdown(LATITUDE, HEIGHT, IMU, states)
+    rate, force = ideal(t)
+    scale = np.array(EXTRA["scale"]) if "scale" in states else np.zeros(6)
+    u = rate * (1.0 + scale[:3]) + BIASES[:3], force * (1.0 + scale[3:]) + BIASES[3:]
+    x = np.r_[true_state(t), BIASES, *(EXTRA[name] for name in states)]
+    return system, x, celnav.Epoch(t=t, dt=0.01, u=u)
+
+
+@pytest.mark.parametrize("states", [(), ("lever",), ("lever", "scale")])
+@pytest.mark.parametrize("t", [0.0, 2.7, 11.0])
+def test_fixes_are_those_of_the_antenna(t, states):
+    """Of its trajectory, differentiated."""
+    system, x, epoch = with_errors(t, states)
+    arm = LEVER + (EXTRA["lever"] if "lever" in states else 0.0)
+
+    def antenna(s):
+        return trajectory(s)[1] + body(s).swapaxes(-1, -2) @ arm
+
+    found = system.gnss(LEVER, sigma_position=1.0, sigma_velocity=1.0).h(x, epoch)
+    np.testing.assert_allclose(found, np.r_[antenna(t), slope(antenna, t)], atol=1e-8)
+    np.testing.assert_array_equal(system.gnss(LEVER, sigma_position=1.0).h(x, epoch), found[:3])
+
+
+@pytest.mark.parametrize("t", [0.9, 2.7, 11.0])
+def test_fixes_are_later_by_the_lag(t):
+    """To second order of it."""
+    remaining = []
+    for lag in (0.02, 0.01):
+        system, x, epoch = with_errors(t, ("scale", "lag"))
+        x[-1] = lag
+        found = system.gnss(sigma_position=1.0, sigma_velocity=1.0).h(x, epoch)
+        remaining.append(found - np.r_[trajectory(t + lag)[1], true_state(t + lag)[4:7]])
+    assert np.linalg.norm(remaining[1]) < 1e-3
+    np.testing.assert_allclose(remaining[0], 4.0 * np.array(remaining[1]), rtol=0.1, atol=1e-5)
+
+
+@pytest.mark.parametrize("states", [(), ("mount",), ("axle", "scale"), NAMES])
+@pytest.mark.parametrize("t", [0.0, 2.7, 11.0])
+def test_the_axle_moves_as_its_trajectory_differentiated(t, states):
+    system, x, epoch = with_errors(t, states)
+    arm = AXLE + (np.r_[EXTRA["axle"], 0.0, 0.0] if "axle" in states else 0.0)
+    v = body(t) @ slope(lambda s: trajectory(s)[1] + body(s).swapaxes(-1, -2) @ arm, t)
+    if "mount" in states:
+        v = Rotation.from_rotvec([0.0, *EXTRA["mount"]]).as_matrix().T @ v
+    np.testing.assert_allclose(system.sideways(0.1, lever=AXLE).h(x, epoch), v[1:], atol=1e-8)
+    forward = v[:1] * (1.0 + (EXTRA["wheel"][0] if "wheel" in states else 0.0))
+    np.testing.assert_allclose(system.wheel_speed(0.1, lever=AXLE).h(x, epoch), forward, atol=1e-8)
+
+
+def test_at_the_first_epoch_nothing_is_known_to_turn():
+    """No interval leads up to it, so there is no input; the filter runs with each engine."""
+    system, x, _ = with_errors(0.0, NAMES)
+    first = celnav.Epoch()
+    sensor = system.gnss(LEVER, sigma_position=1.0, sigma_velocity=1.0)
+    arm = body(0.0).T @ (LEVER + EXTRA["lever"])
+    v, lag = x[4:7], EXTRA["lag"][0]
+    np.testing.assert_allclose(sensor.h(x, first), np.r_[x[7:10] + arm + lag * v, v], rtol=1e-12)
+    v = Rotation.from_rotvec([0.0, *EXTRA["mount"]]).as_matrix().T @ body(0.0) @ v
+    np.testing.assert_allclose(system.sideways(0.1, lever=AXLE).h(x, first), v[1:], atol=1e-12)
+
+
+def test_at_rest_gyros_measure_bias_and_the_rotation_of_the_earth():
+    system = inertial.strapdown(LATITUDE, HEIGHT, IMU)
+    q = at.from_euler([0.1, -0.2, 2.0])
+    x = np.r_[q, np.zeros(6), BIASES]
+    h = system.standstill(sigma_velocity=0.01, sigma_rate=1e-4).h(x, celnav.Epoch())
+    np.testing.assert_allclose(h, np.r_[np.zeros(3), at.matrix(q) @ SPUN + BIASES[:3]], rtol=1e-12)
+    force = -at.rotate(q, system._gravity[0])
+    u = (h[3:], force + BIASES[3:])
+    after = system.motion.f(x, celnav.Epoch(dt=0.01, u=u))
+    np.testing.assert_allclose(after, x, atol=1e-14)
+    np.testing.assert_allclose(inertial.level(force), [0.1, -0.2], rtol=1e-12)
+    np.testing.assert_allclose(inertial.level(np.tile(force, (4, 2, 1)))[3, 1], [0.1, -0.2])
