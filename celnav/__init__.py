@@ -36,7 +36,7 @@ Failure   `run` raises `FilterError` for the first run that loses definiteness. 
 Units     SI and radians, except orbits: km and km/s. A name says its unit where it is another:
           ``sigma_km``.
 Frames    Earth-centered inertial, equatorial (J2000), for orbits; east, north, up and right, front,
-          up for aircraft.
+          up for aircraft; north, east, down and forward, right, down for inertial units.
 Angles    One that wraps must be told, once: ``Motion(..., space=angles([2]))`` if it is a component
           of the state, ``Sensor(..., space=angles([0]))`` if it is one of the measurement.
 Attitude  Unit quaternions, scalar last; they take inertial components to body components, and the

@@ -87,6 +87,8 @@ for filter in filters:
     track = celnav.run(filter, prior, times, z, keep="cov")
     assert hasattr(filter, "step") and isinstance(track, Track) and np.isfinite(track.mean).all(), filter
 smoothed = celnav.smooth(celnav.run(filters[7], prior, times, z, keep="cov"))
+merged = celnav.merge(imu=(times, np.ones((9, 1))), fixes=(times[::2], z[::2]))
+assert np.array_equal(merged.times, times) and np.isnan(merged.z[1]).all()
 assert (smoothed.std <= celnav.run(filters[7], prior, times, z).std + 1e-12).all()
 assert np.isfinite(celnav.iterated_smoother(filters[7], prior, times, z).mean).all()
 for epoch, state, infos in celnav.steps(filters[0], prior, celnav.epochs(times, z)):

@@ -144,7 +144,8 @@ class Track:
         truth: ``(T, ..., N)`` at the track's epochs, nan where it is not known; ``(T, N)`` may
             serve all runs. For vector states it may have only the first components, without biases
             and colored noise that a filter estimates besides.
-        names: ``(n,)`` of the components of the error. start: s; earlier epochs are left out.
+        names: ``(n,)`` of the components of the error; None: those of a product's parts, if there
+            are, or ``x0, x1, ...``. start: s; earlier epochs are left out.
         space: of the states; None: the space of the track's filter. level: of intervals and bands.
 
         Errors are estimate minus truth. Values of a failed run that are not finite are left out;

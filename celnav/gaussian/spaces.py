@@ -79,6 +79,15 @@ class Space(NamedTuple):
         _, points, tangents = self.parts[names.index(choice("name", name, names))]
         return slice(*points), slice(*tangents)
 
+    @property
+    def labels(self) -> list[str]:
+        """Names of the components of a tangent, of the innermost parts: q0, q1, ...; else none."""
+        labels: dict[int, str] = {}
+        for name, _, (first, stop) in self.parts:
+            for i in range(first, stop):
+                labels[i] = f"{name}{i - first}" if stop - first > 1 else name
+        return [labels[i] for i in sorted(labels)]
+
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Space) and self[:4] == other[:4]
 

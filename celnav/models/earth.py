@@ -107,12 +107,12 @@ def local_position(
     """
     place = finite("origin", origin, (3,))
     geodetic = [
-        numbers(name, value)
-        for name, value in {
-            "latitude": latitude,
-            "longitude": longitude,
-            "height_m": height_m,
-        }.items()
+        finite(name, value)
+        for name, value in (
+            ("latitude", latitude),
+            ("longitude", longitude),
+            ("height_m", height_m),
+        )
     ]
     together(latitude=geodetic[0].shape, longitude=geodetic[1].shape, height_m=geodetic[2].shape)
     offset = fixed_position(*geodetic) - fixed_position(*place)

@@ -241,7 +241,7 @@ class Strapdown:
     height_m: float
     imu: Imu
     states: dict[str, float] = field(default_factory=dict)
-    error: str = "body"
+    error: str = "invariant"
 
     @cached_property
     def space(self) -> Space:
@@ -507,7 +507,7 @@ def strapdown(
     imu: Imu,
     states: Iterable[str] | dict[str, float] = (),
     *,
-    error: str = "body",
+    error: str = "invariant",
 ) -> Strapdown:
     """A `Strapdown` system near a place: Earth rotation, Coriolis acceleration, and normal gravity
     with its first derivatives, which 6 km away leave 1e-5 m/s^2 and 60 km away 1e-3.
@@ -515,9 +515,9 @@ def strapdown(
     latitude: rad. height_m: above the ellipsoid. Positions count from there.
     imu: its noise. states: names of `STATES`, or a dict of names with their standard deviations at
         the start.
-    error: axes of the errors. "body": of the attitude on b. "local": of the attitude on n.
-        "invariant": those of `celnav.gaussian.extended_pose`, on b, which a poor heading harms
-        least. Velocity and position, unless invariant, are on n.
+    error: "invariant": errors of attitude, velocity and position on b, those of
+        `celnav.gaussian.extended_pose.extended_pose`, which a poor heading harms least. "body": of
+        the attitude on b, of velocity and position on n. "local": all on n.
 
     Within an interval the errors of attitude and biases are taken not to reach the velocity: at 100
     Hz this changes correlations of the process noise by less than a hundredth.

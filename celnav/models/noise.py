@@ -43,7 +43,8 @@ def allan_deviation(t: ArrayLike, samples: ArrayLike, interval_s: float) -> Alla
     if not 1 <= m <= (total - 1) // 2:
         most = (total - 1) // 2 * period
         raise ValueError(
-            f"interval_s: expected {period:g} to {most:g} s, half of the samples, got {interval_s!r}"
+            f"interval_s: expected {period:g} to {most:g} s, half of the samples, got "
+            f"{interval_s!r}"
         )
     sums = np.concatenate([np.zeros_like(x[:1]), np.cumsum(x - x.mean(0), 0)])
     second = sums[2 * m :] - 2.0 * sums[m:-m] + sums[: -2 * m]

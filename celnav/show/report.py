@@ -201,7 +201,7 @@ def report(
     error = _errors(track, truth, space)
     n = error.shape[-1]
     if names is None:
-        names = [f"x{i}" for i in range(n)]
+        names = space.labels[:n] or [f"x{i}" for i in range(n)]
     names = sequence("names", names, "['x', 'y']")
     if len(names) != n or not all(isinstance(name, str) for name in names):
         raise ValueError(

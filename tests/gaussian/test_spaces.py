@@ -192,7 +192,10 @@ def test_a_part_is_taken_by_its_name_from_points_and_from_deviations():
     np.testing.assert_array_equal(BY_NAME.part(x, "bias"), x[:, 8:])
     np.testing.assert_array_equal(BY_NAME.part(d, "q"), d[:3])
     np.testing.assert_array_equal(BY_NAME.part(d, "course"), d[6:7])
+    assert BY_NAME.labels == ["q0", "q1", "q2", "v0", "v1", "v2", "course", "bias0", "bias1"]
+    assert BY_PLACE.labels == []
     nested = product(body=BY_NAME, clock=1)
+    assert nested.labels == [*BY_NAME.labels, "clock"]
     np.testing.assert_array_equal(nested.part(np.r_[x[0], 7.0], "clock"), [7.0])
 
 

@@ -9,8 +9,11 @@ from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 import celnav
+from celnav.analysis.metrics import bootstrap, chi_square_band
 from celnav.gaussian import attitude as at
+from celnav.gaussian.belief import nees
 from celnav.models import earth, inertial
+from celnav.models.noise import allan_deviation
 
 LATITUDE, HEIGHT = 0.7, 250.0
 IMU = inertial.Imu(2e-4, 1e-3, 1e-3, 0.02, 1e-6, 1e-5)
@@ -293,3 +296,266 @@ def test_at_rest_gyros_measure_bias_and_the_rotation_of_the_earth():
     np.testing.assert_allclose(after, x, atol=1e-14)
     np.testing.assert_allclose(inertial.level(force), [0.1, -0.2], rtol=1e-12)
     np.testing.assert_allclose(inertial.level(np.tile(force, (4, 2, 1)))[3, 1], [0.1, -0.2])
+
+
+# -- filters ---------------------------------------------------------------------------------------
+GNSS = {"sigma_position": 0.5, "sigma_velocity": 0.1}
+LOW_COST = inertial.Imu(7e-4, 0.011, 3e-3, 0.1, 1e-6, 1e-4)
+
+
+def flights(system, runs, seconds, heading, seed=0):
+    """Times, inputs, fixes, truth and prior: units with errors of their own along one trajectory, fixes at 4 Hz."""
+    rng, imu, dt = np.random.default_rng(seed), system.imu, 0.01
+    times = dt * np.arange(round(seconds / dt) + 1)
+    walks = np.repeat([imu.gyro_walk, imu.accelerometer_walk], 3) * np.sqrt(dt)
+    noises = np.repeat([imu.gyro_noise, imu.accelerometer_noise], 3) / np.sqrt(dt)
+    bias = rng.standard_normal((len(times), runs, 6)) * walks
+    bias[0] = rng.standard_normal((runs, 6)) * np.repeat([imu.gyro_bias, imu.accelerometer_bias], 3)
+    bias = np.cumsum(bias, 0)
+    errors = bias[1:] + noises * rng.standard_normal((len(times) - 1, runs, 6))
+    rate, force = ideal(0.5 * (times[1:] + times[:-1]))
+    u = rate[:, None] + errors[..., :3], force[:, None] + errors[..., 3:]
+    truth = np.broadcast_to(true_state(times)[:, None], (len(times), runs, 10))
+    z = np.full((len(times), runs, 6), np.nan)
+
+    def antenna(s):
+        return trajectory(s)[1] + body(s).swapaxes(-1, -2) @ LEVER
+
+    at_fix = times[25::25]
+    noise = rng.standard_normal((len(at_fix), runs, 6)) * np.repeat([*GNSS.values()], 3)
+    z[25::25] = np.c_[antenna(at_fix), slope(antenna, at_fix)][:, None] + noise
+    sigmas = {"sigma_level": 0.02, "sigma_heading": heading}
+    start = rng.standard_normal((runs, 9)) * np.r_[[0.02] * 2, heading, [0.1] * 3, [0.5] * 3]
+    q = at.multiply(truth[0, 0, :4], at.exp(start[:, :3]))
+    angles = at.to_euler(q)
+    prior = system.prior(
+        angles[:, :2],
+        angles[:, 2],
+        **sigmas,
+        velocity=truth[0, 0, 4:7] + start[:, 3:6],
+        position=truth[0, 0, 7:] + start[:, 6:],
+        sigma_velocity=0.1,
+        sigma_position=0.5,
+    )
+    return times, u, z, np.concatenate([truth, bias], -1), prior
+
+
+def squared(track, truth, space):
+    """NEES ``(T, runs)``, in the errors of a space."""
+    return nees(space.minus(truth, track.mean), track.sqrt_cov)
+
+
+@pytest.mark.parametrize(
+    ("error", "kind", "form"),
+    [
+        ("invariant", celnav.ekf, "square root"),
+        ("body", celnav.ukf, "covariance"),
+        ("local", celnav.ekf, "covariance"),
+    ],
+)
+def test_errors_are_as_large_as_predicted(error, kind, form):
+    """From a heading known to 5 degrees, in 100 runs: NEES, NIS and the smoother's NEES."""
+    system = inertial.strapdown(LATITUDE, HEIGHT, LOW_COST, error=error)
+    times, u, z, truth, prior = flights(system, 100, 8.0, np.radians(5.0))
+    filter = kind(system.motion, system.gnss(LEVER, **GNSS), form=form)
+    track = celnav.run(filter, prior, times, z, u, keep="cov", engine="compiled")
+    low, high = chi_square_band(15, 100, 0.99)
+    for value in squared(track, truth, system.space)[::200].mean(1):
+        assert low < value < high
+    count = track.dof.sum()
+    assert abs(track.nis.sum() / count - 1.0) < 3.0 * np.sqrt(2.0 / count)
+    smoothed = celnav.smooth(track, engine="compiled")
+    middle = squared(smoothed, truth, system.space)[400].mean()
+    assert low < middle < high, middle
+    error_of = [np.sqrt(np.square(t.mean - truth)[400, :, 7:10].mean()) for t in (smoothed, track)]
+    assert error_of[0] < 0.8 * error_of[1]
+
+
+def test_a_poor_heading():
+    """60 degrees: the invariant error ends consistent and is never far from it; the others are overconfident."""
+    values = {}
+    for error in ERRORS:
+        system = inertial.strapdown(LATITUDE, HEIGHT, LOW_COST, error=error)
+        times, u, z, truth, prior = flights(system, 100, 10.0, np.radians(60.0))
+        filter = celnav.ekf(system.motion, system.gnss(LEVER, **GNSS))
+        track = celnav.run(filter, prior, times, z, u, keep="cov", engine="compiled")
+        values[error] = squared(track, truth, system.space)[[200, 500, 1000]] / 15.0
+    early, _, late = (bootstrap(np.mean, v, seed=0) for v in values["invariant"])
+    assert late[0] < 1.1
+    assert late[1] < 1.25
+    assert early[1] < 2.0  # it is overconfident in the first seconds, a little
+    for error in ("body", "local"):
+        for v in values[error]:
+            assert bootstrap(np.mean, v, seed=0)[0] > 2.0
+
+
+@pytest.mark.parametrize("error", ERRORS)
+def test_machine_code_equals_numpy_and_runs_do_not_mix(error):
+    """With all sensors, a fix at the first epoch, and inputs of each run; numpy takes derivatives by differences."""
+    states = NAMES if error == "invariant" else ("lag", "mount")
+    system = inertial.strapdown(LATITUDE, HEIGHT, LOW_COST, states, error=error)
+    times, u, z, _, prior = flights(system, 3, 0.3, 0.3)
+    z = z.copy()
+    z[0] = z[25]
+    still, wheel = np.full((31, 3, 6), np.nan), np.full((31, 3, 1), np.nan)
+    still[7], wheel[::10] = 0.0, 20.0
+    side = np.where(np.isnan(wheel), np.nan, np.zeros(2))
+    sensors = (
+        system.gnss(LEVER, **GNSS),
+        system.standstill(sigma_velocity=10.0, sigma_rate=1.0),
+        system.sideways(0.5, lever=AXLE),
+        system.wheel_speed(0.5, lever=AXLE),
+    )
+    filter, every = celnav.ekf(system.motion, *sensors), (z, still, side, wheel)
+    slow, fast = (
+        celnav.run(filter, prior, times, every, u, keep="cov", engine=engine)
+        for engine in ("numpy", "compiled")
+    )
+    apart = np.abs(system.space.minus(fast.mean, slow.mean)) / slow.std
+    assert apart.max() < 1e-4
+    np.testing.assert_allclose(fast.std, slow.std, rtol=1e-4)
+    alone = celnav.Gaussian(prior.mean[1], prior.cov[1] if prior.cov.ndim > 2 else prior.cov)
+    one = celnav.run(
+        filter,
+        alone,
+        times,
+        tuple(x[:, 1] for x in every),
+        tuple(x[:, 1] for x in u),
+        engine="numpy",
+    )
+    np.testing.assert_allclose(one.mean, slow.mean[:, 1], rtol=1e-9, atol=1e-9)
+
+
+def test_parts_of_the_track_and_of_the_prior():
+    """The prior's deviations are on the axes that the error has; several headings are runs."""
+    angles, heading = [0.1, -0.2], np.radians([0.0, 90.0, 200.0])
+    for error in ERRORS:
+        system = inertial.strapdown(LATITUDE, HEIGHT, IMU, {"lag": 0.02, "mount": 0.1}, error=error)
+        prior = system.prior(
+            angles,
+            heading,
+            sigma_level=0.01,
+            sigma_heading=0.5,
+            velocity=[1.0, 2.0, 3.0],
+            sigma_velocity=0.1,
+            sigma_position=2.0,
+        )
+        np.testing.assert_allclose(
+            at.to_euler(prior.mean[:, :4])[:, :2], np.tile(angles, (3, 1)), atol=1e-12
+        )
+        root = prior.sqrt_cov if error == "local" else prior.sqrt_cov[-1]
+        draws = np.random.default_rng(0).standard_normal((4000, 18)) @ root.T
+        x = system.space.plus(prior.mean[-1], 1e-3 * draws)
+        local = at.attitude(axes="reference").minus(x[:, :4], prior.mean[-1, :4])
+        np.testing.assert_allclose(1e3 * local.std(0), [0.01, 0.01, 0.5], rtol=0.05)
+        np.testing.assert_allclose(1e3 * x[:, 4:10].std(0), [0.1] * 3 + [2.0] * 3, rtol=0.05)
+        std = prior.std if error == "local" else prior.std[0]
+        np.testing.assert_allclose(system.space.part(std, "bg"), IMU.gyro_bias)
+        np.testing.assert_allclose(system.space.part(std, "lag"), 0.02)
+        np.testing.assert_allclose(system.space.part(std, "mount"), 0.1)
+
+
+# -- noise -----------------------------------------------------------------------------------------
+def test_a_datasheet_in_its_units():
+    """60 x deg/h^(1/2) is x deg/s/Hz^(1/2); 1 m/s/h^(1/2) is 1/60 m/s^2/Hz^(1/2)."""
+    biases = {"gyro_bias_deg_s": 0.5, "accelerometer_bias_mg": 10.0}
+    a = inertial.Imu.datasheet(gyro_deg_s_sqrt_hz=0.005, accelerometer_ug_sqrt_hz=100.0, **biases)
+    b = inertial.Imu.datasheet(
+        gyro_deg_sqrt_h=0.3, accelerometer_m_s_sqrt_h=100e-6 * 9.80665 * 60.0, **biases
+    )
+    for name, value in vars(a).items():
+        assert value == pytest.approx(getattr(b, name)), name
+    assert a.gyro_bias == pytest.approx(np.radians(0.5))
+    assert a.accelerometer_bias == pytest.approx(0.0980665)
+    c = inertial.Imu.datasheet(
+        gyro_deg_sqrt_h=0.3,
+        accelerometer_ug_sqrt_hz=100.0,
+        **biases,
+        gyro_instability_deg_h=10.0,
+        accelerometer_instability_ug=50.0,
+        instability_s=200.0,
+    )
+    assert c.gyro_walk == pytest.approx(np.radians(10.0) / 3600.0 / 10.0)
+    assert c.accelerometer_walk == pytest.approx(50e-6 * 9.80665 / 10.0)
+
+
+def test_a_log_at_rest_tells_the_white_noise():
+    """Within the interval of the Allan deviation; also where biases walk."""
+    rng, dt = np.random.default_rng(1), 0.01
+    t = dt * np.arange(12000)
+    rate = 2e-3 / np.sqrt(dt) * rng.standard_normal((12000, 3)) + 0.1
+    force = 0.02 / np.sqrt(dt) * rng.standard_normal((12000, 3)) + [0.0, 0.0, -9.8]
+    imu = inertial.Imu.at_rest(t, rate, force, gyro_bias=0.01, accelerometer_bias=0.1)
+    assert imu.gyro_noise == pytest.approx(2e-3, rel=0.15)
+    assert imu.accelerometer_noise == pytest.approx(0.02, rel=0.15)
+    assert imu.gyro_bias == 0.01
+    allan = allan_deviation(t, rate, 1.0)
+    assert ((allan.low < 2e-3) & (allan.high > 2e-3)).all()
+
+
+def test_the_allan_deviation_against_its_definition():
+    """Means of neighboring intervals; coverage of the interval in white noise."""
+    rng = np.random.default_rng(0)
+    x, t = rng.standard_normal((40, 2)), 0.5 * np.arange(40)
+    m = 3
+    means = np.array([x[k : k + m].mean(0) for k in range(40 - m + 1)])
+    expected = np.sqrt(0.5 * np.square(means[m:] - means[:-m]).mean(0))
+    np.testing.assert_allclose(allan_deviation(t, x, 1.5).deviation, expected, rtol=1e-12)
+    many = allan_deviation(np.arange(300.0), rng.standard_normal((300, 2000)), 10.0)
+    inside = (many.low < np.sqrt(0.1)) & (np.sqrt(0.1) < many.high)
+    assert 0.92 < inside.mean() < 0.98
+
+
+def test_windows_in_which_the_unit_stands():
+    """Against a loop; a slow turn and a shaken window are none."""
+    rng, t = np.random.default_rng(0), 0.01 * np.arange(1000)
+    rate, force = 1e-3 * rng.standard_normal((2, 1000, 3))
+    rate[300:420, 2] += 0.5
+    force[600:610] += 1.0
+    limits = {"most_rate": 0.01, "rate_spread": 0.005, "force_spread": 0.01}
+    at_times, z = inertial.standing(t, rate, force, window_s=0.5, **limits)
+    expected = []
+    for k in range(19):  # the last one may not be full
+        window = slice(50 * k, 50 * k + 50)
+        spread = rate[window].std(0).max() < 0.005 and force[window].std(0).max() < 0.01
+        if spread and np.abs(rate[window].mean(0)).max() < 0.01:
+            expected.append(np.r_[t[50 * k + 49], 0.0, 0.0, 0.0, rate[window].mean(0)])
+    assert len(expected) == 15
+    np.testing.assert_allclose(np.c_[at_times, z], expected, rtol=1e-9, atol=1e-15)
+    none = inertial.standing(t[:20], rate[:20], force[:20], window_s=0.5, **limits)
+    assert [x.shape for x in none] == [(0,), (0, 6)]
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (
+            lambda: inertial.strapdown(0.5, 0.0, IMU, ("lags",)),
+            "states: expected one of lag, lever, scale, mount, axle, wheel, got 'lags'; did you",
+        ),
+        (lambda: inertial.strapdown(0.5, 0.0, IMU, "lag"), "states: expected a sequence"),
+        (lambda: inertial.strapdown(0.5, 0.0, IMU, {"lag": 0.0}), "states: expected a positive"),
+        (lambda: inertial.strapdown(40.0, 0.0, IMU), "latitude: expected a number of at least"),
+        (
+            lambda: inertial.Imu.datasheet(
+                gyro_deg_sqrt_h=0.3, gyro_bias_deg_s=0.1, accelerometer_bias_mg=1.0
+            ),
+            "accelerometer_ug_sqrt_hz, accelerometer_m_s_sqrt_h: expected one of .*, got 0",
+        ),
+        (
+            lambda: inertial.strapdown(0.5, 0.0, IMU).gnss(sigma_position=[1.0, 2.0]),
+            "sigma_position: expected a positive number or 3 of them",
+        ),
+        (
+            lambda: allan_deviation(np.r_[0.0, 1.0, 5.0, 6.0], np.ones(4), 1.0),
+            "t: expected increasing times that are evenly spaced",
+        ),
+        (
+            lambda: allan_deviation(np.arange(9.0), np.ones(9), 5.0),
+            "interval_s: expected 1 to 4 s, half of the samples, got 5.0",
+        ),
+    ],
+)
+def test_what_cannot_be_meant_is_refused(make, message):
+    with pytest.raises(ValueError, match="^" + message):
+        make()
