@@ -197,8 +197,8 @@ def standing(
 
     t: ``(T,)`` s. rate, force: ``(T, 3)``, rad/s and m/s^2.
     most_rate: limit of the mean rate, rad/s, on each axis: bias and a turn together. rate_spread,
-    force_spread: limits of the standard deviations within a window, on each axis; those of a rest
-    with the engine on are a good start.
+    force_spread: limits of the standard deviations within a window, on each axis. With the engine
+    on a rest shakes as much as a smooth ride straight on: compare the times with speeds of fixes.
 
     >>> rows = inertial.standing(t, rate, force, window_s=0.5, most_rate=0.01, rate_spread=0.005,
     ...                          force_spread=0.2)
