@@ -9,8 +9,9 @@ Filters   `ukf`, `ekf`, `ckf`, `ghkf`, `sparse_grid_filter`, `sigma_point`; `col
           take turns. ``celnav.filters.adaptive`` has hooks.
 Rules     `unscented`, `cubature`, `gauss_hermite`, `simplex`, `smolyak`, `from_filterpy`; `Rule` is
           data, `Taylor` expands.
-Run       `run` gives a `Track`, `steps` and `epochs` go one by one, a lost run is a `FilterError`;
-          `compiled` and `export_c` make code of a filter.
+Run       `run` gives a `Track`, `steps` and `epochs` go one by one, `merge` makes one clock of an
+          inertial unit's and of others; a lost run is a `FilterError`; `compiled` and `export_c`
+          make code of a filter.
 Smooth    `smooth`, `iterated_smoother`.
 Judge     `simulate` draws truth and measurements, `Track.report` compares with the truth, `compare`
           flies filters on a `Problem`; ``celnav.analysis`` has metrics, tuning, bounds,
@@ -35,7 +36,7 @@ Failure   `run` raises `FilterError` for the first run that loses definiteness. 
 Units     SI and radians, except orbits: km and km/s. A name says its unit where it is another:
           ``sigma_km``.
 Frames    Earth-centered inertial, equatorial (J2000), for orbits; east, north, up and right, front,
-          up for aircraft.
+          up for aircraft; north, east, down and forward, right, down for inertial units.
 Angles    One that wraps must be told, once: ``Motion(..., space=angles([2]))`` if it is a component
           of the state, ``Sensor(..., space=angles([0]))`` if it is one of the measurement.
 Attitude  Unit quaternions, scalar last; they take inertial components to body components, and the
@@ -52,6 +53,7 @@ from typing import TYPE_CHECKING
 from celnav.filters.colored import augmented, colored, decorrelated
 from celnav.filters.imm import imm
 from celnav.filters.iterated_smoother import iterated_smoother
+from celnav.filters.merge import merge
 from celnav.filters.model import Linear, Motion, Sensor
 from celnav.filters.records import Epoch as Epoch
 from celnav.filters.records import Filter, FilterError, epochs
@@ -118,6 +120,7 @@ __all__ = [
     "ghkf",
     "imm",
     "iterated_smoother",
+    "merge",
     "product",
     "run",
     "sigma_point",

@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 import celnav
 from celnav.analysis import bounds, metrics, observability
 from celnav.gaussian import attitude, rules, spaces
-from celnav.models import earth, ephemeris, gravity, gyro, noise, orbit, pulsar, sightings
+from celnav.models import earth, ephemeris, gravity, gyro, inertial, noise, orbit, pulsar, sightings
 from celnav.show import recording, views
 from celnav.study import montecarlo, problem, trial
 
@@ -34,13 +34,14 @@ MODULES = {
 }
 HOT = """
 attitude: multiply inverse positive matrix rotate exp log angle to_euler to_rodrigues from_rodrigues cross transport
-spaces: wrap component_major components_first points_last
+attitude: cross_product turn_coefficients renormalized
+spaces: wrap component_major components_first points_last Space.part Space.places
 rules: Rule.points Rule.image Rule.state_columns Rule.num_sigmas Taylor.points Taylor.image Taylor.state_columns
-earth: meridian_radius transverse_radius radii normal_gravity earth_rate transport_rate inertial_forces
+earth: meridian_radius transverse_radius radii normal_gravity earth_rate transport_rate inertial_forces fixed_position
 gravity: Gravity.potential Gravity.acceleration Gravity.gradient
 orbit: acceleration third_body step transition gradient advance flow
 sightings: angles visible observe
-inertial: derivative advance star_residuals misalignment_matrix misalignment_angles
+misalignment: derivative advance star_residuals misalignment_matrix misalignment_angles
 gyro: Gyro.factor Gyro.rate_std Gyro.drift_std Gyro.process_noise Gyro.propagate Gyro.transition
 gyro: Body.nadir Body.rates
 pulsar: Timing.delay Timing.shapiro Timing.shapiro_exact Timing.gradient
@@ -67,6 +68,8 @@ pulsar: known
 orbit: warn_of_degrees
 gnss: Broadcast Broadcast.chosen
 belief: symmetric
+extended_pose: extended_pose
+inertial: Strapdown
 montecarlo: Draws Draws.close blocks effort generators renewed run_of steps
 claims: answer Ledger cells columns counted dumps markdown notes numbers plain read_claims style tally written
 gyro: Gyro.drift
@@ -83,6 +86,7 @@ study: Results Results.at Results.claims Results.error Results.first Results.get
     evaluate_from_priors
 page: macro render
 picture: command end picture
+squares: squares
 progress: Progress Progress.add Progress.close Progress.runs Progress.say
 estimates: Estimate Estimate.error Estimate.sigma estimates_of
 plots: draw
@@ -112,6 +116,15 @@ FLIGHT = dict(
 )
 FLOWN = earth.turning_flight(TIMES, **FLIGHT)
 GYRO = gyro.Gyro(1e-6, 1e-9)
+IMU = dict(
+    gyro_noise=1e-4,
+    accelerometer_noise=1e-3,
+    gyro_bias=0.1,
+    accelerometer_bias=0.1,
+    gyro_walk=0.1,
+    accelerometer_walk=0.1,
+)
+SYSTEM = inertial.strapdown(0.5, 10.0, inertial.Imu(**IMU))
 BODY = gyro.Body(np.diag([1.0, 2.0, 2.5]))
 PULSARS = pulsar.pulsars(["B0531+21"])
 STARS = sightings.star_directions(1.0)
@@ -252,10 +265,32 @@ CALLS = {
     "motion.coordinated_turn": dict(q=0.1, q_rate=1e-3),
     "gyro.Gyro.measure": (GYRO.measure, dict(q=np.tile(Q4, (3, 1)), drift=np.zeros((2, 3)), noise=np.zeros((2, 3)), dt=1.0)),
     "gyro.preintegrate": dict(measured=np.zeros((2, 3)), drift=np.zeros(3), dt=1.0),
+    "inertial.Imu": IMU,
+    "inertial.level": dict(force=np.array([0.1, 0.2, -9.8])),
+    "inertial.standing": dict(
+        t=TIMES, rate=np.ones((5, 3)), force=np.ones((5, 3)), window_s=2.0, most_rate=2.0, rate_spread=0.1, force_spread=0.1
+    ),
+    "inertial.strapdown": dict(latitude=0.5, height_m=10.0, imu=SYSTEM.imu, states=("lag",), error="body"),
+    "inertial.Strapdown.prior": (
+        SYSTEM.prior,
+        dict(
+            level=np.array([0.1, 0.2]), heading=0.3, sigma_level=0.1, sigma_heading=0.2, velocity=np.ones(3), position=np.ones(3),
+            sigma_velocity=0.1, sigma_position=0.1,
+        ),
+    ),
+    "inertial.Strapdown.gnss": (SYSTEM.gnss, dict(lever=np.ones(3), sigma_position=np.ones(3), sigma_velocity=np.ones(3))),
+    "inertial.Strapdown.standstill": (SYSTEM.standstill, dict(sigma_velocity=np.ones(3), sigma_rate=np.ones(3))),
+    "inertial.Strapdown.sideways": (SYSTEM.sideways, dict(sigma=np.ones(2), lever=np.ones(3))),
+    "inertial.Strapdown.wheel_speed": (SYSTEM.wheel_speed, dict(sigma=0.1, lever=np.ones(3))),
+    "noise.allan_deviation": dict(t=TIMES, samples=np.ones((5, 2)), interval_s=1.0),
+    "earth.north_east_down": dict(latitude=0.5, longitude=0.1),
+    "earth.local_position": dict(
+        latitude=np.array([0.5, 0.51]), longitude=np.array([0.1, 0.2]), height_m=np.array([1.0, 2.0]), origin=(0.5, 0.1, 1.0)
+    ),
     "gyro.steady_state": dict(sigma_n=1e-5, gyro=GYRO, interval=1.0),
-    "inertial.navigation": dict(flight=FLOWN, at=[1], phi=np.zeros(3), bias=np.zeros(3)),
-    "inertial.wahba_misalignment": dict(z=np.zeros(6), attitude=I3, stars=STARS),
-    "inertial.mechanize": dict(flight=FLOWN, attitude=I3, drift=np.zeros(3), bias=np.zeros(3)),
+    "misalignment.navigation": dict(flight=FLOWN, at=[1], phi=np.zeros(3), bias=np.zeros(3)),
+    "misalignment.wahba_misalignment": dict(z=np.zeros(6), attitude=I3, stars=STARS),
+    "misalignment.mechanize": dict(flight=FLOWN, attitude=I3, drift=np.zeros(3), bias=np.zeros(3)),
     "noise.stationary_covariance": dict(Phi=0.5 * I2, R=I2),
     "noise.effective_covariance": dict(Phi=0.5 * I2, R=I2),
     "noise.ar1": dict(Phi=0.5 * I2, increments=np.ones((3, 2)), first=np.ones(2)),
@@ -328,7 +363,12 @@ MEANT = {
     "attitude.unit q": "nan",
     "gyro.Gyro tau": "infinite",
     "gyro.Gyro.measure q": "nan",
-    "inertial.navigation at": "empty",
+    "misalignment.navigation at": "empty",
+    "inertial.strapdown states": "empty",
+    "inertial.Strapdown.prior heading": "empty, several",
+    **dict.fromkeys(
+        (f"earth.local_position {name}" for name in ("latitude", "longitude", "height_m")), "empty"
+    ),
     "metrics.bootstrap seed": "a billion",
     "report.report truth": "nan",
     "motion.constant_velocity q": "several",

@@ -12,8 +12,8 @@ A file names a paper, may start from one of its presets, and overrides any param
     phi = 0.95
 
 A list where a parameter is one value makes it a study: every combination of the lists is a
-configuration. In place of a paper may stand a user's study, ``paper = "study.py"``, a file beside this
-one (`celnav.papers.own`).
+configuration. In place of a paper may stand a user's study, ``paper = "study.py"``, a file beside
+this one (`celnav.papers.own`).
 """
 
 from __future__ import annotations

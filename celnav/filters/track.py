@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from celnav.filters.model import Motion
 from celnav.filters.records import Epoch, Info
 from celnav.gaussian.belief import any_lost
 from celnav.gaussian.checks import choice, integer
-from celnav.gaussian.linalg import Array, Belief, SquareRoot
-from celnav.gaussian.spaces import Space
+from celnav.gaussian.linalg import Array, Belief, Covariance, SquareRoot
+from celnav.gaussian.spaces import EUCLIDEAN, Space
 from celnav.lazy import requires_extra
 
 if TYPE_CHECKING:
@@ -119,6 +120,15 @@ class Track:
             _stored("sqrt_cov", self.belief, "covariances; run with keep='cov'").sqrt_cov
         )
 
+    def part(self, name: str) -> Covariance:
+        """The belief of a named part of the state (`celnav.product`): ``mean (T, ..., k)``,
+        ``cov (T, ..., k, k)`` and ``std``; needs ``run(keep="cov")``.
+
+        >>> track.part("p").std[-1]
+        """
+        points, tangents = space_of(self.filter).places(name)
+        return Covariance(self.mean[..., points], self.cov[..., tangents, tangents])
+
     def report(
         self,
         truth: ArrayLike,
@@ -134,7 +144,8 @@ class Track:
         truth: ``(T, ..., N)`` at the track's epochs, nan where it is not known; ``(T, N)`` may
             serve all runs. For vector states it may have only the first components, without biases
             and colored noise that a filter estimates besides.
-        names: ``(n,)`` of the components of the error. start: s; earlier epochs are left out.
+        names: ``(n,)`` of the components of the error; None: those of a product's parts, if there
+            are, or ``x0, x1, ...``. start: s; earlier epochs are left out.
         space: of the states; None: the space of the track's filter. level: of intervals and bands.
 
         Errors are estimate minus truth. Values of a failed run that are not finite are left out;
@@ -195,6 +206,16 @@ class Track:
             labels = names if std.shape[-1] == N else [f"d{i}" for i in range(std.shape[-1])]
             columns |= {f"std_{label}": column for label, column in zip(labels, std.T, strict=True)}
         return columns if self.whitened is None else columns | {"nis": self.nis.ravel()}
+
+
+def space_of(filter: Any) -> Space:
+    """The space of a filter's states, or of those of the filters within it."""
+    if isinstance(motion := getattr(filter, "motion", None), Motion):
+        return motion.space
+    for name in ("first", "filter", "filters"):
+        if within := getattr(filter, name, None):
+            return space_of(within[0] if isinstance(within, tuple) else within)
+    return EUCLIDEAN
 
 
 def _stored(name: str, value: Any, quantity: str) -> Any:

@@ -16,7 +16,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.gaussian.checks import number, numbers
+from celnav.gaussian.checks import choice, number, numbers
 from celnav.gaussian.linalg import Array
 from celnav.gaussian.spaces import Space, component_major, points_last
 
@@ -182,6 +182,32 @@ def cross(v: Array) -> Array:
     return np.stack([np.stack(row, -1) for row in ((o, -z, y), (z, o, -x), (-y, x, o))], -2)
 
 
+def cross_product(a: Array, b: Array) -> Array:
+    """Vector products ``a x b (..., 3)``, also of traced numbers."""
+    (x, y, z), (u, v, w) = ([vector[..., i] for i in range(3)] for vector in (a, b))
+    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], -1)
+
+
+def turn_coefficients(square: Array) -> tuple[Array, Array]:
+    """``(1 - cos t) / t^2`` and ``(t - sin t) / t^3`` of ``square = t^2 (...)``, without loss of
+    digits near 0.
+    """
+    small = square < 1e-2
+    safe = np.where(small, 1.0, square)
+    angle = np.sqrt(safe)
+    first = np.where(
+        small,
+        0.5 - square * (1.0 / 24.0 - square * (1.0 / 720.0 - square / 40320.0)),
+        2.0 * np.sin(0.5 * angle) ** 2 / safe,
+    )
+    second = np.where(
+        small,
+        1.0 / 6.0 - square * (1.0 / 120.0 - square * (1.0 / 5040.0 - square / 362880.0)),
+        (1.0 - np.sin(angle) / angle) / safe,
+    )
+    return first, second
+
+
 def transport(p: Array, a: float = 1.0, b: float = 4.0) -> Array:
     """Matrix ``(..., 3, 3)`` that carries deviations about the reference to the reference moved by
     ``p``; a is 1 or 0.
@@ -201,32 +227,49 @@ def transport(p: Array, a: float = 1.0, b: float = 4.0) -> Array:
     return np.asanyarray(B.mT / (1.0 + square) ** 2)
 
 
-def attitude(a: float = 1.0, b: float = 4.0, *, transported: bool = False) -> Space:
+def attitude(
+    a: float = 1.0, b: float = 4.0, *, transported: bool = False, axes: str = "body"
+) -> Space:
     """Space of attitudes: points are quaternions ``(..., 4)``, tangents Rodrigues parameters
-    ``(..., 3)`` in body axes.
+    ``(..., 3)``.
 
     The sign of a quaternion never matters. A measurement, and the point of a belief, must be of
     norm 1 within 1e-6. ``a``, from 0 to 1, and ``b > 0`` are those of `to_rodrigues`.
-    ``transported``: the covariance follows the reference after an update.
+    ``transported``: the covariance follows the reference after an update. ``axes`` of the tangents:
+    "body", or "reference", those from which a quaternion leads to the body.
 
     >>> motion = celnav.Motion(f, Q, space=attitude())
     """
     a, b = number("a", a, 0.0, 1.0), number("b", b, above=0.0)
-    carry = partial(transport, a=a, b=b) if transported else None
-    return Space(partial(_turned, a, b), partial(_difference, a, b), carry, check=unit)
+    body = choice("axes", axes, ("body", "reference")) == "body"
+    carry = partial(_carried, a, b, body) if transported else None
+    turned, difference = partial(_turned, a, b, body), partial(_difference, a, b, body)
+    return Space(turned, difference, carry, check=unit, size=4)
 
 
-def _turned(a: float, b: float, point: Array, tangent: Array) -> Array:
-    square = np.vecdot(point, point)[..., None]
+def _carried(a: float, b: float, body: bool, tangent: Array) -> Array:
+    return transport(tangent if body else -tangent, a, b)
+
+
+def _turned(a: float, b: float, body: bool, point: Array, tangent: Array) -> Array:
+    turn, point = from_rodrigues(tangent, a, b), renormalized(point)
+    return multiply(turn, point) if body else multiply(point, turn)
+
+
+def renormalized(q: Array) -> Array:
+    """Quaternions ``(..., 4)`` of norm 1, so that round-off does not add up; ValueError for others
+    than unit ones.
+    """
+    square = np.vecdot(q, q)[..., None]
     # While a step is recorded the numbers are not known yet.
-    recording = point.dtype.hasobject
+    recording = q.dtype.hasobject
     if not recording and np.abs(square - 1.0).max(initial=0.0) > 2.0 * UNIT_TOLERANCE:
         raise ValueError(
             f"state: expected unit quaternions, got a norm of {np.sqrt(square.max()):.6g}"
         )
-    # Round-off of the norm does not add up.
-    return multiply(from_rodrigues(tangent, a, b), point * (1.5 - 0.5 * square))
+    return np.asanyarray(q * (1.5 - 0.5 * square))
 
 
-def _difference(a: float, b: float, later: Array, earlier: Array) -> Array:
-    return to_rodrigues(multiply(later, inverse(earlier)), a, b)
+def _difference(a: float, b: float, body: bool, later: Array, earlier: Array) -> Array:
+    back = inverse(earlier)
+    return to_rodrigues(multiply(later, back) if body else multiply(back, later), a, b)

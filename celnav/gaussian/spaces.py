@@ -10,19 +10,28 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from functools import partial
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from celnav.gaussian.checks import integer, integers, sequence
+from celnav.gaussian.checks import choice, integer, integers, sequence
 from celnav.gaussian.linalg import Array, side_by_side
 
 __all__ = ["Space", "angles", "product"]
 
 
+class Part(NamedTuple):
+    """A named part of a product: first and last place, plus one, in points and in tangents."""
+
+    name: str
+    points: tuple[int, int]
+    tangents: tuple[int, int]
+
+
 class Space(NamedTuple):
     """How points and differences relate. Every function broadcasts over leading axes, and gives nan
-    for nan.
+    for nan. Two spaces are equal if they add, subtract, carry and average alike.
 
     plus: ``(point (..., N), tangent (..., n)) -> point``.
     minus: ``(b, a) -> tangent`` at ``a`` that leads to ``b``: ``plus(a, minus(b, a)) == b``.
@@ -33,6 +42,7 @@ class Space(NamedTuple):
         wraps.
     check: optional ``(point, name) -> point``, what a point from outside (a measurement) must be;
         ValueError names it.
+    size: N, if its points have one length. parts: the names of a product, see `part`.
     """
 
     plus: Callable[[Array, Array], Array] = np.add
@@ -40,6 +50,52 @@ class Space(NamedTuple):
     transport: Callable[[Array], Array] | None = None
     mean: Callable[[Array, Array], Array] | None = None
     check: Callable[[Array, str], Array] | None = None
+    size: int | None = None
+    parts: tuple[Part, ...] = ()
+
+    def part(self, x: Array, name: str) -> Array:
+        """Components ``(..., k)`` of a named part: of points ``x (..., N)``, or of deviations
+        ``(..., n)``, such as ``track.std``. ValueError for an unknown name lists the names.
+
+        >>> space = celnav.product(q=celnav.attitude(), p=3)
+        >>> h = lambda x, epoch: space.part(x, "p")
+        """
+        points, tangents = self.places(name)
+        n = max(part.tangents[1] for part in self.parts)
+        if x.shape[-1] not in (self.size, n):
+            raise ValueError(
+                f"x: expected points of {self.size} components or deviations of {n}, got "
+                f"{x.shape[-1]}"
+            )
+        return x[..., points if x.shape[-1] == self.size else tangents]
+
+    def places(self, name: str) -> tuple[slice, slice]:
+        """Where a named part stands in points, and in tangents."""
+        if not self.parts:
+            raise ValueError(
+                "space: expected a product with names, such as celnav.product(p=3, v=3)"
+            )
+        names = [part.name for part in self.parts]
+        _, points, tangents = self.parts[names.index(choice("name", name, names))]
+        return slice(*points), slice(*tangents)
+
+    @property
+    def labels(self) -> list[str]:
+        """Names of the components of a tangent, of the innermost parts: q0, q1, ...; else none."""
+        labels: dict[int, str] = {}
+        for name, _, (first, stop) in self.parts:
+            for i in range(first, stop):
+                labels[i] = f"{name}{i - first}" if stop - first > 1 else name
+        return [labels[i] for i in sorted(labels)]
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Space) and self[:4] == other[:4]
+
+    def __ne__(self, other: object) -> bool:
+        return not self == other
+
+    def __hash__(self) -> int:
+        return hash(self[:4])
 
     def __repr__(self) -> str:
         return "EUCLIDEAN" if self is EUCLIDEAN else f"Space(minus={self.minus!r})"
@@ -86,15 +142,21 @@ def _wrapped(operation: Any, indices: tuple[int, ...] | None, a: Array, b: Array
     return vector
 
 
-def product(*factors: tuple[Space, int, int]) -> Space:
-    """Product of spaces, each given as ``(space, N, n)``: the lengths of its points and of its
-    tangents.
+def product(*factors: tuple[Space, int, int], **parts: Any) -> Space:
+    """Product of spaces, by name or by place.
 
-    ``product((attitude(), 4, 3), (EUCLIDEAN, 3, 3))`` is a quaternion and three numbers: points of
-    7, tangents of 6.
+    parts: by name, each a space, a number (a vector of that length), or, for a space of any length,
+        ``(space, N)``. `Space.part` and `Track.part` then take a part by its name, and by the names
+        within a part.
+    factors: by place, each ``(space, N, n)``: the lengths of its points and of its tangents.
 
+    >>> space = celnav.product(q=celnav.attitude(), v=3, course=(celnav.angles(), 1))
     >>> space = celnav.product((celnav.attitude(), 4, 3), (celnav.EUCLIDEAN, 3, 3))
     """
+    if parts and factors:
+        raise ValueError("factors: expected all parts of a product by name, or none")
+    if parts:
+        factors = tuple(_factor(name, part) for name, part in parts.items())
     if not all(
         isinstance(factor, tuple | list) and len(factor) == 3 and isinstance(factor[0], Space)
         for factor in factors
@@ -108,10 +170,7 @@ def product(*factors: tuple[Space, int, int]) -> Space:
     if any(space.mean is not None for space, _, _ in factors):
         raise ValueError("factors: a space with its own mean cannot be part of a product")
     for space, N, n in factors:
-        point = np.full(N, np.nan)
-        if space.check is not None:
-            space.check(point, f"factors: points of length {N}")
-        if (count := space.minus(point, point).shape[-1]) != n:
+        if (count := _tangent_length(space, N, f"factors: points of length {N}")) != n:
             raise ValueError(
                 f"factors: expected tangents of length {count} to go with points of length {N}, "
                 f"as in (space, {N}, {count}), got {n}"
@@ -119,9 +178,20 @@ def product(*factors: tuple[Space, int, int]) -> Space:
     points = np.cumsum([0, *(N for _, N, _ in factors)]).tolist()
     tangents = np.cumsum([0, *(n for _, _, n in factors)]).tolist()
     spaces = [space for space, _, _ in factors]
-    # One slice of the points' axis and one of the tangents' axis for each space.
-    places = map(slice, points, points[1:]), map(slice, tangents, tangents[1:])
-    joined = _Product(tuple(zip(spaces, *places, strict=True)), points[-1], tangents[-1])
+    # One place on the points' axis and one on the tangents' axis for each space.
+    places = list(zip(pairwise(points), pairwise(tangents), strict=True))
+    named = [Part(name, *place) for name, place in zip(parts, places, strict=False)]
+    for (_, (at, _), (by, _)), space in zip(tuple(named), spaces, strict=False):
+        for name, (a, b), (c, d) in space.parts:
+            named.append(Part(name, (at + a, at + b), (by + c, by + d)))
+    if len({part.name for part in named}) < len(named):
+        raise ValueError("parts: expected names that differ from those within a part")
+    blocks = tuple(
+        (space, slice(*at), slice(*by)) for space, (at, by) in zip(spaces, places, strict=True)
+    )
+    joined = _Product(blocks, points[-1], tangents[-1])
+    if parts and all(space == EUCLIDEAN for space in spaces):
+        return EUCLIDEAN._replace(check=joined.check, size=joined.N, parts=tuple(named))
     curved = any(space.transport is not None for space in spaces)
     particular = any(space.check is not None for space in spaces)
     return Space(
@@ -129,7 +199,33 @@ def product(*factors: tuple[Space, int, int]) -> Space:
         joined.minus,
         joined.transport if curved else None,
         check=joined.check if particular else None,
+        size=joined.N,
+        parts=tuple(named),
     )
+
+
+def _factor(name: str, part: Any) -> tuple[Space, int, int]:
+    """A named part as a factor ``(space, N, n)``."""
+    space, N = part if isinstance(part, tuple) and len(part) == 2 else (part, None)
+    if not isinstance(part, Space) and N is None:
+        space, N = EUCLIDEAN, part
+    N = space.size if N is None and isinstance(space, Space) else N
+    if not isinstance(space, Space) or N is None:
+        raise ValueError(
+            f"{name}: expected a number of components, a space, or a space of any length with the "
+            f"length of its points, such as (celnav.angles(), 1), got {part!r:.80}"
+        )
+    N = integer(name, N)
+    return space, N, _tangent_length(space, N, name)
+
+
+def _tangent_length(space: Space, N: int, name: str) -> int:
+    """How many components a tangent has where points have N."""
+    point = np.full(N, np.nan)
+    if space.check is not None:
+        space.check(point, name)
+    length: int = space.minus(point, point).shape[-1]
+    return length
 
 
 class _Product(NamedTuple):
@@ -162,6 +258,7 @@ class _Product(NamedTuple):
         return matrix
 
     def check(self, point: Array, name: str) -> Array:
+        _check_length(name, point, self.N)
         return side_by_side(
             [
                 point[..., at] if space.check is None else space.check(point[..., at], name)

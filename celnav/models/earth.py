@@ -12,7 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.gaussian.checks import finite, number, numbers
+from celnav.gaussian.attitude import cross_product
+from celnav.gaussian.checks import finite, number, numbers, together
 from celnav.gaussian.linalg import Array, matvec
 from celnav.lazy import requires_extra
 
@@ -77,18 +78,53 @@ def transport_rate(velocity: Array, latitude: ArrayLike, height_m: ArrayLike) ->
     return np.stack([-velocity[..., 1] / north, spin, spin * np.tan(latitude)], -1)
 
 
+def fixed_position(latitude: ArrayLike, longitude: ArrayLike, height_m: ArrayLike) -> Array:
+    """Earth-fixed position ``(..., 3)`` m of geodetic latitude, longitude (rad) and height."""
+    L, lon, h = (np.asanyarray(numbers("latitude", v)) for v in (latitude, longitude, height_m))
+    N = transverse_radius(L)
+    across = (N + h) * np.cos(L)
+    up = (N * (1.0 - ECCENTRICITY_SQUARED) + h) * np.sin(L)
+    return np.stack(np.broadcast_arrays(across * np.cos(lon), across * np.sin(lon), up), -1)
+
+
+def north_east_down(latitude: float, longitude: float) -> Array:
+    """Matrix ``(3, 3)`` that takes Earth-fixed components to those on north, east, down axes."""
+    s, c = np.sin(number("latitude", latitude)), np.cos(latitude)
+    so, co = np.sin(number("longitude", longitude)), np.cos(longitude)
+    return np.array([[-s * co, -s * so, c], [-so, co, 0.0], [-c * co, -c * so, -s]])
+
+
+def local_position(
+    latitude: ArrayLike,
+    longitude: ArrayLike,
+    height_m: ArrayLike,
+    origin: tuple[float, float, float],
+) -> Array:
+    """Position ``(..., 3)`` m on north, east, down axes that stay at the ``origin``, as geodetic
+    ones: latitude, longitude (rad), height.
+
+    >>> p = earth.local_position(lat, lon, height, (lat[0], lon[0], height[0]))
+    """
+    place = finite("origin", origin, (3,))
+    geodetic = [
+        finite(name, value)
+        for name, value in (
+            ("latitude", latitude),
+            ("longitude", longitude),
+            ("height_m", height_m),
+        )
+    ]
+    together(latitude=geodetic[0].shape, longitude=geodetic[1].shape, height_m=geodetic[2].shape)
+    offset = fixed_position(*geodetic) - fixed_position(*place)
+    return offset @ north_east_down(place[0], place[1]).T
+
+
 def inertial_forces(position: Array, velocity: Array, spin: Array = SPIN) -> Array:
     """Centrifugal and Coriolis acceleration ``(..., 3)`` m/s^2 on axes that rotate with
     ``spin (..., 3)`` rad/s; position and velocity in m, m/s on these axes.
     """
     # -w x (w x r) - 2 w x v
-    return np.asanyarray(-_cross(spin, 2.0 * velocity + _cross(spin, position)))
-
-
-def _cross(a: Array, b: Array) -> Array:
-    """Vector products, also of traced numbers."""
-    (x, y, z), (u, v, w) = ([vector[..., i] for i in range(3)] for vector in (a, b))
-    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], -1)
+    return np.asanyarray(-cross_product(spin, 2.0 * velocity + cross_product(spin, position)))
 
 
 def orientation(tt: ArrayLike, ut1: ArrayLike, pole: tuple[float, float] = (0.0, 0.0)) -> Array:

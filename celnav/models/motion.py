@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from celnav.filters.model import Linear, Motion
+from celnav.gaussian.attitude import turn_coefficients
 from celnav.gaussian.checks import finite, integer, number
 from celnav.gaussian.linalg import Array
 
@@ -183,32 +184,12 @@ def _polynomial(terms: tuple[Array, ...], epoch: Any) -> Array:
     return total
 
 
-def _series(theta: Array) -> tuple[Array, Array]:
-    """``(1 - cos theta) / theta^2`` and ``(theta - sin theta) / theta^3``, without loss of digits
-    near 0.
-    """
-    square = theta * theta
-    small = square < 1e-2
-    safe = np.where(small, 1.0, theta)
-    first = np.where(
-        small,
-        0.5 - square * (1.0 / 24.0 - square * (1.0 / 720.0 - square / 40320.0)),
-        2.0 * (np.sin(0.5 * safe) / safe) ** 2,
-    )
-    second = np.where(
-        small,
-        1.0 / 6.0 - square * (1.0 / 120.0 - square * (1.0 / 5040.0 - square / 362880.0)),
-        (1.0 - np.sin(safe) / safe) / (safe * safe),
-    )
-    return first, second
-
-
 def _angles(rate: Array, T: Any) -> tuple[Array, ...]:
     """Over an interval: ``sin(rate T) / rate``, ``(1 - cos(rate T)) / rate``, cosine and sine; and
     the derivatives of the first two with respect to the rate.
     """
     theta = rate * T
-    first, second = _series(theta)
+    first, second = turn_coefficients(theta * theta)
     sinc = 1.0 - second * theta * theta
     return (
         T * sinc,
@@ -231,7 +212,7 @@ def _pushed(rate: Array, T: Array) -> Array:
     two columns for each block.
     """
     theta = rate[..., None, None] * T
-    first, second = _series(theta)
+    first, second = turn_coefficients(theta * theta)
     residual = np.sqrt(2.0 * second - first * first - (theta * second) ** 2)
     return np.asanyarray(
         np.sqrt(T) * (T * (first * _PP - theta * second * _PP_J + residual * _PV) + _VP)

@@ -7,10 +7,53 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import expm, solve_discrete_lyapunov
+from scipy.special import gammaincinv
 
 from celnav.gaussian.belief import symmetric
 from celnav.gaussian.checks import finite, number, together
 from celnav.gaussian.linalg import Array
+
+
+class Allan(NamedTuple):
+    """Allan deviations ``(...)``, of the unit of the samples, and their 95 % intervals."""
+
+    deviation: Array
+    low: Array
+    high: Array
+
+
+def allan_deviation(t: ArrayLike, samples: ArrayLike, interval_s: float) -> Allan:
+    """Overlapping Allan deviation of means over ``interval_s`` [Riley2008, Eq. 11].
+
+    t: ``(T,)`` s, evenly spaced. samples: ``(T, ...)`` of a rate. White noise of density N has
+    ``N / interval_s^(1/2)``; the intervals hold for white noise.
+
+    >>> allan_deviation(t, rate, 1.0).deviation
+    """
+    times = finite("t", t, ("T",))
+    x = finite("samples", samples)
+    if not x.ndim or len(x) != len(times):
+        raise ValueError(f"samples: expected shape ({len(times)}, ...) to go with t, got {x.shape}")
+    if len(times) < 3:
+        raise ValueError(f"t: expected three times or more, got {len(times)}")
+    period = (times[-1] - times[0]) / (len(times) - 1)
+    if not (np.abs(np.diff(times) - period) < 0.5 * period).all():
+        raise ValueError("t: expected increasing times that are evenly spaced within half a period")
+    m, total = round(number("interval_s", interval_s, above=0.0) / period), len(times)
+    if not 1 <= m <= (total - 1) // 2:
+        most = (total - 1) // 2 * period
+        raise ValueError(
+            f"interval_s: expected {period:g} to {most:g} s, half of the samples, got "
+            f"{interval_s!r}"
+        )
+    sums = np.concatenate([np.zeros_like(x[:1]), np.cumsum(x - x.mean(0), 0)])
+    second = sums[2 * m :] - 2.0 * sums[m:-m] + sums[: -2 * m]
+    deviation = np.sqrt(0.5 * np.square(second).mean(0)) / m
+    # Equivalent degrees of freedom, white noise of a rate [Riley2008, Sec. 5.4].
+    dof = 1.5 * total / m - 2.0 * (total - 1.0) / (total + 1.0)
+    dof *= 4.0 * m * m / (4.0 * m * m + 5.0)
+    low, high = (np.sqrt(dof / (2.0 * gammaincinv(0.5 * dof, p))) for p in (0.975, 0.025))
+    return Allan(deviation, low * deviation, high * deviation)
 
 
 def stationary_covariance(Phi: ArrayLike, R: ArrayLike) -> Array:

@@ -22,8 +22,7 @@ from celnav.analysis.diagnose import (
 )
 from celnav.analysis.diagnosis_text import consistency, laid_out
 from celnav.analysis.metrics import bootstrap, chi_square_band
-from celnav.filters.model import Motion
-from celnav.filters.track import Track
+from celnav.filters.track import Track, space_of
 from celnav.gaussian.belief import nees
 from celnav.gaussian.checks import instance, number, numbers, sequence
 from celnav.gaussian.linalg import Array
@@ -190,7 +189,7 @@ def report(
             "track: expected one with means and deviations; run with keep='cov', or 'std'"
         )
     if space is None:
-        space = _space_of(track.filter)
+        space = space_of(track.filter)
     instance("space", space, Space, "a Space, such as celnav.attitude()")
     first = 0 if start is None else int(np.searchsorted(track.times, number("start", start)))
     times = track.times[first:]
@@ -202,7 +201,7 @@ def report(
     error = _errors(track, truth, space)
     n = error.shape[-1]
     if names is None:
-        names = [f"x{i}" for i in range(n)]
+        names = space.labels[:n] or [f"x{i}" for i in range(n)]
     names = sequence("names", names, "['x', 'y']")
     if len(names) != n or not all(isinstance(name, str) for name in names):
         raise ValueError(
@@ -245,16 +244,6 @@ def _lost(track: Track) -> tuple[tuple[int, float], ...]:
     missing = np.isnan(track.mean).any(-1).reshape(len(track.times), -1)[:, runs]
     since = np.where(missing.any(0), track.times[missing.argmax(0)], np.nan)
     return tuple(zip(runs.tolist(), since.tolist(), strict=True))
-
-
-def _space_of(filter: Any) -> Space:
-    """Of a filter's states, or of those of the filters within it."""
-    if isinstance(motion := getattr(filter, "motion", None), Motion):
-        return motion.space
-    for name in ("first", "filter", "filters"):
-        if within := getattr(filter, name, None):
-            return _space_of(within[0] if isinstance(within, tuple) else within)
-    return EUCLIDEAN
 
 
 def _errors(track: Track, truth: Any, space: Space) -> Array:

@@ -27,7 +27,7 @@ STILL = celnav.Gaussian(np.concatenate([TURN, np.zeros(3)]), 1e-4 * np.eye(6))
     ("filter", "prior", "z", "calls", "files"),
     [
         (UKF, celnav.Gaussian(np.zeros(2), np.eye(2)), np.zeros(1), 50, 5),
-        (MEKF, STILL, TURN, 108, 8),
+        (MEKF, STILL, TURN, 112, 8),
     ],
     ids=["ukf with a matrix", "mekf"],
 )

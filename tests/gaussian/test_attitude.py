@@ -204,3 +204,20 @@ def test_a_quaternion_that_is_off_by_round_off_is_normalized():
     np.testing.assert_allclose(
         seen(at.IDENTITY, z), seen(at.IDENTITY, (1.0 + 5e-7) * z), atol=1e-15
     )
+
+
+def test_differences_on_reference_axes():
+    """They are those on body axes, rotated; the covariance follows likewise."""
+    q = at.from_euler([0.3, -0.4, 2.0])
+    p = np.array([0.2, 0.5, -0.3])
+    local, body = at.attitude(axes="reference"), at.attitude()
+    np.testing.assert_allclose(local.minus(local.plus(q, p), q), p, rtol=1e-13)
+    moved = body.plus(q, at.rotate(q, p))
+    np.testing.assert_allclose(local.plus(q, p), moved, rtol=1e-13)
+    carried = at.attitude(axes="reference", transported=True)
+    numeric = [
+        (carried.minus(carried.plus(q, p + d), carried.plus(q, p))) / 1e-6 for d in 1e-6 * np.eye(3)
+    ]
+    np.testing.assert_allclose(carried.transport(p), np.transpose(numeric), atol=1e-6)
+    with pytest.raises(ValueError, match=r"^axes: expected one of body, reference, got 'local'"):
+        at.attitude(axes="local")

@@ -165,3 +165,91 @@ def test_lengths_that_a_space_does_not_have_are_refused_where_they_are_given(fac
     """Not in the first run."""
     with pytest.raises(ValueError, match="^" + message):
         product(factor, (EUCLIDEAN, 12, 12))
+
+
+BY_NAME = product(q=attitude(), v=3, course=(angles(), 1), bias=2)
+BY_PLACE = product((attitude(), 4, 3), (EUCLIDEAN, 3, 3), (angles(), 1, 1), (EUCLIDEAN, 2, 2))
+
+
+def points(count=5, seed=0):
+    x = np.random.default_rng(seed).standard_normal((count, 10))
+    x[:, :4] /= np.linalg.norm(x[:, :4], axis=1, keepdims=True)
+    x[:, 7] = wrap(3.0 * x[:, 7])
+    return x
+
+
+def test_a_product_by_name_is_the_product_by_place():
+    a, b = points(), points(seed=1)
+    d = BY_NAME.minus(b, a)
+    np.testing.assert_array_equal(d, BY_PLACE.minus(b, a))
+    np.testing.assert_array_equal(BY_NAME.plus(a, d), BY_PLACE.plus(a, d))
+    assert (BY_NAME.size, d.shape[-1]) == (10, 9)
+
+
+def test_a_part_is_taken_by_its_name_from_points_and_from_deviations():
+    x, d = points(), np.arange(9.0)
+    np.testing.assert_array_equal(BY_NAME.part(x, "q"), x[:, :4])
+    np.testing.assert_array_equal(BY_NAME.part(x, "bias"), x[:, 8:])
+    np.testing.assert_array_equal(BY_NAME.part(d, "q"), d[:3])
+    np.testing.assert_array_equal(BY_NAME.part(d, "course"), d[6:7])
+    assert BY_NAME.labels == ["q0", "q1", "q2", "v0", "v1", "v2", "course", "bias0", "bias1"]
+    assert BY_PLACE.labels == []
+    nested = product(body=BY_NAME, clock=1)
+    assert nested.labels == [*BY_NAME.labels, "clock"]
+    np.testing.assert_array_equal(nested.part(np.r_[x[0], 7.0], "clock"), [7.0])
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (
+            lambda: BY_NAME.part(points(), "velocity"),
+            "name: expected one of q, v, course, bias, got 'velocity'",
+        ),
+        (lambda: BY_NAME.part(np.zeros(8), "v"), "x: expected points of 10 components or .* of 9"),
+        (lambda: BY_PLACE.part(points(), "v"), "space: expected a product with names"),
+        (lambda: product(q=attitude(), p=0), "p: expected a positive integer, got 0"),
+        (lambda: product(q=attitude(), p="3"), "p: expected a positive integer, got '3'"),
+        (lambda: product(course=angles()), r"course: .*, such as \(celnav.angles\(\), 1\)"),
+        (lambda: product(q=(attitude(), 3)), r"q: expected shape \(..., 4\), got \(3,\)"),
+        (lambda: product((EUCLIDEAN, 3, 3), p=3), "factors: expected all parts .* by name, or non"),
+    ],
+)
+def test_what_has_no_name_or_length_is_refused(make, message):
+    with pytest.raises(ValueError, match="^" + message):
+        make()
+
+
+def test_named_vectors_are_vectors():
+    """They take matrices; the number of components is checked."""
+    space = product(p=1, v=1)
+    assert space == EUCLIDEAN
+    assert hash(space) == hash(EUCLIDEAN)
+    assert BY_NAME != BY_PLACE
+    motion = celnav.Motion([[1.0, 1.0], [0.0, 1.0]], np.eye(2), space=space)
+    flt = celnav.ukf(motion, celnav.Sensor([[1.0, 0.0]], 1.0))
+    track = celnav.run(flt, celnav.Gaussian(np.zeros(2), 1.0), np.arange(5.0), np.ones((5, 1)))
+    plain = celnav.ukf(celnav.Motion(motion.f, motion.Q), *flt.sensors)
+    same = celnav.run(plain, celnav.Gaussian(np.zeros(2), 1.0), np.arange(5.0), np.ones((5, 1)))
+    np.testing.assert_allclose(track.mean, same.mean, rtol=1e-14)
+    with pytest.raises(ValueError, match=r"^prior: expected 2 components of a product"):
+        flt.start(celnav.Gaussian(np.zeros(3), 1.0))
+
+
+@pytest.mark.parametrize("engine", ["numpy", "compiled"])
+def test_a_track_gives_the_belief_of_a_part(engine):
+    def f(x, epoch):
+        q, v = BY_NAME.part(x, "q"), BY_NAME.part(x, "v")
+        return np.concatenate([q, v + epoch.dt, x[..., 7:]], -1)
+
+    motion = celnav.Motion(f, np.eye(9), space=BY_NAME)
+    flt = celnav.ekf(motion, celnav.Sensor(lambda x, epoch: BY_NAME.part(x, "v"), np.eye(3)))
+    prior = celnav.Gaussian(points(2), np.eye(9))
+    z = np.random.default_rng(0).standard_normal((4, 2, 3))
+    track = celnav.run(flt, prior, np.arange(4.0), z, keep="cov", engine=engine)
+    v = track.part("v")
+    np.testing.assert_array_equal(v.mean, track.mean[..., 4:7])
+    np.testing.assert_array_equal(v.cov, track.cov[..., 3:6, 3:6])
+    np.testing.assert_allclose(v.std, BY_NAME.part(track.std, "v"), rtol=1e-12)
+    with pytest.raises(ValueError, match=r"^name: expected one of q, v, course, bias, got 'p'"):
+        track.part("p")

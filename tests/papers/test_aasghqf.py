@@ -28,7 +28,7 @@ from celnav.gaussian.belief import nees
 from celnav.gaussian.linalg import Covariance
 from celnav.gaussian.rules import gauss_hermite, simplex, tensor_product
 from celnav.gaussian.sparse_grid import index_set, point_count, smolyak
-from celnav.models import inertial
+from celnav.models import misalignment
 from celnav.papers import aasghqf
 from celnav.papers.aasghqf import scenario, show, study
 from celnav.papers.aasghqf.scenario import (
@@ -230,7 +230,7 @@ def test_only_the_misalignment_is_nonlinear(short):
         return epoch._replace(u=u)
 
     bent = [
-        lambda x: inertial.advance(x, alone(second).u.interval, 1.0),
+        lambda x: misalignment.advance(x, alone(second).u.interval, 1.0),
         lambda x: scenario.measurement(x, alone(first)),
     ]
     assert (
@@ -241,7 +241,7 @@ def test_only_the_misalignment_is_nonlinear(short):
 
 def at_rest(config, turned=None):
     """What is known at the start of a flight without errors, with a body that is turned against it."""
-    nav = inertial.navigation(config.flight, 0, np.zeros(3), np.zeros(3))
+    nav = misalignment.navigation(config.flight, 0, np.zeros(3), np.zeros(3))
     if turned is not None:
         nav = nav._replace(attitude=nav.attitude @ turned)
     return Epoch(
@@ -287,7 +287,7 @@ def test_pieces_without_transitions_are_those_with_them():
         [at_rest(A), at_rest(replace(A, heading_deg=110.0, speed_m_per_s=300.0))],
     )
     H0, H1 = (scenario.observability(x, e, A.units, 12) for e in known)
-    A0, A1 = (jacobian(lambda x, e=e: inertial.derivative(x, e.u.interval), x) for e in known)
+    A0, A1 = (jacobian(lambda x, e=e: misalignment.derivative(x, e.u.interval), x) for e in known)
     move = expm(50.0 * A0 * A.units[0] / A.units[0][:, None])
     stripped, total = (
         np.linalg.matrix_rank(np.concatenate([H0, last]), tol=1e-9) for last in (H1, H1 @ move)
@@ -503,7 +503,7 @@ def test_mounting_errors_turn_the_attitude_by_the_closed_form():
     z = scenario.mounted(sim, mu).z[0, :, :6]
     np.testing.assert_allclose(z.reshape(2, 2, 3), np.cross(mu, BORESIGHTS), atol=1e-7)
     attitude = epoch.u.attitude
-    phi = inertial.wahba_misalignment(z, attitude, epoch.u.stars)
+    phi = misalignment.wahba_misalignment(z, attitude, epoch.u.stars)
     bias = -np.einsum("rij,ri->rj", attitude, phi)  # on body axes; C_n^n' turns axes, not vectors
     r1, r2 = BORESIGHTS
     r3 = np.cross(r1, r2)
@@ -636,9 +636,9 @@ def test_of_a_prior_of_45_degrees_iterations_may_end_in_other_angles_but_of_the_
         *scenario.model(sim.config), rule=scenario.rules()["ukf"], form="covariance", iterations=30
     )
     found, true = filter.update(filter.start(sim.prior), next(sim.epochs()))[0].belief, sim.truth[0]
-    away = np.abs(found.mean - true)[:, inertial.PHI].max(-1) > 0.01
+    away = np.abs(found.mean - true)[:, misalignment.PHI].max(-1) > 0.01
     assert 0 < away.sum() < 30
-    C, D = (inertial.misalignment_matrix(x[:, inertial.PHI]) for x in (found.mean, true))
+    C, D = (misalignment.misalignment_matrix(x[:, misalignment.PHI]) for x in (found.mean, true))
     assert np.abs(C - D).max() < 6.0 * np.radians(sim.config.star_arcsec / 3600.0)
 
 
@@ -651,10 +651,10 @@ def test_six_states_are_those_of_the_error_model_without_the_others():
     sim, known, prior = scenario.six_states(config, [generator(7, 0, r) for r in range(3)])
     six = list(scenario.SIX)
     assert not np.delete(sim.truth, six, axis=-1).any()
-    assert np.ptp(sim.truth[..., inertial.PHI], axis=0).all()
+    assert np.ptp(sim.truth[..., misalignment.PHI], axis=0).all()
 
     def held(x, epoch):
-        moved = x + epoch.dt * inertial.derivative(x, epoch.u.interval)
+        moved = x + epoch.dt * misalignment.derivative(x, epoch.u.interval)
         return np.where(np.isin(range(13), six), moved, 0.0)
 
     kept = np.isin(range(13), six)

@@ -3,7 +3,7 @@ sensors and by SAR images.
 
 Eqs. 11-14, 16-18, sparse rules: `celnav.gaussian.sparse_grid`. Eqs. 15, 19, degrees of
 observability and weights by a threshold: `celnav.analysis.observability`. Eqs. 20-28, errors of the
-inertial system, its state, star sensors: `celnav.models.inertial`.
+inertial system, its state, star sensors: `celnav.models.misalignment`.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ from celnav.gaussian.rules import (
     unscented,
 )
 from celnav.gaussian.sparse_grid import DELAYED, smolyak
-from celnav.models import earth, inertial
-from celnav.models.inertial import BIAS, DRIFT, PHI, POSITION, VELOCITY, Navigation
+from celnav.models import earth, misalignment
+from celnav.models.misalignment import BIAS, DRIFT, PHI, POSITION, VELOCITY, Navigation
 from celnav.papers import citation
 from celnav.study.montecarlo import MOST_STEPS, normals
 from celnav.study.parameters import Timed, param
@@ -224,7 +224,7 @@ class Scenario(NamedTuple):
         """What the system knows in the middle of the interval that ends at an epoch, from its
         errors an epoch before; at the first epoch, where there is no interval, at that epoch."""
         x = self.truth[max(k - 1, 0)]
-        return inertial.navigation(self.config.flight, max(2 * k - 1, 0), x[:, PHI], x[:, BIAS])
+        return misalignment.navigation(self.config.flight, max(2 * k - 1, 0), x[:, PHI], x[:, BIAS])
 
     def epochs(self) -> Iterator[Epoch]:
         """Epochs with their `Inputs`: what the system knows follows from its errors, now and an
@@ -235,7 +235,7 @@ class Scenario(NamedTuple):
         for k, t in enumerate(c.times.tolist()):
             x = self.truth[k]
             attitude = flight.attitude[2 * k]
-            computed = inertial.misalignment_matrix(x[:, PHI]) @ attitude
+            computed = misalignment.misalignment_matrix(x[:, PHI]) @ attitude
             fix = c.sar_m / c.meters(flight.latitude[2 * k])
             stars = BORESIGHTS @ attitude.T
             u = Inputs(self.interval(k), computed, stars, np.diag([*star, *fix]))
@@ -245,7 +245,7 @@ class Scenario(NamedTuple):
 def simulate(
     config: Config,
     rngs: Rngs,
-    advance: Callable[[Array, Navigation, float], Array] = inertial.advance,
+    advance: Callable[[Array, Navigation, float], Array] = misalignment.advance,
     free: Sequence[int] = range(13),
 ) -> Scenario:
     """One run for each generator: initial errors drawn from the prior, process and measurement
@@ -275,16 +275,16 @@ def simulate(
 def dynamics(x: Array, epoch: Epoch) -> Array:
     """One step of the error model; a point beyond 89 degrees of phi_x is lost (nan), and with it
     its run."""
-    y = inertial.advance(x, epoch.u.interval, epoch.dt)
-    if is_concretely_true(np.abs(x[..., 0]).max() >= inertial.SINGULAR):
-        y = np.where(np.abs(x[..., :1]) < inertial.SINGULAR, y, np.nan)
+    y = misalignment.advance(x, epoch.u.interval, epoch.dt)
+    if is_concretely_true(np.abs(x[..., 0]).max() >= misalignment.SINGULAR):
+        y = np.where(np.abs(x[..., :1]) < misalignment.SINGULAR, y, np.nan)
     return y
 
 
 def measurement(x: Array, epoch: Epoch) -> Array:
     """Two star residuals and the position, ``(..., 8)`` [Liang2014, Eqs. 26-28]."""
     out = np.empty_like(x, shape=(*x.shape[:-1], 8))  # in the order of x in memory
-    out[..., :6] = inertial.star_residuals(x, epoch.u.attitude, epoch.u.stars)
+    out[..., :6] = misalignment.star_residuals(x, epoch.u.attitude, epoch.u.stars)
     out[..., 6:] = x[..., POSITION]
     return out
 
@@ -342,7 +342,7 @@ def wahba_start(belief: Belief, z: Array, epoch: Epoch) -> Array:
     """The mean, with the misalignment that both star vectors give; beyond 90 deg of phi_x on
     another branch of the angles."""
     at = np.array(np.broadcast_to(belief.mean, (*z.shape[:-1], 13)))
-    at[..., PHI] = inertial.wahba_misalignment(z[..., :6], epoch.u.attitude, epoch.u.stars)
+    at[..., PHI] = misalignment.wahba_misalignment(z[..., :6], epoch.u.attitude, epoch.u.stars)
     return at
 
 
@@ -361,7 +361,11 @@ def observability(x: Array, epoch: Epoch, units: tuple[Array, Array], order: int
     """Observability matrix ``(..., 8 (order + 1), 13)`` at states ``(..., 13)``, in units of states
     and outputs."""
     states, outputs = units
-    F = jacobian(lambda x: inertial.derivative(x, epoch.u.interval), x) * states / states[:, None]
+    F = (
+        jacobian(lambda x: misalignment.derivative(x, epoch.u.interval), x)
+        * states
+        / states[:, None]
+    )
     H = jacobian(lambda x: measurement(x, epoch), x) * states * outputs[:, None]
     return observability_matrix(F, H, order)
 
@@ -393,7 +397,7 @@ def by_nonlinearity(threshold: float = 0.1) -> Choose:
         noise = epoch.u.sqrt_R.diagonal()
         degree = nonlinearity_degree(lambda x: measurement(x, epoch), x, std, noise)
         if epoch.dt:
-            after = lambda x: inertial.advance(x, epoch.u.interval, epoch.dt)  # noqa: E731
+            after = lambda x: misalignment.advance(x, epoch.u.interval, epoch.dt)  # noqa: E731
             degree = np.maximum(degree, nonlinearity_degree(after, x, std, std))
         return np.asarray(hysteresis(degree, threshold, ones(chosen)) @ BITS)
 
@@ -453,7 +457,7 @@ tensor rule has 729 points."""
 def euler(x: Array, nav: Navigation, dt: float) -> Array:
     """One step of the error model without velocity errors, so that positions do not move by half a
     step of acceleration."""
-    return x + dt * inertial.derivative(x, nav)
+    return x + dt * misalignment.derivative(x, nav)
 
 
 @cache

@@ -11,7 +11,7 @@ import numpy as np
 from celnav.analysis.observability import threshold_weights
 from celnav.gaussian.linalg import matvec, semidefinite_root
 from celnav.gaussian.sparse_grid import point_count, smolyak
-from celnav.models import inertial
+from celnav.models import misalignment
 from celnav.papers.aasghqf import study
 from celnav.papers.aasghqf.scenario import (
     BORESIGHTS,
@@ -260,7 +260,7 @@ TABLES = {
                 )
             }
             | {"weight by nonlinearity": NONLINEAR_WEIGHTS[i]}
-            for i, state in enumerate(inertial.STATES)
+            for i, state in enumerate(misalignment.STATES)
         ],
     ),
     "table_3": (
@@ -324,8 +324,8 @@ def showcase(results: Results, part: str) -> Showcase:
     )
     ground = np.diag(c.meters()) @ np.eye(2, 3)  # from longitude and latitude to east, north, up
     axes = np.zeros((3, 13))
-    fix = (z[:, 6:] - truth[:, inertial.POSITION]) @ ground
-    axes[:, inertial.POSITION] = ground.T
+    fix = (z[:, 6:] - truth[:, misalignment.POSITION]) @ ground
+    axes[:, misalignment.POSITION] = ground.T
 
     def scene(out: Recorder) -> None:
         flight = c.flight
@@ -336,10 +336,10 @@ def showcase(results: Results, part: str) -> Showcase:
             out,
             "world",
             way @ ground,
-            (way + truth[:, inertial.POSITION]) @ ground,
+            (way + truth[:, misalignment.POSITION]) @ ground,
             np.isfinite(fix[:, 0]),
             stars,
-            inertial.misalignment_matrix(truth[:, inertial.PHI]) @ stars,
+            misalignment.misalignment_matrix(truth[:, misalignment.PHI]) @ stars,
         )
         std = np.sqrt(np.asarray(estimates["sghqf"].cov).diagonal(0, -2, -1))[:, None, :3]
         for name, e in estimates.items():

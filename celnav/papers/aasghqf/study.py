@@ -22,7 +22,7 @@ from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.linalg import Array
 from celnav.gaussian.rules import gauss_hermite, simplex, tensor_product
 from celnav.gaussian.sparse_grid import ORDERS, index_set, integrates, point_count, smolyak
-from celnav.models import earth, inertial
+from celnav.models import earth, misalignment
 from celnav.papers.aasghqf import scenario
 from celnav.papers.aasghqf.scenario import (
     DEGREE,
@@ -59,7 +59,7 @@ COMPARED = ("ukf", "sghqf", "aasghqf")  # the paper's three filters
 FLOWN = (*COMPARED, "nonlinear", "triad-ekf")
 MANY = "T3, 200 runs"
 SHOWN = ("T3", "A-slow", "A")
-PHI = inertial.PHI
+PHI = misalignment.PHI
 SIX = replace(T3, step_s=5.0, steps=24, star_interval=6, sar_interval=5)
 """Fixes when T3 has them, in longer steps and for two minutes only: a tensor rule takes ten times
 as long as all other filters."""
@@ -156,7 +156,7 @@ def degrees(config: Config, _: Rngs) -> dict[str, Array]:
     rad, m, deg/h, micro g, 1, m, the nearest to Table 2; then deg."""
     epoch = next(simulate(replace(config, steps=1), UNDISTURBED).epochs())
     gradients = lie_gradients(
-        lambda x: inertial.derivative(x, epoch.u.interval),
+        lambda x: misalignment.derivative(x, epoch.u.interval),
         lambda x: measurement(x, epoch),
         np.zeros(13),
         3,
@@ -241,7 +241,9 @@ def along(config: Config, rngs: Rngs) -> dict[str, Array]:
             above.append(values > THRESHOLD * bars[..., None])  # (3, units, runs, 13)
     degrees = []
     for flight in (config.flight, scenario.TURNING.flight):
-        nav = inertial.navigation(flight, slice(0, None, 2), *np.zeros((2, config.steps + 1, 3)))
+        nav = misalignment.navigation(
+            flight, slice(0, None, 2), *np.zeros((2, config.steps + 1, 3))
+        )
         stars = scenario.BORESIGHTS @ nav.attitude.mT
         epoch = Epoch(u=scenario.Inputs(nav, nav.attitude, stars, np.eye(8)))
         still = np.zeros((config.steps + 1, 13))
@@ -671,7 +673,9 @@ def degree(r: Results) -> Tiers:
     return {
         "reproduced": [Number(differ, far.sum(-1).min(), (None, 0))],
         "in part": [Number(order, turned.sum(-1).min(), (None, 0))],
-        "not reproduced": [Number(*state) for state in zip(inertial.STATES, every[0, 0].tolist())],
+        "not reproduced": [
+            Number(*state) for state in zip(misalignment.STATES, every[0, 0].tolist())
+        ],
     }
 
 
