@@ -23,7 +23,8 @@ SIGNS = {
 """Colors on which white has a contrast of 4.5, and signs."""
 OTHER = "#6b6b6b", "?"
 STYLE = """<style>
-text{font:12px system-ui,sans-serif;fill:#222}a{text-decoration:none}.sign{fill:#fff;text-anchor:middle;font-size:11px}
+text{font:12px system-ui,sans-serif;fill:#222}a{text-decoration:none}
+.sign{fill:#fff;text-anchor:middle;font-size:11px}
 @media(prefers-color-scheme:dark){.name{fill:#ddd}}
 </style>"""
 
