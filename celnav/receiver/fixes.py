@@ -1,8 +1,8 @@
 """Fixes of all epochs at once, each by itself: position and clock of ranges, velocity and drift of
 rates, without faulty ones.
 
-Also how large the noise is that their residuals show. With a second system of satellites a fix has
-the offset of its clock besides, where both are seen; a system's only range says nothing of the
+Also how large the noise is that their residuals show. With more systems of satellites a fix has
+the offsets of their clocks besides, where both are seen; a system's only range says nothing of the
 position, nothing tests it, and it is not used. Epochs ``T`` lead, satellites ``S`` follow; a kind
 of measurement, ranges or rates, is a tuple's or an axis' place 0 or 1.
 """
@@ -63,7 +63,7 @@ class Seen(NamedTuple):
     """Measurements ``z (T, 2 S)``, nan where there is none, of satellites ``q, w, elevation`` near
     ``position (T, 3)``.
 
-    ``second (S,)``: 1 for those of a second system, 0 for those of the first; None: there is one
+    ``second (k, S)``: offsets of clocks as in `celnav.models.pseudorange`; None: there is one
     system.
     """
 
@@ -76,12 +76,12 @@ class Seen(NamedTuple):
 
 
 class Fixed(NamedTuple):
-    """States ``(T, 8 or 9)`` and covariances of positions ``(T, 3, 3)``, nan where there is no fix;
+    """States ``(T, 8 + k)`` and covariances of positions ``(T, 3, 3)``, nan where there is no fix;
     deviations ``sigma (T, 2 S)``.
 
     ``kinds``: of ranges and rates, what is left of them; ``left`` and ``G``: residuals ``(T, S)``
-    and Jacobians ``(T, S, 4)``, in deviations. With a second system ranges have a place more, for
-    "the offset is zero", which is kept where one system is missing.
+    and Jacobians ``(T, S, 4)``, in deviations. With k more systems ranges have k places more, for
+    "this offset is zero", which are kept where satellites leave an offset open.
     """
 
     states: Array
@@ -108,7 +108,8 @@ class Fixed(NamedTuple):
 def fixed(seen: Seen, noise: tuple[Noise, Noise], false_alarm: float) -> Fixed:
     """Fixes of all epochs; a satellite whose range is faulty is not asked for its rate either."""
     S, second = seen.q.shape[-2], seen.second
-    offset = 0 if second is None else 1
+    offsets = np.zeros((0, S)) if second is None else second
+    offset = len(offsets)
     sigma = np.concatenate([kind.deviations(seen.elevation) for kind in noise], -1)
     away = np.where(np.isfinite(seen.z[:, :S, None]), seen.q, 0.0).sum(-2)
     below = GROUND_M[0] * away / np.maximum(np.linalg.norm(away, axis=-1, keepdims=True), 1.0)
@@ -122,7 +123,7 @@ def fixed(seen: Seen, noise: tuple[Noise, Noise], false_alarm: float) -> Fixed:
 
     def ranges(rows: Array, x: Array) -> tuple[Array, Array]:
         at, q, w = states(x), seen.q[rows], seen.w[rows]
-        G = pseudorange.jacobian(at, q, w, second)[..., :S, [0, 1, 2, 6] + [8] * offset]
+        G = pseudorange.jacobian(at, q, w, second)[..., :S, [0, 1, 2, 6, *range(8, 8 + offset)]]
         zero = np.broadcast_to(np.eye(4 + offset)[4:], (*G.shape[:-2], offset, 4 + offset))
         return np.concatenate(
             [pseudorange.measure(at, q, w, second)[..., :S], x[..., 4:]], -1
@@ -136,10 +137,9 @@ def fixed(seen: Seen, noise: tuple[Noise, Noise], false_alarm: float) -> Fixed:
         if second is None:
             return there
         there = there[:, :S]
-        for system in (second == 0.0, second == 1.0):
+        for system in (~offsets.any(0), *(offsets > 0.0)):
             there = there & ~(system & ((there & system).sum(-1, keepdims=True) == 1))
-        both = (there & (second == 0.0)).any(-1) & (there & (second == 1.0)).any(-1)
-        return np.concatenate([there, ~both[:, None]], -1)
+        return np.concatenate([there, pseudorange.undetermined(there, offsets)], -1)
 
     start = np.concatenate([near, np.zeros((len(near), 1 + offset))], -1)
     z, deviation = (
@@ -166,7 +166,9 @@ def fixed(seen: Seen, noise: tuple[Noise, Noise], false_alarm: float) -> Fixed:
         np.zeros((len(near), 4)),
         false_alarm,
     )
-    apart = np.where(one.kind.kept[:, S:], np.nan, one.x[:, 4:])
+    # Without the first system no offset from its clock is known.
+    alone = ~(one.kind.kept[:, :S] & ~offsets.any(0)).any(-1, keepdims=True)
+    apart = np.where(alone | one.kind.kept[:, S:], np.nan, one.x[:, 4:])
     found = np.concatenate([one.x[:, :3], two.x[:, :3], one.x[:, 3:4], two.x[:, 3:], apart], -1)
     return Fixed(
         found, one.cov[:, :3, :3], sigma, (one.kind, two.kind), (one.left, two.left), (one.G, two.G)

@@ -1,7 +1,7 @@
 """From a receiver's log to what a filter takes: satellites, corrected measurements, first fixes.
 
 State: position (m, Earth-fixed), velocity (m/s), clock bias (m) and drift (m/s), and with two
-systems what the bias of the second one is more (m), as in `celnav.models.pseudorange`.
+or three systems what the biases of the later ones are more (m), as in `celnav.models.pseudorange`.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ delays are.
 """
 MILLISECOND_M = 1e-3 * LIGHT
 """By whole ones of these many receivers set their clock."""
-START = (100.0, 100.0, 100.0, 10.0, 10.0, 10.0, 100.0, 10.0, 100.0)
-"""Deviations about the first fix: m, m/s, m, m/s, and of the offset m."""
+START = (100.0, 100.0, 100.0, 10.0, 10.0, 10.0, 100.0, 10.0, 100.0, 100.0)
+"""Deviations about the first fix: m, m/s, m, m/s, and of the offsets m."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +51,7 @@ class Log:
         the receiver's clock; nan where there is none. sigma: ``(T, 2 S)`` their deviations. q, w:
         ``(T, S, 3)``, see `celnav.models.pseudorange.Sources`.
     elevation, azimuth: ``(T, S)`` rad, nan of satellites that cannot be used.
-    fixes, fix_cov: ``(T, 8 or 9)`` and of positions ``(T, 3, 3)`` m^2, of each epoch by itself, nan
+    fixes, fix_cov: ``(T, 8 + k)`` and of positions ``(T, 3, 3)`` m^2, of each epoch by itself, nan
         where it has none.
     misfit: ``(T,)``, squared residuals of the fixes' ranges, in deviations: chi-square with `spare`
         degrees.
@@ -97,25 +97,24 @@ class Log:
 
     @property
     def systems(self) -> str:
-        """Letters of the systems, one or two."""
+        """Letters of the systems."""
         return "".join(dict.fromkeys(name[0] for name in self.names))
 
     @property
     def second(self) -> Array | None:
-        """1 for satellites of the second system ``(S,)``, 0 for those of the first; None: there is
-        one.
+        """Offsets of clocks ``(k, S)`` as in `celnav.models.pseudorange`; None: there is one
+        system.
         """
         return _second(self.names)
 
     @property
     def spare(self) -> Array:
-        """Ranges beyond what a fix needs, ``(T,)``: four, and one for the offset where both systems
-        are seen.
+        """Ranges beyond what a fix needs, ``(T,)``: four, and one for each further system that is
+        seen.
         """
-        used, second = self.used, np.zeros(len(self.names)) if self.second is None else self.second
-        return np.asarray(
-            used.sum(-1) - 4 - ((used & (second == 0.0)).any(-1) & (used & (second == 1.0)).any(-1))
-        )
+        letters = np.array([name[0] for name in self.names])
+        seen = [(self.used & (letters == letter)).any(-1) for letter in self.systems]
+        return np.asarray(self.used.sum(-1) - 3 - np.maximum(np.sum(seen, 0), 1))
 
     def epochs(self) -> Iterator[Epoch]:
         """Epochs for `filters`; ``u`` is ``(q, w, sigma)`` at the epoch's time."""
@@ -124,7 +123,7 @@ class Log:
             yield Epoch(k, t, dt, (self.q[k], self.w[k], self.sigma[k]), self.z[k])
 
     def prior(self) -> Gaussian:
-        """About the first fix, ``(8,)`` or ``(9,)``."""
+        """About the first fix, ``(8 + k,)``."""
         return Gaussian(
             np.nan_to_num(self.fixes[0]), np.diag(np.square(START[: self.fixes.shape[-1]]))
         )
@@ -153,7 +152,8 @@ def prepare(
     Parameters
     ----------
     observations, navigation: what was read from the files.
-    systems: letters of those to use, "C", "G" or "CG"; None: all that have both ranges and orbits.
+    systems: letters of those to use, of "C", "G" and "E"; None: all that have both ranges and
+        orbits.
     mask_deg: satellites below this elevation are not used, from 0 to below 90.
     sigma: deviations of range (m) and rate (m/s) at the zenith; elsewhere divided by the sine of
         the elevation. None: estimated, by elevation, from the residuals of the fixes.
@@ -170,6 +170,7 @@ def prepare(
     files = f"{observations.path}, {navigation.path}"
     observations, others = _of_systems(observations, navigation, systems, files)
     times, code = observations.times, observations.code
+    navigation.check_times(files, times)
     hz = np.array([SYSTEMS[name[0]].hz for name in observations.names])
     second = _second(observations.names)
     rows = np.stack([navigation.nearest(name, times) for name in observations.names], -1)
@@ -179,11 +180,15 @@ def prepare(
         measured = -observations.doppler * LIGHT / hz
     wild = np.abs(np.nan_to_num(measured)) > CREDIBLE_M_PER_S
     usable = credible & (rows >= 0)
-    named = ", ".join(f"{name} {many}" for name, many in navigation.left_out.items())
+    named, unused = (
+        ", ".join(f"{name} {many}" for name, many in counts.items())
+        for counts in (navigation.left_out, navigation.unused)
+    )
     left_out = {
         "epochs out of order": observations.out_of_order,
         "broadcast sets that are incomplete or hold what no message can"
         + (f" ({named})" if named else ""): sum(navigation.left_out.values()),
+        f"records of orbits that are not used ({unused})": sum(navigation.unused.values()),
         "without a healthy broadcast set in its time": int((there & (rows < 0)).sum()),
         "pseudorange out of all bounds": int((there & ~credible & (rows >= 0)).sum()),
         "rate out of all bounds": int((usable & wild).sum()),
@@ -261,8 +266,9 @@ def prepare(
 
 
 def _second(names: list[str]) -> Array | None:
-    mask = np.array([float(name[0] != names[0][0]) for name in names])
-    return mask if mask.any() else None
+    letters = np.array([name[0] for name in names])
+    later = list(dict.fromkeys(letters))[1:]
+    return np.array([letters == letter for letter in later], float) if later else None
 
 
 def chosen(systems: str | None) -> str:

@@ -41,6 +41,7 @@ KIND_COLORS = {
     "IGSO": colors.ESTIMATE,
     "MEO": colors.COMPARISON,
     "GPS": colors.TRUTH,
+    "Galileo": colors.MEASUREMENT,
 }
 HEIGHTS_M = (-1e3, 5e4, 1.6e5)
 """Above the ellipsoid: receivers are between the first two, or in orbit above the third."""
@@ -51,12 +52,12 @@ IGSO_NUMBERS = frozenset({*range(6, 11), 13, 16, 31, 38, 39, 40, 56})
 
 
 def kinds(names: Sequence[str]) -> Array:
-    """GEO, IGSO or MEO of BeiDou, or GPS, of satellites by name."""
+    """GEO, IGSO or MEO of BeiDou, or the system, of satellites by name."""
     named = [(name[0], int(name[1:])) for name in names]
     return np.array(
         [
-            "GPS"
-            if s == "G"
+            SYSTEMS[s].name
+            if s != "C"
             else "GEO"
             if n in GEO_NUMBERS
             else "IGSO"
@@ -280,13 +281,12 @@ def _systems(found: Positioned) -> str:
     words = " and ".join(
         f"{SYSTEMS[letter].name} {SYSTEMS[letter].signal}" for letter in found.log.systems
     )
-    if found.log.second is not None:
-        offsets = found.mean[np.isfinite(found.mean[:, 8]), 8]
-        longer = np.median(offsets) if offsets.size else np.nan
-        words += (
-            f", whose ranges are longer by {longer:.2f} m (median): its clock, and the receiver's "
-            "delays"
-        )
+    for letter, offset in zip(found.log.systems[1:], found.mean.T[8:], strict=True):
+        known = offset[np.isfinite(offset)]
+        longer = np.median(known) if known.size else np.nan
+        words += f"; ranges of {SYSTEMS[letter].name} are longer by {longer:.2f} m (median)"
+    if found.log.systems[1:]:
+        words += ": clocks, and the receiver's delays"
     return words + (f"; not used: {', '.join(found.log.others)}" if found.log.others else "")
 
 

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from celnav.gaussian.checks import finite, numbers
 from celnav.gaussian.linalg import Array
 from celnav.models.gnss import LIGHT
+from celnav.models.pseudorange import undetermined
 
 GROUND_M = (6.3e6, 1e7)
 """From the middle of the Earth, where receivers are: near its surface or in a low orbit."""
@@ -80,25 +81,24 @@ class Dilution(NamedTuple):
 
 
 def dilution(
-    q: Array, position: Array, axes: Array, used: Array | None = None, second: Array | None = None
+    q: Array, position: Array, axes: Array, used: Array | None = None, offsets: Array | None = None
 ) -> Dilution:
     """What a fix from ranges alone makes of their noise; nan where satellites ``used (..., S)`` do
     not determine one.
 
-    ``second (S,)``: 1 for satellites of a second system, the offset of whose clock is found where
-    both are used.
+    ``offsets (k, S)``: as in `celnav.models.pseudorange`; an offset that satellites leave open
+    counts as known.
     """
     e = _unit(q - position[..., None, :]) @ axes.mT
     rows = np.concatenate([-e, np.ones_like(e[..., :1])], -1)
-    if second is not None:
-        rows = np.concatenate([rows, np.broadcast_to(second[:, None], (*rows.shape[:-1], 1))], -1)
-    if used is not None:
-        rows = np.where(used[..., None], rows, 0.0)
+    offsets = np.zeros((0, rows.shape[-2])) if offsets is None else offsets
+    k = len(offsets)
+    rows = np.concatenate([rows, np.broadcast_to(offsets.T, (*rows.shape[:-1], k))], -1)
+    used = np.ones(rows.shape[:-1], bool) if used is None else used
+    rows = np.where(used[..., None], rows, 0.0)
     n = rows.shape[-1]
     more = np.zeros((*rows.shape[:-2], n, n))
-    if second is not None:  # where one system is missing the offset counts as known
-        count, of_second = np.moveaxis(rows[..., 3:].sum(-2), -1, 0)
-        more[..., 4, 4] = (of_second == 0.0) | (of_second == count)
+    more[..., range(4, n), range(4, n)] = undetermined(used, offsets)
     R: Array = np.linalg.qr(np.concatenate([rows, more], -2)).R
     enough = (np.abs(R.diagonal(0, -2, -1)).min(-1) > SINGULAR)[..., None, None]
     # (R.T R)^-1 has the sums of squares of the rows of R^-1 on its diagonal.

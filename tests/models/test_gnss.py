@@ -48,7 +48,7 @@ def broadcast(**changes):
 
 
 def test_velocities_and_drifts_are_derivatives():
-    b, h = broadcast(gps=np.array([1.0, 0.0, 0.0])), 0.5
+    b, h = broadcast(system=np.array([1.0, 0.0, 0.0])), 0.5
     for t in (TOE - 3000.0, TOE, TOE + 1234.5):
         steps = [satellites(b, t + k * h) for k in (-2, -1, 1, 2)]
         for value, rate, size in (("position", "velocity", 1e-5), ("clock", "drift", 1e-17)):
@@ -130,7 +130,7 @@ def test_satellites_of_gps_are_those_of_their_interface_document(toe, after):
     """Also at the ends of the week, which is GPS's own, 14 s before BeiDou's."""
     when = np.full(3, toe)
     b = broadcast(
-        gps=np.ones(3),
+        system=np.ones(3),
         e=np.array([0.01, 2e-3, 3e-4]),
         sqrt_a=np.full(3, 5153.7),
         toe=when,

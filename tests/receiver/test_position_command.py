@@ -224,16 +224,8 @@ def test_damaged_orbits_are_told(name, tmp_path):
         (lambda t: t[: t.index("END OF HEADER") - 100], "expected END OF HEADER"),
         (lambda t: t[: t.index("END OF HEADER") + 14], "got n"),
         (
-            lambda t: t.replace("     3.04", "     2.11", 1),
-            "line 1: expected RINEX 3, got version 2.11",
-        ),
-        (
-            lambda t: t.replace("     3.04", "     4.00", 1),
-            "line 1: expected RINEX 3, got version 4",
-        ),
-        (
-            lambda t: t.replace("C: BDS  ", "R: GLO  ", 1).replace("M: Mixed", "R: GLO  ", 1),
-            "line 1: expected BeiDou (C), GPS (G) or mixed (M)",
+            lambda t: t.replace("     3.04", "     1.00", 1),
+            "line 1: expected RINEX 2, 3 or 4, got version 1",
         ),
     ],
 )
