@@ -87,9 +87,9 @@ def filters(
     """Filters of a `Log` by name: ekf, and the unscented ones of `hooks`.
 
     ``second (k, S)``: offsets of the clocks of more systems, as in `celnav.models.pseudorange`;
-    None: there is one system. ``acceleration``: density of the white acceleration, m^2/s^3: 0.01 for a
-    receiver at rest or nearly so, ``a^2 T`` for one that turns with the acceleration a, measured
-    each T seconds.
+    None: there is one system. ``acceleration``: density of the white acceleration, m^2/s^3: 0.01
+    for a receiver at rest or nearly so, ``a^2 T`` for one that turns with the acceleration a,
+    measured each T seconds.
 
     Raises
     ------
