@@ -214,3 +214,10 @@ def observed(b, times, bias, offset=0.0):
     return Observations(
         Path("obs.rnx"), "TEST", PLACE, times, b.names, *measurements(b, times, bias, offset)
     )
+
+
+def modeled_errors(log, rng):
+    """Errors of ranges ``(T, S)`` m as large as a prepared log takes those of atmosphere and orbits
+    for.
+    """
+    return np.sqrt(log.modeled) * rng.normal(size=log.modeled.shape)

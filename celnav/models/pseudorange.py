@@ -118,7 +118,7 @@ def undetermined(used: Array, offsets: Array) -> Array:
     a satellite; without one of the first system that of the next, whose clock then stands for its.
     """
     present = (used[..., None, :] & (offsets > 0.0)).any(-1)
-    first = (used & ~offsets.any(0)).any(-1, keepdims=True)
+    first = (used & ~offsets.any(-2)).any(-1, keepdims=True)
     return np.asarray(~present | (~first & (np.cumsum(present, -1) == 1)))
 
 

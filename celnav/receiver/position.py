@@ -23,7 +23,15 @@ from celnav.models.gnss import GPS_AHEAD_S, L1_HZ, LIGHT
 from celnav.receiver.fixes import LEAST_ELEVATION, Noise, Seen, estimated, fixed
 from celnav.receiver.geodesy import ELLIPSOID, ecef2geodetic
 from celnav.receiver.rinex import OTHERS, SYSTEMS, Navigation, Observations
-from celnav.receiver.sky import Dilution, dilution, klobuchar, local_axes, look, saastamoinen
+from celnav.receiver.sky import (
+    Dilution,
+    atmosphere_variance,
+    dilution,
+    klobuchar,
+    local_axes,
+    look,
+    saastamoinen,
+)
 
 CREDIBLE_M = (1.5e7, 5e7)
 """Pseudoranges outside are none."""
@@ -49,7 +57,9 @@ class Log:
     times: ``(T,)`` s of BDT. names: of the satellites, ``S``, those of the first system first.
     z: ``(T, 2 S)`` ranges (m) and rates (m/s) without clocks of satellites, atmosphere and jumps of
         the receiver's clock; nan where there is none. sigma: ``(T, 2 S)`` their deviations. q, w:
-        ``(T, S, 3)``, see `celnav.models.pseudorange.Sources`.
+        ``(T, S, 3)``, see `celnav.models.pseudorange.Sources`. modeled: ``(T, S)`` m^2, variance of
+        ranges by what models leave of the atmosphere's delays, and by broadcast orbits and clocks;
+        it is a part of sigma^2 where noise was estimated, else 0.
     elevation, azimuth: ``(T, S)`` rad, nan of satellites that cannot be used.
     fixes, fix_cov: ``(T, 8 + k)`` and of positions ``(T, 3, 3)`` m^2, of each epoch by itself, nan
         where it has none.
@@ -71,6 +81,7 @@ class Log:
     names: list[str]
     z: Array
     sigma: Array
+    modeled: Array
     q: Array
     w: Array
     elevation: Array
@@ -155,8 +166,9 @@ def prepare(
     systems: letters of those to use, of "C", "G" and "E"; None: all that have both ranges and
         orbits.
     mask_deg: satellites below this elevation are not used, from 0 to below 90.
-    sigma: deviations of range (m) and rate (m/s) at the zenith; elsewhere divided by the sine of
-        the elevation. None: estimated, by elevation, from the residuals of the fixes.
+    sigma: deviations of range (m) and rate (m/s) at the zenith, of all that they contain; elsewhere
+        divided by the sine of the elevation. None: what atmosphere and orbits leave is modeled, and
+        the receiver's noise is estimated, by system and elevation, from the residuals of the fixes.
     false_alarm: probability that a fix without a fault fails the test of its residuals; faults are
         excluded, as `celnav.receiver.integrity` does it. 0: nothing is tested.
 
@@ -201,22 +213,27 @@ def prepare(
         raise refusal
     position, velocity = np.zeros((2, len(times), 3))
     clock = np.zeros(len(times))
-    noise = (Noise(COARSE[0], 0.0), Noise(COARSE[1], 0.0))
-    for known in (False, True, True):
+    noise = (Noise((COARSE[0],), (0.0,)), Noise((COARSE[1],), (0.0,)))
+    modeled = np.zeros(code.shape)
+    offsets = np.zeros((0, code.shape[-1])) if second is None else second
+    # Without delays; with delays, still coarse; with the noise that measurements have.
+    for known, final in ((False, False), (True, False), (True, True)):
         sources = _sources(navigation, rows, times, code, usable, position, velocity)
         ranges, rates = code + sources.clock, np.where(wild, np.nan, measured) + sources.drift
         used, elevation = usable, np.full(code.shape, np.pi / 2.0)
         azimuth, delay = np.zeros((2, *code.shape))
         if known:
-            elevation, azimuth, delay = _sky(
+            elevation, azimuth, delay, remaining = _sky(
                 navigation, times - clock / LIGHT, sources.q, position, hz
             )
             used = usable & (elevation >= least)
         z = np.concatenate(
             [np.where(used, ranges - delay, np.nan), np.where(used, rates, np.nan)], -1
         )
-        seen = Seen(z, sources.q, sources.w, elevation, position, second)
-        if known:
+        if final and given is None:
+            modeled = remaining + _orbit_variance(navigation, rows, observations.names)
+        seen = Seen(z, sources.q, sources.w, elevation, position, modeled, offsets)
+        if final:
             noise = estimated(seen, false_alarm) if given is None else given
         found = fixed(seen, noise, false_alarm)
         there = np.isfinite(found.states[:, 6])
@@ -242,6 +259,7 @@ def prepare(
         observations.names,
         z,
         found.sigma,
+        modeled,
         seen.q,
         seen.w,
         shown * elevation,
@@ -261,8 +279,8 @@ def prepare(
         (str(observations.path), *str(navigation.path).split(", ")),
         observations.damaged + navigation.damaged,
     )
-    last = int(np.flatnonzero(ranged.any(-1))[-1]) + 1
-    return log.part(slice(first, last))
+    end = int(np.flatnonzero(ranged.any(-1))[-1]) + 1
+    return log.part(slice(first, end))
 
 
 def _second(names: list[str]) -> Array | None:
@@ -317,7 +335,7 @@ def deviations(sigma: ArrayLike | None) -> tuple[Noise, Noise] | None:
     given = finite("sigma", sigma, (2,))
     if not (given > 0.0).all():
         raise ValueError(f"sigma: expected positive deviations, got {sigma!r}")
-    return Noise(0.0, float(given[0])), Noise(0.0, float(given[1]))
+    return Noise((0.0,), (float(given[0]),)), Noise((0.0,), (float(given[1]),))
 
 
 def mask(degrees: float) -> float:
@@ -372,19 +390,34 @@ def _axes(position: Array) -> Array:
 
 def _sky(
     navigation: Navigation, times: Array, q: Array, position: Array, hz: Array
-) -> tuple[Array, Array, Array]:
-    """Elevation, azimuth and the delay of the atmosphere ``(T, S)`` m."""
+) -> tuple[Array, Array, Array, Array]:
+    """Elevation, azimuth, the delay of the atmosphere ``(T, S)`` m, and the variance m^2 that is
+    left of it.
+    """
     latitude, longitude, height = (v[:, None] for v in _geodetic(position))
     elevation, azimuth = look(q, position, _axes(position))
     above = np.maximum(elevation, LEAST_ELEVATION)
     delay = saastamoinen(latitude, np.clip(height, -1000.0, 11000.0), above)
+    ionosphere = None
     if navigation.klobuchar is not None:
         alpha, beta = navigation.klobuchar
         at_l1 = klobuchar(
             alpha, beta, times[:, None] + GPS_AHEAD_S, latitude, longitude, above, azimuth
         )
-        delay = delay + (L1_HZ / hz) ** 2 * at_l1
-    return elevation, azimuth, delay
+        ionosphere = (L1_HZ / hz) ** 2 * at_l1
+        delay = delay + ionosphere
+    return elevation, azimuth, delay, atmosphere_variance(above, ionosphere)
+
+
+def _orbit_variance(navigation: Navigation, rows: Array, names: list[str]) -> Array:
+    """Variance ``(T, S)`` m^2 of ranges by broadcast orbits and clocks: that of the system, larger
+    where a satellite predicts more than is usual in it.
+    """
+    systems = [SYSTEMS[name[0]] for name in names]
+    usual, predicted = np.array([[each.range_error_m, each.accuracy_m] for each in systems]).T
+    return np.asarray(
+        np.square(usual * np.maximum(navigation.sets.accuracy[rows] / predicted, 1.0))
+    )
 
 
 def _without_jumps(z: Array, fixes: Array, times: Array) -> tuple[Array, Array, Array]:

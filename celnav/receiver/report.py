@@ -16,7 +16,6 @@ from celnav.filters.run import run
 from celnav.gaussian.linalg import Array
 from celnav.models.gnss import GEO_NUMBERS
 from celnav.receiver.filters import filters
-from celnav.receiver.fixes import Noise
 from celnav.receiver.geodesy import ELLIPSOID, ecef2geodetic
 from celnav.receiver.position import Log
 from celnav.receiver.rinex import SYSTEMS
@@ -234,7 +233,8 @@ def summary(found: Positioned) -> str:
         f"VDOP {np.nanmedian(log.dilution.vertical):.2f}",
         f"left out     {'; '.join(left_out) or 'nothing'}",
         f"ionosphere   {ionosphere}",
-        f"noise        ranges {_noise(log.noise[0], 'm')}; rates {_noise(log.noise[1], 'm/s')}",
+        f"noise        ranges {_noise(log, 0, 'm')}; rates {_noise(log, 1, 'm/s')}",
+        f"modeled      {_modeled(log)}",
         f"clock        set {np.count_nonzero(np.diff(log.jumps))} times by whole milliseconds",
         f"filter       {found.filter}; NIS {found.nis:.3f} a degree of freedom, 1 where noise and "
         "motion are as taken",
@@ -255,8 +255,7 @@ def summary(found: Positioned) -> str:
             f"of each epoch by itself {_rms(log.fixes[:, :3] - found.reference):.3f} m",
             f"claimed      (error / deviation)^2: east {ratio[0]:.2f}, north {ratio[1]:.2f}, up "
             f"{ratio[2]:.2f}; 1 where "
-            "deviations are right, which are of noise alone: what all satellites share shows in no "
-            "residual",
+            "deviations are right, which treat errors of atmosphere and orbits as independent",
         ]
     return "\n".join(lines)
 
@@ -316,12 +315,28 @@ def _integrity(log: Log) -> str:
     return "; ".join(words)
 
 
-def _noise(noise: Noise, unit: str) -> str:
-    level = f"{noise.level:.4g} {unit} and " if noise.level else ""
+def _noise(log: Log, kind: int, unit: str) -> str:
+    """What the receiver adds to ranges or rates, of each system that has noise of its own."""
+    noise, words = log.noise[kind], []
+    for j, (level, zenith) in enumerate(zip(noise.level, noise.zenith, strict=True)):
+        name = f"{SYSTEMS[log.systems[j]].name} " if len(noise.level) > 1 else ""
+        constant = f"{level:.4g} {unit} and " if level else ""
+        words.append(f"{name}{constant}{zenith:.4g} {unit} / sin(elevation)")
     known = (
         f"estimated from {noise.redundancy} redundant ones" if noise.redundancy else "not estimated"
     )
-    return f"{level}{noise.zenith:.4g} {unit} / sin(elevation), {known}"
+    return f"{', '.join(words)}, {known}"
+
+
+def _modeled(log: Log) -> str:
+    """How large the errors of ranges are that are no noise."""
+    sizes = np.sqrt(log.modeled[log.used])
+    if not sizes.any():
+        return "nothing: the given deviations hold all"
+    return (
+        f"what atmosphere and orbits leave in ranges, {np.median(sizes):.2f} m (median), "
+        f"{sizes.min():.2f} to {sizes.max():.2f} m"
+    )
 
 
 def figures(found: Positioned) -> dict[str, Figure]:

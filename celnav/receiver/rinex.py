@@ -54,21 +54,26 @@ AHEAD_S = {"BDT": 0.0, "GPS": GPS_AHEAD_S, "GAL": GPS_AHEAD_S}
 class System(NamedTuple):
     """Of satellites: its name, and the signal that is used, with its carrier and its codes, the
     best first.
+
+    range_error_m: RMS error of ranges by broadcast orbits and clocks [Montenbruck2018]; it holds
+        for satellites with the system's usual prediction of it, accuracy_m.
     """
 
     name: str
     signal: str
     hz: float
     codes: tuple[str, ...]
+    range_error_m: float
+    accuracy_m: float
 
 
 SYSTEMS = {
     # B1I's carrier: of the data, by the older name too, of both components, of the other.
-    "C": System("BeiDou", "B1I", B1I_HZ, ("C2I", "C1I", "C2X", "C2Q")),
+    "C": System("BeiDou", "B1I", B1I_HZ, ("C2I", "C1I", "C2X", "C2Q"), 1.0, 2.4),
     # P code where a receiver has no C/A.
-    "G": System("GPS", "L1 C/A", L1_HZ, ("C1C", "C1W", "C1P")),
+    "G": System("GPS", "L1 C/A", L1_HZ, ("C1C", "C1W", "C1P"), 0.6, 2.4),
     # Pilot, both components, data.
-    "E": System("Galileo", "E1", L1_HZ, ("C1C", "C1X", "C1B")),
+    "E": System("Galileo", "E1", L1_HZ, ("C1C", "C1X", "C1B"), 0.2, 3.12),
 }
 """By their letters in RINEX, in the order of a log's satellites; clocks of the later ones have an
 offset from the first one's.
