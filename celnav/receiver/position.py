@@ -41,6 +41,8 @@ COARSE = (100.0, 1.0)
 """Deviations (m, m/s) of measurements while nobody knows which satellites are low, and what their
 delays are.
 """
+MOVED = 16.27
+"""Squared distance in deviations that one of 1000 fixes of a receiver at rest exceeds."""
 MILLISECOND_M = 1e-3 * LIGHT
 """By whole ones of these many receivers set their clock."""
 START = (100.0, 100.0, 100.0, 10.0, 10.0, 10.0, 100.0, 10.0, 100.0, 100.0)
@@ -126,6 +128,16 @@ class Log:
         letters = np.array([name[0] for name in self.names])
         seen = [(self.used & (letters == letter)).any(-1) for letter in self.systems]
         return np.asarray(self.used.sum(-1) - 3 - np.maximum(np.sum(seen, 0), 1))
+
+    @property
+    def moved(self) -> bool:
+        """Whether the receiver moved: half of the fixes lie further from their median position than
+        `MOVED` allows for their covariances.
+        """
+        there = np.isfinite(self.fixes[:, 0])
+        away = self.fixes[there, :3] - np.median(self.fixes[there, :3], 0)
+        squares = away * np.linalg.solve(self.fix_cov[there], away[..., None])[..., 0]
+        return bool(there.any() and np.median(squares.sum(-1)) > MOVED)
 
     def epochs(self) -> Iterator[Epoch]:
         """Epochs for `filters`; ``u`` is ``(q, w, sigma)`` at the epoch's time."""

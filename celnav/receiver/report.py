@@ -235,6 +235,7 @@ def summary(found: Positioned) -> str:
         f"ionosphere   {ionosphere}",
         f"noise        ranges {_noise(log, 0, 'm')}; rates {_noise(log, 1, 'm/s')}",
         f"modeled      {_modeled(log)}",
+        *(["motion       the receiver moved: no one position is right"] if log.moved else []),
         f"clock        set {np.count_nonzero(np.diff(log.jumps))} times by whole milliseconds",
         f"filter       {found.filter}; NIS {found.nis:.3f} a degree of freedom, 1 where noise and "
         "motion are as taken",
