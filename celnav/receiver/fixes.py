@@ -198,8 +198,8 @@ def _fits(seen: Seen, noise: tuple[Noise, Noise], false_alarm: float) -> tuple[_
             return there
         there = there[:, :n]
         for system in range(k + 1):
-            own = there & (seen.system == system)
-            there = there & ~(own & (own.sum(-1, keepdims=True) == 1))
+            members = there & (seen.system == system)
+            there = there & ~(members & (members.sum(-1, keepdims=True) == 1))
         return np.concatenate([there, pseudorange.undetermined(there, seen.offsets)], -1)
 
     start = np.concatenate([near, np.zeros((len(near), 1 + k))], -1)

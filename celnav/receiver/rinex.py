@@ -402,10 +402,10 @@ def read_navigation(path: str | Path, *more: str | Path, strict: bool = False) -
     coefficients, unused = None, Counter[str]()
     for each in (path, *more):
         file = read_text(Path(each), "N")
-        found = messages(file, "".join(SYSTEMS), strict)
-        read, damaged = read + found.sets, damaged + found.damaged
-        unused += Counter({_named(key): count for key, count in found.unused.items()})
-        coefficients = coefficients or _klobuchar(each, file.header, found.klobuchar)
+        content = messages(file, "".join(SYSTEMS), strict)
+        read, damaged = read + content.sets, damaged + content.damaged
+        unused += Counter({_named(key): count for key, count in content.unused.items()})
+        coefficients = coefficients or _klobuchar(each, file.header, content.klobuchar)
     files = Path(path) if not more else ", ".join(map(str, (path, *more)))
     if not read:
         others = ", ".join(f"{name} {count}" for name, count in unused.items())
@@ -454,11 +454,11 @@ def _columns(read: list[Set]) -> dict[str, Array]:
     F/NAV that of E1 and E5a; each goes with its own group delay and tells the health of its own
     signal [Galileo-OS-SIS-ICD].
     """
-    numbers = np.array([one.numbers[: len(ORDER)] for one in read]).T
+    numbers = np.array([each.numbers[: len(ORDER)] for each in read]).T
     out = {name: column for name, column in zip(ORDER, numbers, strict=True) if name}
     out |= {name: np.nan_to_num(out[name]) for name in ("a2", "tgd", "second_tgd", "source")}
     named = np.array(
-        [[float(one.name[1:]), SYSTEM_LETTERS.index(one.name[0]), one.toc] for one in read]
+        [[float(each.name[1:]), SYSTEM_LETTERS.index(each.name[0]), each.toc] for each in read]
     )
     out |= dict(zip(("number", "system", "toc"), named.T, strict=True))
     galileo = out["system"] == GALILEO

@@ -114,24 +114,24 @@ def _decompressed(path: Path, raw: bytes, most: int) -> bytes:
         import_module("hatanaka")
         program = files("hatanaka.bin") / ("crx2rnx.exe" if os.name == "nt" else "crx2rnx")
     with (
-        tempfile.TemporaryFile() as given,
-        tempfile.TemporaryFile() as told,
+        tempfile.TemporaryFile() as packed,
+        tempfile.TemporaryFile() as errors,
         as_file(program) as executable,
     ):
-        given.write(raw)
-        given.seek(0)
+        packed.write(raw)
+        packed.seek(0)
         with subprocess.Popen(
-            [executable, "-"], stdin=given, stdout=subprocess.PIPE, stderr=told
+            [executable, "-"], stdin=packed, stdout=subprocess.PIPE, stderr=errors
         ) as process:
             assert process.stdout is not None
             out = process.stdout.read(most + 1)
             if len(out) > most:
                 process.kill()
                 return out
-        told.seek(0)
-        said = told.read().decode("ascii", "replace").strip()
+        errors.seek(0)
+        message = errors.read().decode("ascii", "replace").strip()
     if process.returncode not in (0, 2):  # 2 is a warning
-        line = " ".join(said.split())[:200] or f"exit status {process.returncode}"
+        line = " ".join(message.split())[:200] or f"exit status {process.returncode}"
         raise InputError(f"{path}: expected a whole file in Hatanaka's compression ({line})")
     return out
 
@@ -304,7 +304,7 @@ def _read_epoch(
     if k + 1 + size > end:
         got = "the file is cut off" if end == len(lines) else f"got {end - k - 1}"
         raise file.error(end - 1, f"expected {size} more after line {k + 1}, {got}")
-    found = _checked(file, k + 1, texts, rows) if flag <= 1 else []
+    satellites = _checked(file, k + 1, texts, rows) if flag <= 1 else []
     surplus = k + 1 + size
     if surplus < end:
         damage[surplus] = _no_epoch(file, surplus)
@@ -312,13 +312,13 @@ def _read_epoch(
         # version 2 have no names.
         if file.version < 3.0 or lines[surplus][:3] not in {text[:3] for text in texts}:
             return False, math.nan
-    for line, name, text in found:
+    for line, name, text in satellites:
         part = rows[name[0]]
         part.epochs.append(epoch)
         part.names.append(name)
         part.lines.append(line)
         part.texts.append(text)
-    return True, time if found else math.nan
+    return True, time if satellites else math.nan
 
 
 def _no_epoch(file: File, k: int) -> InputError:
@@ -397,16 +397,16 @@ def _checked(
     """Line, satellite and text of an epoch's rows of ``systems``; ``first``: index of its first
     row.
     """
-    found = dict[str, tuple[int, str, str]]()
+    satellites = dict[str, tuple[int, str, str]]()
     for k, text in enumerate(texts, first):
         if text[:1] in systems or text[:1] not in LETTERS:
             name = _name(file, k, text)
-            if name in found:
+            if name in satellites:
                 raise file.error(k, f"expected each satellite once in an epoch, got {name} again")
             if (len(text) - 3) % 16 not in (0, 14, 15):
                 raise file.error(k, "expected fields of 16 columns, the last one is cut off")
-            found[name] = (k, name, text)
-    return list(found.values())
+            satellites[name] = (k, name, text)
+    return list(satellites.values())
 
 
 def _name(file: File, k: int, line: str) -> str:
