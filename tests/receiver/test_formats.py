@@ -464,6 +464,6 @@ def test_real_orbits_of_galileo_are_continuous():
         before, after = (satellites(sets.chosen(rows[near + j]), middle) for j in (0, 1))
         apart += np.linalg.norm(after.position - before.position, axis=-1).tolist()
         clocks += np.abs(after.clock - before.clock).tolist()
-    assert len(apart) > 1000
+    assert len(apart) > 500
     assert np.median(apart) < 0.3
     assert np.median(clocks) < 1e-9
