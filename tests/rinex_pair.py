@@ -45,16 +45,37 @@ def gps():
     return replace(
         b,
         number=k + 1.0,
-        gps=np.ones(24),
+        system=np.ones(24),
         sqrt_a=np.full(24, np.sqrt(26560e3)),
         e=np.full(24, 0.01),
         **angles,
     )
 
 
+def galileo():
+    """Satellites of Galileo: eight in each of three planes; I/NAV's clock and group delay."""
+    b, k = gps(), np.arange(24)
+    angles = {
+        "Omega0": np.radians(120.0 * (k // 8) + 65.0),
+        "M0": np.radians(45.0 * (k % 8) + 15.0 * (k // 8)),
+    }
+    return replace(
+        b,
+        system=np.full(24, 2.0),
+        sqrt_a=np.full(24, np.sqrt(29600.3e3)),
+        e=np.full(24, 2e-4),
+        accuracy=np.full(24, 3.12),
+        **angles,
+    )
+
+
 def both():
     """Of BeiDou and of GPS."""
-    parts = constellation(), gps()
+    return joined(constellation(), gps())
+
+
+def joined(*parts):
+    """Sets of several constellations."""
     return type(parts[0])(
         *(
             np.concatenate([getattr(part, field.name) for part in parts])
@@ -86,14 +107,14 @@ def civil(t):
 def navigation(b, toe=TOE):
     """A navigation file of the sets."""
     text = label(
-        f"{3.04:9.2f}{'':11}{'N: GNSS NAV DATA':<20}{'M: MIXED' if b.gps.any() else 'C: BDS':<20}",
+        f"{3.04:9.2f}{'':11}{'N: GNSS NAV DATA':<20}{'M: MIXED' if b.system.any() else 'C: BDS':<20}",
         "RINEX VERSION / TYPE",
     )
     for name, row in (("GPSA", ALPHA), ("GPSB", BETA)):
         text += label(f"{name} " + "".join(f"{v:12.4E}" for v in row), "IONOSPHERIC CORR")
     text += label("", "END OF HEADER")
     for s, name in enumerate(b.names):
-        ahead = 14.0 * b.gps[s]
+        ahead = 14.0 * (b.system[s] > 0)
         y, mo, d, h, mi, sec = civil(toe + ahead)
         rows = [
             [b.a0[s], b.a1[s], b.a2[s]],
@@ -101,8 +122,10 @@ def navigation(b, toe=TOE):
             [b.cuc[s], b.e[s], b.cus[s], b.sqrt_a[s]],
             [(b.toe[s] + ahead) % 604800.0, b.cic[s], b.Omega0[s], b.cis[s]],
             [b.i0[s], b.crc[s], b.omega[s], b.Omega_dot[s]],
-            [b.i_dot[s], 0.0, float(WEEK), 0.0],
-            [2.0, b.health[s], b.tgd[s], 0.0],
+            [b.i_dot[s], 517.0 if name[0] == "E" else 0.0, float(WEEK), 0.0],
+            # Of Galileo the first delay is that of the clock of F/NAV.
+            [b.accuracy[s] or 2.0, b.health[s]]
+            + ([-3e-9, b.tgd[s]] if name[0] == "E" else [b.tgd[s], 0.0]),
             [345600.0, 0.0],
         ]
         text += (
@@ -118,7 +141,7 @@ def measurements(b, times, bias, offset=0.0):
 
     ``offset``: m, by which it is further ahead of the clock of GPS.
     """
-    hz = np.where(b.gps == 1.0, L1_HZ, B1I_HZ)
+    hz = np.where(b.system > 0, L1_HZ, B1I_HZ)
     latitude, longitude, height = ecef2geodetic(*PLACE, ell=ELLIPSOID, deg=False)
     code, doppler = np.empty((len(times), len(b))), np.empty((len(times), len(b)))
     for k, (tag, ahead) in enumerate(zip(times, bias, strict=True)):
@@ -133,7 +156,7 @@ def measurements(b, times, bias, offset=0.0):
             - seen.clock
             + (L1_HZ / hz) ** 2 * iono
             + saastamoinen(latitude, height, above)
-            + offset * b.gps
+            + offset * (b.system == 1)
         )
         doppler[k] = -(z[len(b) :] - seen.drift) * hz / LIGHT
     return code, doppler
@@ -152,6 +175,8 @@ def observations(b, times, ahead=14.0, system="GPS", offset=0.0):
     text += label("G    2 C1C D1C", "SYS / # / OBS TYPES") + label(
         "C    3 C2I L2I D2I", "SYS / # / OBS TYPES"
     )
+    if (b.system == 2).any():
+        text += label("E    2 C1C D1C", "SYS / # / OBS TYPES")
     y, mo, d, h, mi, sec = civil(times[0] + ahead)
     text += label(
         f"  {y}    {mo}    {d}    {h}    {mi}   {sec}.0000000     {system}", "TIME OF FIRST OBS"
@@ -159,13 +184,13 @@ def observations(b, times, ahead=14.0, system="GPS", offset=0.0):
     code, doppler = measurements(b, times, 3e4 + 30.0 * (times - times[0]), offset)
     for k, t in enumerate(times):
         rows = [
-            f"{name}{code[k, s]:14.3f}  {'' if name[0] == 'G' else ' ' * 16}{doppler[k, s]:14.3f}"
+            f"{name}{code[k, s]:14.3f}  {' ' * 16 if name[0] == 'C' else ''}{doppler[k, s]:14.3f}"
             for s, name in enumerate(b.names)
             if (k, name) != (1, "C19")
         ]
-        if not b.gps.any():
+        if not b.system.any():  # of BeiDou alone
             rows = ["G01  22000000.000        1000.000", *rows]
-        if k == 1:
+        if k == 1 and "C19" in b.names:
             code[k, b.names.index("C19")] = doppler[k, b.names.index("C19")] = np.nan
         y, mo, d, h, mi, sec = civil(t + ahead)
         text += f"> {y} {mo} {d} {h} {mi} {sec}.0000000  0{len(rows):3d}\n"
@@ -189,3 +214,10 @@ def observed(b, times, bias, offset=0.0):
     return Observations(
         Path("obs.rnx"), "TEST", PLACE, times, b.names, *measurements(b, times, bias, offset)
     )
+
+
+def modeled_errors(log, rng):
+    """Errors of ranges ``(T, S)`` m as large as a prepared log takes those of atmosphere and orbits
+    for.
+    """
+    return np.sqrt(log.modeled) * rng.normal(size=log.modeled.shape)

@@ -45,8 +45,8 @@ misalignment: derivative advance star_residuals misalignment_matrix misalignment
 gyro: Gyro.factor Gyro.rate_std Gyro.drift_std Gyro.process_noise Gyro.propagate Gyro.transition
 gyro: Body.nadir Body.rates
 pulsar: Timing.delay Timing.shapiro Timing.shapiro_exact Timing.gradient
-gnss: satellites eccentric_anomaly tilted turned spun
-pseudorange: sources emitted emitted_each measure jacobian
+gnss: satellites ahead_s eccentric_anomaly tilted turned spun
+pseudorange: sources emitted emitted_each measure jacobian undetermined
 linalg: block cholesky downdate present sigma_deviations matvec outer semidefinite_root side_by_side solve_lower is_concretely_true
     solve_right tria whiten SquareRoot.lost Covariance.lost
 recorded: cholesky present semidefinite_root solve_lower tria

@@ -78,13 +78,16 @@ def run(options: argparse.Namespace) -> int:
     log = positioning.prepare(
         observations, navigation, systems=systems, mask_deg=mask, sigma=sigma, false_alarm=alarm
     )
+    # A receiver that moves has no error from the one position in its header.
+    at_rest = given is not None or not log.moved
+    reference = observations.reference(given) if at_rest else None
     east, north, up = observations.antenna
     source = "the header" if reference is None else "--position"
     of = f"the marker's by {source} and the header's offset, {east:.3f} m east, "
     of += f"{north:.3f} north, {up:.3f} up"
     try:
         solution = positioning_report.position(
-            log, options.filter, observations.reference(reference), acceleration=noise, of=of
+            log, options.filter, reference, acceleration=noise, of=of
         )
     except FilterError as error:
         raise InputError(

@@ -1,9 +1,10 @@
-"""Broadcast orbits and clocks of BeiDou (B1I; MEO, IGSO and GEO) [BDS-SIS-ICD] and of GPS (L1 C/A)
-[IS-GPS-200].
+"""Broadcast orbits and clocks of BeiDou (B1I; MEO, IGSO and GEO) [BDS-SIS-ICD], of GPS (L1 C/A)
+[IS-GPS-200] and of Galileo (E1) [Galileo-OS-SIS-ICD].
 
-Positions are Earth-fixed at their own time, m; CGCS2000 and WGS 84 are the same to centimeters.
-Times are seconds of BDT since its beginning, 2006-01-01 (week times 604,800 plus seconds of week);
-GPS time is ahead by 14 s. Satellites lie along the last axis of every element.
+Positions are Earth-fixed at their own time, m; CGCS2000, WGS 84 and GTRF are the same to
+centimeters. Times are seconds of BDT since its beginning, 2006-01-01 (week times 604,800 plus
+seconds of week); GPS time and Galileo's system time are ahead by 14 s. Satellites lie along the
+last axis of every element.
 """
 
 from __future__ import annotations
@@ -16,14 +17,17 @@ import numpy as np
 from celnav.gaussian.checks import finite
 from celnav.gaussian.linalg import Array
 
-GRAVITY_PARAMETER = 3.986004418e14  # m^3/s^2
-ROTATION_RATE = 7.2921150e-5  # rad/s
-# GPS's elements are made with these.
+GRAVITY_PARAMETER = 3.986004418e14  # m^3/s^2, of BeiDou and Galileo
+ROTATION_RATE = 7.2921150e-5  # rad/s, of BeiDou
+# The elements of GPS are made with these; Galileo's with this rate too.
 GPS_GRAVITY_PARAMETER, GPS_ROTATION_RATE = 3.986005e14, 7.2921151467e-5
 LIGHT = 299792458.0  # m/s
 B1I_HZ, L1_HZ = 1561.098e6, 1575.42e6
 WEEK_S = 604800.0
 GPS_AHEAD_S = 14.0
+SYSTEM_LETTERS = "CGE"
+"""BeiDou, GPS and Galileo, in the order of `Broadcast.system`."""
+BEIDOU, GPS, GALILEO = range(3)
 GEO_NUMBERS = frozenset({*range(1, 6), *range(59, 64)})
 TILT = np.radians(5.0)
 """Tilt of the plane to which a geostationary orbit's elements refer: without it the node would be
@@ -36,15 +40,17 @@ class Broadcast:
     """Broadcast elements of satellites, each field ``(S,)``; angles in rad, lengths in m, times in
     s.
 
-    number: of the satellite, C01 is 1. gps: 1 for GPS, 0 for BeiDou. toe, toc: reference times of
-        orbit and clock, BDT.
+    number: of the satellite, C01 is 1. system: 0 for BeiDou, 1 for GPS, 2 for Galileo. toe, toc:
+        reference times of orbit and clock, BDT.
     sqrt_a, e, i0, Omega0, omega, M0, delta_n, Omega_dot, i_dot, cuc, cus, crc, crs, cic, cis: of
         the orbit.
-    a0, a1, a2: of the clock. tgd: group delay of B1I or L1. health: 0 if healthy.
+    a0, a1, a2: of the clock. tgd: group delay of B1I, L1 or E1, s; of Galileo that of the two
+        signals to which the clock refers. health: 0 if healthy. accuracy: of the range by orbit and
+        clock as the satellite predicts it (URA, SISA), m; 0 where it is not known.
     """
 
     number: Array
-    gps: Array
+    system: Array
     toe: Array
     sqrt_a: Array
     e: Array
@@ -67,12 +73,17 @@ class Broadcast:
     a2: Array
     tgd: Array
     health: Array
+    accuracy: Array
 
     def __post_init__(self) -> None:
         count = np.size(self.number)
         for field in fields(self):
             object.__setattr__(
                 self, field.name, finite(field.name, getattr(self, field.name), (count,))
+            )
+        if not np.isin(self.system, range(len(SYSTEM_LETTERS))).all():
+            raise ValueError(
+                f"system: expected 0 (BeiDou), 1 (GPS) or 2 (Galileo) each, got {self.system}"
             )
         if count and (self.e.max() >= 1.0 or self.e.min() < 0.0):
             raise ValueError(f"e: expected eccentricities from 0 to below 1, got {self.e}")
@@ -86,15 +97,17 @@ class Broadcast:
 
     @property
     def names(self) -> list[str]:
-        """Names of the satellites ``(S,)``: C01, G02, ..."""
+        """Names of the satellites ``(S,)``: C01, G02, E03, ..."""
         return [
-            f"{'CG'[int(gps)]}{int(n):02d}" for gps, n in zip(self.gps, self.number, strict=True)
+            f"{SYSTEM_LETTERS[int(system)]}{int(n):02d}"
+            for system, n in zip(self.system, self.number, strict=True)
         ]
 
     @property
     def geostationary(self) -> Array:
         """Mask ``(S,)`` of the satellites whose elements refer to the tilted plane."""
-        return np.isin(self.number * (1.0 - self.gps), sorted(GEO_NUMBERS))
+        geostationary = np.isin(self.number, sorted(GEO_NUMBERS))
+        return np.asarray(geostationary & (self.system == BEIDOU))
 
     def chosen(self, which: Array) -> Broadcast:
         """The `Broadcast` of some of the satellites, by index or mask."""
@@ -119,8 +132,8 @@ def satellites(broadcast: Broadcast, t: Array | float) -> SatelliteState:
     b, t = broadcast, np.asarray(t, dtype=np.float64)
     # Times since the reference, within half a week.
     tk, dt = ((since - WEEK_S * np.round(since / WEEK_S)) for since in (t - b.toe, t - b.toc))
-    root_mu = np.sqrt(np.where(b.gps, GPS_GRAVITY_PARAMETER, GRAVITY_PARAMETER))
-    spin = np.where(b.gps, GPS_ROTATION_RATE, ROTATION_RATE)
+    root_mu = np.sqrt(np.where(b.system == GPS, GPS_GRAVITY_PARAMETER, GRAVITY_PARAMETER))
+    spin = np.where(b.system == BEIDOU, ROTATION_RATE, GPS_ROTATION_RATE)
     # Kepler's equation E - e sin E = M; shrunk = r / a, and E' = n / shrunk.
     n = root_mu / b.sqrt_a**3 + b.delta_n
     E = eccentric_anomaly(b.M0 + n * tk, b.e)
@@ -150,7 +163,7 @@ def satellites(broadcast: Broadcast, t: Array | float) -> SatelliteState:
     geo = b.geostationary
     turning = b.Omega_dot - np.where(geo, 0.0, spin)
     # Seconds of the week in the satellite's own time scale.
-    node = b.Omega0 + turning * tk - spin * np.mod(b.toe + GPS_AHEAD_S * b.gps, WEEK_S)
+    node = b.Omega0 + turning * tk - spin * np.mod(b.toe + ahead_s(b.system), WEEK_S)
     cos_O, sin_O, cos_i, sin_i = np.cos(node), np.sin(node), np.cos(i), np.sin(i)
     across, across_dot = y * cos_i, y_dot * cos_i - y * sin_i * i_dot
     P = np.stack([x * cos_O - across * sin_O, x * sin_O + across * cos_O, y * sin_i], -1)
@@ -167,6 +180,11 @@ def satellites(broadcast: Broadcast, t: Array | float) -> SatelliteState:
     periodic = -2.0 * root_mu / LIGHT**2 * b.e * b.sqrt_a
     clock = b.a0 + dt * (b.a1 + dt * b.a2) + periodic * sin_E - b.tgd
     return SatelliteState(P, V, clock, b.a1 + 2.0 * b.a2 * dt + periodic * cos_E * E_dot)
+
+
+def ahead_s(system: Array) -> Array:
+    """How far a system's time is ahead of BDT, s; ``system``: as in `Broadcast`."""
+    return np.where(np.asarray(system) == BEIDOU, 0.0, GPS_AHEAD_S)
 
 
 def eccentric_anomaly(mean: Array, e: Array) -> Array:

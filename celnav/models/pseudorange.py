@@ -2,9 +2,10 @@
 receiver.
 
 Positions are Earth-fixed at the time of reception, m; clocks are in m (times the speed of light).
-The state of a receiver is ``(p, v, b, d)``: position, velocity, clock bias and drift; with a second
-system of satellites ``(p, v, b, d, o)``, whose ranges have the bias ``b + o``. A measurement has
-all ranges first, then all rates.
+The state of a receiver is ``(p, v, b, d)``: position, velocity, clock bias and drift; with k more
+systems of satellites ``(p, v, b, d, o_1, ..., o_k)``: ranges of the j-th have the bias ``b + o_j``.
+``offsets (k, S)`` are 1 in row j for its satellites, 0 elsewhere. A measurement has all ranges
+first, then all rates.
 """
 
 from __future__ import annotations
@@ -112,22 +113,28 @@ def _seen(
     )
 
 
-def measure(x: Array, q: Array, w: Array, second: Array | None = None) -> Array:
-    """Ranges (m) and rates (m/s) ``(..., 2 S)`` of states ``x (..., 8)`` from satellites
-    ``q, w (..., S, 3)``.
+def undetermined(used: Array, offsets: Array) -> Array:
+    """Which offsets ``(..., k)`` satellites ``used (..., S)`` leave open: those of systems without
+    a satellite; without one of the first system that of the next, whose clock then stands for its.
+    """
+    present = (used[..., None, :] & (offsets > 0.0)).any(-1)
+    first = (used & ~offsets.any(-2)).any(-1, keepdims=True)
+    return np.asarray(~present | (~first & (np.cumsum(present, -1) == 1)))
 
-    ``second (S,)``: with states ``(..., 9)``, 1 for satellites of the second system, 0 for those of
-    the first.
+
+def measure(x: Array, q: Array, w: Array, offsets: Array | None = None) -> Array:
+    """Ranges (m) and rates (m/s) ``(..., 2 S)`` of states ``x (..., 8 + k)`` from satellites
+    ``q, w (..., S, 3)``; ``offsets (k, S)``: None for one system.
     """
     away = q - x[..., None, :3]
     distance = np.linalg.norm(away, axis=-1)
     rate = (away * (w - x[..., None, 3:6])).sum(-1) / distance
-    bias = x[..., 6:7] if second is None else x[..., 6:7] + x[..., 8:9] * second
+    bias = x[..., 6:7] if offsets is None else x[..., 6:7] + x[..., 8:] @ offsets
     return np.concatenate([distance + bias, rate + x[..., 7:8]], -1)
 
 
-def jacobian(x: Array, q: Array, w: Array, second: Array | None = None) -> Array:
-    """Derivative ``(..., 2 S, 8 or 9)`` of `measure`."""
+def jacobian(x: Array, q: Array, w: Array, offsets: Array | None = None) -> Array:
+    """Derivative ``(..., 2 S, 8 + k)`` of `measure`."""
     away, relative = q - x[..., None, :3], w - x[..., None, 3:6]
     distance = np.linalg.norm(away, axis=-1, keepdims=True)
     e = away / distance
@@ -136,7 +143,7 @@ def jacobian(x: Array, q: Array, w: Array, second: Array | None = None) -> Array
     one, zero = np.ones_like(distance), np.zeros_like(distance)
     ranges = np.concatenate([-e, np.zeros_like(e), one, zero], -1)
     J = np.concatenate([ranges, np.concatenate([-across, -e, zero, one], -1)], -2)
-    if second is None:
+    if offsets is None:
         return J
-    column = np.concatenate([second, np.zeros_like(second)])[:, None]
-    return np.concatenate([J, np.broadcast_to(column, (*J.shape[:-1], 1))], -1)
+    columns = np.concatenate([offsets.T, np.zeros_like(offsets.T)])
+    return np.concatenate([J, np.broadcast_to(columns, (*J.shape[:-2], *columns.shape))], -1)

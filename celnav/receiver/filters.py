@@ -61,13 +61,13 @@ def hooks(S: int, window: int = 10, systems: int = 1) -> dict[str, tuple[Hook, .
     """What each filter does to the noise of S ranges and S rates before it uses them; the ukf
     nothing.
 
-    ``systems``: of satellites, one or two: so many clocks do the ranges determine.
+    ``systems``: of satellites: so many clocks do the ranges determine.
     """
     ranges, rates = range(S), range(S, 2 * S)
     parity = (
         (group_parity((ranges, rates), 4),)
         if systems == 1
-        else (group_parity((ranges,), 5), group_parity((rates,), 4))
+        else (group_parity((ranges,), 3 + systems), group_parity((rates,), 4))
     )
     return {
         "ukf": (),
@@ -86,10 +86,10 @@ def filters(
 ) -> dict[str, Filter]:
     """Filters of a `Log` by name: ekf, and the unscented ones of `hooks`.
 
-    ``second (S,)``: which satellites are of a second system, whose clock has an offset, the ninth
-    state; None: none. ``acceleration``: density of the white acceleration, m^2/s^3: 0.01 for a
-    receiver at rest or nearly so, ``a^2 T`` for one that turns with the acceleration a, measured
-    each T seconds.
+    ``second (k, S)``: offsets of the clocks of more systems, as in `celnav.models.pseudorange`;
+    None: there is one system. ``acceleration``: density of the white acceleration, m^2/s^3: 0.01
+    for a receiver at rest or nearly so, ``a^2 T`` for one that turns with the acceleration a,
+    measured each T seconds.
 
     Raises
     ------
@@ -107,7 +107,7 @@ def filters(
             )
         )
 
-    offset = np.eye(0 if second is None else 1)
+    offset = np.eye(0 if second is None else len(second))
     motion = Motion(Linear(lambda epoch: block_diag(transition(epoch.dt), offset)), sqrt_Q=root)
     sensor = Sensor(
         lambda x, epoch: pseudorange.measure(x, epoch.u[0], epoch.u[1], second),

@@ -1,8 +1,8 @@
 """Fixes of all epochs at once, each by itself: position and clock of ranges, velocity and drift of
 rates, without faulty ones.
 
-Also how large the noise is that their residuals show. With a second system of satellites a fix has
-the offset of its clock besides, where both are seen; a system's only range says nothing of the
+Also how large the noise is that their residuals show. With more systems of satellites a fix has
+the offsets of their clocks besides, where both are seen; a system's only range says nothing of the
 position, nothing tests it, and it is not used. Epochs ``T`` lead, satellites ``S`` follow; a kind
 of measurement, ranges or rates, is a tuple's or an axis' place 0 or 1.
 """
@@ -14,15 +14,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from celnav.filters.model import Sensor
-from celnav.filters.records import Epoch
-from celnav.filters.run import run
-from celnav.gaussian.belief import Gaussian
-from celnav.gaussian.linalg import Array
+from celnav.gaussian.linalg import Array, outer
 from celnav.models import pseudorange
 from celnav.models.gnss import B1I_HZ, LIGHT
 from celnav.receiver.integrity import Monitored, misfit, monitored, noise_components
-from celnav.receiver.least_squares import least_squares
+from celnav.receiver.least_squares import gauss_newton
 from celnav.receiver.sky import GROUND_M
 
 LEAST_ELEVATION = np.radians(1.0)
@@ -42,29 +38,34 @@ MOST_EPOCHS = 1000
 
 
 class Noise(NamedTuple):
-    """Of a kind of measurement: its variance is ``level^2 + (zenith / sin(elevation))^2``.
+    """Of a kind of measurement, by system: the variance that the receiver adds is
+    ``level^2 + (zenith / sin(elevation))^2``.
 
-    ``redundancy``: of how many redundant measurements it was estimated; 0: it was given, or they
-        were too few.
+    ``level``, ``zenith``: of the systems of a log in their order; the last one holds for those that
+        follow. ``redundancy``: of how many redundant measurements they were estimated; 0: they were
+        given, or the measurements were too few.
     """
 
-    level: float
-    zenith: float
+    level: tuple[float, ...]
+    zenith: tuple[float, ...]
     redundancy: int = 0
 
-    def deviations(self, elevation: Array) -> Array:
-        """At elevations, rad."""
-        return np.asarray(
-            np.hypot(self.level, self.zenith / np.sin(np.maximum(elevation, LEAST_ELEVATION)))
+    def variance(self, elevation: Array, system: Array) -> Array:
+        """At elevations, rad, of satellites of systems, counted from 0."""
+        level, zenith = (
+            np.array(values)[np.minimum(system, len(values) - 1)]
+            for values in (self.level, self.zenith)
         )
+        up = np.sin(np.maximum(elevation, LEAST_ELEVATION))
+        return np.asarray(np.square(level) + np.square(zenith / up))
 
 
 class Seen(NamedTuple):
     """Measurements ``z (T, 2 S)``, nan where there is none, of satellites ``q, w, elevation`` near
     ``position (T, 3)``.
 
-    ``second (S,)``: 1 for those of a second system, 0 for those of the first; None: there is one
-    system.
+    ``modeled (T, S)``: variance of ranges (m^2) besides the receiver's noise, by atmosphere and
+    orbits. ``offsets (k, S)``: of clocks as in `celnav.models.pseudorange`.
     """
 
     z: Array
@@ -72,108 +73,96 @@ class Seen(NamedTuple):
     w: Array
     elevation: Array
     position: Array
-    second: Array | None = None
+    modeled: Array
+    offsets: Array
+
+    @property
+    def system(self) -> Array:
+        """Of each satellite ``(..., S)``, counted from 0."""
+        k = self.offsets.shape[-2]
+        return np.asarray(np.arange(1, k + 1) @ self.offsets, dtype=int)
+
+    def deviations(self, noise: tuple[Noise, Noise]) -> Array:
+        """Standard deviations ``(T, 2 S)`` of ranges and rates."""
+        ranges, rates = (kind.variance(self.elevation, self.system) for kind in noise)
+        return np.asarray(np.sqrt(np.concatenate([ranges + self.modeled, rates], -1)))
 
 
 class Fixed(NamedTuple):
-    """States ``(T, 8 or 9)`` and covariances of positions ``(T, 3, 3)``, nan where there is no fix;
-    deviations ``sigma (T, 2 S)``.
+    """States ``(T, 8 + k)``, their variances, and covariances of positions ``(T, 3, 3)``, nan
+    where there is no fix; deviations ``sigma (T, 2 S)``.
 
-    ``kinds``: of ranges and rates, what is left of them; ``left`` and ``G``: residuals ``(T, S)``
-    and Jacobians ``(T, S, 4)``, in deviations. With a second system ranges have a place more, for
-    "the offset is zero", which is kept where one system is missing.
+    ``kinds``: of ranges and rates, what is left of them. ``misfit``: squared residuals of ranges
+    ``(T,)``, in deviations; nan without a fix.
     """
 
     states: Array
+    variances: Array
     cov: Array
     sigma: Array
     kinds: tuple[Monitored, Monitored]
-    left: tuple[Array, Array]
-    G: tuple[Array, Array]
+    misfit: Array
 
     def measurements(self, what: str) -> Array:
         """Of ranges and rates ``(T, 2 S)``, whether they are "kept" or "excluded"."""
-        return np.concatenate(
-            [getattr(kind, what)[:, : self.sigma.shape[-1] // 2] for kind in self.kinds], -1
-        )
-
-    @property
-    def misfit(self) -> Array:
-        """Squared residuals of ranges ``(T,)``; nan without a fix."""
-        return np.where(
-            np.isfinite(self.states[:, 6]), misfit(self.left[0], self.kinds[0].kept), np.nan
-        )
+        return np.concatenate([getattr(kind, what) for kind in self.kinds], -1)
 
 
 def fixed(seen: Seen, noise: tuple[Noise, Noise], false_alarm: float) -> Fixed:
     """Fixes of all epochs; a satellite whose range is faulty is not asked for its rate either."""
-    S, second = seen.q.shape[-2], seen.second
-    offset = 0 if second is None else 1
-    sigma = np.concatenate([kind.deviations(seen.elevation) for kind in noise], -1)
-    away = np.where(np.isfinite(seen.z[:, :S, None]), seen.q, 0.0).sum(-2)
-    below = GROUND_M[0] * away / np.maximum(np.linalg.norm(away, axis=-1, keepdims=True), 1.0)
-    near = np.where(
-        np.linalg.norm(seen.position, axis=-1, keepdims=True) > 1.0, seen.position, below
-    )
+    packed, order = _packed(seen)
+    fits = _fits(packed, noise, false_alarm)
+    sigma, (T, S) = seen.deviations(noise), seen.elevation.shape
+    kinds = []
+    for fit in fits:
+        kept, excluded = np.zeros((2, T, S), bool)
+        n = order.shape[-1]
+        np.put_along_axis(kept, order, fit.kind.kept[:, :n], -1)
+        np.put_along_axis(excluded, order, fit.kind.excluded[:, :n], -1)
+        kinds.append(fit.kind._replace(kept=kept, excluded=excluded))
+    ranges, rates = fits
+    n = order.shape[-1]
+    # Without the first system no offset from its clock is known.
+    first = (ranges.kind.kept[:, :n] & (packed.system == 0)).any(-1, keepdims=True)
+    apart = np.where(first & ~ranges.kind.kept[:, n:], ranges.x[:, 4:], np.nan)
+    states = _states(np.concatenate([ranges.x[:, :4], apart], -1), rates.x)
+    variances = _states(*(fit.cov.diagonal(0, -2, -1) for fit in fits))
+    squares = np.where(np.isfinite(states[:, 6]), misfit(ranges.left, ranges.kind.kept), np.nan)
+    return Fixed(states, variances, ranges.cov[:, :3, :3], sigma, (kinds[0], kinds[1]), squares)
 
-    def states(x: Array) -> Array:
-        zeros = np.zeros((*x.shape[:-1], 3))
-        return np.concatenate([x[..., :3], zeros, x[..., 3:4], zeros[..., :1], x[..., 4:]], -1)
 
-    def ranges(rows: Array, x: Array) -> tuple[Array, Array]:
-        at, q, w = states(x), seen.q[rows], seen.w[rows]
-        G = pseudorange.jacobian(at, q, w, second)[..., :S, [0, 1, 2, 6] + [8] * offset]
-        zero = np.broadcast_to(np.eye(4 + offset)[4:], (*G.shape[:-2], offset, 4 + offset))
-        return np.concatenate(
-            [pseudorange.measure(at, q, w, second)[..., :S], x[..., 4:]], -1
-        ), np.concatenate([G, zero], -2)
-
-    def on_earth(x: Array) -> Array:
-        size = np.linalg.norm(x[..., :3], axis=-1, keepdims=True)
-        return np.where((size > GROUND_M[0]) & (size < GROUND_M[1]), x, np.nan)
-
-    def comparable(there: Array) -> Array:
-        if second is None:
-            return there
-        there = there[:, :S]
-        for system in (second == 0.0, second == 1.0):
-            there = there & ~(system & ((there & system).sum(-1, keepdims=True) == 1))
-        both = (there & (second == 0.0)).any(-1) & (there & (second == 1.0)).any(-1)
-        return np.concatenate([there, ~both[:, None]], -1)
-
-    start = np.concatenate([near, np.zeros((len(near), 1 + offset))], -1)
-    z, deviation = (
-        np.pad(v[:, :S], ((0, 0), (0, offset)), constant_values=c)
-        for v, c in ((seen.z, 0.0), (sigma, 1.0))
-    )
-    one = _kind(ranges, on_earth, comparable, z, deviation, start, false_alarm)
-    here = np.concatenate(
-        [np.where(np.isfinite(one.x[:, :3]), one.x[:, :3], near), np.zeros((len(near), 5))], -1
-    )
-    towards = pseudorange.jacobian(here, seen.q, seen.w)[:, S:, [3, 4, 5, 7]]
-    still = pseudorange.measure(here, seen.q, seen.w)[:, S:]
-
-    def rates(rows: Array, x: Array) -> tuple[Array, Array]:
-        return still[rows] + (towards[rows] @ x[..., None])[..., 0], towards[rows]
-
-    z = np.where(one.kind.excluded[:, :S], np.nan, seen.z[:, S:])
-    two = _kind(
-        rates,
-        lambda x: x,
-        lambda there: there,
-        z,
-        sigma[:, S:],
-        np.zeros((len(near), 4)),
-        false_alarm,
-    )
-    apart = np.where(one.kind.kept[:, S:], np.nan, one.x[:, 4:])
-    found = np.concatenate([one.x[:, :3], two.x[:, :3], one.x[:, 3:4], two.x[:, 3:], apart], -1)
-    return Fixed(
-        found, one.cov[:, :3, :3], sigma, (one.kind, two.kind), (one.left, two.left), (one.G, two.G)
+def _states(ranges: Array, rates: Array) -> Array:
+    """What ranges and rates determine, each ``(..., 4 or more)``, in the order of a state."""
+    return np.concatenate(
+        [ranges[..., :3], rates[..., :3], ranges[..., 3:4], rates[..., 3:], ranges[..., 4:]], -1
     )
 
 
-class _Kind(NamedTuple):
+def _packed(seen: Seen) -> tuple[Seen, Array]:
+    """The same with no more columns ``n`` than satellites measured at an epoch, whose offsets
+    ``(T, k, n)`` vary then; and which satellites they are, ``(T, n)``.
+    """
+    S = seen.elevation.shape[-1]
+    ranges, rates = seen.z[:, :S], seen.z[:, S:]
+    there = np.isfinite(ranges) | np.isfinite(rates)
+    n = int(there.sum(-1).max(initial=0))
+    order = np.argsort(~there, axis=-1, kind="stable")[:, :n]
+
+    def pick(values: Array) -> Array:
+        return np.take_along_axis(values, order.reshape(order.shape + (1,) * (values.ndim - 2)), 1)
+
+    z = np.concatenate([pick(ranges), pick(rates)], -1)
+    offsets = np.moveaxis(seen.offsets[:, order], 0, 1)
+    q, w, elevation, modeled = map(pick, (seen.q, seen.w, seen.elevation, seen.modeled))
+    return Seen(z, q, w, elevation, seen.position, modeled, offsets), order
+
+
+class _Fit(NamedTuple):
+    """Of one kind: fixes ``x (T, n)``, their covariances, what is left of the measurements, and
+    residuals and Jacobians in deviations. Ranges have a place more for each offset, for "it is
+    zero", which is kept where satellites leave it open.
+    """
+
     x: Array
     cov: Array
     kind: Monitored
@@ -181,7 +170,60 @@ class _Kind(NamedTuple):
     G: Array
 
 
-def _kind(
+def _fits(seen: Seen, noise: tuple[Noise, Noise], false_alarm: float) -> tuple[_Fit, _Fit]:
+    """Of ranges and rates, of what is `_packed`."""
+    n, k = seen.q.shape[-2], seen.offsets.shape[-2]
+    sigma = seen.deviations(noise)
+    away = np.where(np.isfinite(seen.z[:, :n, None]), seen.q, 0.0).sum(-2)
+    below = GROUND_M[0] * away / np.maximum(np.linalg.norm(away, axis=-1, keepdims=True), 1.0)
+    near = np.where(
+        np.linalg.norm(seen.position, axis=-1, keepdims=True) > 1.0, seen.position, below
+    )
+
+    def ranges(rows: Array, x: Array) -> tuple[Array, Array]:
+        away = seen.q[rows] - x[:, None, :3]
+        distance = np.sqrt(np.einsum("...i,...i->...", away, away))
+        clocks = np.concatenate([np.ones((len(x), n, 1)), seen.offsets[rows].mT], -1)
+        values = distance + (clocks @ x[:, 3:, None])[..., 0]
+        G = np.concatenate([-away / distance[..., None], clocks], -1)
+        zero = np.broadcast_to(np.eye(k, 4 + k, 4), (len(x), k, 4 + k))
+        return np.concatenate([values, x[:, 4:]], -1), np.concatenate([G, zero], -2)
+
+    def on_earth(x: Array) -> Array:
+        size = np.linalg.norm(x[..., :3], axis=-1, keepdims=True)
+        return np.where((size > GROUND_M[0]) & (size < GROUND_M[1]), x, np.nan)
+
+    def comparable(there: Array) -> Array:
+        if not k:
+            return there
+        there = there[:, :n]
+        for system in range(k + 1):
+            members = there & (seen.system == system)
+            there = there & ~(members & (members.sum(-1, keepdims=True) == 1))
+        return np.concatenate([there, pseudorange.undetermined(there, seen.offsets)], -1)
+
+    start = np.concatenate([near, np.zeros((len(near), 1 + k))], -1)
+    z, deviation = (
+        np.pad(v[:, :n], ((0, 0), (0, k)), constant_values=c)
+        for v, c in ((seen.z, 0.0), (sigma, 1.0))
+    )
+    first = _fit(ranges, on_earth, comparable, z, deviation, start, false_alarm)
+    here = np.concatenate(
+        [np.where(np.isfinite(first.x[:, :3]), first.x[:, :3], near), np.zeros((len(near), 5))], -1
+    )
+    towards = pseudorange.jacobian(here, seen.q, seen.w)[:, n:, [3, 4, 5, 7]]
+    still = pseudorange.measure(here, seen.q, seen.w)[:, n:]
+
+    def rates(rows: Array, x: Array) -> tuple[Array, Array]:
+        return still[rows] + (towards[rows] @ x[..., None])[..., 0], towards[rows]
+
+    z = np.where(first.kind.excluded[:, :n], np.nan, seen.z[:, n:])
+    zeros = np.zeros((len(near), 4))
+    second = _fit(rates, np.asarray, np.asarray, z, sigma[:, n:], zeros, false_alarm)
+    return first, second
+
+
+def _fit(
     model: Callable[[Array, Array], tuple[Array, Array]],
     possible: Callable[[Array], Array],
     comparable: Callable[[Array], Array],
@@ -189,29 +231,21 @@ def _kind(
     sigma: Array,
     start: Array,
     false_alarm: float,
-) -> _Kind:
+) -> _Fit:
     """Fixes of one kind: ``model``: ``(epochs, states) ->`` measurements and Jacobians;
     ``possible`` makes other states nan; ``comparable``: those of the measurements ``(K, S)`` that
     are not alone.
     """
 
     def solve(rows: Array, kept: Array) -> tuple[Array, Array]:
-        sensor = Sensor(
-            lambda x, _epoch: model(rows, x[0])[0][None],
-            sqrt_R=lambda _x, _epoch: sigma[rows][..., None] * np.eye(sigma.shape[-1]),
-            jacobian=lambda x, _epoch: model(rows, x)[1],
+        _, x, root = gauss_newton(
+            lambda x: model(rows, x),
+            np.where(kept, z[rows], np.nan),
+            sigma[rows],
+            start[rows],
+            rounds=20,
         )
-        filter = least_squares(sensor, rounds=20)
-        epoch = Epoch(z=np.where(kept, z[rows], np.nan))
-        track = run(
-            filter,
-            Gaussian(start[rows], np.eye(start.shape[-1])),
-            [epoch],
-            keep="cov",
-            on_failure="flag",
-        )
-        assert track.mean is not None
-        return possible(track.mean[0]), track.cov[0]
+        return possible(x), outer(root)
 
     def linear(rows: Array, x: Array) -> tuple[Array, Array]:
         values, G = model(rows, x)
@@ -225,55 +259,72 @@ def _kind(
     # Of two of a system that contradict each other nothing tells the faulty one: both go.
     kind = kind._replace(kept=kept, excluded=used & ~kept & ~kind.unusable[:, None])
     x, cov = solve(every, kind.kept)
-    return _Kind(x, cov, kind, *linear(every, np.where(np.isfinite(x), x, start)))
+    return _Fit(x, cov, kind, *linear(every, np.where(np.isfinite(x), x, start)))
 
 
 def estimated(seen: Seen, false_alarm: float) -> tuple[Noise, Noise]:
-    """Noise of ranges and rates, by elevation, of the residuals of what is not faulty; `GIVEN`
-    where they are too few.
+    """Noise of ranges and rates, by system and elevation, of the residuals of what is not faulty;
+    `GIVEN` where they are too few.
 
     It is first taken for small, and for twice as large as long as most fixes contradict themselves.
     """
     some = slice(None, None, -(-len(seen.z) // MOST_EPOCHS))
-    z, q, w, elevation, position = (values[some] for values in seen[:5])
-    seen = Seen(z, q, w, elevation, position, seen.second)
-    usual = (Noise(0.0, GIVEN[0]), Noise(0.0, GIVEN[1]))
-    noise = (Noise(0.0, QUIETEST * GIVEN[0]), Noise(0.0, QUIETEST * GIVEN[1]))
-    found = fixed(seen, noise, false_alarm)
+    z, q, w, elevation, position, modeled, offsets = seen
+    z, q, w, elevation, position, modeled = (
+        values[some] for values in (z, q, w, elevation, position, modeled)
+    )
+    seen, _ = _packed(Seen(z, q, w, elevation, position, modeled, offsets))
+    usual = (Noise((0.0,), (GIVEN[0],)), Noise((0.0,), (GIVEN[1],)))
+    noise = (Noise((0.0,), (QUIETEST * GIVEN[0],)), Noise((0.0,), (QUIETEST * GIVEN[1],)))
+    fits = _fits(seen, noise, false_alarm)
     while any(
-        loud := [2 * int(kind.unusable.sum()) > int(kind.tested.sum()) for kind in found.kinds]
+        loud := [2 * int(fit.kind.unusable.sum()) > int(fit.kind.tested.sum()) for fit in fits]
     ):
         noise = (_louder(noise[0], loud[0]), _louder(noise[1], loud[1]))
-        if any(one.zenith > LOUDEST * least for one, least in zip(noise, GIVEN, strict=True)):
+        if any(kind.zenith[0] > LOUDEST * least for kind, least in zip(noise, GIVEN, strict=True)):
             return usual
-        found = fixed(seen, noise, false_alarm)
+        fits = _fits(seen, noise, false_alarm)
     for _ in range(12):
         before = noise
         noise = (
-            _estimated(found, seen.elevation, 0) or usual[0],
-            _estimated(found, seen.elevation, 1) or usual[1],
+            _estimated(fits[0], seen, seen.modeled, before[0], RESOLUTION[0]) or usual[0],
+            _estimated(fits[1], seen, 0.0 * seen.modeled, before[1], RESOLUTION[1]) or usual[1],
         )
-        if np.allclose(noise, before, rtol=0.02):
+        if all(
+            len(new.level) == len(old.level) and np.allclose(new[:2], old[:2], rtol=0.02)
+            for new, old in zip(noise, before, strict=True)
+        ):
             break
-        found = fixed(seen, noise, false_alarm)
+        fits = _fits(seen, noise, false_alarm)
     return noise
 
 
 def _louder(noise: Noise, loud: bool) -> Noise:
-    return noise._replace(zenith=2.0 * noise.zenith) if loud else noise
+    return noise._replace(zenith=(2.0 * noise.zenith[0],)) if loud else noise
 
 
-def _estimated(found: Fixed, elevation: Array, kind: int) -> Noise | None:
-    S = elevation.shape[-1]
-    kept, left, G = found.kinds[kind].kept, found.left[kind], found.G[kind]
-    more = ((0, 0), (0, kept.shape[-1] - S))
-    sigma = np.pad(found.sigma[:, kind * S : (kind + 1) * S], more, constant_values=1.0)
-    elevation = np.pad(elevation, more, constant_values=1.0)
-    spare = np.where(np.isfinite(found.states[:, (6, 7)[kind]]), kept.sum(-1) - G.shape[-1], 0)
+def _estimated(
+    fit: _Fit, seen: Seen, modeled: Array, noise: Noise, resolution: float
+) -> Noise | None:
+    """Noise of a kind of measurement by the residuals of its fixes with ``noise``; None: too few.
+
+    Systems have noise of their own if each has enough measurements.
+    """
+    n = seen.q.shape[-2]
+    spare = np.where(np.isfinite(fit.x[:, 3]), fit.kind.kept.sum(-1) - fit.G.shape[-1], 0)
     rows = np.flatnonzero(spare > 0)
     if spare.sum() < ENOUGH:
         return None
-    up = np.sin(np.maximum(elevation[rows], LEAST_ELEVATION))
-    parts = np.stack([np.square(1.0 / sigma[rows]), np.square(1.0 / (sigma[rows] * up))])
-    level, zenith = np.sqrt(noise_components(left[rows], G[rows], kept[rows], parts))
-    return Noise(max(float(level), RESOLUTION[kind]), float(zenith), int(spare.sum()))
+    kept, elevation, system = fit.kind.kept[rows], seen.elevation[rows], seen.system[rows]
+    count = [int((kept[:, :n] & (system == j)).sum()) for j in range(seen.offsets.shape[-2] + 1)]
+    if min(count) < 2 * ENOUGH:
+        count, system = [sum(count)], np.zeros_like(system)
+    variance = noise.variance(elevation, seen.system[rows]) + modeled[rows]
+    up = np.sin(np.maximum(elevation, LEAST_ELEVATION))
+    masks = [(system == j) / variance for j in range(len(count))]
+    parts = np.array([part for mask in masks for part in (mask, mask / up**2)])
+    more = [(0, 0)] * 2 + [(0, kept.shape[-1] - n)]
+    parts = np.pad(np.concatenate([parts, (modeled[rows] / variance)[None]]), more)
+    squares = noise_components(fit.left[rows], fit.G[rows], kept, parts[:-1], parts[-1])
+    level, zenith = np.sqrt(squares).reshape(-1, 2).T.tolist()
+    return Noise(tuple(max(v, resolution) for v in level), tuple(zenith), int(spare.sum()))

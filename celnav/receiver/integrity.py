@@ -156,27 +156,28 @@ def _residuals(left: Array, G: Array, used: Array) -> tuple[Array, Array]:
     return (cofactor @ np.where(used, left, 0.0)[..., None])[..., 0], cofactor
 
 
-def noise_components(left: Array, G: Array, used: Array, parts: Array) -> Array:
+def noise_components(left: Array, G: Array, used: Array, parts: Array, known: Array) -> Array:
     """Variances ``(c,)`` of noise that has several causes, of the residuals of many fixes.
 
     The squares of residuals expect ``(I - Q Q')^2`` times the variances of the noise, which are
-    sums over the causes: least squares in these squares, each weighted by its own size, none
-        negative.
+    sums over the causes and of what is known: least squares in these squares, each weighted by its
+    own size, none negative.
 
     Parameters
     ----------
     left, G, used: as from `Linear`, with what is used ``(K, S)``.
     parts: ``(c, K, S)``, the variance of a measurement by each cause at unit size, in squares of
-        its deviation.
+        its deviation. known: ``(K, S)``, the variance that it has besides, likewise.
     """
     from scipy.optimize import nnls  # takes a second to import
 
     v, cofactor = _residuals(left, G, used)
     there = used & (np.diagonal(cofactor, 0, -2, -1) > 0.01)
-    expected = np.square(cofactor) @ np.where(used, parts, 0.0)[..., None]
+    parts = np.where(used, np.concatenate([parts, known[None]]), 0.0)
+    *expected, besides = (np.square(cofactor) @ parts[..., None])[..., 0]
     weight = 1.0 / np.diagonal(cofactor, 0, -2, -1)[there]
-    rows = np.stack([part[..., 0][there] * weight for part in expected], -1)
+    rows = np.stack([part[there] * weight for part in expected], -1)
     # Normal equations by their root: hundreds of thousands of rows become two.
     Q, R = np.linalg.qr(rows)
-    found, _ = nnls(R, Q.T @ (np.square(v)[there] * weight))
-    return np.asarray(found)
+    variances, _ = nnls(R, Q.T @ ((np.square(v) - besides)[there] * weight))
+    return np.asarray(variances)

@@ -4,6 +4,7 @@ from.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -89,34 +90,17 @@ class LeastSquares:
             )
         batch = together(prior=x.shape[:-1], z=z.shape[:-1])
         x = np.broadcast_to(x, (*batch, n))
-        used = np.broadcast_to(~np.isnan(z), (*batch, z.shape[-1]))
+        z = np.broadcast_to(z, (*batch, z.shape[-1]))
         V = noise_at(self.sensor.noise, x, epoch)
-        weight = np.where(used, 1.0 / np.sqrt(np.square(V).sum(-1)), 0.0)
-        enough, moving, eye = used.sum(-1) >= n, np.ones(batch, bool), np.eye(n)
-        root, known = np.zeros((*x.shape, n)), enough
-        for _ in range(self.rounds if z.shape[-1] >= n else 0):  # too few determine nothing
-            G = weight[..., None] * self._jacobian(x, epoch, z.shape[-1])
-            length = np.sqrt(np.square(G).sum(-2))
-            Q, R = np.linalg.qr(G / np.where(length > 0.0, length, 1.0)[..., None, :])
-            determined = (np.abs(R.diagonal(0, -2, -1)).min(-1) > RANK) & enough
-            inverse = np.linalg.solve(
-                np.where(determined[..., None, None], R * length[..., None, :], eye), eye
-            )
-            left = np.where(used, z - self._value(x, epoch), 0.0)
-            step = np.where(determined[..., None], matvec(Q.mT, weight * left), 0.0)
-            # A run that has come to rest stays as it is while others of its block still move.
-            x = np.where(moving[..., None], x + matvec(inverse, step), x)
-            root = np.where(moving[..., None, None], inverse, root)
-            known = np.where(moving, determined, known)
-            moving = moving & (np.abs(step).max(-1) > AT_REST)
-            if not moving.any():
-                break
-        left = np.where(used, z - self._value(x, epoch), np.nan)
-        fix = Covariance(
-            np.where(known[..., None], x, np.nan),
-            np.where(known[..., None, None], outer(root), np.nan),
-        )
-        return State(fix, (x,)), (Info(left, np.where(used, weight * left, 0.0), used),)
+        deviations = np.sqrt(np.square(V).sum(-1))
+
+        def model(x: Array) -> tuple[Array, Array]:
+            return self._value(x, epoch), self._jacobian(x, epoch, z.shape[-1])
+
+        x, fix, root = gauss_newton(model, z, deviations, x, self.rounds)
+        left = z - self._value(x, epoch)
+        whitened = np.nan_to_num(left / deviations)
+        return State(Covariance(fix, outer(root)), (x,)), (Info(left, whitened, ~np.isnan(z)),)
 
     def _value(self, x: Array, epoch: Epoch) -> Array:
         return evaluate(self.sensor, x[None], epoch)[0, ...]
@@ -124,3 +108,48 @@ class LeastSquares:
     def _jacobian(self, x: Array, epoch: Epoch, m: int) -> Array:
         J = self.sensor.jacobian(x, epoch) if self.sensor.jacobian is not None else self.sensor.h
         return numbers("jacobian", unmasked("jacobian", J), (..., m, x.shape[-1]))
+
+
+def gauss_newton(
+    model: Callable[[Array], tuple[Array, Array]],
+    z: Array,
+    deviations: Array,
+    start: Array,
+    rounds: int,
+) -> tuple[Array, Array, Array]:
+    """States ``x (..., n)`` that minimize the sum of ``((z - h(x)) / deviations)^2``.
+
+    Parameters
+    ----------
+    model: ``x -> h(x) (..., m)`` and its Jacobian ``(..., m, n)``. z: measurements ``(..., m)``,
+        nan where there is none. deviations: ``(..., m)``. start: ``(..., n)``. rounds: at most.
+
+    Returns
+    -------
+    The last states; the states with nan where measurements do not determine one; and roots of their
+    covariances ``(..., n, n)``, nan likewise.
+    """
+    x, n, used = start, start.shape[-1], ~np.isnan(z)
+    weight = np.where(used, 1.0 / deviations, 0.0)
+    enough, moving, eye = used.sum(-1) >= n, np.ones(start.shape[:-1], bool), np.eye(n)
+    root, determined = np.zeros((*x.shape, n)), enough
+    for _ in range(rounds if z.shape[-1] >= n else 0):  # too few determine nothing
+        values, G = model(x)
+        G = weight[..., None] * G
+        length = np.sqrt(np.square(G).sum(-2))
+        Q, R = np.linalg.qr(G / np.where(length > 0.0, length, 1.0)[..., None, :])
+        ranked = (np.abs(R.diagonal(0, -2, -1)).min(-1) > RANK) & enough
+        inverse = np.linalg.solve(
+            np.where(ranked[..., None, None], R * length[..., None, :], eye), eye
+        )
+        left = np.where(used, z - values, 0.0)
+        step = np.where(ranked[..., None], matvec(Q.mT, weight * left), 0.0)
+        # A run that has come to rest stays as it is while others of its block still move.
+        x = np.where(moving[..., None], x + matvec(inverse, step), x)
+        root = np.where(moving[..., None, None], inverse, root)
+        determined = np.where(moving, ranked, determined)
+        moving = moving & (np.abs(step).max(-1) > AT_REST)
+        if not moving.any():
+            break
+    fix = np.where(determined[..., None], x, np.nan)
+    return x, fix, np.where(determined[..., None, None], root, np.nan)

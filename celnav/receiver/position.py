@@ -1,7 +1,7 @@
 """From a receiver's log to what a filter takes: satellites, corrected measurements, first fixes.
 
 State: position (m, Earth-fixed), velocity (m/s), clock bias (m) and drift (m/s), and with two
-systems what the bias of the second one is more (m), as in `celnav.models.pseudorange`.
+or three systems what the biases of the later ones are more (m), as in `celnav.models.pseudorange`.
 """
 
 from __future__ import annotations
@@ -23,7 +23,15 @@ from celnav.models.gnss import GPS_AHEAD_S, L1_HZ, LIGHT
 from celnav.receiver.fixes import LEAST_ELEVATION, Noise, Seen, estimated, fixed
 from celnav.receiver.geodesy import ELLIPSOID, ecef2geodetic
 from celnav.receiver.rinex import OTHERS, SYSTEMS, Navigation, Observations
-from celnav.receiver.sky import Dilution, dilution, klobuchar, local_axes, look, saastamoinen
+from celnav.receiver.sky import (
+    Dilution,
+    atmosphere_variance,
+    dilution,
+    klobuchar,
+    local_axes,
+    look,
+    saastamoinen,
+)
 
 CREDIBLE_M = (1.5e7, 5e7)
 """Pseudoranges outside are none."""
@@ -33,10 +41,12 @@ COARSE = (100.0, 1.0)
 """Deviations (m, m/s) of measurements while nobody knows which satellites are low, and what their
 delays are.
 """
+MOVED = 16.27
+"""Squared distance in deviations that one of 1000 fixes of a receiver at rest exceeds."""
 MILLISECOND_M = 1e-3 * LIGHT
 """By whole ones of these many receivers set their clock."""
-START = (100.0, 100.0, 100.0, 10.0, 10.0, 10.0, 100.0, 10.0, 100.0)
-"""Deviations about the first fix: m, m/s, m, m/s, and of the offset m."""
+START = (100.0, 100.0, 100.0, 10.0, 10.0, 10.0, 100.0, 10.0, 100.0, 100.0)
+"""Deviations about the first fix: m, m/s, m, m/s, and of the offsets m."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,9 +59,11 @@ class Log:
     times: ``(T,)`` s of BDT. names: of the satellites, ``S``, those of the first system first.
     z: ``(T, 2 S)`` ranges (m) and rates (m/s) without clocks of satellites, atmosphere and jumps of
         the receiver's clock; nan where there is none. sigma: ``(T, 2 S)`` their deviations. q, w:
-        ``(T, S, 3)``, see `celnav.models.pseudorange.Sources`.
+        ``(T, S, 3)``, see `celnav.models.pseudorange.Sources`. modeled: ``(T, S)`` m^2, variance of
+        ranges by what models leave of the atmosphere's delays, and by broadcast orbits and clocks;
+        it is a part of sigma^2 where noise was estimated, else 0.
     elevation, azimuth: ``(T, S)`` rad, nan of satellites that cannot be used.
-    fixes, fix_cov: ``(T, 8 or 9)`` and of positions ``(T, 3, 3)`` m^2, of each epoch by itself, nan
+    fixes, fix_cov: ``(T, 8 + k)`` and of positions ``(T, 3, 3)`` m^2, of each epoch by itself, nan
         where it has none.
     misfit: ``(T,)``, squared residuals of the fixes' ranges, in deviations: chi-square with `spare`
         degrees.
@@ -71,6 +83,7 @@ class Log:
     names: list[str]
     z: Array
     sigma: Array
+    modeled: Array
     q: Array
     w: Array
     elevation: Array
@@ -97,25 +110,34 @@ class Log:
 
     @property
     def systems(self) -> str:
-        """Letters of the systems, one or two."""
+        """Letters of the systems."""
         return "".join(dict.fromkeys(name[0] for name in self.names))
 
     @property
     def second(self) -> Array | None:
-        """1 for satellites of the second system ``(S,)``, 0 for those of the first; None: there is
-        one.
+        """Offsets of clocks ``(k, S)`` as in `celnav.models.pseudorange`; None: there is one
+        system.
         """
         return _second(self.names)
 
     @property
     def spare(self) -> Array:
-        """Ranges beyond what a fix needs, ``(T,)``: four, and one for the offset where both systems
-        are seen.
+        """Ranges beyond what a fix needs, ``(T,)``: four, and one for each further system that is
+        seen.
         """
-        used, second = self.used, np.zeros(len(self.names)) if self.second is None else self.second
-        return np.asarray(
-            used.sum(-1) - 4 - ((used & (second == 0.0)).any(-1) & (used & (second == 1.0)).any(-1))
-        )
+        letters = np.array([name[0] for name in self.names])
+        seen = [(self.used & (letters == letter)).any(-1) for letter in self.systems]
+        return np.asarray(self.used.sum(-1) - 3 - np.maximum(np.sum(seen, 0), 1))
+
+    @property
+    def moved(self) -> bool:
+        """Whether the receiver moved: half of the fixes lie further from their median position than
+        `MOVED` allows for their covariances.
+        """
+        there = np.isfinite(self.fixes[:, 0])
+        away = self.fixes[there, :3] - np.median(self.fixes[there, :3], 0)
+        squares = away * np.linalg.solve(self.fix_cov[there], away[..., None])[..., 0]
+        return bool(there.any() and np.median(squares.sum(-1)) > MOVED)
 
     def epochs(self) -> Iterator[Epoch]:
         """Epochs for `filters`; ``u`` is ``(q, w, sigma)`` at the epoch's time."""
@@ -124,7 +146,7 @@ class Log:
             yield Epoch(k, t, dt, (self.q[k], self.w[k], self.sigma[k]), self.z[k])
 
     def prior(self) -> Gaussian:
-        """About the first fix, ``(8,)`` or ``(9,)``."""
+        """About the first fix, ``(8 + k,)``."""
         return Gaussian(
             np.nan_to_num(self.fixes[0]), np.diag(np.square(START[: self.fixes.shape[-1]]))
         )
@@ -153,10 +175,12 @@ def prepare(
     Parameters
     ----------
     observations, navigation: what was read from the files.
-    systems: letters of those to use, "C", "G" or "CG"; None: all that have both ranges and orbits.
+    systems: letters of those to use, of "C", "G" and "E"; None: all that have both ranges and
+        orbits.
     mask_deg: satellites below this elevation are not used, from 0 to below 90.
-    sigma: deviations of range (m) and rate (m/s) at the zenith; elsewhere divided by the sine of
-        the elevation. None: estimated, by elevation, from the residuals of the fixes.
+    sigma: deviations of range (m) and rate (m/s) at the zenith, of all that they contain; elsewhere
+        divided by the sine of the elevation. None: what atmosphere and orbits leave is modeled, and
+        the receiver's noise is estimated, by system and elevation, from the residuals of the fixes.
     false_alarm: probability that a fix without a fault fails the test of its residuals; faults are
         excluded, as `celnav.receiver.integrity` does it. 0: nothing is tested.
 
@@ -170,6 +194,7 @@ def prepare(
     files = f"{observations.path}, {navigation.path}"
     observations, others = _of_systems(observations, navigation, systems, files)
     times, code = observations.times, observations.code
+    navigation.check_times(files, times)
     hz = np.array([SYSTEMS[name[0]].hz for name in observations.names])
     second = _second(observations.names)
     rows = np.stack([navigation.nearest(name, times) for name in observations.names], -1)
@@ -179,11 +204,15 @@ def prepare(
         measured = -observations.doppler * LIGHT / hz
     wild = np.abs(np.nan_to_num(measured)) > CREDIBLE_M_PER_S
     usable = credible & (rows >= 0)
-    named = ", ".join(f"{name} {many}" for name, many in navigation.left_out.items())
+    named, unused = (
+        ", ".join(f"{name} {many}" for name, many in counts.items())
+        for counts in (navigation.left_out, navigation.unused)
+    )
     left_out = {
         "epochs out of order": observations.out_of_order,
         "broadcast sets that are incomplete or hold what no message can"
         + (f" ({named})" if named else ""): sum(navigation.left_out.values()),
+        f"records of orbits that are not used ({unused})": sum(navigation.unused.values()),
         "without a healthy broadcast set in its time": int((there & (rows < 0)).sum()),
         "pseudorange out of all bounds": int((there & ~credible & (rows >= 0)).sum()),
         "rate out of all bounds": int((usable & wild).sum()),
@@ -196,22 +225,27 @@ def prepare(
         raise refusal
     position, velocity = np.zeros((2, len(times), 3))
     clock = np.zeros(len(times))
-    noise = (Noise(COARSE[0], 0.0), Noise(COARSE[1], 0.0))
-    for known in (False, True, True):
+    noise = (Noise((COARSE[0],), (0.0,)), Noise((COARSE[1],), (0.0,)))
+    modeled = np.zeros(code.shape)
+    offsets = np.zeros((0, code.shape[-1])) if second is None else second
+    # Without delays; with delays, still coarse; with the noise that measurements have.
+    for known, final in ((False, False), (True, False), (True, True)):
         sources = _sources(navigation, rows, times, code, usable, position, velocity)
         ranges, rates = code + sources.clock, np.where(wild, np.nan, measured) + sources.drift
         used, elevation = usable, np.full(code.shape, np.pi / 2.0)
         azimuth, delay = np.zeros((2, *code.shape))
         if known:
-            elevation, azimuth, delay = _sky(
+            elevation, azimuth, delay, remaining = _sky(
                 navigation, times - clock / LIGHT, sources.q, position, hz
             )
             used = usable & (elevation >= least)
         z = np.concatenate(
             [np.where(used, ranges - delay, np.nan), np.where(used, rates, np.nan)], -1
         )
-        seen = Seen(z, sources.q, sources.w, elevation, position, second)
-        if known:
+        if final and given is None:
+            modeled = remaining + _orbit_variance(navigation, rows, observations.names)
+        seen = Seen(z, sources.q, sources.w, elevation, position, modeled, offsets)
+        if final:
             noise = estimated(seen, false_alarm) if given is None else given
         found = fixed(seen, noise, false_alarm)
         there = np.isfinite(found.states[:, 6])
@@ -237,6 +271,7 @@ def prepare(
         observations.names,
         z,
         found.sigma,
+        modeled,
         seen.q,
         seen.w,
         shown * elevation,
@@ -256,13 +291,14 @@ def prepare(
         (str(observations.path), *str(navigation.path).split(", ")),
         observations.damaged + navigation.damaged,
     )
-    last = int(np.flatnonzero(ranged.any(-1))[-1]) + 1
-    return log.part(slice(first, last))
+    end = int(np.flatnonzero(ranged.any(-1))[-1]) + 1
+    return log.part(slice(first, end))
 
 
 def _second(names: list[str]) -> Array | None:
-    mask = np.array([float(name[0] != names[0][0]) for name in names])
-    return mask if mask.any() else None
+    letters = np.array([name[0] for name in names])
+    later = list(dict.fromkeys(letters))[1:]
+    return np.array([letters == letter for letter in later], float) if later else None
 
 
 def chosen(systems: str | None) -> str:
@@ -311,7 +347,7 @@ def deviations(sigma: ArrayLike | None) -> tuple[Noise, Noise] | None:
     given = finite("sigma", sigma, (2,))
     if not (given > 0.0).all():
         raise ValueError(f"sigma: expected positive deviations, got {sigma!r}")
-    return Noise(0.0, float(given[0])), Noise(0.0, float(given[1]))
+    return Noise((0.0,), (float(given[0]),)), Noise((0.0,), (float(given[1]),))
 
 
 def mask(degrees: float) -> float:
@@ -366,19 +402,34 @@ def _axes(position: Array) -> Array:
 
 def _sky(
     navigation: Navigation, times: Array, q: Array, position: Array, hz: Array
-) -> tuple[Array, Array, Array]:
-    """Elevation, azimuth and the delay of the atmosphere ``(T, S)`` m."""
+) -> tuple[Array, Array, Array, Array]:
+    """Elevation, azimuth, the delay of the atmosphere ``(T, S)`` m, and the variance m^2 that is
+    left of it.
+    """
     latitude, longitude, height = (v[:, None] for v in _geodetic(position))
     elevation, azimuth = look(q, position, _axes(position))
     above = np.maximum(elevation, LEAST_ELEVATION)
     delay = saastamoinen(latitude, np.clip(height, -1000.0, 11000.0), above)
+    ionosphere = None
     if navigation.klobuchar is not None:
         alpha, beta = navigation.klobuchar
         at_l1 = klobuchar(
             alpha, beta, times[:, None] + GPS_AHEAD_S, latitude, longitude, above, azimuth
         )
-        delay = delay + (L1_HZ / hz) ** 2 * at_l1
-    return elevation, azimuth, delay
+        ionosphere = (L1_HZ / hz) ** 2 * at_l1
+        delay = delay + ionosphere
+    return elevation, azimuth, delay, atmosphere_variance(above, ionosphere)
+
+
+def _orbit_variance(navigation: Navigation, rows: Array, names: list[str]) -> Array:
+    """Variance ``(T, S)`` m^2 of ranges by broadcast orbits and clocks: that of the system, larger
+    where a satellite predicts more than is usual in it.
+    """
+    systems = [SYSTEMS[name[0]] for name in names]
+    usual, predicted = np.array([[each.range_error_m, each.accuracy_m] for each in systems]).T
+    return np.asarray(
+        np.square(usual * np.maximum(navigation.sets.accuracy[rows] / predicted, 1.0))
+    )
 
 
 def _without_jumps(z: Array, fixes: Array, times: Array) -> tuple[Array, Array, Array]:

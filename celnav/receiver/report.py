@@ -16,7 +16,6 @@ from celnav.filters.run import run
 from celnav.gaussian.linalg import Array
 from celnav.models.gnss import GEO_NUMBERS
 from celnav.receiver.filters import filters
-from celnav.receiver.fixes import Noise
 from celnav.receiver.geodesy import ELLIPSOID, ecef2geodetic
 from celnav.receiver.position import Log
 from celnav.receiver.rinex import SYSTEMS
@@ -41,6 +40,7 @@ KIND_COLORS = {
     "IGSO": colors.ESTIMATE,
     "MEO": colors.COMPARISON,
     "GPS": colors.TRUTH,
+    "Galileo": colors.MEASUREMENT,
 }
 HEIGHTS_M = (-1e3, 5e4, 1.6e5)
 """Above the ellipsoid: receivers are between the first two, or in orbit above the third."""
@@ -51,12 +51,12 @@ IGSO_NUMBERS = frozenset({*range(6, 11), 13, 16, 31, 38, 39, 40, 56})
 
 
 def kinds(names: Sequence[str]) -> Array:
-    """GEO, IGSO or MEO of BeiDou, or GPS, of satellites by name."""
+    """GEO, IGSO or MEO of BeiDou, or the system, of satellites by name."""
     named = [(name[0], int(name[1:])) for name in names]
     return np.array(
         [
-            "GPS"
-            if s == "G"
+            SYSTEMS[s].name
+            if s != "C"
             else "GEO"
             if n in GEO_NUMBERS
             else "IGSO"
@@ -233,7 +233,9 @@ def summary(found: Positioned) -> str:
         f"VDOP {np.nanmedian(log.dilution.vertical):.2f}",
         f"left out     {'; '.join(left_out) or 'nothing'}",
         f"ionosphere   {ionosphere}",
-        f"noise        ranges {_noise(log.noise[0], 'm')}; rates {_noise(log.noise[1], 'm/s')}",
+        f"noise        ranges {_noise(log, 0, 'm')}; rates {_noise(log, 1, 'm/s')}",
+        f"modeled      {_modeled(log)}",
+        *(["motion       the receiver moved: no one position is right"] if log.moved else []),
         f"clock        set {np.count_nonzero(np.diff(log.jumps))} times by whole milliseconds",
         f"filter       {found.filter}; NIS {found.nis:.3f} a degree of freedom, 1 where noise and "
         "motion are as taken",
@@ -254,8 +256,7 @@ def summary(found: Positioned) -> str:
             f"of each epoch by itself {_rms(log.fixes[:, :3] - found.reference):.3f} m",
             f"claimed      (error / deviation)^2: east {ratio[0]:.2f}, north {ratio[1]:.2f}, up "
             f"{ratio[2]:.2f}; 1 where "
-            "deviations are right, which are of noise alone: what all satellites share shows in no "
-            "residual",
+            "deviations are right, which treat errors of atmosphere and orbits as independent",
         ]
     return "\n".join(lines)
 
@@ -280,13 +281,12 @@ def _systems(found: Positioned) -> str:
     words = " and ".join(
         f"{SYSTEMS[letter].name} {SYSTEMS[letter].signal}" for letter in found.log.systems
     )
-    if found.log.second is not None:
-        offsets = found.mean[np.isfinite(found.mean[:, 8]), 8]
-        longer = np.median(offsets) if offsets.size else np.nan
-        words += (
-            f", whose ranges are longer by {longer:.2f} m (median): its clock, and the receiver's "
-            "delays"
-        )
+    for letter, offset in zip(found.log.systems[1:], found.mean.T[8:], strict=True):
+        known = offset[np.isfinite(offset)]
+        longer = np.median(known) if known.size else np.nan
+        words += f"; ranges of {SYSTEMS[letter].name} are longer by {longer:.2f} m (median)"
+    if found.log.systems[1:]:
+        words += ": clocks, and the receiver's delays"
     return words + (f"; not used: {', '.join(found.log.others)}" if found.log.others else "")
 
 
@@ -316,12 +316,28 @@ def _integrity(log: Log) -> str:
     return "; ".join(words)
 
 
-def _noise(noise: Noise, unit: str) -> str:
-    level = f"{noise.level:.4g} {unit} and " if noise.level else ""
+def _noise(log: Log, kind: int, unit: str) -> str:
+    """What the receiver adds to ranges or rates, of each system that has noise of its own."""
+    noise, words = log.noise[kind], []
+    for j, (level, zenith) in enumerate(zip(noise.level, noise.zenith, strict=True)):
+        name = f"{SYSTEMS[log.systems[j]].name} " if len(noise.level) > 1 else ""
+        constant = f"{level:.4g} {unit} and " if level else ""
+        words.append(f"{name}{constant}{zenith:.4g} {unit} / sin(elevation)")
     known = (
         f"estimated from {noise.redundancy} redundant ones" if noise.redundancy else "not estimated"
     )
-    return f"{level}{noise.zenith:.4g} {unit} / sin(elevation), {known}"
+    return f"{', '.join(words)}, {known}"
+
+
+def _modeled(log: Log) -> str:
+    """How large the errors of ranges are that are no noise."""
+    sizes = np.sqrt(log.modeled[log.used])
+    if not sizes.any():
+        return "nothing: the given deviations hold all"
+    return (
+        f"what atmosphere and orbits leave in ranges, {np.median(sizes):.2f} m (median), "
+        f"{sizes.min():.2f} to {sizes.max():.2f} m"
+    )
 
 
 def figures(found: Positioned) -> dict[str, Figure]:

@@ -1,5 +1,5 @@
-"""Receiver logs: code and Doppler of BeiDou's B1I and GPS's L1 C/A from RINEX 3 files, and
-broadcast orbits.
+"""Receiver logs: code and Doppler of BeiDou's B1I, GPS's L1 C/A and Galileo's E1 from RINEX files
+of versions 2.11, 3 and 4, and broadcast orbits.
 
 Files in Hatanaka's compression are unpacked by hatanaka
 (``.venv/bin/pip install -c constraints.txt -e ".[rinex]"``). Times become BDT seconds since
@@ -19,22 +19,34 @@ from numpy.typing import ArrayLike
 
 from celnav.files import InputError
 from celnav.gaussian.linalg import Array
-from celnav.models.gnss import B1I_HZ, GEO_NUMBERS, GPS_AHEAD_S, L1_HZ, WEEK_S, Broadcast
+from celnav.models.gnss import (
+    B1I_HZ,
+    GALILEO,
+    GPS,
+    GPS_AHEAD_S,
+    L1_HZ,
+    SYSTEM_LETTERS,
+    WEEK_S,
+    Broadcast,
+    ahead_s,
+)
 from celnav.receiver.geodesy import ELLIPSOID, ecef2geodetic
 from celnav.receiver.rinex_text import (
+    File,
     Measured,
     Set,
-    epochs,
     finite_number,
-    header_of,
     kinds_of,
+    measurements,
+    messages,
     of_system,
-    sets,
+    read_text,
     three_numbers,
-    unpacked,
 )
 from celnav.receiver.sky import local_axes, on_earth
 
+LONGEST_S = 14400.0
+"""Sets are good for so long, those of Galileo."""
 AHEAD_S = {"BDT": 0.0, "GPS": GPS_AHEAD_S, "GAL": GPS_AHEAD_S}
 """How far time systems of observation files are ahead of BDT."""
 
@@ -42,21 +54,31 @@ AHEAD_S = {"BDT": 0.0, "GPS": GPS_AHEAD_S, "GAL": GPS_AHEAD_S}
 class System(NamedTuple):
     """Of satellites: its name, and the signal that is used, with its carrier and its codes, the
     best first.
+
+    range_error_m: RMS error of ranges by broadcast orbits and clocks [Montenbruck2018]; it holds
+        for satellites with the system's usual prediction of it, accuracy_m.
     """
 
     name: str
     signal: str
     hz: float
     codes: tuple[str, ...]
+    range_error_m: float
+    accuracy_m: float
 
 
 SYSTEMS = {
     # B1I's carrier: of the data, by the older name too, of both components, of the other.
-    "C": System("BeiDou", "B1I", B1I_HZ, ("C2I", "C1I", "C2X", "C2Q")),
-    "G": System("GPS", "L1 C/A", L1_HZ, ("C1C",)),
+    "C": System("BeiDou", "B1I", B1I_HZ, ("C2I", "C1I", "C2X", "C2Q"), 1.0, 2.4),
+    # P code where a receiver has no C/A.
+    "G": System("GPS", "L1 C/A", L1_HZ, ("C1C", "C1W", "C1P"), 0.6, 2.4),
+    # Pilot, both components, data.
+    "E": System("Galileo", "E1", L1_HZ, ("C1C", "C1X", "C1B"), 0.2, 3.12),
 }
-"""By their letters in RINEX, in the order in which they are first and second of a log."""
-OTHERS = {"R": "GLONASS", "E": "Galileo", "J": "QZSS", "S": "SBAS", "I": "NavIC"}
+"""By their letters in RINEX, in the order of a log's satellites; clocks of the later ones have an
+offset from the first one's.
+"""
+OTHERS = {"R": "GLONASS", "J": "QZSS", "S": "SBAS", "I": "NavIC"}
 """That files may have besides, and that are not used."""
 
 
@@ -124,7 +146,8 @@ class Navigation:
 
     ``path``: of the file, or of several. ``left_out``: how many sets of a satellite are not whole,
     or hold what no message can. ``damaged``: messages with the line, one for each set that was left
-    out because it is damaged.
+    out because it is damaged. ``unused``: how many records there are of systems or messages that
+    are not used, by their names.
     """
 
     path: Path | str
@@ -132,124 +155,148 @@ class Navigation:
     klobuchar: tuple[Array, Array] | None
     left_out: dict[str, int] = field(default_factory=dict)
     damaged: tuple[str, ...] = ()
+    unused: dict[str, int] = field(default_factory=dict)
+
+    def check_times(self, files: str, times: Array) -> None:
+        """InputError naming the files unless some set is for a time within four hours of
+        ``times``.
+        """
+        toe = self.sets.toe
+        if (np.abs(toe[:, None] - times[[0, -1]]).min() > LONGEST_S) and not (
+            (toe > times[0]) & (toe < times[-1])
+        ).any():
+            dates = [
+                str(np.datetime64("2006-01-01T00:00:00") + np.timedelta64(round(t), "s"))
+                for t in (times[0], times[-1], toe[0], toe[-1])
+            ]
+            raise InputError(
+                "{}: expected orbits of the time of the observations, {} to {} BDT, got those of "
+                "{} to {}; give the navigation file of that day".format(files, *dates)
+            )
 
     def nearest(self, name: str, times: ArrayLike) -> Array:
         """Rows ``(...)`` of a satellite's sets of the nearest reference times; -1: not well, or not
-        within an hour (GEO) or two.
+        within an hour (GEO), two, or four (Galileo).
         """
         t = np.asarray(times, dtype=np.float64)
-        number, gps = int(name[1:]), name[0] == "G"
-        rows = np.flatnonzero((self.sets.number == number) & (self.sets.gps == gps))
+        number, system = int(name[1:]), SYSTEM_LETTERS.index(name[0])
+        rows = np.flatnonzero((self.sets.number == number) & (self.sets.system == system))
         if not rows.size:
             return np.full(t.shape, -1)
-        away = np.abs(self.sets.toe[rows] - t[..., None])
-        best = rows[away.argmin(-1)]
-        good = (away.min(-1) <= (3600.0 if number in GEO_NUMBERS and not gps else 7200.0)) & (
-            self.sets.health[best] == 0.0
-        )
+        # Sets lie by their reference times; of equal ones the first is taken.
+        toe, first = np.unique(self.sets.toe[rows], return_index=True)
+        after = np.clip(np.searchsorted(toe, t), 0, len(toe) - 1)
+        before = np.maximum(after - 1, 0)
+        nearest = np.where(np.abs(toe[before] - t) <= np.abs(toe[after] - t), before, after)
+        best = rows[first[nearest]]
+        most = LONGEST_S if system == GALILEO else 0.5 * LONGEST_S
+        if self.sets.geostationary[rows[0]]:
+            most = 0.25 * LONGEST_S
+        good = (np.abs(toe[nearest] - t) <= most) & (self.sets.health[best] == 0.0)
         return np.where(good, best, -1)
 
 
 def read_observations(path: str | Path, *, strict: bool = False) -> Observations:
-    """Code and Doppler of B1I and L1 C/A of an observation file, plain, gzipped or in Hatanaka's
-    compression.
+    """Code and Doppler of B1I, L1 C/A and E1 of an observation file, plain, gzipped or in
+    Hatanaka's compression.
 
     Where a satellite has several codes of a carrier, the first of its `System` that is there is
     taken. A damaged epoch is left out as a whole, and named in ``damaged``.
 
     Raises
     ------
-    InputError: naming file and line, if it is not a RINEX 3 observation file with one of these, if
-    its header is damaged, or most of its epochs are; with ``strict`` if one is.
+    InputError: naming file and line, if it is not an observation file of RINEX 2 to 4 with one of
+    these, if its header is damaged, or most of its epochs are; with ``strict`` if one is.
     OSError: if it cannot be read.
     """
-    file = Path(path)
-    text, called = unpacked(file)
-    header, start = header_of(called, text, "O")
-    places: dict[str, list[tuple[int, int]]] = {}
-    older = (
-        ("C1X", "C1Q") if float(text[:9]) < 3.03 else ()
-    )  # version 3.02 alone called B1I's band 1, which is B1C's since
-    for system in SYSTEMS:
-        kinds = kinds_of(called, header, system)
-        codes = [code for code in SYSTEMS[system].codes + older * (system == "C") if code in kinds]
-        if codes:
-            places[system] = [
-                (kinds.index(c), kinds.index("D" + c[1:]) if "D" + c[1:] in kinds else -1)
-                for c in codes
-            ]
-        if any(
-            line[2:6].strip() not in ("", "1")
-            for line in of_system(header.get("SYS / SCALE FACTOR", []), system)
-        ):
-            raise InputError(
-                f"{file}: expected observations of {SYSTEMS[system].name} in their units, got a "
-                "SYS / SCALE FACTOR"
-            )
-    given = header.get("SYS / # / OBS TYPES", [])
-    if not places:
-        got = (
-            ", ".join(
-                f"{s}: {' '.join(kinds_of(called, header, s))}"
-                for s in SYSTEMS
-                if of_system(given, s)
-            )
-            or "none of them"
-        )
+    file = read_text(Path(path), "O")
+    header, kinds = file.header, {letter: kinds_of(file, letter) for letter in SYSTEMS}
+    pairs = {letter: _columns_of(file, letter, kinds[letter]) for letter in SYSTEMS}
+    pairs = {letter: columns for letter, columns in pairs.items() if columns}
+    types = header.get("SYS / # / OBS TYPES", [])
+    if not pairs:
+        got = ", ".join(f"{letter}: {' '.join(names)}" for letter, names in kinds.items() if names)
         raise InputError(
-            f"{file}: expected BeiDou's B1I code (C2I or C2X) or GPS's C1C among the observations, "
-            f"got {got}"
+            f"{path}: expected BeiDou's B1I code (C2I or C2X), GPS's C1C or Galileo's E1 code (C1C "
+            f"or C1X) among the observations, got {got or 'none of them'}"
         )
-    default = "BDT" if text[40:41] == "C" else "GPS"
-    system = header.get("TIME OF FIRST OBS", [""])[0][48:51].strip() or default
-    if system not in AHEAD_S:
-        raise InputError(f"{file}: expected times in GPS, GAL or BDT, got {system!r}")
-    log, damaged = epochs(called, text, start, "".join(places), strict)
-    names, seconds, ranges, rates = _measured(log, places)
+    default = "BDT" if file.system == "C" else "GPS"
+    scale = header.get("TIME OF FIRST OBS", [""])[0][48:51].strip() or default
+    if scale not in AHEAD_S:
+        raise InputError(f"{path}: expected times in GPS, GAL or BDT, got {scale!r}")
+    columns = {
+        letter: sorted({c for pair in pairs[letter] for c in pair if c >= 0}) for letter in pairs
+    }
+    seconds, measured, damaged = measurements(file, columns, strict)
+    names, ranges, rates = _by_satellite(len(seconds), measured, columns, pairs)
     if not np.isfinite(ranges).any():
-        raise InputError(f"{file}: expected pseudoranges of BeiDou or GPS satellites, got none")
+        raise InputError(
+            f"{path}: expected pseudoranges of BeiDou, GPS or Galileo satellites, got none"
+        )
     between = np.ones(len(seconds), bool)
     before, here, after = seconds[:-2], seconds[1:-1], seconds[2:]
     between[1:-1] = ((before <= here) & (here <= after)) | (before >= after)
     order = np.flatnonzero(between)[np.argsort(seconds[between], kind="stable")]
-    kept = order[
-        np.concatenate([[True], np.diff(seconds[order]) > 0.0])
-    ]  # an epoch that is there twice counts once
+    # An epoch that is there twice counts once.
+    rows = order[np.concatenate([[True], np.diff(seconds[order]) > 0.0])]
+    letters = (line[0] for line in types if line[0].strip() and line[0] not in SYSTEMS)
     return Observations(
-        file,
+        Path(path),
         header.get("MARKER NAME", [""])[0].strip(),
-        _place(file, header),
-        seconds[kept] - AHEAD_S[system],
+        _place(Path(path), header),
+        seconds[rows] - AHEAD_S[scale],
         names,
-        ranges[kept],
-        rates[kept],
-        three_numbers(file, header, "ANTENNA: DELTA H/E/N")[[1, 2, 0]],
+        ranges[rows],
+        rates[rows],
+        three_numbers(Path(path), header, "ANTENNA: DELTA H/E/N")[[1, 2, 0]],
         int((~between).sum()),
-        "".join(
-            dict.fromkeys(line[0] for line in given if line[0].strip() and line[0] not in SYSTEMS)
-        ),
+        "".join(dict.fromkeys(letters)),
         damaged,
     )
 
 
-def _measured(
-    log: list[Measured], places: Mapping[str, Sequence[tuple[int, int]]]
-) -> tuple[list[str], Array, Array, Array]:
-    """Satellites ``S``, times ``(T,)``, pseudoranges and Doppler ``(T, S)``; ``places`` of codes
-    and their Doppler, -1: none.
-    """
-    names = sorted({name for epoch in log for name in epoch.fields})
-    column = {name: s for s, name in enumerate(names)}
-    ranges, rates = np.full((2, len(log), len(names)), np.nan)
-    for k, epoch in enumerate(log):
-        for name, values in epoch.fields.items():
-            for code, doppler in places[name[0]]:
-                if code < len(values) and np.isfinite(values[code]):
-                    ranges[k, column[name]] = values[code]
-                    if 0 <= doppler < len(values):
-                        rates[k, column[name]] = values[doppler]
-                    break
-    return names, np.array([epoch.time for epoch in log]), ranges, rates
+def _columns_of(file: File, letter: str, kinds: list[str]) -> list[tuple[int, int]]:
+    """Columns of the codes of a system, the best first, and of their Doppler, -1: none."""
+    system = SYSTEMS[letter]
+    # Version 3.02 alone called B1I's band 1, which is B1C's since.
+    older = ("C1X", "C1Q") if letter == "C" and file.version < 3.03 else ()
+    codes = [code for code in (*system.codes, *older) if code in kinds]
+    scaled = of_system(file.header.get("SYS / SCALE FACTOR", []), letter)
+    if any(line[2:6].strip() not in ("", "1") for line in scaled):
+        raise InputError(
+            f"{file.called}: expected observations of {system.name} in their units, got a SYS / "
+            "SCALE FACTOR"
+        )
+    rates = ["D" + code[1:] for code in codes]
+    return [
+        (kinds.index(code), kinds.index(rate) if rate in kinds else -1)
+        for code, rate in zip(codes, rates, strict=True)
+    ]
+
+
+def _by_satellite(
+    T: int,
+    measured: Mapping[str, Measured],
+    columns: Mapping[str, list[int]],
+    pairs: Mapping[str, Sequence[tuple[int, int]]],
+) -> tuple[list[str], Array, Array]:
+    """Satellites ``S``, pseudoranges and Doppler ``(T, S)``: of each row the first of its codes."""
+    names = [str(name) for part in measured.values() for name in np.unique(part.names)]
+    ranges, rates = np.full((2, T, len(names)), np.nan)
+    for letter, part in measured.items():
+        known, s = np.unique(part.names, return_inverse=True)
+        s += names.index(known[0]) if known.size else 0
+        missing = np.ones(len(part.names), bool)
+        for code, doppler in pairs[letter]:
+            values = part.values[:, columns[letter].index(code)]
+            rows = missing & np.isfinite(values)
+            ranges[part.epochs[rows], s[rows]] = values[rows]
+            if doppler >= 0:
+                rates[part.epochs[rows], s[rows]] = part.values[
+                    rows, columns[letter].index(doppler)
+                ]
+            missing &= ~rows
+    return names, ranges, rates
 
 
 def _place(path: Path, header: dict[str, list[str]]) -> Array | None:
@@ -285,14 +332,17 @@ ORDER = (
     "omega",
     "Omega_dot",
     "i_dot",
+    "source",
     "",
     "",
-    "",
-    "",
+    "accuracy",
     "health",
     "tgd",
+    "second_tgd",
 )
-"""Of a set's numbers in the file; what is spare, or not needed, may be blank."""
+"""Of a set's numbers in the file; what is spare, or not needed, may be blank. Source and second_tgd
+are those of Galileo.
+"""
 TURNS = 200.0 * np.pi
 MOST = {
     "a0": 2.0**-10,
@@ -319,8 +369,11 @@ MOST = {
 """What the message has room for (either sign), by its bits [BDS-SIS-ICD-B1I-3.0]; angles in a file
 may have turned often.
 """
-MOST_OF_GPS = {"a1": 2.0**-28, "a2": 2.0**-48, "tgd": 2.0**-24}
-"""Where that of GPS has more [IS-GPS-200]."""
+MOST_OF = {
+    GPS: {"a1": 2.0**-28, "a2": 2.0**-48, "tgd": 2.0**-24},
+    GALILEO: {"a0": 2.0**-4, "a1": 2.0**-26, "a2": 2.0**-54, "tgd": 2.0**-23},
+}
+"""Where those of GPS and Galileo have more [IS-GPS-200; Galileo-OS-SIS-ICD]."""
 LEAST = {"e": 0.0, "sqrt_a": 4096.0, "toe": 0.0}
 """No satellite of theirs is lower than 10,000 km."""
 MOST_ALPHA, MOST_BETA = (
@@ -331,37 +384,43 @@ MOST_ALPHA, MOST_BETA = (
 
 
 def read_navigation(path: str | Path, *more: str | Path, strict: bool = False) -> Navigation:
-    """Broadcast sets of BeiDou's and GPS's satellites from a navigation file, or from several.
+    """Broadcast sets of the satellites of `SYSTEMS` from a navigation file, or from several.
 
     Sets that lack a number, or have one that no message can hold, are left out and counted; damaged
-    ones are left out and named in ``damaged``. Of several headers the first that has coefficients
-    of the ionosphere gives them.
+    ones are left out and named in ``damaged``; what else is in the files is counted in ``unused``.
+    Of several headers the first that has coefficients of the ionosphere gives them; in version 4
+    they are a record.
 
     Raises
     ------
-    InputError: naming file and line, if one is not a RINEX 3 navigation file, if its header is
-    damaged, or most of its sets are (with ``strict`` if one is), or if none has orbits.
+    InputError: naming file and line, if one is not a navigation file of RINEX 2 to 4, if its header
+    is damaged, or most of its sets are (with ``strict`` if one is), or if none has orbits.
     OSError: if one cannot be read.
     """
     read: list[Set] = []
     damaged: tuple[str, ...] = ()
-    coefficients = None
-    for file in (path, *more):
-        text, called = unpacked(Path(file))
-        header, start = header_of(called, text, "N")
-        whole, lost = sets(called, text, start, "".join(SYSTEMS), strict)
-        read, damaged = read + whole, damaged + lost
-        coefficients = coefficients or _klobuchar(file, header)
+    coefficients, unused = None, Counter[str]()
+    for each in (path, *more):
+        file = read_text(Path(each), "N")
+        content = messages(file, "".join(SYSTEMS), strict)
+        read, damaged = read + content.sets, damaged + content.damaged
+        unused += Counter({_named(key): count for key, count in content.unused.items()})
+        coefficients = coefficients or _klobuchar(each, file.header, content.klobuchar)
     files = Path(path) if not more else ", ".join(map(str, (path, *more)))
     if not read:
-        raise InputError(f"{files}: expected orbits of BeiDou or GPS satellites, got none")
+        others = ", ".join(f"{name} {count}" for name, count in unused.items())
+        raise InputError(
+            f"{files}: expected orbits of BeiDou, GPS or Galileo satellites, got none"
+            + (f" (not used: {others})" if others else "")
+        )
     given = _columns(read)
     credible = np.isfinite(given["health"])
     for name, most in MOST.items():
+        bound = np.full(len(read), most)
+        for system, its in MOST_OF.items():
+            bound[given["system"] == system] = its.get(name, most)
         # Twice the range leaves room for what is rounded; blanks are nan, and fail.
-        bound = np.where(given["gps"], MOST_OF_GPS.get(name, most), most) * (
-            1.0 if name in LEAST else 2.0
-        )
+        bound *= 1.0 if name in LEAST else 2.0
         credible &= (np.abs(given[name]) <= bound) & (given[name] >= LEAST.get(name, -np.inf))
     if not credible.any():
         raise InputError(
@@ -370,34 +429,72 @@ def read_navigation(path: str | Path, *more: str | Path, strict: bool = False) -
         )
     given["toe"] += WEEK_S * np.round((given["toc"] - given["toe"]) / WEEK_S)
     for name in ("toc", "toe"):
-        given[name] -= GPS_AHEAD_S * given["gps"]
-    order = np.flatnonzero(credible)[np.argsort(given["toe"][credible], kind="stable")]
+        given[name] -= ahead_s(given["system"])
+    # Of one reference time I/NAV, which says how well E1 is, is before F/NAV.
+    order = np.lexsort((given["fnav"], given["toe"]))
+    order = order[credible[order]]
     chosen = Broadcast(**{part.name: given[part.name][order] for part in fields(Broadcast)})
     refused = Counter(read[k].name for k in np.flatnonzero(~credible))
-    return Navigation(files, chosen, coefficients, dict(sorted(refused.items())), damaged)
+    return Navigation(
+        files, chosen, coefficients, dict(sorted(refused.items())), damaged, dict(unused)
+    )
+
+
+def _named(unused: str) -> str:
+    """What is not used, with the name of its system."""
+    letter, rest = unused[0], unused[1:]
+    names = OTHERS | {letter: system.name for letter, system in SYSTEMS.items()}
+    return names[letter] + rest
 
 
 def _columns(read: list[Set]) -> dict[str, Array]:
-    """Numbers of all sets by name; a blank clock acceleration or group delay is none."""
-    numbers = np.array([one.numbers[: len(ORDER)] for one in read]).T
+    """Numbers of all sets by name; a blank clock acceleration or group delay is none.
+
+    Those of Galileo depend on the message. The clock of I/NAV is that of E1 and E5b, the clock of
+    F/NAV that of E1 and E5a; each goes with its own group delay and tells the health of its own
+    signal [Galileo-OS-SIS-ICD].
+    """
+    numbers = np.array([each.numbers[: len(ORDER)] for each in read]).T
     out = {name: column for name, column in zip(ORDER, numbers, strict=True) if name}
-    out |= {name: np.nan_to_num(out[name]) for name in ("a2", "tgd")}
-    named = np.array([[float(one.name[1:]), one.name[0] == "G", one.toc] for one in read])
-    return out | dict(zip(("number", "gps", "toc"), named.T, strict=True))
+    out |= {name: np.nan_to_num(out[name]) for name in ("a2", "tgd", "second_tgd", "source")}
+    named = np.array(
+        [[float(each.name[1:]), SYSTEM_LETTERS.index(each.name[0]), each.toc] for each in read]
+    )
+    out |= dict(zip(("number", "system", "toc"), named.T, strict=True))
+    galileo = out["system"] == GALILEO
+    source, bits = (
+        np.where(galileo, np.nan_to_num(out[k]), 0.0).astype(int) for k in ("source", "health")
+    )
+    fnav = (source & F_NAV_CLOCK) > 0
+    out["tgd"] = np.where(galileo & ~fnav, out["second_tgd"], out["tgd"])
+    signal = np.where(fnav, E5A_HEALTH, E1_HEALTH)
+    sick = ((bits & signal) > 0) | (out["accuracy"] < 0.0)
+    out["health"] = np.where(galileo & np.isfinite(out["health"]), sick, out["health"])
+    out["accuracy"] = np.maximum(np.nan_to_num(out["accuracy"]), 0.0)
+    return out | {"fnav": fnav}
+
+
+F_NAV_CLOCK = 1 << 8
+"""Bit of Galileo's data source: the clock is that of E1 and E5a, else that of E1 and E5b."""
+E1_HEALTH, E5A_HEALTH = 0b000000111, 0b000111000
+"""Bits of Galileo's health: whether data are valid, and the status of the signal, of E1 and E5a. A
+predicted accuracy below 0 stands for none, with which no satellite is to be used.
+"""
 
 
 def read_ionosphere(path: str | Path) -> tuple[Array, Array]:
-    """Klobuchar's coefficients from a header of RINEX 2 or 3; InputError naming the file if there
-    are none.
+    """Klobuchar's coefficients from a navigation file of RINEX 2 to 4; InputError naming the file
+    if there are none.
     """
-    text, called = unpacked(Path(path))
-    found = _klobuchar(path, header_of(called, text, "N", oldest=2)[0])
-    if found is None:
+    file = read_text(Path(path), "N")
+    message = messages(file, "", False).klobuchar if file.version >= 4.0 else None
+    coefficients = _klobuchar(path, file.header, message)
+    if coefficients is None:
         raise InputError(
             f"{path}: expected GPSA and GPSB in the header, got none; eight numbers may be given "
             "instead"
         )
-    return found
+    return coefficients
 
 
 def ionosphere(called: str | Path, numbers: ArrayLike) -> tuple[Array, Array]:
@@ -413,7 +510,10 @@ def ionosphere(called: str | Path, numbers: ArrayLike) -> tuple[Array, Array]:
     return alpha, beta
 
 
-def _klobuchar(path: str | Path, header: dict[str, list[str]]) -> tuple[Array, Array] | None:
+def _klobuchar(
+    path: str | Path, header: dict[str, list[str]], message: list[float] | None
+) -> tuple[Array, Array] | None:
+    """Coefficients of a header, or of a message where it has none."""
     rows = {line[:4]: line[5:53] for line in header.get("IONOSPHERIC CORR", [])}
     rows |= {
         f"GPS{k}": header[label][0][2:50]
@@ -421,13 +521,13 @@ def _klobuchar(path: str | Path, header: dict[str, list[str]]) -> tuple[Array, A
         if label in header
     }
     if not {"GPSA", "GPSB"} <= set(rows):
-        return None
+        return None if message is None else ionosphere(path, message)
     try:
-        found = [
+        numbers = [
             finite_number(rows[k][i : i + 12]) for k in ("GPSA", "GPSB") for i in range(0, 48, 12)
         ]
     except ValueError:
         raise InputError(
             f"{path}: expected four numbers in GPSA and GPSB of the header, got {rows['GPSA']!r}"
         ) from None
-    return ionosphere(path, found)
+    return ionosphere(path, numbers)

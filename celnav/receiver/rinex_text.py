@@ -1,5 +1,7 @@
-"""RINEX files as text: unpacked, their headers, and the records of some systems, each checked:
-damage is told by its line.
+"""RINEX files as text, of versions 2.11 to 4: unpacked, their headers, and the records of some
+systems, each checked. Damage is reported with its line.
+
+Records of version 2 are brought into the columns of version 3, so that one reader serves all.
 """
 
 from __future__ import annotations
@@ -8,9 +10,12 @@ import gzip
 import io
 import math
 import os
+import re
 import subprocess
 import tempfile
 import zlib
+from collections import Counter
+from collections.abc import Collection, Mapping, Sequence
 from datetime import UTC, datetime, timedelta
 from importlib import import_module
 from importlib.resources import as_file, files
@@ -34,10 +39,45 @@ SET_LINES = 8
 """Of a broadcast set."""
 EPOCH_ZERO = datetime(2006, 1, 1, tzinfo=UTC)
 """Of BDT."""
+ROWS_AT_ONCE = 20_000
+"""Observation rows whose columns are read together, for the memory's sake."""
+HEADS = {
+    2: re.compile(r" [ \d]\d(?: [ \d]\d){4}[ \d]{3}\.\d{7}  \d[ \d]{3}| {28}[2-5][ \d]{3}$"),
+    3: re.compile(r">|..\d{4} .{,53}$"),
+}
+"""How epochs begin in versions 2 and 3; in the latter the date shows it where ">" is damaged."""
+TYPES_OF_2 = {
+    "G": {"C1": "C1C", "P1": "C1P", "D1": "D1C"},
+    "E": {"C1": "C1X", "D1": "D1X"},
+}
+"""Names in version 3 of the observations of version 2 that are read."""
 
 
-def unpacked(path: Path) -> tuple[str, str]:
-    """The unpacked text of a RINEX file, and what to call it when a line is told."""
+class File(NamedTuple):
+    """A RINEX file as text.
+
+    called: its path, as messages name it. version: of RINEX. lines: all of them, without trailing
+    blanks. header: lines of the header by label. start: index of the first line after the header.
+    """
+
+    called: str
+    version: float
+    lines: list[str]
+    header: dict[str, list[str]]
+    start: int
+
+    @property
+    def system(self) -> str:
+        """Letter of the system whose data the first line promises; "M" or " " for several."""
+        return self.lines[0][40:41]
+
+    def error(self, k: int, words: str) -> InputError:
+        """What to raise for a line, counted from 0."""
+        return InputError(f"{self.called}, line {k + 1}: {words}")
+
+
+def _unpacked(path: Path) -> tuple[list[str], str]:
+    """Lines of a RINEX file without trailing blanks, and what messages call it."""
     called = str(path)
     raw = path.read_bytes()
     most = min(LARGEST_BYTES, max(MOST_UNPACKED * len(raw), SMALL_BYTES))
@@ -63,7 +103,7 @@ def unpacked(path: Path) -> tuple[str, str]:
     text = (
         "".join(c if c.isascii() else "?" for c in text) if not text.isascii() else text
     )  # a letter is a column
-    return "\n".join(line.rstrip() for line in text.splitlines()) + "\n", called
+    return [line.rstrip() for line in text.splitlines()], called
 
 
 def _decompressed(path: Path, raw: bytes, most: int) -> bytes:
@@ -74,74 +114,77 @@ def _decompressed(path: Path, raw: bytes, most: int) -> bytes:
         import_module("hatanaka")
         program = files("hatanaka.bin") / ("crx2rnx.exe" if os.name == "nt" else "crx2rnx")
     with (
-        tempfile.TemporaryFile() as given,
-        tempfile.TemporaryFile() as told,
+        tempfile.TemporaryFile() as packed,
+        tempfile.TemporaryFile() as errors,
         as_file(program) as executable,
     ):
-        given.write(raw)
-        given.seek(0)
+        packed.write(raw)
+        packed.seek(0)
         with subprocess.Popen(
-            [executable, "-"], stdin=given, stdout=subprocess.PIPE, stderr=told
+            [executable, "-"], stdin=packed, stdout=subprocess.PIPE, stderr=errors
         ) as process:
             assert process.stdout is not None
             out = process.stdout.read(most + 1)
             if len(out) > most:
                 process.kill()
                 return out
-        told.seek(0)
-        said = told.read().decode("ascii", "replace").strip()
+        errors.seek(0)
+        message = errors.read().decode("ascii", "replace").strip()
     if process.returncode not in (0, 2):  # 2 is a warning
-        line = " ".join(said.split())[:200] or f"exit status {process.returncode}"
+        line = " ".join(message.split())[:200] or f"exit status {process.returncode}"
         raise InputError(f"{path}: expected a whole file in Hatanaka's compression ({line})")
     return out
 
 
-def _at_line(called: str, k: int, words: str) -> InputError:
-    return InputError(f"{called}, line {k + 1}: {words}")
-
-
-def header_of(
-    called: str, text: str, kind: str, oldest: int = 3
-) -> tuple[dict[str, list[str]], int]:
-    """Header lines by label, and how many there are; the file is one of ``kind``, "O" or "N", in a
-    version from ``oldest`` to 3.
-    """
-    lines = text.split("\n")
-    words = {"O": "an observation file", "N": "a navigation file"}
-    if len(lines[0]) < 60 or "RINEX VERSION" not in lines[0][60:]:
-        raise _at_line(called, 0, f"expected RINEX VERSION / TYPE, got {lines[0][:40]!r}")
+def read_text(path: Path, kind: str) -> File:
+    """A file of a ``kind``, "O" (observations) or "N" (navigation), of version 2 to 4."""
+    text, called = _unpacked(path)
+    file = File(called, math.nan, text, {}, 0)
+    first = text[0]
+    if len(first) < 60 or "RINEX VERSION" not in first[60:]:
+        raise file.error(0, f"expected RINEX VERSION / TYPE, got {first[:40]!r}")
     try:
-        version = float(lines[0][:9])
+        version = float(first[:9])
     except ValueError:
-        raise _at_line(called, 0, f"expected a version number, got {lines[0][:9]!r}") from None
-    if not oldest <= version < 4.0:
-        raise _at_line(called, 0, f"expected RINEX 3, got version {version:g}")
-    if lines[0][20:21] != kind:
-        raise _at_line(called, 0, f"expected {words[kind]}, got {lines[0][20:40].strip()!r}")
-    if lines[0][40:41] not in ("C", "G", "M", " ", ""):
-        raise _at_line(
-            called,
-            0,
-            f"expected BeiDou (C), GPS (G) or mixed (M) data, got system {lines[0][40:41]!r}",
-        )
+        raise file.error(0, f"expected a version number, got {first[:9]!r}") from None
+    if not 2.0 <= version < 5.0:
+        raise file.error(0, f"expected RINEX 2, 3 or 4, got version {version:g}")
+    # In version 2 a blank line may be measurements, all of which are missing.
+    while version >= 3.0 and not text[-1]:
+        text.pop()
+    # In version 2 files of other systems' orbits have letters of their own.
+    letters = "NGHEJL" if kind == "N" and version < 3.0 else kind
+    if first[20:21] not in tuple(letters):
+        words = {"O": "an observation file", "N": "a navigation file"}
+        raise file.error(0, f"expected {words[kind]}, got {first[20:40].strip()!r}")
     header: dict[str, list[str]] = {}
-    for k, line in enumerate(lines):
+    for k, line in enumerate(text):
         label = line[60:].strip()
         header.setdefault(label, []).append(line[:60])
         if label == "END OF HEADER":
-            return header, k + 1
-    raise _at_line(called, len(lines) - 2, "expected END OF HEADER before the end of the file")
+            return File(called, version, text, header, k + 1)
+    raise file.error(len(text) - 1, "expected END OF HEADER before the end of the file")
 
 
-def kinds_of(called: str, header: dict[str, list[str]], system: str) -> list[str]:
-    """What is measured of a system, in the order of the fields; nothing if it has no line."""
-    rows = of_system(header.get("SYS / # / OBS TYPES", []), system)
+def kinds_of(file: File, system: str) -> list[str]:
+    """What is measured of a system, in the order of the fields; nothing if it has no line.
+
+    Names are those of version 3; what else version 2 has keeps its name.
+    """
+    if file.version < 3.0:
+        rows = file.header.get("# / TYPES OF OBSERV", [])
+        label, count = "# / TYPES OF OBSERV", rows[0][:6] if rows else ""
+    else:
+        label = "SYS / # / OBS TYPES"
+        rows = of_system(file.header.get(label, []), system)
+        label, count = f"{label} of {system}", rows[0][3:6] if rows else ""
     kinds = " ".join(row[6:] for row in rows).split()
-    if rows and rows[0][3:6].strip().lstrip("0") != str(len(kinds)):
+    if rows and count.strip().lstrip("0") != str(len(kinds)):
         raise InputError(
-            f"{called}: expected {rows[0][3:6].strip()!r} kinds in SYS / # / OBS TYPES of "
-            f"{system}, got {len(kinds)}"
+            f"{file.called}: expected {count.strip()!r} kinds in {label}, got {len(kinds)}"
         )
+    if file.version < 3.0:
+        return [TYPES_OF_2.get(system, {}).get(kind, kind) for kind in kinds]
     return kinds
 
 
@@ -167,89 +210,165 @@ def three_numbers(path: Path, header: dict[str, list[str]], label: str) -> Array
     return values
 
 
-class Measured(NamedTuple):
-    """An epoch: s since the beginning of BDT by the clock of the file, and fields of satellites,
-    nan where blank or 0.
-    """
-
-    time: float
-    fields: dict[str, list[float]]
-
-
-def accept(damage: list[InputError], sound: int, strict: bool) -> tuple[str, ...]:
-    """Messages of what is damaged.
+def accept(damage: Mapping[int, InputError], sound: int, strict: bool) -> tuple[str, ...]:
+    """Messages of what is damaged, by its line.
 
     The first is raised if ``strict``, or if there are more of them than of what is ``sound``.
     """
-    if damage and (strict or len(damage) > sound):
-        raise damage[0]
-    return tuple(map(str, damage))
+    ordered = [damage[k] for k in sorted(damage)]
+    if ordered and (strict or len(ordered) > sound):
+        raise ordered[0]
+    return tuple(map(str, ordered))
 
 
-def epochs(
-    called: str, text: str, start: int, systems: str, strict: bool
-) -> tuple[list[Measured], tuple[str, ...]]:
-    """Epochs with a satellite of ``systems``, and what is damaged, which is left out; see `accept`.
+class Rows:
+    """Observation rows of one system: of which epoch, of which satellite, in which line, text."""
 
-    Every line is checked. Events are passed over. ``start``: lines of the header.
+    def __init__(self) -> None:
+        self.epochs: list[int] = []
+        self.names: list[str] = []
+        self.lines: list[int] = []
+        self.texts: list[str] = []
+
+
+class Measured(NamedTuple):
+    """Measurements of one system: epochs ``(R,)``, names of the satellites ``(R,)`` and values
+    ``(R, C)`` in the columns that were asked for, nan where a field is blank or 0.
     """
-    lines = text.rstrip("\n").split("\n")
+
+    epochs: Array
+    names: Array
+    values: Array
+
+
+def measurements(
+    file: File, columns: Mapping[str, Sequence[int]], strict: bool
+) -> tuple[Array, dict[str, Measured], tuple[str, ...]]:
+    """Epochs ``(T,)``, s since the beginning of BDT by the file's clock; by system what was
+    measured in its ``columns``; and what is damaged, which is left out, see `accept`.
+
+    All rows of these systems are checked, whichever columns are read. Events are passed over.
+    """
+    lines, start = file.lines, file.start
     if len(lines) <= start:
-        raise _at_line(called, start - 1, "expected observations after the header, got none")
+        raise file.error(start - 1, "expected observations after the header, got none")
+    labels = ("SYS / # / OBS TYPES", "SYS / SCALE FACTOR", "# / TYPES OF OBSERV")
     for k in range(start, len(lines)):
-        if (label := lines[k][60:].strip()) in ("SYS / # / OBS TYPES", "SYS / SCALE FACTOR"):
-            raise _at_line(called, k, f"expected observations of one kind, got another {label}")
-    # The date tells the first line of an epoch too, where its ">" is damaged.
-    dated = [line[2:6].isdecimal() and line[6:7] == " " and not line[60:] for line in lines]
-    heads = [k for k in range(start, len(lines)) if dated[k] or lines[k].startswith(">")]
-    damage = [] if heads[:1] == [start] else [_no_epoch(called, start, lines[start])]
-    read, sound = list[Measured](), 0
+        if (label := lines[k][60:].strip()) in labels:
+            raise file.error(k, f"expected observations of one kind, got another {label}")
+    is_head = HEADS[min(int(file.version), 3)].match
+    heads = [k for k in range(start, len(lines)) if is_head(lines[k])]
+    damage = {} if heads[:1] == [start] else {start: _no_epoch(file, start)}
+    times, rows, head_of = list[float](), {letter: Rows() for letter in columns}, list[int]()
+    sound = 0
     for k, end in pairwise([*heads, len(lines)]):
         try:
-            flag, count, time = _epoch(called, k, lines[k])
-            rows, surplus = lines[k + 1 : k + 1 + count], lines[k + 1 + count : end]
-            if k + 1 + count > end:
-                got = "the file is cut off" if end == len(lines) else f"got {end - k - 1}"
-                raise _at_line(called, end - 1, f"expected {count} more after line {k + 1}, {got}")
-            fields = _fields(called, k + 1, rows, systems) if flag <= 1 else {}
-            if surplus:
-                damage.append(_no_epoch(called, k + 1 + count, surplus[0]))
-                # Another satellite is of this epoch; a repeated one is of the next, headless one.
-                if surplus[0][:3] not in {row[:3] for row in rows}:
-                    continue
+            complete, time = _read_epoch(file, k, end, rows, len(times), damage)
         except InputError as error:
-            damage.append(error)
+            damage[k] = error
             continue
-        sound += 1
-        if fields:
-            read.append(Measured(time, fields))
-    return read, accept(damage, sound, strict)
+        sound += complete
+        if complete and not math.isnan(time):
+            times.append(time)
+            head_of.append(k)
+    whole = np.ones(len(times), bool)
+    values = {
+        letter: _values(file, part, columns[letter], whole, head_of, damage)
+        for letter, part in rows.items()
+    }
+    messages = accept(damage, sound - int((~whole).sum()), strict)
+    order = np.cumsum(whole) - 1  # epochs are counted anew without those that are damaged
+    out = {}
+    for letter, part in rows.items():
+        epochs = np.array(part.epochs, dtype=int)
+        keep = whole[epochs]
+        names = np.array(part.names, dtype="U3")
+        out[letter] = Measured(order[epochs[keep]], names[keep], values[letter][keep])
+    return np.array(times)[whole], out, messages
 
 
-def _no_epoch(called: str, k: int, line: str) -> InputError:
-    return _at_line(called, k, f"expected an epoch (>), got {line[:40]!r}")
+def _read_epoch(
+    file: File, k: int, end: int, rows: dict[str, Rows], epoch: int, damage: dict[int, InputError]
+) -> tuple[bool, float]:
+    """Whether the lines from k to before ``end`` are one whole epoch or event, and its time, nan of
+    an event or without a satellite of these systems. Its rows are added to ``rows``.
+    """
+    lines = file.lines
+    flag, count, time = _head(file, k)
+    size, texts = count, lines[k + 1 : k + 1 + count]
+    if file.version < 3.0 and flag in (0, 1, 6):
+        # 12 satellites a line; then so many lines of 5 fields for each.
+        more, each = -(-count // 12), -(-len(kinds_of(file, "")) // 5)
+        size = more - 1 + count * each
+        texts = _texts_of_2(file, k, count, each)
+    if k + 1 + size > end:
+        got = "the file is cut off" if end == len(lines) else f"got {end - k - 1}"
+        raise file.error(end - 1, f"expected {size} more after line {k + 1}, {got}")
+    satellites = _checked(file, k + 1, texts, rows) if flag <= 1 else []
+    surplus = k + 1 + size
+    if surplus < end:
+        damage[surplus] = _no_epoch(file, surplus)
+        # Another satellite is of this epoch; a repeated one is of the next, headless one. Rows of
+        # version 2 have no names.
+        if file.version < 3.0 or lines[surplus][:3] not in {text[:3] for text in texts}:
+            return False, math.nan
+    for line, name, text in satellites:
+        part = rows[name[0]]
+        part.epochs.append(epoch)
+        part.names.append(name)
+        part.lines.append(line)
+        part.texts.append(text)
+    return True, time if satellites else math.nan
 
 
-def _epoch(called: str, k: int, line: str) -> tuple[int, int, float]:
+def _no_epoch(file: File, k: int) -> InputError:
+    return file.error(k, f"expected an epoch (>), got {file.lines[k][:40]!r}")
+
+
+def _head(file: File, k: int) -> tuple[int, int, float]:
     """Flag, number of lines and time of an epoch; an event has no time."""
-    if not line.startswith(">"):
-        raise _no_epoch(called, k, line)
+    line = file.lines[k]
+    if file.version < 3.0:
+        flag, count, width = line[28:29], line[29:32], 32
+        date = [_year(line[1:3]), line[4:6], line[7:9], line[10:12], line[13:15], line[15:26]]
+    else:
+        if not line.startswith(">"):
+            raise _no_epoch(file, k)
+        flag, count, width = line[31:32], line[32:35], 35
+        date = [line[2:6], line[7:9], line[10:12], line[13:15], line[16:18], line[18:29]]
     try:
-        flag, count = _whole(line[31:32]), _whole(line[32:35])
-        if flag > 6:
+        kind = _whole(flag)
+        if kind > 6:
             raise ValueError
-        return (
-            flag,
-            count,
-            _seconds(
-                [line[i:j] for i, j in ((2, 6), (7, 9), (10, 12), (13, 15), (16, 18), (18, 29))]
-                * (flag <= 1)
-            ),
-        )
+        return kind, _whole(count), _seconds(date if kind <= 1 else [])
     except ValueError:
-        raise _at_line(
-            called, k, f"expected date, flag and number of an epoch, got {line[:35]!r}"
+        raise file.error(
+            k, f"expected date, flag and number of an epoch, got {line[:width]!r}"
         ) from None
+
+
+def _year(text: str) -> str:
+    """Year of two digits, from 1980 to 2079."""
+    return f"{'20' if text.strip().zfill(2) < '80' else '19'}{text.strip():0>2}"
+
+
+def _texts_of_2(file: File, k: int, count: int, each: int) -> list[str]:
+    """Rows of an epoch of version 2 in the columns of version 3: name, then all fields."""
+    lines, first = file.lines, k + max(-(-count // 12), 1)
+    names = "".join(lines[i][32:68].ljust(36) for i in range(k, min(first, len(lines))))
+    texts = []
+    for s in range(count):
+        name = names[3 * s : 3 * s + 3]
+        fields = lines[first + s * each : first + (s + 1) * each]
+        for i, field in enumerate(fields):
+            if len(field) % 16 not in (0, 14, 15) or len(field) > 80:
+                raise file.error(
+                    first + s * each + i, "expected fields of 16 columns, the last one is cut off"
+                )
+        system = file.system if file.system.strip() not in ("", "M") else "G"
+        letter = name[:1].strip() or system
+        texts.append((letter + name[1:] + "".join(f.ljust(80) for f in fields)).rstrip())
+    return texts
 
 
 def _whole(text: str) -> int:
@@ -272,95 +391,195 @@ def _seconds(date: list[str]) -> float:
     ) + second
 
 
-def _fields(called: str, first: int, rows: list[str], systems: str) -> dict[str, list[float]]:
-    """Fields of an epoch's satellites of ``systems`` by name; ``first``: index of its first row."""
-    fields = dict[str, list[float]]()
-    for k, row in enumerate(rows, first):
-        if row[:1] in systems or row[:1] not in LETTERS:
-            name = _name(called, k, row)
-            if name in fields:
-                raise _at_line(
-                    called, k, f"expected each satellite once in an epoch, got {name} again"
-                )
-            if (len(row) - 3) % 16 not in (0, 14, 15):
-                raise _at_line(called, k, "expected fields of 16 columns, the last one is cut off")
-            values = [_number(called, k, row[i : i + 14]) for i in range(3, len(row), 16)]
-            fields[name] = [value or math.nan for value in values]
-    return fields
+def _checked(
+    file: File, first: int, texts: list[str], systems: Collection[str]
+) -> list[tuple[int, str, str]]:
+    """Line, satellite and text of an epoch's rows of ``systems``; ``first``: index of its first
+    row.
+    """
+    satellites = dict[str, tuple[int, str, str]]()
+    for k, text in enumerate(texts, first):
+        if text[:1] in systems or text[:1] not in LETTERS:
+            name = _name(file, k, text)
+            if name in satellites:
+                raise file.error(k, f"expected each satellite once in an epoch, got {name} again")
+            if (len(text) - 3) % 16 not in (0, 14, 15):
+                raise file.error(k, "expected fields of 16 columns, the last one is cut off")
+            satellites[name] = (k, name, text)
+    return list(satellites.values())
 
 
-def _name(called: str, k: int, line: str) -> str:
+def _name(file: File, k: int, line: str) -> str:
     name = line[:3].replace(" ", "0")
     if name[:1] not in LETTERS or not name[1:].isdecimal() or name[1:] == "00" or len(name) < 3:
-        raise _at_line(called, k, f"expected a satellite (C01), got {line[:3]!r}")
+        raise file.error(k, f"expected a satellite (C01), got {line[:3]!r}")
     return name
 
 
+BLANK, SIGN, DIGIT, POINT, OTHER = range(5)
+CLASSES = np.full(256, OTHER, np.uint8)
+"""What the characters of a number are, in the order in which they follow each other."""
+CLASSES[list(b" ")], CLASSES[list(b"+-")] = BLANK, SIGN
+CLASSES[list(b"0123456789")], CLASSES[list(b".")] = DIGIT, POINT
+THOUSANDTHS = np.array([*10.0 ** np.arange(12, 2, -1), 0.0, 100.0, 10.0, 1.0])
+"""What a digit of a field of format F14.3 counts; sums are exact."""
+
+
+def _values(
+    file: File,
+    rows: Rows,
+    columns: Sequence[int],
+    whole: Array,
+    head_of: list[int],
+    damage: dict[int, InputError],
+) -> Array:
+    """Values ``(R, C)`` of rows; epochs with a field that is no number leave ``whole (T,)``.
+
+    Fields of format F14.3 are read together, others one by one.
+    """
+    width = 3 + 16 * (max(columns) + 1)
+    out = np.full((len(rows.texts), len(columns)), np.nan)
+    for first in range(0, len(rows.texts), ROWS_AT_ONCE):
+        some = rows.texts[first : first + ROWS_AT_ONCE]
+        most = max(width, 3 + -(-max(map(len, some)) // 16) * 16)
+        text = np.frombuffer("".join(row.ljust(most) for row in some).encode("ascii"), np.uint8)
+        # (R, fields, 14): of 16 columns two are flags.
+        fields = text.reshape(len(some), most)[:, 3:].reshape(len(some), -1, 16)[..., :14]
+        kinds = CLASSES[fields]
+        before = kinds[..., :10]
+        regular = (before[..., :-1] <= before[..., 1:]).all(-1) & (before[..., 9] == DIGIT)
+        regular &= ((before == SIGN).sum(-1) <= 1) & (kinds[..., 10] == POINT)
+        regular &= (kinds[..., 11:] == DIGIT).all(-1)
+        blank = (kinds == BLANK).all(-1)
+        digits = np.where(kinds == DIGIT, fields - ord("0"), 0)[:, columns]
+        values = digits @ THOUSANDTHS / 1000.0
+        values[(fields[:, columns] == ord("-")).any(-1)] *= -1.0
+        out[first : first + len(some)] = np.where(values == 0.0, np.nan, values)
+        for r in np.flatnonzero(~(regular | blank).all(-1)) + first:
+            row, line = rows.texts[r], rows.lines[r]
+            try:
+                numbers = [_number(file, line, row[i : i + 14]) for i in range(3, len(row), 16)]
+            except InputError as error:
+                epoch = rows.epochs[r]
+                whole[epoch] = False
+                damage.setdefault(head_of[epoch], error)
+                continue
+            numbers += [math.nan] * (max(columns) + 1 - len(numbers))
+            out[r] = [numbers[c] or math.nan for c in columns]
+    return out
+
+
 class Set(NamedTuple):
-    """A broadcast set: whose, s of its clock by its system's time, and its numbers in the order of
-    the file, nan where blank.
+    """A broadcast set: whose, s of its clock by its system's time, its numbers in the order of the
+    file, nan where blank, and the name of its message in version 4.
     """
 
     name: str
     toc: float
     numbers: list[float]
+    message: str = ""
 
 
-def sets(
-    called: str, text: str, start: int, systems: str, strict: bool
-) -> tuple[list[Set], tuple[str, ...]]:
-    """Sets of ``systems``, and what is damaged, which is left out; see `accept`.
-
-    Each has all its lines, of numbers alone. ``start``: lines of the header.
+class Messages(NamedTuple):
+    """What a navigation file holds: sets of the systems that are used, Klobuchar's eight
+    coefficients of a message, how many records of other systems or messages there are, and what is
+    damaged, which is left out.
     """
-    lines = text.rstrip("\n").split("\n")
-    # The date tells the first line of a set too, where its name is damaged.
-    dated = [line[4:8].isdecimal() and line[8:9] == " " for line in lines]
-    heads = [k for k in range(start, len(lines)) if dated[k] or lines[k][:1] in LETTERS]
-    read, damage = list[Set](), list[InputError]()
+
+    sets: list[Set]
+    klobuchar: list[float] | None
+    unused: Counter[str]
+    damaged: tuple[str, ...]
+
+
+MESSAGES = {"C": ("D1", "D2"), "G": ("LNAV",), "E": ("INAV", "FNAV")}
+"""Of version 4, by their systems: those that version 3 has too."""
+
+
+def messages(file: File, systems: str, strict: bool) -> Messages:
+    """Broadcast sets of ``systems``, each with all its lines, of numbers alone; see `accept`."""
+    lines, start = file.lines, file.start
+    read, unused, damage = list[Set](), Counter[str](), dict[int, InputError]()
+    klobuchar: list[float] | None = None
+    if file.version < 3.0:
+        heads = [k for k in range(start, len(lines)) if lines[k][:2].strip()]
+    elif file.version < 4.0:
+        # The date tells the first line of a set too, where its name is damaged.
+        dated = re.compile(r".{4}\d{4} ").match
+        heads = [k for k in range(start, len(lines)) if dated(lines[k]) or lines[k][:1] in LETTERS]
+    else:
+        heads = [k for k in range(start, len(lines)) if lines[k].startswith(">")]
     blocks = list(pairwise(dict.fromkeys([start, *heads, len(lines)])))
     for k, end in blocks:
-        if lines[k][:1] in systems or lines[k][:1] not in LETTERS:
-            try:
-                read.append(_set(called, lines, k, end))
-            except InputError as error:
-                damage.append(error)
-    return read, accept(damage, len(blocks) - len(damage), strict)
+        try:
+            first, letter, kind, message = k, lines[k][:1], "EPH", ""
+            if file.version < 3.0:
+                letter = {"N": "G", "G": "R", "H": "S"}.get(lines[0][20:21], lines[0][20:21])
+            elif file.version >= 4.0:
+                kind, satellite, message = _title(file, k)
+                first, letter = k + 1, satellite[:1]
+            if letter in LETTERS and letter not in systems and kind == "EPH":
+                unused[letter] += 1
+            elif kind == "ION" and (letter, message) == ("G", "LNAV"):
+                klobuchar = klobuchar or _numbers(file, first, end, 3)[:8]
+            elif kind != "EPH" or (message and message not in MESSAGES[letter]):
+                unused[f"{letter} {message} {kind}"] += 1
+            else:
+                read.append(_set(file, first, end, message))
+        except InputError as error:
+            damage[k] = error
+    return Messages(read, klobuchar, unused, accept(damage, len(blocks) - len(damage), strict))
 
 
-def _set(called: str, lines: list[str], k: int, end: int) -> Set:
+def _title(file: File, k: int) -> tuple[str, str, str]:
+    """Kind, satellite and message of a record of version 4."""
+    words = file.lines[k].split()
+    if len(words) < 4 or words[0] != ">" or words[1] not in ("EPH", "STO", "EOP", "ION"):
+        raise file.error(k, f"expected a record (> EPH G01 LNAV), got {file.lines[k][:40]!r}")
+    return words[1], _name(file, k, words[2]), words[3]
+
+
+def _set(file: File, k: int, end: int, message: str) -> Set:
     """The set of the lines from k to before ``end``."""
-    name = _name(called, k, lines[k])
-    if end - k != SET_LINES:
-        raise _at_line(
-            called,
-            end - 1,
-            f"expected {SET_LINES} lines of a broadcast set from line {k + 1}, got {end - k}",
-        )
+    line, old = file.lines[k], file.version < 3.0
+    name = _name(file, k, f"G{line[:2]}" if old else line)
+    if old:
+        date = [_year(line[3:5]), line[6:8], line[9:11], line[12:14], line[15:17], line[17:22]]
+    else:
+        date = (line[4:23].split() + [""] * 6)[:6]
+    numbers = _numbers(file, k, end, SET_LINES)
     try:
-        toc = _seconds((lines[k][4:23].split() + [""] * 6)[:6])
+        return Set(name, _seconds(date), numbers, message)
     except ValueError:
-        raise _at_line(called, k, f"expected a date, got {lines[k][4:23]!r}") from None
+        raise file.error(k, f"expected a date, got {line[3:22] if old else line[4:23]!r}") from None
+
+
+def _numbers(file: File, k: int, end: int, count: int) -> list[float]:
+    """Numbers of a record's lines, which are ``count``, after the date of the first."""
+    if end - k != count:
+        raise file.error(
+            end - 1, f"expected {count} lines of a broadcast set from line {k + 1}, got {end - k}"
+        )
+    date, indent = (22, 3) if file.version < 3.0 else (23, 4)
     numbers = []
     for i in range(k, end):
-        before = 23 if i == k else 4
-        if i > k and lines[i][:before].strip():
-            raise _at_line(
-                called, i, f"expected {before} blanks and numbers, got {lines[i][:40]!r}"
-            )
-        if len(lines[i][before:]) % 19:
-            raise _at_line(called, i, "expected fields of 19 columns, the last one is cut off")
-        numbers += [_number(called, i, lines[i][at : at + 19]) for at in range(before, 80, 19)]
-    return Set(name, toc, numbers)
+        line, before = file.lines[i], date if i == k else indent
+        if i > k and line[:before].strip():
+            raise file.error(i, f"expected {before} blanks and numbers, got {line[:40]!r}")
+        if len(line[before:]) % 19:
+            raise file.error(i, "expected fields of 19 columns, the last one is cut off")
+        last = before + 19 * (3 if i == k else 4)
+        numbers += [_number(file, i, line[at : at + 19]) for at in range(before, last, 19)]
+    return numbers
 
 
-def _number(called: str, k: int, field: str) -> float:
+def _number(file: File, k: int, field: str) -> float:
     """nan where it is blank."""
     text = field.strip()
     try:
         return finite_number(text) if text else math.nan
     except ValueError:
-        raise _at_line(called, k, f"expected a number, got {text!r}") from None
+        raise file.error(k, f"expected a number, got {text!r}") from None
 
 
 def finite_number(text: str) -> float:

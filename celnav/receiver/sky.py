@@ -15,9 +15,14 @@ from numpy.typing import ArrayLike
 from celnav.gaussian.checks import finite, numbers
 from celnav.gaussian.linalg import Array
 from celnav.models.gnss import LIGHT
+from celnav.models.pseudorange import undetermined
 
 GROUND_M = (6.3e6, 1e7)
 """From the middle of the Earth, where receivers are: near its surface or in a low orbit."""
+TROPOSPHERE_M, UNCORRECTED_M = 0.12, 5.0
+"""Standard deviations at the zenith, of a corrected troposphere and of an ionosphere that is not
+corrected.
+"""
 SINGULAR = 1e-6
 """Directions this close to each other, rad, or satellites this close to a cone, are no geometry."""
 
@@ -80,25 +85,24 @@ class Dilution(NamedTuple):
 
 
 def dilution(
-    q: Array, position: Array, axes: Array, used: Array | None = None, second: Array | None = None
+    q: Array, position: Array, axes: Array, used: Array | None = None, offsets: Array | None = None
 ) -> Dilution:
     """What a fix from ranges alone makes of their noise; nan where satellites ``used (..., S)`` do
     not determine one.
 
-    ``second (S,)``: 1 for satellites of a second system, the offset of whose clock is found where
-    both are used.
+    ``offsets (k, S)``: as in `celnav.models.pseudorange`; an offset that satellites leave open
+    counts as known.
     """
     e = _unit(q - position[..., None, :]) @ axes.mT
     rows = np.concatenate([-e, np.ones_like(e[..., :1])], -1)
-    if second is not None:
-        rows = np.concatenate([rows, np.broadcast_to(second[:, None], (*rows.shape[:-1], 1))], -1)
-    if used is not None:
-        rows = np.where(used[..., None], rows, 0.0)
+    offsets = np.zeros((0, rows.shape[-2])) if offsets is None else offsets
+    k = len(offsets)
+    rows = np.concatenate([rows, np.broadcast_to(offsets.T, (*rows.shape[:-1], k))], -1)
+    used = np.ones(rows.shape[:-1], bool) if used is None else used
+    rows = np.where(used[..., None], rows, 0.0)
     n = rows.shape[-1]
     more = np.zeros((*rows.shape[:-2], n, n))
-    if second is not None:  # where one system is missing the offset counts as known
-        count, of_second = np.moveaxis(rows[..., 3:].sum(-2), -1, 0)
-        more[..., 4, 4] = (of_second == 0.0) | (of_second == count)
+    more[..., range(4, n), range(4, n)] = undetermined(used, offsets)
     R: Array = np.linalg.qr(np.concatenate([rows, more], -2)).R
     enough = (np.abs(R.diagonal(0, -2, -1)).min(-1) > SINGULAR)[..., None, None]
     # (R.T R)^-1 has the sums of squares of the rows of R^-1 on its diagonal.
@@ -141,8 +145,28 @@ def klobuchar(
     amplitude, period = np.maximum(powers @ a, 0.0), np.maximum(powers @ b, 72000.0)
     x = 2.0 * np.pi * (local - 50400.0) / period
     day = np.where(np.abs(x) < 1.57, amplitude * (1.0 - x**2 / 2.0 + x**4 / 24.0), 0.0)
-    obliquity = 1.0 + 16.0 * (0.53 - E) ** 3
-    return np.asarray(LIGHT * obliquity * (5e-9 + day))
+    return np.asarray(LIGHT * obliquity(elevation) * (5e-9 + day))
+
+
+def obliquity(elevation: Array) -> Array:
+    """How much longer the way through the ionosphere is than at the zenith
+    [Klobuchar1987; IS-GPS-200].
+    """
+    return np.asarray(1.0 + 16.0 * (0.53 - np.asarray(elevation) / np.pi) ** 3)
+
+
+def atmosphere_variance(elevation: Array, ionosphere: Array | None) -> Array:
+    """Variance (m^2) of what models leave of the atmosphere's delay at L1.
+
+    Klobuchar's model removes half of the ionosphere's delay in the RMS [Klobuchar1987]: the other
+    half is as large as the model's ``ionosphere`` (m, of the satellites). None: nothing is removed
+    of some `UNCORRECTED_M` at the zenith. Of the troposphere `TROPOSPHERE_M` is left there
+    [DO-229D, A.4.2.5].
+    """
+    E = np.asarray(elevation)
+    sigma = UNCORRECTED_M * obliquity(E) if ionosphere is None else 0.5 * ionosphere
+    wet = TROPOSPHERE_M * 1.001 / np.sqrt(0.002001 + np.sin(E) ** 2)
+    return np.asarray(np.square(sigma) + np.square(wet))
 
 
 def saastamoinen(

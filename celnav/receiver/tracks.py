@@ -148,7 +148,9 @@ def pos(found: Positioned) -> str:
         week, second = divmod(place.time + GPS_AHEAD_S, WEEK_S)
         when = civil(place.time + GPS_AHEAD_S, form)[:-5]
         lines.append(f"% obs {name} : {when} GPST (week{GPS_WEEK + int(week):04d} {second:8.1f}s)")
-    systems = " ".join({"C": "beidou", "G": "gps"}[letter] for letter in found.log.systems[::-1])
+    systems = " ".join(
+        {"C": "beidou", "G": "gps", "E": "galileo"}[letter] for letter in found.log.systems[::-1]
+    )
     lines += [
         "% pos mode  : single",
         f"% ionos opt : {'broadcast' if found.log.ionosphere else 'off'}",
@@ -217,7 +219,7 @@ def nmea(found: Positioned) -> str:
     the end of RMC [NMEA 4.1] is C (caution) for untested positions, U (unsafe) for those at an
     implausible height, and V (not provided) elsewhere.
     """
-    talker = {"C": "GB", "G": "GP"}.get(found.log.systems, "GN")
+    talker = {"C": "GB", "G": "GP", "E": "GA"}.get(found.log.systems, "GN")
     rows, lines = places(found), []
     for row, when in zip(rows, utc([row.time for row in rows]), strict=True):
         clock, date = when[11:-1].replace(":", ""), when[8:10] + when[5:7] + when[2:4]

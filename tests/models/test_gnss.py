@@ -48,7 +48,7 @@ def broadcast(**changes):
 
 
 def test_velocities_and_drifts_are_derivatives():
-    b, h = broadcast(gps=np.array([1.0, 0.0, 0.0])), 0.5
+    b, h = broadcast(system=np.array([1.0, 0.0, 0.0])), 0.5
     for t in (TOE - 3000.0, TOE, TOE + 1234.5):
         steps = [satellites(b, t + k * h) for k in (-2, -1, 1, 2)]
         for value, rate, size in (("position", "velocity", 1e-5), ("clock", "drift", 1e-17)):
@@ -94,11 +94,11 @@ def textbook(b, s, t):
     return P
 
 
-def of_gps(b, s, t):
-    """A satellite of GPS [IS-GPS-200, Table 20-IV] by rotations of its radius, t and toe in seconds
-    of GPS's week.
+def by_rotations(b, s, t, mu, relativity):
+    """A satellite of GPS [IS-GPS-200, Table 20-IV] or Galileo [Galileo-OS-SIS-ICD, 5.1.1] by
+    rotations of its radius, t and toe in seconds of the system's week.
     """
-    mu, earth = 3.986005e14, 7.2921151467e-5
+    earth = 7.2921151467e-5
     toe, A = (b.toe[s] + 14.0) % 604800.0, b.sqrt_a[s] ** 2
     tk = (t - toe + 302400.0) % 604800.0 - 302400.0
     M = b.M0[s] + (np.sqrt(mu / A**3) + b.delta_n[s]) * tk
@@ -118,7 +118,7 @@ def of_gps(b, s, t):
         b.a0[s]
         + b.a1[s] * tk
         + b.a2[s] * tk**2
-        - 4.442807633e-10 * b.e[s] * b.sqrt_a[s] * np.sin(E)
+        + relativity * b.e[s] * b.sqrt_a[s] * np.sin(E)
         - b.tgd[s]
     )
     return Rotation.from_euler("ZXZ", [node, i, u]).apply([r, 0.0, 0.0]), clock
@@ -126,11 +126,17 @@ def of_gps(b, s, t):
 
 @pytest.mark.parametrize("toe", [345600.0, 0.0, -14.0, 604786.0, 604800.0 * 955 + 597600.0 - 14.0])
 @pytest.mark.parametrize("after", [-7200.0, 0.0, 5400.0])
-def test_satellites_of_gps_are_those_of_their_interface_document(toe, after):
-    """Also at the ends of the week, which is GPS's own, 14 s before BeiDou's."""
+@pytest.mark.parametrize(
+    ("system", "letter", "mu", "relativity"),
+    [(1.0, "G", 3.986005e14, -4.442807633e-10), (2.0, "E", 3.986004418e14, -4.442807309e-10)],
+)
+def test_satellites_are_those_of_their_interface_documents(
+    toe, after, system, letter, mu, relativity
+):
+    """Also at the ends of the week, which is the system's own, 14 s before BeiDou's."""
     when = np.full(3, toe)
     b = broadcast(
-        gps=np.ones(3),
+        system=np.full(3, system),
         e=np.array([0.01, 2e-3, 3e-4]),
         sqrt_a=np.full(3, 5153.7),
         toe=when,
@@ -138,12 +144,12 @@ def test_satellites_of_gps_are_those_of_their_interface_document(toe, after):
     )
     found = satellites(b, toe + after)
     for s in range(3):
-        place, clock = of_gps(b, s, (toe + 14.0 + after) % 604800.0)
+        place, clock = by_rotations(b, s, (toe + 14.0 + after) % 604800.0, mu, relativity)
         np.testing.assert_allclose(found.position[s], place, rtol=0, atol=1e-5)
         np.testing.assert_allclose(
             found.clock[s], clock, rtol=0, atol=1e-17
         )  # the constant has ten digits
-    assert b.names == ["G21", "G38", "G03"]
+    assert b.names == [f"{letter}21", f"{letter}38", f"{letter}03"]
     assert not b.geostationary.any()
 
 
@@ -228,6 +234,7 @@ def test_geostationary_satellites_stand_over_their_longitudes():
         ({"sqrt_a": np.zeros(3)}, "sqrt_a"),
         ({"M0": np.zeros(2)}, "M0"),
         ({"crs": np.array([0.0, np.nan, 0.0])}, "crs"),
+        ({"system": np.array([0.0, 3.0, 1.0])}, "system"),
     ],
 )
 def test_elements_that_cannot_be_are_refused_by_name(changes, name):

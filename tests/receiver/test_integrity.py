@@ -3,18 +3,35 @@
 from __future__ import annotations
 
 import csv
+import re
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from rinex_pair import ALPHA, BETA, PLACE, TOE, above, constellation, observed
+from rinex_pair import (
+    ALPHA,
+    BETA,
+    PLACE,
+    TOE,
+    above,
+    constellation,
+    galileo,
+    gps,
+    joined,
+    modeled_errors,
+    observed,
+)
 
 from celnav.files import InputError
-from celnav.models.gnss import B1I_HZ, LIGHT
+from celnav.models import pseudorange
+from celnav.models.gnss import B1I_HZ, L1_HZ, LIGHT
 from celnav.receiver import position as positioning
 from celnav.receiver import report as positioning_report
+from celnav.receiver.fixes import Seen, estimated
+from celnav.receiver.geodesy import ELLIPSOID, ecef2geodetic
 from celnav.receiver.rinex import Navigation
+from celnav.receiver.sky import klobuchar
 
 NOISE = 0.5
 
@@ -109,8 +126,14 @@ def test_a_wrong_broadcast_orbit_is_excluded(noisy, part, change):
     (s,) = high(nav, obs, 1)
     values = getattr(nav.sets, part).copy()
     values[s] += change
-    found = positioning.prepare(obs, replace(nav, sets=replace(nav.sets, **{part: values})))
-    assert not found.used[:, s].any()  # excluded, or below the horizon by that orbit
+    wrong = replace(nav.sets, **{part: values})
+    found = positioning.prepare(obs, replace(nav, sets=wrong))
+    # Excluded, or below the horizon by that orbit; a range within 8 σ may pass the test.
+    right, other = (pseudorange.sources(sets, obs.times, PLACE) for sets in (nav.sets, wrong))
+    ranges = [np.linalg.norm(each.q - PLACE, axis=-1) - each.clock for each in (right, other)]
+    used = found.used[:, s]
+    assert (np.abs(ranges[1] - ranges[0])[used, s] < 8.0 * found.sigma[used, s]).all()
+    assert used.mean() <= 0.1
     assert off(found, "ls").max() < 8.0
     assert off(found, "aukf").max() < 8.0
 
@@ -170,10 +193,13 @@ def test_an_epoch_that_is_dated_late_moves_nothing(noisy):
 
 def test_noise_is_estimated_from_residuals(noisy):
     nav, obs = noisy
+    rng = np.random.default_rng(3)
+    obs = replace(obs, code=obs.code + modeled_errors(positioning.prepare(obs, nav), rng))
     found = positioning.prepare(obs, nav)
     S, used = len(found.names), found.used
     assert found.noise[0].redundancy == used.sum() - 4 * 40
-    assert np.sqrt(np.square(found.sigma[:, :S][used]).mean()) == pytest.approx(NOISE, rel=0.1)
+    size = np.sqrt(NOISE**2 + found.modeled[used].mean())
+    assert np.sqrt(np.square(found.sigma[:, :S][used]).mean()) == pytest.approx(size, rel=0.1)
     assert np.sqrt(np.square(found.sigma[:, S:][used]).mean()) == pytest.approx(
         0.1 * LIGHT / B1I_HZ, rel=0.1
     )
@@ -185,7 +211,7 @@ def test_noise_is_estimated_from_residuals(noisy):
     lines = positioning_report.summary(result)
     assert f"NIS {result.nis:.3f}" in lines
     assert f"estimated from {found.noise[0].redundancy} redundant ones" in lines
-    kept = positioning.prepare(obs, nav, sigma=(1.5, 0.05))
+    kept = positioning.prepare(noisy[1], nav, sigma=(1.5, 0.05))
     assert positioning_report.position(kept, "ls", PLACE).nis < 0.2
     assert "not estimated" in positioning_report.summary(
         positioning_report.position(kept, "ls", PLACE)
@@ -196,16 +222,78 @@ def test_noise_that_grows_towards_the_horizon_is_told_from_noise_that_does_not(n
     nav, obs = noisy
     b, times = nav.sets, obs.times[0] + 30.0 * np.arange(150)
     clean = observed(b, times, 3e4 + 30.0 * (times - times[0]))
-    sky = np.nan_to_num(
-        positioning.prepare(clean, nav, sigma=(1.5, 0.05), mask_deg=0.0).elevation, nan=1.0
-    )
+    log = positioning.prepare(clean, nav, sigma=(1.5, 0.05))
+    sky = np.nan_to_num(log.elevation, nan=1.0)
     size = np.hypot(0.6, 0.4 / np.sin(np.maximum(sky, 0.1)))
-    found = positioning.prepare(
-        replace(clean, code=clean.code + size * np.random.default_rng(1).normal(size=size.shape)),
-        nav,
+    z, S = log.z.copy(), len(log.names)
+    z[:, :S] += size * np.random.default_rng(1).normal(size=size.shape)
+    one = np.zeros((0, S))
+    seen = Seen(z, log.q, log.w, sky, log.fixes[:, :3], np.zeros(size.shape), one)
+    noise, _ = estimated(seen, 1e-5)
+    assert noise.zenith == pytest.approx((0.4,), rel=0.15)
+    assert noise.level == pytest.approx((0.6,), rel=0.2)
+    # What is known of the variance is not counted as noise.
+    noise, _ = estimated(seen._replace(modeled=np.full(size.shape, 0.36)), 1e-5)
+    assert noise.zenith == pytest.approx((0.4,), rel=0.15)
+    assert noise.level[0] < 0.3
+
+
+def test_each_system_has_noise_of_its_own():
+    """GPS of a jammed receiver does not spoil Galileo's ranges."""
+    times = TOE + 1800.0 + 30.0 * np.arange(120)
+    b = above(joined(gps(), galileo()), times[[0, -1]])
+    nav = Navigation(Path("nav.rnx"), b, (np.array(ALPHA), np.array(BETA)))
+    log = observed(b, times, 3e4 + 30.0 * (times - times[0]))
+    rng = np.random.default_rng(4)
+    errors = modeled_errors(positioning.prepare(log, nav), rng)
+    size = np.where(b.system == 1, 15.0, 0.3)
+    code = log.code + errors + size * rng.normal(size=log.code.shape)
+    found = positioning.prepare(replace(log, code=code), nav)
+    level, zenith = found.noise[0].level, found.noise[0].zenith
+    assert np.hypot(level[0], 1.5 * zenith[0]) == pytest.approx(15.0, rel=0.25)
+    assert np.hypot(level[1], zenith[1]) < 1.5
+    alone = positioning.prepare(replace(log, code=code), nav, systems="E")
+    pooled = positioning.prepare(replace(log, code=code), nav, sigma=(5.0, 0.05))
+    errors = [
+        np.sqrt(np.square(each.fixes[:, :3] - PLACE).sum(-1).mean())
+        for each in (found, alone, pooled)
+    ]
+    assert errors[0] < 1.05 * errors[1]
+    assert errors[0] < 0.7 * errors[2]
+    lines = positioning_report.summary(positioning_report.position(found, "ls", PLACE))
+    assert re.search(r"ranges GPS .* m / sin\(elevation\), Galileo .* m / sin", lines)
+    assert "what atmosphere and orbits leave in ranges" in lines
+
+
+def test_deviations_hold_what_atmosphere_and_orbits_leave(noisy):
+    nav, obs = noisy
+    worse = replace(nav, sets=replace(nav.sets, accuracy=np.where(nav.sets.number == 38, 4.8, 2.0)))
+    log, plain = positioning.prepare(obs, worse), positioning.prepare(obs, nav, sigma=(1.5, 0.05))
+    assert not plain.modeled.any()
+    S = len(log.names)
+    k, s = np.nonzero(log.used)
+    latitude, longitude, _ = ecef2geodetic(*PLACE, ell=ELLIPSOID, deg=False)
+    for i in range(0, k.size, 7):
+        E = log.elevation[k[i], s[i]]
+        ionosphere = 0.5 * (L1_HZ / B1I_HZ) ** 2
+        ionosphere *= klobuchar(
+            ALPHA, BETA, log.times[k[i]] + 14.0, latitude, longitude, E, log.azimuth[k[i], s[i]]
+        )
+        troposphere = 0.12 * 1.001 / np.sqrt(0.002001 + np.sin(E) ** 2)
+        orbit = 2.0 if log.names[s[i]] == "C38" else 1.0
+        size = np.sqrt(ionosphere**2 + troposphere**2 + orbit**2)
+        assert np.sqrt(log.modeled[k[i], s[i]]) == pytest.approx(size, rel=1e-4)
+    receiver = log.noise[0].variance(log.elevation, np.zeros(S, int))
+    np.testing.assert_allclose(
+        np.square(log.sigma[:, :S])[log.used], (log.modeled + receiver)[log.used]
     )
-    assert found.noise[0].zenith == pytest.approx(0.4, rel=0.15)
-    assert found.noise[0].level == pytest.approx(0.6, rel=0.2)
+    uncorrected = positioning.prepare(obs, replace(nav, klobuchar=None))
+    E = uncorrected.elevation[uncorrected.used]
+    slant = 1.0 + 16.0 * (0.53 - E / np.pi) ** 3
+    troposphere = 0.12 * 1.001 / np.sqrt(0.002001 + np.sin(E) ** 2)
+    np.testing.assert_allclose(
+        uncorrected.modeled[uncorrected.used], (5.0 * slant) ** 2 + troposphere**2 + 1.0
+    )
 
 
 def test_a_receiver_that_is_noisy_is_no_fault(noisy):
@@ -222,7 +310,7 @@ def test_a_receiver_that_is_noisy_is_no_fault(noisy):
 def test_too_little_to_estimate_noise_of_keeps_what_is_usual(noisy):
     nav, obs = noisy
     found = positioning.prepare(obs.part(slice(0, 2)), nav)
-    assert found.noise[0] == (0.0, 1.5, 0)
+    assert found.noise[0] == ((0.0,), (1.5,), 0)
 
 
 def test_fewer_than_four_satellites_are_told(noisy):

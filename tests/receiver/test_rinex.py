@@ -97,19 +97,15 @@ def test_a_set_is_chosen_by_time_kind_and_health(texts, tmp_path):
 DAMAGE = {
     "empty": (lambda _t: "", r"expected a RINEX file, got an empty one"),
     "text": (lambda _t: "hello\nworld\n", r"line 1: expected RINEX VERSION / TYPE"),
-    "version 2": (
-        lambda t: t.replace("     3.04", "     2.11", 1),
-        r"line 1: expected RINEX 3, got version 2\.11",
+    "version 1": (
+        lambda t: t.replace("     3.04", "     1.00", 1),
+        r"line 1: expected RINEX 2, 3 or 4, got version 1",
     ),
-    "version 4": (
-        lambda t: t.replace("     3.04", "     4.00", 1),
-        r"line 1: expected RINEX 3, got version 4",
+    "version 5": (
+        lambda t: t.replace("     3.04", "     5.00", 1),
+        r"line 1: expected RINEX 2, 3 or 4, got version 5",
     ),
     "no end": (lambda t: t.split("END OF HEADER")[0], r"line \d+: expected END OF HEADER"),
-    "glonass": (
-        lambda t: t.replace("M: Mixed", "R: GLONASS", 1).replace("C: BDS", "R: GLONASS", 1),
-        r"line 1: .*got system 'R'",
-    ),
 }
 
 
@@ -139,7 +135,8 @@ def test_what_is_damaged_is_refused_with_file_and_line(texts, tmp_path, kind, da
         ),
         (
             lambda t: t.replace("C2I", "C7I").replace("C1C", "C2W"),
-            r"expected BeiDou's B1I code \(C2I or C2X\) or GPS's C1C among the observations, got "
+            r"expected BeiDou's B1I code \(C2I or C2X\), GPS's C1C or Galileo's E1 code \(C1C or "
+            r"C1X\) among the observations, got "
             r"C: C7I L2I D2I, G: C2W D1C",
         ),
         (lambda t: t.replace(" GPS ", " GLO ", 1), r"expected times in GPS, GAL or BDT, got 'GLO'"),
@@ -442,7 +439,7 @@ REAL = Path(__file__).parents[3] / "shared" / "data" / "rinex"
 def test_a_real_navigation_file_is_continuous():
     found = read_navigation(next(REAL.glob("*MN.rnx.gz")))
     sets = found.sets
-    rows = np.flatnonzero((sets.number == 5) & (sets.gps == 0))
+    rows = np.flatnonzero((sets.number == 5) & (sets.system == 0))
     apart = []
     for one, two in pairwise(rows.tolist()):
         if sets.toe[two] - sets.toe[one] == 3600.0:

@@ -300,7 +300,10 @@ def test_systems_and_the_ionosphere_are_given_by_options(files, tmp_path, capsys
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--systems", "R"], "--systems: expected letters of C (BeiDou), G (GPS), got 'R'"),
+        (
+            ["--systems", "R"],
+            "--systems: expected letters of C (BeiDou), G (GPS), E (Galileo), got 'R'",
+        ),
         (
             ["--ion", "1,2"],
             "--ion: expected a navigation file, or eight numbers with commas between, got 2",
