@@ -33,10 +33,13 @@ def run(options: argparse.Namespace) -> int:
     from celnav.receiver.sky import on_earth
     from celnav.receiver.tracks import FORMATS
 
-    mask, noise = (
-        number("mask", options.mask),
-        number("acceleration-noise", options.acceleration_noise),
-    )
+    mask, noise = number("mask", options.mask), None
+    if options.acceleration_noise != "auto":
+        noise = number("acceleration-noise", options.acceleration_noise)
+        density = noise
+        _checked(
+            "--acceleration-noise", lambda: positioning_filters.filters(4, acceleration=density)
+        )
     alarm = number("false-alarm", options.false_alarm)
     given = (
         None
@@ -45,7 +48,6 @@ def run(options: argparse.Namespace) -> int:
     )
     sigma = None if options.sigma is None else [number("sigma", text) for text in options.sigma]
     _checked("--mask", lambda: positioning.mask(mask))
-    _checked("--acceleration-noise", lambda: positioning_filters.filters(4, acceleration=noise))
     _checked("--false-alarm", lambda: probability(alarm))
     _checked("--sigma", lambda: positioning.deviations(sigma))
     if given is not None:
@@ -53,6 +55,9 @@ def run(options: argparse.Namespace) -> int:
     names = ["ls", *positioning_filters.filters(4)]
     if options.filter not in names:
         raise UsageError(f"--filter: expected one of {', '.join(names)}, got {options.filter!r}")
+    clocks = [*positioning_filters.CLOCKS, "auto"]
+    if options.clock not in clocks:
+        raise UsageError(f"--clock: expected one of {', '.join(clocks)}, got {options.clock!r}")
     systems = None if options.systems is None else options.systems.replace(",", "").upper()
     _checked("--systems", lambda: positioning.chosen(systems))
     out = Path(options.out)
@@ -84,7 +89,13 @@ def run(options: argparse.Namespace) -> int:
     of += f"{north:.3f} north, {up:.3f} up"
     try:
         found = positioning_report.position(
-            log, options.filter, observations.reference(given), acceleration=noise, of=of
+            log,
+            options.filter,
+            observations.reference(given),
+            acceleration=noise,
+            clock=options.clock,
+            false_alarm=alarm,
+            of=of,
         )
     except FilterError as error:
         raise InputError(
@@ -92,7 +103,9 @@ def run(options: argparse.Namespace) -> int:
             f"{str(error).partition(' (on_failure')[0]}"
         ) from None
     print(positioning_report.summary(found))
-    status = int(options.strict and bool(found.doubtful.any()))
+    status = 0
+    if options.strict:
+        status = 3 if found.distrusted.any() else int(found.doubtful.any())
     if track is not None:
         outputs.text(out.name, track(found))
         print(f"wrote {out}")

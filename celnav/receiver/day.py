@@ -19,7 +19,7 @@ from celnav.receiver.constellation import GEOSTATIONARY, TOE_S, geostationary, s
 from celnav.receiver.filters import filters
 from celnav.receiver.fixes import GIVEN
 from celnav.receiver.position import Log, prepare
-from celnav.receiver.report import Positioned
+from celnav.receiver.report import STILL, Positioned, position
 from celnav.receiver.rinex import Navigation, Observations, read_navigation, read_observations
 from celnav.show.draw import Line, Panel, curve, panels
 from celnav.study.study import Rngs
@@ -91,9 +91,11 @@ def positioned(files: Files, filter: str, mask_deg: float) -> Positioned:
     OSError, InputError: naming the file, if one cannot be read or has no position in its header.
     """
     half, navigation, reference = _read(files)
-    log = _prepared(half, navigation, mask_deg)
-    track = run(filters(len(log.names))[filter], log.prior(), log.epochs(), keep="cov")
-    return Positioned(log, filter, track.mean, track.cov[:, :3, :3], reference)
+    return _positioned(_prepared(half, navigation, mask_deg), filter, reference)
+
+
+def _positioned(log: Log, filter: str, reference: Array) -> Positioned:
+    return position(log, filter, reference, acceleration=STILL, clock="crystal", false_alarm=0.0)
 
 
 def run_filters(
@@ -124,7 +126,7 @@ def run_filters(
     for label, part in (("", half), ("burst/", replace(half, code=half.code + noise))):
         log = _prepared(part, navigation, mask_deg)
         known = filters(len(log.names))
-        frame = Positioned(log, "ls", log.fixes, log.fix_cov, reference)
+        frame = _positioned(log, "ls", reference)
         tracks = {name: run(known[name], log.prior(), log.epochs(), keep="mean") for name in names}
         out |= {
             label + name: frame.local(mean)

@@ -76,8 +76,8 @@ class Seen(NamedTuple):
 
 
 class Fixed(NamedTuple):
-    """States ``(T, 8 or 9)`` and covariances of positions ``(T, 3, 3)``, nan where there is no fix;
-    deviations ``sigma (T, 2 S)``.
+    """States ``(T, 8 or 9)``, their variances, and covariances of positions ``(T, 3, 3)``, nan where
+    there is no fix; deviations ``sigma (T, 2 S)``.
 
     ``kinds``: of ranges and rates, what is left of them; ``left`` and ``G``: residuals ``(T, S)``
     and Jacobians ``(T, S, 4)``, in deviations. With a second system ranges have a place more, for
@@ -85,6 +85,7 @@ class Fixed(NamedTuple):
     """
 
     states: Array
+    variances: Array
     cov: Array
     sigma: Array
     kinds: tuple[Monitored, Monitored]
@@ -116,12 +117,8 @@ def fixed(seen: Seen, noise: tuple[Noise, Noise], false_alarm: float) -> Fixed:
         np.linalg.norm(seen.position, axis=-1, keepdims=True) > 1.0, seen.position, below
     )
 
-    def states(x: Array) -> Array:
-        zeros = np.zeros((*x.shape[:-1], 3))
-        return np.concatenate([x[..., :3], zeros, x[..., 3:4], zeros[..., :1], x[..., 4:]], -1)
-
     def ranges(rows: Array, x: Array) -> tuple[Array, Array]:
-        at, q, w = states(x), seen.q[rows], seen.w[rows]
+        at, q, w = _states(x, np.zeros((*x.shape[:-1], 4))), seen.q[rows], seen.w[rows]
         G = pseudorange.jacobian(at, q, w, second)[..., :S, [0, 1, 2, 6] + [8] * offset]
         zero = np.broadcast_to(np.eye(4 + offset)[4:], (*G.shape[:-2], offset, 4 + offset))
         return np.concatenate(
@@ -167,9 +164,16 @@ def fixed(seen: Seen, noise: tuple[Noise, Noise], false_alarm: float) -> Fixed:
         false_alarm,
     )
     apart = np.where(one.kind.kept[:, S:], np.nan, one.x[:, 4:])
-    found = np.concatenate([one.x[:, :3], two.x[:, :3], one.x[:, 3:4], two.x[:, 3:], apart], -1)
-    return Fixed(
-        found, one.cov[:, :3, :3], sigma, (one.kind, two.kind), (one.left, two.left), (one.G, two.G)
+    states = _states(np.concatenate([one.x[:, :4], apart], -1), two.x)
+    variances = _states(*(kind.cov.diagonal(0, -2, -1) for kind in (one, two)))
+    kinds, left, G = (one.kind, two.kind), (one.left, two.left), (one.G, two.G)
+    return Fixed(states, variances, one.cov[:, :3, :3], sigma, kinds, left, G)
+
+
+def _states(ranges: Array, rates: Array) -> Array:
+    """What ranges and rates determine, each ``(..., 4 or 5)``, in the order of a state."""
+    return np.concatenate(
+        [ranges[..., :3], rates[..., :3], ranges[..., 3:4], rates[..., 3:], ranges[..., 4:]], -1
     )
 
 

@@ -24,6 +24,7 @@ from celnav.receiver.fixes import LEAST_ELEVATION, Noise, Seen, estimated, fixed
 from celnav.receiver.geodesy import ELLIPSOID, ecef2geodetic
 from celnav.receiver.rinex import OTHERS, SYSTEMS, Navigation, Observations
 from celnav.receiver.sky import Dilution, dilution, klobuchar, local_axes, look, saastamoinen
+from celnav.receiver.walks import Walk, acceleration_noise, walk_noise
 
 CREDIBLE_M = (1.5e7, 5e7)
 """Pseudoranges outside are none."""
@@ -61,7 +62,9 @@ class Log:
     noise: of ranges and of rates. jumps: ``(T,)`` m, what the receiver has set its clock by since
         the start, which was taken off ranges and fixes. dilution: of each epoch ``(T,)``.
         ionosphere: whether the broadcast model's coefficients were there to
-        correct it by. left_out: why measurements are not used, and how many. others: systems in the
+        correct it by. clock: process noise of the receiver's clock as its fixes show it, and where
+        it was set besides; None: too few fixes. acceleration: density (m^2/s^3) of the receiver's
+        acceleration, likewise; None: too few rates. left_out: why measurements are not used, and how many. others: systems in the
         files that are not used.
     files: names of what was read. damaged: messages with the line, one for each epoch or broadcast
         set that was left out because it is damaged.
@@ -85,6 +88,8 @@ class Log:
     jumps: Array
     dilution: Dilution
     ionosphere: bool
+    clock: Walk | None
+    acceleration: float | None
     left_out: dict[str, int]
     others: tuple[str, ...] = ()
     files: tuple[str, ...] = ()
@@ -118,25 +123,27 @@ class Log:
         )
 
     def epochs(self) -> Iterator[Epoch]:
-        """Epochs for `filters`; ``u`` is ``(q, w, sigma)`` at the epoch's time."""
+        """Epochs for `filters`; ``u`` is ``(q, w, sigma, reset)`` at the epoch's time, ``reset``
+        (m) the step by which the clock was set.
+        """
         intervals = np.diff(self.times, prepend=self.times[:1])
+        reset = np.zeros(len(self.times)) if self.clock is None else self.clock.reset
         for k, (t, dt) in enumerate(zip(self.times.tolist(), intervals.tolist(), strict=True)):
-            yield Epoch(k, t, dt, (self.q[k], self.w[k], self.sigma[k]), self.z[k])
+            yield Epoch(k, t, dt, (self.q[k], self.w[k], self.sigma[k], reset[k]), self.z[k])
 
-    def prior(self) -> Gaussian:
-        """About the first fix, ``(8,)`` or ``(9,)``."""
-        return Gaussian(
-            np.nan_to_num(self.fixes[0]), np.diag(np.square(START[: self.fixes.shape[-1]]))
-        )
+    def prior(self, k: int = 0) -> Gaussian:
+        """About the fix of an epoch, ``(8,)`` or ``(9,)``."""
+        deviations = START[: self.fixes.shape[-1]]
+        return Gaussian(np.nan_to_num(self.fixes[k]), np.diag(np.square(deviations)))
 
     def part(self, which: slice) -> Log:
         """Some of the epochs."""
         arrays: dict[str, Any] = {
             k: v[which] for k, v in vars(self).items() if isinstance(v, np.ndarray)
         }
-        return replace(
-            self, **arrays, dilution=Dilution(*(values[which] for values in self.dilution))
-        )
+        clock = self.clock and self.clock._replace(reset=self.clock.reset[which])
+        dilution = Dilution(*(values[which] for values in self.dilution))
+        return replace(self, **arrays, clock=clock, dilution=dilution)
 
 
 def prepare(
@@ -231,6 +238,10 @@ def prepare(
     z, states, jumps = _without_jumps(z, found.states, times)
     ranged = np.isfinite(z[:, : len(observations.names)])
     left_out["before the first consistent fix"] = int(ranged[:first].sum())
+    sound = np.where((tested if tested.any() else there)[:, None], states, np.nan)
+    (v, clock_at, drift), (v_var, clock_var, drift_var) = (
+        (values[:, 3:6], values[:, 6], values[:, 7]) for values in (sound, found.variances)
+    )
     shown = np.where(usable, 1.0, np.nan)
     log = Log(
         times,
@@ -251,6 +262,8 @@ def prepare(
         jumps,
         dilution(seen.q, position, _axes(position), ranged, second),
         navigation.klobuchar is not None,
+        walk_noise(times, clock_at, drift, clock_var, drift_var),
+        acceleration_noise(times, v, v_var),
         left_out,
         others,
         (str(observations.path), *str(navigation.path).split(", ")),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -12,16 +12,17 @@ import numpy as np
 
 from celnav.files import Outputs
 from celnav.filters.records import FilterError
-from celnav.filters.run import run
 from celnav.gaussian.linalg import Array
 from celnav.models.gnss import GEO_NUMBERS
-from celnav.receiver.filters import filters
+from celnav.receiver.filters import CLOCKS, OVEN, PHONE, filters
 from celnav.receiver.fixes import Noise
 from celnav.receiver.geodesy import ELLIPSOID, ecef2geodetic
+from celnav.receiver.integrity import probability
 from celnav.receiver.position import Log
 from celnav.receiver.rinex import SYSTEMS
 from celnav.receiver.sky import GROUND_M, local_axes, on_earth
 from celnav.receiver.tracks import DOUBTS, civil, table
+from celnav.receiver.trust import SOUND_M, guarded
 from celnav.show import colors
 from celnav.show.draw import (
     Panel,
@@ -44,6 +45,8 @@ KIND_COLORS = {
 }
 HEIGHTS_M = (-1e3, 5e4, 1.6e5)
 """Above the ellipsoid: receivers are between the first two, or in orbit above the third."""
+STILL = 0.01
+"""Density of the acceleration of a receiver at rest or nearly so, m^2/s^3."""
 MOST_LINES = 5
 """Damaged lines that a summary names."""
 IGSO_NUMBERS = frozenset({*range(6, 11), 13, 16, 31, 38, 39, 40, 56})
@@ -79,6 +82,9 @@ class Positioned:
         of: where that is from.
     nis: squared innovations, of fixes residuals, in the deviations that are claimed for them, per
         degree of freedom.
+    apart, trust: ``(T,)``, see `celnav.receiver.trust.Guarded`. clock: what its process noise is
+        from, and white noise (m^2/s) and random walk (m^2/s^3) of its frequency. acceleration: the
+        density that was assumed, m^2/s^3.
     """
 
     log: Log
@@ -86,8 +92,12 @@ class Positioned:
     mean: Array
     cov: Array
     reference: Array | None
-    of: str = "known"
-    nis: float = np.nan
+    of: str
+    nis: float
+    apart: Array
+    trust: Array
+    clock: tuple[str, float, float]
+    acceleration: float
 
     @property
     def measured(self) -> Array:
@@ -97,9 +107,20 @@ class Positioned:
         return np.isfinite(self.mean[:, 0]) & self.log.used.any(-1)
 
     @property
+    def reported(self) -> Array:
+        """Epochs ``(T,)`` of exchanged tracks: measured, or coasting although there were ranges."""
+        return np.asarray(self.measured | (np.isfinite(self.mean[:, 0]) & (self.trust != "")))
+
+    @property
+    def trusted(self) -> Array:
+        """Epochs ``(T,)`` with a measured position that the track agrees with: all if none."""
+        trusted = self.measured & (self.trust == "")
+        return np.asarray(trusted if trusted.any() else self.measured)
+
+    @property
     def place(self) -> Array:
-        """The mean position, m."""
-        return np.asarray(self.mean[self.measured, :3].mean(0))
+        """The mean of `trusted` positions, m."""
+        return np.asarray(self.mean[self.trusted, :3].mean(0))
 
     @property
     def origin(self) -> Array:
@@ -132,29 +153,46 @@ class Positioned:
 
         "tested" (the ranges agree), "excluded" (they agree without those excluded), "contradiction"
         (they disagree, none is used), "no ranges", "untested" (no redundancy, or the test is off),
-        "implausible height" (`HEIGHTS_M`).
+        "implausible height" (`HEIGHTS_M`), "weak" (deviations of more than a third of `SOUND_M`);
+        or that of `trust`, which comes first.
         """
         log, there = self.log, np.isfinite(self.mean[:, :1])
         height = np.ravel(
             ecef2geodetic(*np.where(there, self.mean[:, :3], self.origin).T, ell=ELLIPSOID)[2]
         )
         low, high, orbit = HEIGHTS_M
+        deviation = np.sqrt(np.trace(self.cov, axis1=1, axis2=2))
         return np.select(
             [
+                self.trust != "",
                 log.unusable[:, 0],
                 ~log.used.any(1),
                 (height < low) | ((height > high) & (height < orbit)),
+                3.0 * deviation > SOUND_M,
                 log.excluded[:, : len(log.names)].any(1),
                 log.tested[:, 0],
             ],
-            ["contradiction", "no ranges", "implausible height", "excluded", "tested"],
+            [
+                self.trust,
+                "contradiction",
+                "no ranges",
+                "implausible height",
+                "weak",
+                "excluded",
+                "tested",
+            ],
             "untested",
         )
 
     @property
     def doubtful(self) -> Array:
         """Positions ``(T,)`` that may be far off although no residual shows it; see `DOUBTS`."""
-        return self.measured & np.isin(self.integrity, list(DOUBTS))
+        return self.reported & np.isin(self.integrity, list(DOUBTS))
+
+    @property
+    def distrusted(self) -> Array:
+        """Epochs ``(T,)`` at which track and ranges contradict each other, or did so before."""
+        return np.asarray(self.reported & (self.trust != ""))
 
     @property
     def minutes(self) -> Array:
@@ -163,38 +201,90 @@ class Positioned:
 
 
 def position(
-    log: Log, filter: str, reference: Array | None, *, acceleration: float = 0.01, of: str = "known"
+    log: Log,
+    filter: str,
+    reference: Array | None,
+    *,
+    acceleration: float | None = None,
+    clock: str = "auto",
+    false_alarm: float = 1e-5,
+    of: str = "known",
 ) -> Positioned:
     """Run a filter of `celnav.receiver.filters.filters` over a log; "ls" takes each epoch by
     itself.
 
-    Positions that are not near the Earth become nan. ``of``: see `Positioned`.
+    Positions that are not near the Earth become nan. Each epoch is compared with the track, for ls
+    with that of the ekf, see `celnav.receiver.trust`; ranges that contradict it are not used.
+
+    Parameters
+    ----------
+    acceleration: density of the receiver's acceleration, m^2/s^3; None: what the log shows, at
+        least `STILL`. clock: its process noise: of a "crystal", a "phone", or "auto", what the log
+        shows.
+    false_alarm: probability that a sound epoch is said to contradict the track; 0: none is.
+    of: see `Positioned`.
 
     Raises
     ------
-    ValueError: for an unknown filter, or a reference that is far from the Earth's surface.
+    ValueError: for an unknown filter or clock, or a reference that is far from the Earth's surface.
     FilterError: if the filter is lost.
     """
-    known = filters(len(log.names), second=log.second, acceleration=acceleration)
+    source, *densities = clock_noise(log, clock)
+    if acceleration is None:
+        acceleration = max(STILL, log.acceleration or 0.0)
+    known = filters(
+        len(log.names),
+        second=log.second,
+        acceleration=acceleration,
+        clock=(densities[0], densities[1]),
+    )
     if reference is not None:
         on_earth("reference", reference)
     if filter not in ("ls", *known):
         raise ValueError(f"filter: expected one of ls, {', '.join(known)}, got {filter!r}")
+    track = guarded(known["ekf" if filter == "ls" else filter], log, probability(false_alarm))
+    mean, cov, nis, dof = track[:4]
     if filter == "ls":
         mean, cov, nis = log.fixes, log.fix_cov, log.misfit
         dof = np.where(np.isfinite(nis), np.maximum(log.spare, 0), 0)
     else:
-        track = run(known[filter], log.prior(), log.epochs(), keep="cov")
-        assert track.mean is not None
-        size = np.linalg.norm(track.mean[:, :3], axis=-1)
+        unused = np.isin(track.trust, ("apart", "distrusted"))
+        log = replace(log, z=np.where(unused[:, None], np.nan, log.z))
+        size = np.linalg.norm(mean[:, :3], axis=-1)
         there = (size > GROUND_M[0]) & (size < GROUND_M[1])
         if not (there & log.used.any(-1)).any():
             raise FilterError("its positions are far from the Earth")
-        mean = np.where(there[:, None], track.mean, np.nan)
-        cov = np.where(there[:, None, None], track.cov[:, :3, :3], np.nan)
-        nis, dof = track.nis, track.dof
+        mean = np.where(there[:, None], mean, np.nan)
+        cov = np.where(there[:, None, None], cov, np.nan)
     nis_per_degree = float(np.nansum(nis) / max(int(dof.sum()), 1))
-    return Positioned(log, filter, mean, cov, reference, of, nis_per_degree)
+    noise = source, densities[0], densities[1]
+    return Positioned(
+        log,
+        filter,
+        mean,
+        cov,
+        reference,
+        of,
+        nis_per_degree,
+        track.apart,
+        track.trust,
+        noise,
+        acceleration,
+    )
+
+
+def clock_noise(log: Log, clock: str) -> tuple[str, float, float]:
+    """Where the process noise of a clock is from, its white noise (m^2/s) and its random walk
+    (m^2/s^3) of frequency; ValueError for an unknown clock.
+    """
+    if clock in CLOCKS:
+        return clock, *CLOCKS[clock]
+    if clock != "auto":
+        raise ValueError(f"clock: expected one of {', '.join(CLOCKS)}, auto, got {clock!r}")
+    if log.clock is None:
+        return "a phone's, as there are too few fixes to estimate it", *PHONE
+    white, walk = np.maximum(log.clock.cautious, OVEN).tolist()
+    return f"estimated from {log.clock.steps} steps of the fixes' clocks", white, walk
 
 
 def _rms(vectors: Array) -> float:
@@ -203,11 +293,12 @@ def _rms(vectors: Array) -> float:
 
 
 def summary(found: Positioned) -> str:
-    """In lines: epochs, satellites, DOP, integrity, noise, scatter, and the error if a position is
-    known.
+    """In lines: whether the track is sound, epochs, satellites, DOP, integrity, noise; then of
+    trusted positions their mean, scatter, and the error if a position is known.
     """
     log, local, measured = found.log, found.local(found.mean), found.measured
-    used, there = log.used, np.isfinite(found.mean[:, 0])
+    used, there, trusted = log.used, np.isfinite(found.mean[:, 0]), found.trusted
+    fixes = log.fixes[trusted, :3]
     count, fixed = used.sum(1), np.isfinite(log.fixes[:, 0])
     latitude, longitude, height = ecef2geodetic(*found.place, ell=ELLIPSOID)
     names = [log.names[s] for s in np.flatnonzero(used.any(0))]
@@ -216,11 +307,11 @@ def summary(found: Positioned) -> str:
     if not log.ionosphere:
         ionosphere = "not corrected: no header has GPSA and GPSB"
     lines = [
+        _verdict(found),
         f"epochs       {len(log.times)}, {civil(log.times[0])} to {civil(log.times[-1])} BDT; "
         f"{measured.sum()} with a position, "
-        f"{(there & ~measured).sum()} more predicted without a range, {(~there).sum()} without a "
-        "position",
-        f"doubtful     {_doubtful(found)}",
+        f"{(there & ~measured).sum()} more predicted without a range that is used, "
+        f"{(~there).sum()} without a position",
         *([f"damaged      {_damaged(log.damaged)}"] if log.damaged else []),
         f"systems      {_systems(found)}",
         f"satellites   {len(names)} ({', '.join(names)}); {count.min()} to {count.max()} at a "
@@ -234,24 +325,23 @@ def summary(found: Positioned) -> str:
         f"left out     {'; '.join(left_out) or 'nothing'}",
         f"ionosphere   {ionosphere}",
         f"noise        ranges {_noise(log.noise[0], 'm')}; rates {_noise(log.noise[1], 'm/s')}",
-        f"clock        set {np.count_nonzero(np.diff(log.jumps))} times by whole milliseconds",
+        f"clock        {_clock(found)}",
         f"filter       {found.filter}; NIS {found.nis:.3f} a degree of freedom, 1 where noise and "
-        "motion are as taken",
+        f"motion are as assumed; acceleration {found.acceleration:.3g} m^2/s^3",
         f"mean         {' '.join(f'{v:.3f}' for v in found.place)} m; {latitude:.7f}°, "
         f"{longitude:.7f}°, {height:.2f} m",
-        f"scatter      {_rms(found.mean[measured, :3] - found.place):.3f} m in 3-D about its mean; "
-        "of each epoch by itself "
-        f"{_rms(log.fixes[:, :3] - np.nanmean(log.fixes[:, :3], 0)):.3f} m",
+        f"scatter      {_rms(found.mean[trusted, :3] - found.place):.3f} m in 3-D about its mean; "
+        f"of each epoch by itself {_rms(fixes - np.nanmean(fixes, 0)):.3f} m",
     ]
     if found.reference is not None:
-        parts = np.sqrt(np.square(local[measured]).mean(0))
-        ratio = np.square(local[measured] / found.local_std[measured]).mean(0)
+        parts = np.sqrt(np.square(local[trusted]).mean(0))
+        ratio = np.square(local[trusted] / found.local_std[trusted]).mean(0)
         lines += [
             f"reference    {' '.join(f'{v:.3f}' for v in found.reference)} m, of the antenna: "
             f"{found.of}",
-            f"error        {_rms(local[measured]):.3f} m RMS in 3-D: east {parts[0]:.3f}, north "
+            f"error        {_rms(local[trusted]):.3f} m RMS in 3-D: east {parts[0]:.3f}, north "
             f"{parts[1]:.3f}, up {parts[2]:.3f}; "
-            f"of each epoch by itself {_rms(log.fixes[:, :3] - found.reference):.3f} m",
+            f"of each epoch by itself {_rms(fixes - found.reference):.3f} m",
             f"claimed      (error / deviation)^2: east {ratio[0]:.2f}, north {ratio[1]:.2f}, up "
             f"{ratio[2]:.2f}; 1 where "
             "deviations are right, which are of noise alone: what all satellites share shows in no "
@@ -260,12 +350,28 @@ def summary(found: Positioned) -> str:
     return "\n".join(lines)
 
 
-def _doubtful(found: Positioned) -> str:
-    """How many positions are marked, and why."""
+def _verdict(found: Positioned) -> str:
+    """The headline: whether positions are sound, and how many are not, since when and why."""
+    total, times = found.reported.sum(), found.log.times[found.doubtful]
     counts = Counter(found.integrity[found.doubtful].tolist())
-    reasons = ", ".join(f"{n} {word} ({DOUBTS[word]})" for word, n in counts.items())
-    every = f"{counts.total()} of {found.measured.sum()} positions"
-    return f"{every}: {reasons}" if reasons else every
+    if not times.size:
+        return f"SOUND        all {total} positions agree with the ranges of their epochs"
+    reasons = "; ".join(f"{n} {word} ({DOUBTS[word]})" for word, n in counts.items())
+    since = f"from {civil(times[0])} to {civil(times[-1])} BDT"
+    return f"NOT SOUND    {times.size} of {total} positions, {since}: {reasons}"
+
+
+def _clock(found: Positioned) -> str:
+    """Its process noise, where that is from, and how often it was set."""
+    log, (source, white, walk) = found.log, found.clock
+    set_by = [f"{np.count_nonzero(np.diff(log.jumps))} times by whole milliseconds"]
+    if log.clock is not None:
+        steps = np.count_nonzero(log.clock.reset[~found.distrusted])
+        set_by.append(f"{steps} times by another step")
+    return (
+        f"noise of frequency {white:.3g} m^2/s white, {walk:.3g} m^2/s^3 random walk, {source}; "
+        f"set {', '.join(set_by)}"
+    )
 
 
 def _damaged(messages: tuple[str, ...]) -> str:

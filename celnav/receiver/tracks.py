@@ -54,11 +54,16 @@ COLUMNS = (
     "satellites",
     "pdop",
     "integrity",
+    "apart",
     "excluded",
 )
 DOUBTS = {
     "untested": "no redundancy shows a faulty satellite",
     "implausible height": "where no receiver is",
+    "weak": "by its own deviation it may be off by more than 100 m",
+    "apart": "the ranges contradict the track by more than both explain",
+    "distrusted": "trust was lost before, and a filter coasts",
+    "displaced": "far from where the track was trusted, where no receiver can have got",
 }
 """Values of `celnav.receiver.report.Positioned.integrity` whose positions are marked, and why."""
 
@@ -72,7 +77,8 @@ def table(found: Positioned) -> str:
     """All epochs as CSV; empty where there is nothing. ``clock_m`` is the receiver's clock with
     what it was set by.
 
-    ``integrity``: see `celnav.receiver.report.Positioned`. ``excluded``: satellites whose range
+    ``integrity``: see `celnav.receiver.report.Positioned`. ``apart``: squared distance of the
+    ranges from the track, in units of the largest that noise explains. ``excluded``: satellites whose range
     was; with "rate", whose rate alone was.
     """
     local, log = found.local(found.mean), found.log
@@ -89,7 +95,9 @@ def table(found: Positioned) -> str:
         cells = [f"{v:.4f}".rstrip("0").rstrip(".") if np.isfinite(v) else "" for v in row]
         named = [n for n, out in zip(log.names, ranges[k], strict=True) if out]
         named += [f"{n} rate" for n, out in zip(log.names, rates[k], strict=True) if out]
-        writer.writerow([civil(log.times[k]), *cells, found.integrity[k], ", ".join(named)])
+        apart = f"{found.apart[k]:.3g}" if np.isfinite(found.apart[k]) else ""
+        words = [found.integrity[k], apart, ", ".join(named)]
+        writer.writerow([civil(log.times[k]), *cells, *words])
     return text.getvalue()
 
 
@@ -107,11 +115,13 @@ class Place(NamedTuple):
     satellites: int
     hdop: float
     integrity: str
+    measured: bool
+    trusted: bool
 
 
 def places(found: Positioned) -> list[Place]:
-    """All epochs whose position some range went into."""
-    k, log = np.flatnonzero(found.measured), found.log
+    """All epochs whose position some range went into, or might have, had the filter trusted it."""
+    k, log = np.flatnonzero(found.reported), found.log
     latitude, longitude, height = (
         np.reshape(v, k.size) for v in ecef2geodetic(*found.mean[k, :3].T, ell=ELLIPSOID)
     )
@@ -127,6 +137,8 @@ def places(found: Positioned) -> list[Place]:
         log.used[k].sum(1),
         log.dilution.horizontal[k],
         found.integrity[k].tolist(),
+        found.measured[k].tolist(),
+        (found.trust[k] == "").tolist(),
         strict=True,
     )
     return [Place(*row) for row in rows]
@@ -135,8 +147,8 @@ def places(found: Positioned) -> list[Place]:
 def pos(found: Positioned) -> str:
     """RTKLIB's solution file, in GPS time: latitude, longitude and height with their deviations.
 
-    Every solution is a single one. RTKLIB has no column for integrity: a comment line marks each
-    position of `DOUBTS`.
+    The quality is 5, a single solution, 7 (dead reckoning) where the filter coasts, and 0 (none)
+    where another position deserves no trust. A comment line marks each position of `DOUBTS`.
     """
     rows, form = places(found), "%Y/%m/%d %H:%M:%S.%f"
     lines = [
@@ -156,8 +168,8 @@ def pos(found: Positioned) -> str:
         "% ephemeris : broadcast",
         f"% navi sys  : {systems}",
         "%",
-        "% (lat/lon/height=WGS84/ellipsoidal,Q=1:fix,2:float,3:sbas,4:dgps,5:single,6:ppp,ns=# of "
-        "satellites)",
+        "% (lat/lon/height=WGS84/ellipsoidal,Q=1:fix,2:float,3:sbas,4:dgps,5:single,6:ppp,7:dr,"
+        "ns=# of satellites)",
         "%  GPST                  latitude(deg) longitude(deg)  height(m)   Q  ns"
         "   sdn(m)   sde(m)   sdu(m)  sdne(m)  sdeu(m)  sdun(m) age(s)  ratio",
     ]
@@ -170,10 +182,11 @@ def pos(found: Positioned) -> str:
         deviations = "".join(
             f" {np.copysign(np.sqrt(abs(v)), v):8.4f}" for v in (nn, ee, uu, en, eu, nu)
         )
+        quality = 7 if not place.measured else 5 if place.trusted else 0
         lines.append(
             f"{civil(place.time + GPS_AHEAD_S, form)[:-3]} {place.latitude:14.9f} "
             f"{place.longitude:14.9f} {place.height:10.4f}"
-            f"   5 {place.satellites:3d}{deviations} {0.0:6.2f} {0.0:6.1f}"
+            f"   {quality} {place.satellites:3d}{deviations} {0.0:6.2f} {0.0:6.1f}"
         )
     return "\n".join(lines) + "\n"
 
@@ -213,9 +226,10 @@ def geojson(found: Positioned) -> str:
 def nmea(found: Positioned) -> str:
     """GGA and RMC of each epoch, in UTC.
 
-    Heights are above the ellipsoid, with a separation of 0: no geoid is known here. The status at
-    the end of RMC [NMEA 4.1] is C (caution) for untested positions, U (unsafe) for those at an
-    implausible height, and V (not provided) elsewhere.
+    Heights are above the ellipsoid, with a separation of 0: no geoid is known here. Where the
+    filter coasts the quality is 6 and the mode E, estimated; positions without trust are V (void).
+    The status at the end of RMC [NMEA 4.1] is C (caution) for untested positions, U (unsafe) for
+    others of `DOUBTS`, and V (not provided) elsewhere.
     """
     talker = {"C": "GB", "G": "GP"}.get(found.log.systems, "GN")
     rows, lines = places(found), []
@@ -229,11 +243,13 @@ def nmea(found: Positioned) -> str:
             else ","
         )
         hdop = f"{row.hdop:.2f}" if np.isfinite(row.hdop) else ""
+        quality, mode = (1, "A") if row.measured else (6, "E")
         lines.append(
-            f"{talker}GGA,{clock},{at},1,{row.satellites:02d},{hdop},{row.height:.3f},M,0.0,M,,"
+            f"{talker}GGA,{clock},{at},{quality},{row.satellites:02d},{hdop},{row.height:.3f},M,0.0,M,,"
         )
-        status = {"untested": "C", "implausible height": "U"}.get(row.integrity, "V")
-        lines.append(f"{talker}RMC,{clock},A,{at},{moving},{date},,,A,{status}")
+        status = "C" if row.integrity == "untested" else "U" if row.integrity in DOUBTS else "V"
+        valid = "A" if row.trusted else "V"
+        lines.append(f"{talker}RMC,{clock},{valid},{at},{moving},{date},,,{mode},{status}")
     return "".join(
         f"${line}*{reduce(lambda a, b: a ^ b, line.encode('ascii')):02X}\r\n" for line in lines
     )
