@@ -76,8 +76,8 @@ class Seen(NamedTuple):
 
 
 class Fixed(NamedTuple):
-    """States ``(T, 8 or 9)``, their variances, and covariances of positions ``(T, 3, 3)``, nan where
-    there is no fix; deviations ``sigma (T, 2 S)``.
+    """States ``(T, 8 or 9)``, their variances, and covariances of positions ``(T, 3, 3)``, nan
+    where there is no fix; deviations ``sigma (T, 2 S)``.
 
     ``kinds``: of ranges and rates, what is left of them; ``left`` and ``G``: residuals ``(T, S)``
     and Jacobians ``(T, S, 4)``, in deviations. With a second system ranges have a place more, for

@@ -61,11 +61,12 @@ class Log:
         ``(T, 2)``, whether there was redundancy.
     noise: of ranges and of rates. jumps: ``(T,)`` m, what the receiver has set its clock by since
         the start, which was taken off ranges and fixes. dilution: of each epoch ``(T,)``.
-        ionosphere: whether the broadcast model's coefficients were there to
-        correct it by. clock: process noise of the receiver's clock as its fixes show it, and where
-        it was set besides; None: too few fixes. acceleration: density (m^2/s^3) of the receiver's
-        acceleration, likewise; None: too few rates. left_out: why measurements are not used, and how many. others: systems in the
-        files that are not used.
+        ionosphere: whether the broadcast model's coefficients were there to correct it by.
+    clock: process noise of the receiver's clock as its fixes show it, and where it was set besides;
+        None: too few fixes. acceleration: density (m^2/s^3) of the receiver's acceleration,
+        likewise; None: too few rates.
+    left_out: why measurements are not used, and how many. others: systems in the files that are not
+        used.
     files: names of what was read. damaged: messages with the line, one for each epoch or broadcast
         set that was left out because it is damaged.
     """

@@ -78,8 +78,8 @@ def table(found: Positioned) -> str:
     what it was set by.
 
     ``integrity``: see `celnav.receiver.report.Positioned`. ``apart``: squared distance of the
-    ranges from the track, in units of the largest that noise explains. ``excluded``: satellites whose range
-    was; with "rate", whose rate alone was.
+    ranges from the track, in units of the largest that noise explains. ``excluded``: satellites
+    whose range was; with "rate", whose rate alone was.
     """
     local, log = found.local(found.mean), found.log
     mean = found.mean[:, :8].copy()
@@ -245,7 +245,8 @@ def nmea(found: Positioned) -> str:
         hdop = f"{row.hdop:.2f}" if np.isfinite(row.hdop) else ""
         quality, mode = (1, "A") if row.measured else (6, "E")
         lines.append(
-            f"{talker}GGA,{clock},{at},{quality},{row.satellites:02d},{hdop},{row.height:.3f},M,0.0,M,,"
+            f"{talker}GGA,{clock},{at},{quality},{row.satellites:02d},{hdop},"
+            f"{row.height:.3f},M,0.0,M,,"
         )
         status = "C" if row.integrity == "untested" else "U" if row.integrity in DOUBTS else "V"
         valid = "A" if row.trusted else "V"

@@ -64,8 +64,10 @@ def test_clocks_are_found_within_what_is_claimed(name, rates):
     error = np.abs(values.mean(0) - densities) / (std / np.sqrt(RUNS))
     assert (clipped | (error < 4.0)).all()
     assert (values.std(0) < 1.6 * std).all()
-    if rates:  # the white noise of a crystal drowns in errors of meters, or in its walk
-        assert clipped.tolist() == [name in ("a crystal", "a crystal at 30 s"), False]
+    if rates:
+        assert not clipped[1]
+        # The white noise of a crystal drowns in errors of decimeters, or in its walk.
+        assert not clipped[0] or name in ("a crystal", "a crystal at 30 s")
     assert (np.array([walk.cautious for walk in walks]).mean(0) >= 0.9 * np.array(densities)).all()
 
 
