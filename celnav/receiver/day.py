@@ -12,11 +12,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from celnav.files import InputError
-from celnav.filters.run import run
 from celnav.gaussian.linalg import Array
 from celnav.models.gnss import ROTATION_RATE, TILT, Broadcast, satellites, tilted, turned
 from celnav.receiver.constellation import GEOSTATIONARY, TOE_S, geostationary, synthetic
-from celnav.receiver.filters import filters
 from celnav.receiver.fixes import GIVEN
 from celnav.receiver.position import Log, prepare
 from celnav.receiver.report import STILL, Positioned, position
@@ -77,10 +75,11 @@ def _read(files: Files) -> tuple[Observations, Navigation, Array]:
 
 
 def _prepared(half: Observations, navigation: Navigation, mask_deg: float) -> Log:
-    """What a burst does is the filters' to weather: nothing is excluded, and the noise is what is
-    taken for it.
+    """What a burst does is the filters' to weather: nothing is excluded, the noise is what is taken
+    for it, and no step of the clock is a reset.
     """
-    return prepare(half, navigation, mask_deg=mask_deg, sigma=GIVEN, false_alarm=0.0)
+    log = prepare(half, navigation, mask_deg=mask_deg, sigma=GIVEN, false_alarm=0.0)
+    return replace(log, clock=None)
 
 
 def positioned(files: Files, filter: str, mask_deg: float) -> Positioned:
@@ -125,16 +124,11 @@ def run_filters(
     )
     for label, part in (("", half), ("burst/", replace(half, code=half.code + noise))):
         log = _prepared(part, navigation, mask_deg)
-        known = filters(len(log.names))
-        frame = _positioned(log, "ls", reference)
-        tracks = {name: run(known[name], log.prior(), log.epochs(), keep="mean") for name in names}
-        out |= {
-            label + name: frame.local(mean)
-            for name, mean in {"ls": log.fixes, **{n: t.mean for n, t in tracks.items()}}.items()
-        }
+        tracks = {name: _positioned(log, name, reference) for name in ("ls", *names)}
+        out |= {label + name: track.local(track.mean) for name, track in tracks.items()}
         if not label:
             during = half.times[(k >= first) & (k < first + EPOCHS + AFTER)]
-            nis = np.array([tracks[names[0]].nis.sum() / tracks[names[0]].dof.sum()])
+            nis = np.array([tracks[names[0]].nis])
             out |= {"times": log.times, "during": np.isin(log.times, during), "nis": nis}
     own = navigation.sets.chosen(navigation.sets.geostationary & (navigation.sets.health == 0.0))
     own = own.chosen(np.lexsort((own.toe, own.number)))

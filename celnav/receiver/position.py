@@ -240,8 +240,9 @@ def prepare(
     ranged = np.isfinite(z[:, : len(observations.names)])
     left_out["before the first consistent fix"] = int(ranged[:first].sum())
     sound = np.where((tested if tested.any() else there)[:, None], states, np.nan)
-    (v, clock_at, drift), (v_var, clock_var, drift_var) = (
-        (values[:, 3:6], values[:, 6], values[:, 7]) for values in (sound, found.variances)
+    (place, v, bias, drift), variances = (
+        (values[:, :3], values[:, 3:6], values[:, 6], values[:, 7])
+        for values in (sound, found.variances)
     )
     shown = np.where(usable, 1.0, np.nan)
     log = Log(
@@ -263,8 +264,8 @@ def prepare(
         jumps,
         dilution(seen.q, position, _axes(position), ranged, second),
         navigation.klobuchar is not None,
-        walk_noise(times, clock_at, drift, clock_var, drift_var),
-        acceleration_noise(times, v, v_var),
+        walk_noise(times, bias, drift, *variances[2:]),
+        acceleration_noise(times, place, v, *variances[:2]),
         left_out,
         others,
         (str(observations.path), *str(navigation.path).split(", ")),

@@ -30,7 +30,7 @@ from celnav.models import pseudorange
 from celnav.receiver.position import Log
 
 AGREEING = 5
-"""Redundant epochs in a row after which a filter starts anew."""
+"""Redundant epochs in a row, over as many seconds, after which a filter starts anew."""
 SOUND_M = 100.0
 """A position that may be farther off is not sound."""
 
@@ -68,20 +68,23 @@ def guarded(filter: Sequential, log: Log, false_alarm: float) -> Guarded:
     T, S = len(log.times), len(log.names)
     limit = chdtri(np.maximum(np.arange(S + 1), 1), false_alarm)
     redundant = log.tested[:, 0] & np.isfinite(log.fixes[:, 0])
-    sound = redundant & ~log.unusable.any(1)
+    # Rates that contradict each other nearly always are useless, not a sign of bad ranges.
+    rates_fail = log.unusable[:, 1] & (log.unusable[:, 1].mean() < 0.5)
+    sound = redundant & ~rates_fail
     mean, cov = np.zeros(log.fixes.shape), np.zeros((T, 3, 3))
     nis, dof, apart = np.zeros(T), np.zeros(T), np.full(T, np.nan)
     trust = np.full(T, "", dtype="<U10")
-    state, home, start, streak = filter.start(log.prior()), None, 0, 0
+    state, home, start, since = filter.start(log.prior()), None, 0, 0
     lost, doubted, confirmed = False, False, False
     for k, epoch in enumerate(log.epochs()):
         state = filter.predict(state, epoch)
         home = home and filter.predict(home, epoch)
-        streak = streak + 1 if sound[k] else 0
+        since = since if sound[k] else k + 1
+        agreed = k - since >= AGREEING - 1 and log.times[k] - log.times[since] >= AGREEING - 1.0
         if log.used[k].any():
             apart[k] = _apart(log, k, state.belief, redundant[k], limit)
         agrees = not apart[k] > 1.0
-        if lost and streak == AGREEING:
+        if lost and agreed:
             origin = home or state
             away = np.linalg.norm(log.fixes[k, :3] - origin.belief.mean[:3])
             explained = _apart(log, k, origin.belief, True, limit) <= 1.0
@@ -90,12 +93,12 @@ def guarded(filter: Sequential, log: Log, false_alarm: float) -> Guarded:
         elif redundant[k] and not lost:
             lost, doubted = not agrees, False
             if lost:
-                trust[k], streak = "apart", int(sound[k])
+                trust[k], since, agreed = "apart", k, False
                 if not confirmed:  # the track began at a fix that no later one agrees with
                     trust[start:k] = "apart"
         elif not redundant[k]:
             doubted |= bool(log.unusable[k, 0]) or not agrees
-        confirmed |= streak >= AGREEING
+        confirmed |= agreed
         used = not (lost or doubted)
         if not used and not trust[k] and log.used[k].any():
             trust[k] = "distrusted" if agrees or lost else "apart"

@@ -100,18 +100,24 @@ def _resets(T: int, steps: Steps, sudden: Array) -> Array:
     return reset
 
 
-def acceleration_noise(times: Array, velocity: Array, velocity_var: Array) -> float | None:
+def acceleration_noise(
+    times: Array, position: Array, velocity: Array, position_var: Array, velocity_var: Array
+) -> float | None:
     """Density (m^2/s^3) of a receiver's white acceleration, by axis, from ``(T, 3)`` each, a
     standard deviation larger than estimated; None: too few steps.
 
-    All steps count: maneuvers are rare and large.
+    All steps of the velocity count: maneuvers are rare and large. Without rates second differences
+    of positions count, but for `RESET`.
     """
-    still = np.zeros(len(times))
-    axes = zip(velocity.T, velocity_var.T, strict=True)
-    walks = [_with_rates(times, still, v, still, var)[1] for v, var in axes]
+    series = zip(position.T, velocity.T, position_var.T, velocity_var.T, strict=True)
+    walks, most = [_with_rates(times, *axis)[1] for axis in series], np.inf
+    if len(walks[0].size) < ENOUGH:
+        pairs = zip(position.T, position_var.T, strict=True)
+        walks = [_second_differences(times, *pair, lag) for pair in pairs for lag in (1, LONG)]
+        most = RESET
     if len(walks[0].size) < ENOUGH:
         return None
-    density, std, _ = fit([v._replace(weights=v.weights[:, 1:]) for v in walks], np.inf)
+    density, std, _ = fit([steps._replace(weights=steps.weights[:, 1:]) for steps in walks], most)
     return float(density[0] + std[0])
 
 

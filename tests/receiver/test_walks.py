@@ -123,10 +123,14 @@ def test_the_allan_variance_is_that_of_the_densities():
 
 
 @pytest.mark.parametrize("density", [0.0, 1.0])
-def test_the_acceleration_of_a_receiver_is_found(density):
-    _, v = clocks(0.0, density, EVERY_SECOND, 4, runs=3)
-    v = v + 0.03 * np.random.default_rng(5).normal(size=v.shape)
-    var = np.full((DENSE, 3), 0.03**2)
-    value = acceleration_noise(EVERY_SECOND, v.T, var)
-    assert density <= value < 1.2 * density + 1e-3
-    assert acceleration_noise(EVERY_SECOND[:5], v.T[:5], var[:5]) is None
+@pytest.mark.parametrize("rates", [True, False])
+def test_the_acceleration_of_a_receiver_is_found(density, rates):
+    p, v = clocks(0.0, density, EVERY_SECOND, 4, runs=3)
+    rng = np.random.default_rng(5)
+    p, v = p + 1.0 * rng.normal(size=p.shape), v + 0.03 * rng.normal(size=v.shape)
+    v = v if rates else np.full_like(v, np.nan)
+    var = np.full((DENSE, 3), 1.0), np.full((DENSE, 3), 0.03**2)
+    value = acceleration_noise(EVERY_SECOND, p.T, v.T, *var)
+    assert 0.8 * density <= value < (1.2 * density + 1e-3 if rates else 2.0 * density + 1.0)
+    few = EVERY_SECOND[:5], p.T[:5], v.T[:5], var[0][:5], var[1][:5]
+    assert acceleration_noise(*few) is None
