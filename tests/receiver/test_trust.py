@@ -11,9 +11,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rinex_pair import ALPHA, BETA, PLACE, TOE, above, constellation, observed
+from rinex_pair import (
+    ALPHA,
+    BETA,
+    PLACE,
+    TOE,
+    above,
+    constellation,
+    navigation,
+    observations,
+    observed,
+    written,
+)
 from scipy.stats import chi2
 
+from celnav import cli
 from celnav.models import pseudorange
 from celnav.models.gnss import B1I_HZ, LIGHT
 from celnav.receiver import position as positioning
@@ -69,7 +81,7 @@ def error(found):
 def four(log):
     """Places of four satellites with a good geometry that are seen all the time."""
     names = ("C01", "C02", "C05", "C38")
-    return [log.names.index(name) for name in names]
+    return [list(log.names).index(name) for name in names]
 
 
 def test_a_sound_log_is_sound(steady):
@@ -188,6 +200,32 @@ def test_distrust_is_in_every_track_and_in_the_exit_status(steady, tmp_path):
     assert [s[-1] for s in rmc] == ["V"] * 40 + ["U"] * (T - 40)
     (feature,) = json.loads(tracks.geojson(found))["features"]
     assert feature["properties"]["integrity"] == found.integrity.tolist()
+
+
+@pytest.mark.parametrize(("pull", "status"), [(0.0, 1), (5e3, 3)])
+def test_strict_ends_with_3_where_ranges_contradict_the_track(tmp_path, capsys, pull, status):
+    """Four satellites are left in the file after half a minute, and the range of one is pulled;
+    four that agree are untested.
+    """
+    head, *epochs = observations(SKY, TIMES[:40])[0].split("\n>")
+    names = [SKY.names[s] for s in four(SKY)]
+    for k in range(30, 40):
+        first, *rows = epochs[k].splitlines()
+        rows = [row for row in rows if row[:3] in names]
+        rows[0] = f"{rows[0][:3]}{float(rows[0][3:17]) + pull:14.3f}{rows[0][17:]}"
+        epochs[k] = "\n".join([f"{first[:31]}{len(rows):3d}", *rows])
+    files = [
+        str(written(tmp_path, "\n>".join([head, *epochs]) + "\n", "obs.rnx")),
+        str(written(tmp_path, navigation(SKY), "nav.rnx")),
+    ]
+    out = tmp_path / "track.pos"
+    assert cli.main(["position", *files, "--out", str(out)]) == 0
+    assert cli.main(["position", *files, "--strict", "--out", str(out)]) == status
+    headline = capsys.readouterr().out.splitlines()[0]
+    assert headline.startswith("NOT SOUND    10 of 40 positions, from 2020-06-25T00:30:30")
+    assert ("apart" in headline) == (status == 3)
+    rows = [line.split() for line in out.read_text("utf-8").splitlines() if line[0] != "%"]
+    assert [row[5] for row in rows] == ["5"] * 30 + ["7" if pull else "5"] * 10
 
 
 def test_the_distance_is_that_of_the_plain_formula(steady):
