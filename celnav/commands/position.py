@@ -88,7 +88,7 @@ def run(options: argparse.Namespace) -> int:
     of = f"the marker's by {source} and the header's offset, {east:.3f} m east, "
     of += f"{north:.3f} north, {up:.3f} up"
     try:
-        found = positioning_report.position(
+        result = positioning_report.position(
             log,
             options.filter,
             observations.reference(given),
@@ -102,18 +102,18 @@ def run(options: argparse.Namespace) -> int:
             f"{options.filter} is lost on {options.observations}: "
             f"{str(error).partition(' (on_failure')[0]}"
         ) from None
-    print(positioning_report.summary(found))
+    print(positioning_report.summary(result))
     status = 0
     if options.strict:
-        status = 3 if found.distrusted.any() else int(found.doubtful.any())
+        status = 3 if result.distrusted.any() else int(result.doubtful.any())
     if track is not None:
-        outputs.text(out.name, track(found))
+        outputs.text(out.name, track(result))
         print(f"wrote {out}")
         return status
-    positioning_report.write(found, outputs)
+    positioning_report.write(result, outputs)
     try:
         with outputs.path_for(positioning_report.RECORDING) as path:
-            positioning_report.record_positioned(found, path)
+            positioning_report.record_positioned(result, path)
     except (ImportError, OSError, RuntimeError, ValueError) as error:  # of one epoch there is none
         warn(f"no recording ({error}); everything else is written")
     print(f"wrote {outputs.directory}")

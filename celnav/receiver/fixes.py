@@ -143,9 +143,13 @@ def fixed(seen: Seen, noise: tuple[Noise, Noise], false_alarm: float) -> Fixed:
         np.pad(v[:, :S], ((0, 0), (0, offset)), constant_values=c)
         for v, c in ((seen.z, 0.0), (sigma, 1.0))
     )
-    one = _kind(ranges, on_earth, comparable, z, deviation, start, false_alarm)
+    of_ranges = _kind(ranges, on_earth, comparable, z, deviation, start, false_alarm)
     here = np.concatenate(
-        [np.where(np.isfinite(one.x[:, :3]), one.x[:, :3], near), np.zeros((len(near), 5))], -1
+        [
+            np.where(np.isfinite(of_ranges.x[:, :3]), of_ranges.x[:, :3], near),
+            np.zeros((len(near), 5)),
+        ],
+        -1,
     )
     towards = pseudorange.jacobian(here, seen.q, seen.w)[:, S:, [3, 4, 5, 7]]
     still = pseudorange.measure(here, seen.q, seen.w)[:, S:]
@@ -153,8 +157,8 @@ def fixed(seen: Seen, noise: tuple[Noise, Noise], false_alarm: float) -> Fixed:
     def rates(rows: Array, x: Array) -> tuple[Array, Array]:
         return still[rows] + (towards[rows] @ x[..., None])[..., 0], towards[rows]
 
-    z = np.where(one.kind.excluded[:, :S], np.nan, seen.z[:, S:])
-    two = _kind(
+    z = np.where(of_ranges.kind.excluded[:, :S], np.nan, seen.z[:, S:])
+    of_rates = _kind(
         rates,
         lambda x: x,
         lambda there: there,
@@ -163,11 +167,15 @@ def fixed(seen: Seen, noise: tuple[Noise, Noise], false_alarm: float) -> Fixed:
         np.zeros((len(near), 4)),
         false_alarm,
     )
-    apart = np.where(one.kind.kept[:, S:], np.nan, one.x[:, 4:])
-    states = _states(np.concatenate([one.x[:, :4], apart], -1), two.x)
-    variances = _states(*(kind.cov.diagonal(0, -2, -1) for kind in (one, two)))
-    kinds, left, G = (one.kind, two.kind), (one.left, two.left), (one.G, two.G)
-    return Fixed(states, variances, one.cov[:, :3, :3], sigma, kinds, left, G)
+    apart = np.where(of_ranges.kind.kept[:, S:], np.nan, of_ranges.x[:, 4:])
+    states = _states(np.concatenate([of_ranges.x[:, :4], apart], -1), of_rates.x)
+    variances = _states(*(kind.cov.diagonal(0, -2, -1) for kind in (of_ranges, of_rates)))
+    kinds, left, G = (
+        (of_ranges.kind, of_rates.kind),
+        (of_ranges.left, of_rates.left),
+        (of_ranges.G, of_rates.G),
+    )
+    return Fixed(states, variances, of_ranges.cov[:, :3, :3], sigma, kinds, left, G)
 
 
 def _states(ranges: Array, rates: Array) -> Array:
@@ -243,23 +251,23 @@ def estimated(seen: Seen, false_alarm: float) -> tuple[Noise, Noise]:
     seen = Seen(z, q, w, elevation, position, seen.second)
     usual = (Noise(0.0, GIVEN[0]), Noise(0.0, GIVEN[1]))
     noise = (Noise(0.0, QUIETEST * GIVEN[0]), Noise(0.0, QUIETEST * GIVEN[1]))
-    found = fixed(seen, noise, false_alarm)
+    fixes = fixed(seen, noise, false_alarm)
     while any(
-        loud := [2 * int(kind.unusable.sum()) > int(kind.tested.sum()) for kind in found.kinds]
+        loud := [2 * int(kind.unusable.sum()) > int(kind.tested.sum()) for kind in fixes.kinds]
     ):
         noise = (_louder(noise[0], loud[0]), _louder(noise[1], loud[1]))
-        if any(one.zenith > LOUDEST * least for one, least in zip(noise, GIVEN, strict=True)):
+        if any(kind.zenith > LOUDEST * usual for kind, usual in zip(noise, GIVEN, strict=True)):
             return usual
-        found = fixed(seen, noise, false_alarm)
+        fixes = fixed(seen, noise, false_alarm)
     for _ in range(12):
         before = noise
         noise = (
-            _estimated(found, seen.elevation, 0) or usual[0],
-            _estimated(found, seen.elevation, 1) or usual[1],
+            _estimated(fixes, seen.elevation, 0) or usual[0],
+            _estimated(fixes, seen.elevation, 1) or usual[1],
         )
         if np.allclose(noise, before, rtol=0.02):
             break
-        found = fixed(seen, noise, false_alarm)
+        fixes = fixed(seen, noise, false_alarm)
     return noise
 
 
@@ -267,13 +275,13 @@ def _louder(noise: Noise, loud: bool) -> Noise:
     return noise._replace(zenith=2.0 * noise.zenith) if loud else noise
 
 
-def _estimated(found: Fixed, elevation: Array, kind: int) -> Noise | None:
+def _estimated(fixes: Fixed, elevation: Array, kind: int) -> Noise | None:
     S = elevation.shape[-1]
-    kept, left, G = found.kinds[kind].kept, found.left[kind], found.G[kind]
+    kept, left, G = fixes.kinds[kind].kept, fixes.left[kind], fixes.G[kind]
     more = ((0, 0), (0, kept.shape[-1] - S))
-    sigma = np.pad(found.sigma[:, kind * S : (kind + 1) * S], more, constant_values=1.0)
+    sigma = np.pad(fixes.sigma[:, kind * S : (kind + 1) * S], more, constant_values=1.0)
     elevation = np.pad(elevation, more, constant_values=1.0)
-    spare = np.where(np.isfinite(found.states[:, (6, 7)[kind]]), kept.sum(-1) - G.shape[-1], 0)
+    spare = np.where(np.isfinite(fixes.states[:, (6, 7)[kind]]), kept.sum(-1) - G.shape[-1], 0)
     rows = np.flatnonzero(spare > 0)
     if spare.sum() < ENOUGH:
         return None

@@ -205,12 +205,12 @@ def prepare(
     position, velocity = np.zeros((2, len(times), 3))
     clock = np.zeros(len(times))
     noise = (Noise(COARSE[0], 0.0), Noise(COARSE[1], 0.0))
-    for known in (False, True, True):
+    for placed in (False, True, True):
         sources = _sources(navigation, rows, times, code, usable, position, velocity)
         ranges, rates = code + sources.clock, np.where(wild, np.nan, measured) + sources.drift
         used, elevation = usable, np.full(code.shape, np.pi / 2.0)
         azimuth, delay = np.zeros((2, *code.shape))
-        if known:
+        if placed:
             elevation, azimuth, delay = _sky(
                 navigation, times - clock / LIGHT, sources.q, position, hz
             )
@@ -219,47 +219,47 @@ def prepare(
             [np.where(used, ranges - delay, np.nan), np.where(used, rates, np.nan)], -1
         )
         seen = Seen(z, sources.q, sources.w, elevation, position, second)
-        if known:
+        if placed:
             noise = estimated(seen, false_alarm) if given is None else given
-        found = fixed(seen, noise, false_alarm)
-        there = np.isfinite(found.states[:, 6])
+        fixes = fixed(seen, noise, false_alarm)
+        there = np.isfinite(fixes.states[:, 6])
         if not there.any():
             raise refusal
-        near = found.states[_nearest(there)]
+        near = fixes.states[_nearest(there)]
         position, velocity, clock = near[:, :3], np.nan_to_num(near[:, 3:6]), near[:, 6]
     left_out["below the mask"] = int((usable & ~used).sum())
-    kept, excluded = found.measurements("kept"), found.measurements("excluded")
-    lone = (np.isfinite(z) & ~kept & ~excluded)[:, : code.shape[-1]] & ~found.kinds[0].unusable[
+    kept, excluded = fixes.measurements("kept"), fixes.measurements("excluded")
+    lone = (np.isfinite(z) & ~kept & ~excluded)[:, : code.shape[-1]] & ~fixes.kinds[0].unusable[
         :, None
     ]
     left_out["the only range of a system, which nothing tests"] = int(lone.sum())
     z = np.where(kept, z, np.nan)
-    tested = there & found.kinds[0].tested
+    tested = there & fixes.kinds[0].tested
     first = int(np.argmax(tested if tested.any() else there))
-    z, states, jumps = _without_jumps(z, found.states, times)
+    z, states, jumps = _without_jumps(z, fixes.states, times)
     ranged = np.isfinite(z[:, : len(observations.names)])
     left_out["before the first consistent fix"] = int(ranged[:first].sum())
     sound = np.where((tested if tested.any() else there)[:, None], states, np.nan)
     (place, v, bias, drift), variances = (
         (values[:, :3], values[:, 3:6], values[:, 6], values[:, 7])
-        for values in (sound, found.variances)
+        for values in (sound, fixes.variances)
     )
     shown = np.where(usable, 1.0, np.nan)
     log = Log(
         times,
         observations.names,
         z,
-        found.sigma,
+        fixes.sigma,
         seen.q,
         seen.w,
         shown * elevation,
         shown * azimuth,
         states,
-        found.cov,
-        found.misfit,
+        fixes.cov,
+        fixes.misfit,
         excluded,
-        np.stack([kind.unusable for kind in found.kinds], -1),
-        np.stack([kind.tested for kind in found.kinds], -1),
+        np.stack([kind.unusable for kind in fixes.kinds], -1),
+        np.stack([kind.tested for kind in fixes.kinds], -1),
         noise,
         jumps,
         dilution(seen.q, position, _axes(position), ranged, second),
@@ -338,11 +338,11 @@ def mask(degrees: float) -> float:
 
 def _nearest(there: Array) -> Array:
     """Of each epoch the nearest ``(T,)`` that has something."""
-    k, own = np.flatnonzero(there), np.arange(len(there))
-    after = np.clip(np.searchsorted(k, own), 0, len(k) - 1)
+    k, epochs = np.flatnonzero(there), np.arange(len(there))
+    after = np.clip(np.searchsorted(k, epochs), 0, len(k) - 1)
     before = np.maximum(after - 1, 0)
     return np.asarray(
-        np.where(np.abs(k[after] - own) < np.abs(k[before] - own), k[after], k[before])
+        np.where(np.abs(k[after] - epochs) < np.abs(k[before] - epochs), k[after], k[before])
     )
 
 

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -70,6 +70,15 @@ def kinds(names: Sequence[str]) -> Array:
     )
 
 
+class ClockNoise(NamedTuple):
+    """Process noise of a clock: what it is from, and densities of white noise (m^2/s) and of random
+    walk (m^2/s^3) of its frequency.
+    """
+
+    source: str
+    densities: tuple[float, float]
+
+
 @dataclass(frozen=True, eq=False)
 class Positioned:
     """A receiver's track.
@@ -82,9 +91,8 @@ class Positioned:
         of: where that is from.
     nis: squared innovations, of fixes residuals, in the deviations that are claimed for them, per
         degree of freedom.
-    apart, trust: ``(T,)``, see `celnav.receiver.trust.Guarded`. clock: what its process noise is
-        from, and white noise (m^2/s) and random walk (m^2/s^3) of its frequency. acceleration: the
-        density that was assumed, m^2/s^3.
+    apart, trust: ``(T,)``, see `celnav.receiver.trust.Guarded`. clock, acceleration: the process
+        noise that was assumed, of the latter in m^2/s^3.
     """
 
     log: Log
@@ -96,7 +104,7 @@ class Positioned:
     nis: float
     apart: Array
     trust: Array
-    clock: tuple[str, float, float]
+    clock: ClockNoise
     acceleration: float
 
     @property
@@ -113,9 +121,11 @@ class Positioned:
 
     @property
     def trusted(self) -> Array:
-        """Epochs ``(T,)`` with a measured position that the track agrees with: all if none."""
+        """Epochs ``(T,)`` with a measured position that the track agrees with, or all `reported`
+        if there is none.
+        """
         trusted = self.measured & (self.trust == "")
-        return np.asarray(trusted if trusted.any() else self.measured)
+        return np.asarray(trusted if trusted.any() else self.reported)
 
     @property
     def place(self) -> Array:
@@ -229,20 +239,17 @@ def position(
     ValueError: for an unknown filter or clock, or a reference that is far from the Earth's surface.
     FilterError: if the filter is lost.
     """
-    source, *densities = clock_noise(log, clock)
+    noise = clock_noise(log, clock)
     if acceleration is None:
         acceleration = max(STILL, log.acceleration or 0.0)
-    known = filters(
-        len(log.names),
-        second=log.second,
-        acceleration=acceleration,
-        clock=(densities[0], densities[1]),
+    named = filters(
+        len(log.names), second=log.second, acceleration=acceleration, clock=noise.densities
     )
     if reference is not None:
         on_earth("reference", reference)
-    if filter not in ("ls", *known):
-        raise ValueError(f"filter: expected one of ls, {', '.join(known)}, got {filter!r}")
-    track = guarded(known["ekf" if filter == "ls" else filter], log, probability(false_alarm))
+    if filter not in ("ls", *named):
+        raise ValueError(f"filter: expected one of ls, {', '.join(named)}, got {filter!r}")
+    track = guarded(named["ekf" if filter == "ls" else filter], log, probability(false_alarm))
     mean, cov, nis, dof = track[:4]
     if filter == "ls":
         mean, cov, nis = log.fixes, log.fix_cov, log.misfit
@@ -252,39 +259,27 @@ def position(
         log = replace(log, z=np.where(unused[:, None], np.nan, log.z))
         size = np.linalg.norm(mean[:, :3], axis=-1)
         there = (size > GROUND_M[0]) & (size < GROUND_M[1])
-        if not (there & log.used.any(-1)).any():
+        if not (there & (unused | log.used.any(-1))).any():
             raise FilterError("its positions are far from the Earth")
         mean = np.where(there[:, None], mean, np.nan)
         cov = np.where(there[:, None, None], cov, np.nan)
     nis_per_degree = float(np.nansum(nis) / max(int(dof.sum()), 1))
-    noise = source, densities[0], densities[1]
-    return Positioned(
-        log,
-        filter,
-        mean,
-        cov,
-        reference,
-        of,
-        nis_per_degree,
-        track.apart,
-        track.trust,
-        noise,
-        acceleration,
-    )
+    used = mean, cov, reference, of, nis_per_degree, track.apart, track.trust, noise
+    return Positioned(log, filter, *used, acceleration)
 
 
-def clock_noise(log: Log, clock: str) -> tuple[str, float, float]:
-    """Where the process noise of a clock is from, its white noise (m^2/s) and its random walk
-    (m^2/s^3) of frequency; ValueError for an unknown clock.
+def clock_noise(log: Log, clock: str) -> ClockNoise:
+    """Process noise of a "crystal", of a "phone", or "auto": what the log shows, at least that of
+    an oven; ValueError for another clock.
     """
     if clock in CLOCKS:
-        return clock, *CLOCKS[clock]
+        return ClockNoise(clock, CLOCKS[clock])
     if clock != "auto":
         raise ValueError(f"clock: expected one of {', '.join(CLOCKS)}, auto, got {clock!r}")
     if log.clock is None:
-        return "a phone's, as there are too few fixes to estimate it", *PHONE
+        return ClockNoise("a phone's, as there are too few fixes to estimate it", PHONE)
     white, walk = np.maximum(log.clock.cautious, OVEN).tolist()
-    return f"estimated from {log.clock.steps} steps of the fixes' clocks", white, walk
+    return ClockNoise(f"estimated from {log.clock.steps} steps of the fixes' clocks", (white, walk))
 
 
 def _rms(vectors: Array) -> float:
@@ -292,28 +287,28 @@ def _rms(vectors: Array) -> float:
     return float(np.sqrt(np.nanmean(np.square(vectors).sum(-1))))
 
 
-def summary(found: Positioned) -> str:
+def summary(result: Positioned) -> str:
     """In lines: whether the track is sound, epochs, satellites, DOP, integrity, noise; then of
     trusted positions their mean, scatter, and the error if a position is known.
     """
-    log, local, measured = found.log, found.local(found.mean), found.measured
-    used, there, trusted = log.used, np.isfinite(found.mean[:, 0]), found.trusted
+    log, local, measured = result.log, result.local(result.mean), result.measured
+    used, there, trusted = log.used, np.isfinite(result.mean[:, 0]), result.trusted
     fixes = log.fixes[trusted, :3]
     count, fixed = used.sum(1), np.isfinite(log.fixes[:, 0])
-    latitude, longitude, height = ecef2geodetic(*found.place, ell=ELLIPSOID)
+    latitude, longitude, height = ecef2geodetic(*result.place, ell=ELLIPSOID)
     names = [log.names[s] for s in np.flatnonzero(used.any(0))]
     left_out = [f"{number} {reason}" for reason, number in log.left_out.items() if number]
     ionosphere = "by the broadcast coefficients"
     if not log.ionosphere:
         ionosphere = "not corrected: no header has GPSA and GPSB"
     lines = [
-        _verdict(found),
+        _verdict(result),
         f"epochs       {len(log.times)}, {civil(log.times[0])} to {civil(log.times[-1])} BDT; "
         f"{measured.sum()} with a position, "
         f"{(there & ~measured).sum()} more predicted without a range that is used, "
         f"{(~there).sum()} without a position",
         *([f"damaged      {_damaged(log.damaged)}"] if log.damaged else []),
-        f"systems      {_systems(found)}",
+        f"systems      {_systems(result)}",
         f"satellites   {len(names)} ({', '.join(names)}); {count.min()} to {count.max()} at a "
         f"time, mean {count.mean():.1f}",
         f"alone        {(fixed & (log.spare == 0)).sum()} epochs with no more than a fix needs; "
@@ -325,23 +320,23 @@ def summary(found: Positioned) -> str:
         f"left out     {'; '.join(left_out) or 'nothing'}",
         f"ionosphere   {ionosphere}",
         f"noise        ranges {_noise(log.noise[0], 'm')}; rates {_noise(log.noise[1], 'm/s')}",
-        f"clock        {_clock(found)}",
-        f"filter       {found.filter}; NIS {found.nis:.3f} a degree of freedom, 1 where noise and "
-        f"motion are as assumed; acceleration {found.acceleration:.3g} m^2/s^3",
-        f"mean         {' '.join(f'{v:.3f}' for v in found.place)} m; {latitude:.7f}°, "
+        f"clock        {_clock(result)}",
+        f"filter       {result.filter}; NIS {result.nis:.3f} a degree of freedom, 1 where noise and "
+        f"motion are as assumed; acceleration {result.acceleration:.3g} m^2/s^3",
+        f"mean         {' '.join(f'{v:.3f}' for v in result.place)} m; {latitude:.7f}°, "
         f"{longitude:.7f}°, {height:.2f} m",
-        f"scatter      {_rms(found.mean[trusted, :3] - found.place):.3f} m in 3-D about its mean; "
+        f"scatter      {_rms(result.mean[trusted, :3] - result.place):.3f} m in 3-D about its mean; "
         f"of each epoch by itself {_rms(fixes - np.nanmean(fixes, 0)):.3f} m",
     ]
-    if found.reference is not None:
+    if result.reference is not None:
         parts = np.sqrt(np.square(local[trusted]).mean(0))
-        ratio = np.square(local[trusted] / found.local_std[trusted]).mean(0)
+        ratio = np.square(local[trusted] / result.local_std[trusted]).mean(0)
         lines += [
-            f"reference    {' '.join(f'{v:.3f}' for v in found.reference)} m, of the antenna: "
-            f"{found.of}",
+            f"reference    {' '.join(f'{v:.3f}' for v in result.reference)} m, of the antenna: "
+            f"{result.of}",
             f"error        {_rms(local[trusted]):.3f} m RMS in 3-D: east {parts[0]:.3f}, north "
             f"{parts[1]:.3f}, up {parts[2]:.3f}; "
-            f"of each epoch by itself {_rms(fixes - found.reference):.3f} m",
+            f"of each epoch by itself {_rms(fixes - result.reference):.3f} m",
             f"claimed      (error / deviation)^2: east {ratio[0]:.2f}, north {ratio[1]:.2f}, up "
             f"{ratio[2]:.2f}; 1 where "
             "deviations are right, which are of noise alone: what all satellites share shows in no "
@@ -350,10 +345,10 @@ def summary(found: Positioned) -> str:
     return "\n".join(lines)
 
 
-def _verdict(found: Positioned) -> str:
+def _verdict(result: Positioned) -> str:
     """The headline: whether positions are sound, and how many are not, since when and why."""
-    total, times = found.reported.sum(), found.log.times[found.doubtful]
-    counts = Counter(found.integrity[found.doubtful].tolist())
+    total, times = result.reported.sum(), result.log.times[result.doubtful]
+    counts = Counter(result.integrity[result.doubtful].tolist())
     if not times.size:
         return f"SOUND        all {total} positions agree with the ranges of their epochs"
     reasons = "; ".join(f"{n} {word} ({DOUBTS[word]})" for word, n in counts.items())
@@ -361,12 +356,12 @@ def _verdict(found: Positioned) -> str:
     return f"NOT SOUND    {times.size} of {total} positions, {since}: {reasons}"
 
 
-def _clock(found: Positioned) -> str:
+def _clock(result: Positioned) -> str:
     """Its process noise, where that is from, and how often it was set."""
-    log, (source, white, walk) = found.log, found.clock
+    log, (source, (white, walk)) = result.log, result.clock
     set_by = [f"{np.count_nonzero(np.diff(log.jumps))} times by whole milliseconds"]
     if log.clock is not None:
-        steps = np.count_nonzero(log.clock.reset[~found.distrusted])
+        steps = np.count_nonzero(log.clock.reset[~result.distrusted])
         set_by.append(f"{steps} times by another step")
     return (
         f"noise of frequency {white:.3g} m^2/s white, {walk:.3g} m^2/s^3 random walk, {source}; "
@@ -381,19 +376,19 @@ def _damaged(messages: tuple[str, ...]) -> str:
     return f"{len(messages)} epochs or broadcast sets left out: {lines}{rest}"
 
 
-def _systems(found: Positioned) -> str:
+def _systems(result: Positioned) -> str:
     """Which are used, how their clocks differ, and which are not."""
     words = " and ".join(
-        f"{SYSTEMS[letter].name} {SYSTEMS[letter].signal}" for letter in found.log.systems
+        f"{SYSTEMS[letter].name} {SYSTEMS[letter].signal}" for letter in result.log.systems
     )
-    if found.log.second is not None:
-        offsets = found.mean[np.isfinite(found.mean[:, 8]), 8]
+    if result.log.second is not None:
+        offsets = result.mean[np.isfinite(result.mean[:, 8]), 8]
         longer = np.median(offsets) if offsets.size else np.nan
         words += (
             f", whose ranges are longer by {longer:.2f} m (median): its clock, and the receiver's "
             "delays"
         )
-    return words + (f"; not used: {', '.join(found.log.others)}" if found.log.others else "")
+    return words + (f"; not used: {', '.join(result.log.others)}" if result.log.others else "")
 
 
 def _integrity(log: Log) -> str:
@@ -430,32 +425,32 @@ def _noise(noise: Noise, unit: str) -> str:
     return f"{level}{noise.zenith:.4g} {unit} / sin(elevation), {known}"
 
 
-def figures(found: Positioned) -> dict[str, Figure]:
+def figures(result: Positioned) -> dict[str, Figure]:
     """Drawings by file stem: the track, and the sky."""
-    return {"track": _track(found), "sky": _sky(found)}
+    return {"track": _track(result), "sky": _sky(result)}
 
 
-def _track(found: Positioned) -> Figure:
-    alone, local = found.local(found.log.fixes), found.local(found.mean)
+def _track(result: Positioned) -> Figure:
+    alone, local = result.local(result.log.fixes), result.local(result.mean)
     dots = dict[str, Any](linestyle="", marker=".", markersize=2.0)
     both = [
         curve(
             alone[:, 0], alone[:, 1], color=colors.MEASUREMENT, label="each epoch by itself", **dots
         ),
-        curve(local[:, 0], local[:, 1], color=colors.ESTIMATE, label=found.filter, **dots),
+        curve(local[:, 0], local[:, 1], color=colors.ESTIMATE, label=result.filter, **dots),
     ]
-    if found.doubtful.any():
-        east, north, _ = local[found.doubtful].T
+    if result.doubtful.any():
+        east, north, _ = local[result.doubtful].T
         doubtful = dots | {"marker": "x", "markersize": 5.0}
         both.append(curve(east, north, color=colors.PAPER, label="doubtful", **doubtful))
     shades = (colors.COMPARISON, colors.TRUTH, colors.ESTIMATE)
-    moved = components(found.minutes, local, ("east", "north", "up"), shades, linewidth=0.9)
-    title = f"from the {'known' if found.reference is not None else 'mean'} position"
+    moved = components(result.minutes, local, ("east", "north", "up"), shades, linewidth=0.9)
+    title = f"from the {'known' if result.reference is not None else 'mean'} position"
     return panels(
         [
             Panel(title, both, "east (m)", "north (m)", more={"aspect": "equal"}),
             Panel(
-                f"{found.filter}: {len(local)} epochs",
+                f"{result.filter}: {len(local)} epochs",
                 moved,
                 "time since the first fix (min)",
                 "position (m)",
@@ -466,8 +461,8 @@ def _track(found: Positioned) -> Figure:
     )
 
 
-def _sky(found: Positioned) -> Figure:
-    log = found.log
+def _sky(result: Positioned) -> Figure:
+    log = result.log
     fig, axes = figure(10.0, 4.2, 1, 2, width_ratios=(2, 3))
     axes[0].remove()
     polar: Any = fig.add_subplot(1, 2, 1, projection="polar")
@@ -488,10 +483,10 @@ def _sky(found: Positioned) -> Figure:
     polar.set_title("sky: zenith in the middle, north up")
     fig.legend(*polar.get_legend_handles_labels(), loc="outside lower left", markerscale=4, ncols=4)
     axes[1].step(
-        found.minutes, log.used.sum(1), color=colors.COMPARISON, label="satellites", where="post"
+        result.minutes, log.used.sum(1), color=colors.COMPARISON, label="satellites", where="post"
     )
     axes[1].plot(
-        found.minutes, log.dilution.position, color=colors.ESTIMATE, label="PDOP", linewidth=0.9
+        result.minutes, log.dilution.position, color=colors.ESTIMATE, label="PDOP", linewidth=0.9
     )
     high = max(float(log.used.sum(1).max()), 1.0)
     axes[1].set(
@@ -505,13 +500,13 @@ FILES = ("summary.txt", "track.csv", *picture_names(("track", "sky")))
 RECORDING = "position.rrd"
 
 
-def write(found: Positioned, outputs: Outputs) -> None:
+def write(result: Positioned, outputs: Outputs) -> None:
     """Write `FILES`, all of which are made before the first is written."""
-    texts = {"summary.txt": summary(found) + "\n", "track.csv": table(found)}
-    outputs.publish(texts, pictures(figures(found).items()))
+    texts = {"summary.txt": summary(result) + "\n", "track.csv": table(result)}
+    outputs.publish(texts, pictures(figures(result).items()))
 
 
-def record_positioned(found: Positioned, path: Any) -> None:
+def record_positioned(result: Positioned, path: Any) -> None:
     """Record the track, the sky and plots. Needs rerun.
 
     Raises
@@ -520,10 +515,10 @@ def record_positioned(found: Positioned, path: Any) -> None:
     """
     from celnav.show import recording, views
 
-    log, local, alone = found.log, found.local(found.mean), found.local(found.log.fixes)
+    log, local, alone = result.log, result.local(result.mean), result.local(result.log.fixes)
     times = log.times - log.times[0]
-    middle = local[found.measured].mean(0)
-    spread = 3.0 * max(_rms(local[found.measured] - middle), 0.1)
+    middle = local[result.measured].mean(0)
+    spread = 3.0 * max(_rms(local[result.measured] - middle), 0.1)
     growing = dict.fromkeys(("track/alone", "track/filter", "track/doubtful"), np.inf)
     eye = middle + np.array([0.0, -spread, 4.0 * spread])
     scatter = views.space("track", "east, north, up, m", eye=eye, target=middle, growing=growing)
@@ -535,23 +530,23 @@ def record_positioned(found: Positioned, path: Any) -> None:
         views.rows(*plots, views.plot("sats", "satellites and PDOP", times)),
         column_shares=(1, 1),
     )
-    facts = {"filter": found.filter, "first": civil(log.times[0]), "epochs": len(times)}
+    facts = {"filter": result.filter, "first": civil(log.times[0]), "epochs": len(times)}
     with recording.recording(path, times, name="position", layout=layout, properties=facts) as out:
-        out.text("info", "```\n" + summary(found) + "\n```")
+        out.text("info", "```\n" + summary(result) + "\n```")
         out.points("track/alone", alone, colors.MEASUREMENT, radius=1.2)
         out.points("track/filter", local, colors.ESTIMATE, radius=1.6)
-        doubtful = np.where(found.doubtful[:, None], local, np.nan)
+        doubtful = np.where(result.doubtful[:, None], local, np.nan)
         out.points("track/doubtful", doubtful, colors.PAPER, radius=3.0)
-        out.points("track/here", local, colors.TRUTH, radius=5.0, label=found.filter)
-        if np.isfinite(found.cov).any():
-            out.ellipsoids("track/ellipsoid", local, found.local_cov, colors.ESTIMATE, sigmas=1.0)
-        std = found.local_std
+        out.points("track/here", local, colors.TRUTH, radius=5.0, label=result.filter)
+        if np.isfinite(result.cov).any():
+            out.ellipsoids("track/ellipsoid", local, result.local_cov, colors.ESTIMATE, sigmas=1.0)
+        std = result.local_std
         for i, name in enumerate(("east", "north", "up")):
             out.curve(
                 f"{name}/alone", alone[:, i], colors.MEASUREMENT, "each epoch by itself", width=1.0
             )
-            out.curve(f"{name}/filter", local[:, i], colors.ESTIMATE, found.filter)
-            out.bounds(f"{name}/filter", std[:, i], found.filter, center=local[:, i], shown=False)
+            out.curve(f"{name}/filter", local[:, i], colors.ESTIMATE, result.filter)
+            out.bounds(f"{name}/filter", std[:, i], result.filter, center=local[:, i], shown=False)
         out.curve("sats/used", log.used.sum(1), colors.COMPARISON, "satellites")
         out.curve("sats/pdop", log.dilution.position, colors.ESTIMATE, "PDOP")
         _record_sky(out, log)

@@ -73,7 +73,7 @@ def civil(t: float, form: str = "%Y-%m-%dT%H:%M:%S") -> str:
     return (EPOCH_ZERO + timedelta(milliseconds=round(t * 1e3))).strftime(form)
 
 
-def table(found: Positioned) -> str:
+def table(result: Positioned) -> str:
     """All epochs as CSV; empty where there is nothing. ``clock_m`` is the receiver's clock with
     what it was set by.
 
@@ -81,11 +81,11 @@ def table(found: Positioned) -> str:
     ranges from the track, in units of the largest that noise explains. ``excluded``: satellites
     whose range was; with "rate", whose rate alone was.
     """
-    local, log = found.local(found.mean), found.log
-    mean = found.mean[:, :8].copy()
+    local, log = result.local(result.mean), result.log
+    mean = result.mean[:, :8].copy()
     mean[:, 6] += log.jumps
     numbers = np.column_stack(
-        [log.times, mean, local, found.local_std, log.used.sum(1), log.dilution.position]
+        [log.times, mean, local, result.local_std, log.used.sum(1), log.dilution.position]
     )
     ranges, rates = np.split(log.excluded, 2, -1)
     text = io.StringIO()
@@ -95,8 +95,8 @@ def table(found: Positioned) -> str:
         cells = [f"{v:.4f}".rstrip("0").rstrip(".") if np.isfinite(v) else "" for v in row]
         named = [n for n, out in zip(log.names, ranges[k], strict=True) if out]
         named += [f"{n} rate" for n, out in zip(log.names, rates[k], strict=True) if out]
-        apart = f"{found.apart[k]:.3g}" if np.isfinite(found.apart[k]) else ""
-        words = [found.integrity[k], apart, ", ".join(named)]
+        apart = f"{result.apart[k]:.3g}" if np.isfinite(result.apart[k]) else ""
+        words = [result.integrity[k], apart, ", ".join(named)]
         writer.writerow([civil(log.times[k]), *cells, *words])
     return text.getvalue()
 
@@ -119,14 +119,14 @@ class Place(NamedTuple):
     trusted: bool
 
 
-def places(found: Positioned) -> list[Place]:
+def places(result: Positioned) -> list[Place]:
     """All epochs whose position some range went into, or might have, had the filter trusted it."""
-    k, log = np.flatnonzero(found.reported), found.log
+    k, log = np.flatnonzero(result.reported), result.log
     latitude, longitude, height = (
-        np.reshape(v, k.size) for v in ecef2geodetic(*found.mean[k, :3].T, ell=ELLIPSOID)
+        np.reshape(v, k.size) for v in ecef2geodetic(*result.mean[k, :3].T, ell=ELLIPSOID)
     )
     axes = local_axes(np.radians(latitude), np.radians(longitude))
-    velocity, cov = (axes @ found.mean[k, 3:6, None])[..., 0], axes @ found.cov[k] @ axes.mT
+    velocity, cov = (axes @ result.mean[k, 3:6, None])[..., 0], axes @ result.cov[k] @ axes.mT
     rows = zip(
         log.times[k],
         latitude,
@@ -136,34 +136,34 @@ def places(found: Positioned) -> list[Place]:
         cov,
         log.used[k].sum(1),
         log.dilution.horizontal[k],
-        found.integrity[k].tolist(),
-        found.measured[k].tolist(),
-        (found.trust[k] == "").tolist(),
+        result.integrity[k].tolist(),
+        result.measured[k].tolist(),
+        (result.trust[k] == "").tolist(),
         strict=True,
     )
     return [Place(*row) for row in rows]
 
 
-def pos(found: Positioned) -> str:
+def pos(result: Positioned) -> str:
     """RTKLIB's solution file, in GPS time: latitude, longitude and height with their deviations.
 
     The quality is 5, a single solution, 7 (dead reckoning) where the filter coasts, and 0 (none)
     where another position deserves no trust. A comment line marks each position of `DOUBTS`.
     """
-    rows, form = places(found), "%Y/%m/%d %H:%M:%S.%f"
+    rows, form = places(result), "%Y/%m/%d %H:%M:%S.%f"
     lines = [
-        f"% program   : celnav {celnav.__version__} {found.filter}",
-        *(f"% inp file  : {name}" for name in found.log.files),
-        *(f"% left out  : {damage}" for damage in found.log.damaged),
+        f"% program   : celnav {celnav.__version__} {result.filter}",
+        *(f"% inp file  : {name}" for name in result.log.files),
+        *(f"% left out  : {damage}" for damage in result.log.damaged),
     ]
     for name, place in (("start", rows[0]), ("end  ", rows[-1])):
         week, second = divmod(place.time + GPS_AHEAD_S, WEEK_S)
         when = civil(place.time + GPS_AHEAD_S, form)[:-5]
         lines.append(f"% obs {name} : {when} GPST (week{GPS_WEEK + int(week):04d} {second:8.1f}s)")
-    systems = " ".join({"C": "beidou", "G": "gps"}[letter] for letter in found.log.systems[::-1])
+    systems = " ".join({"C": "beidou", "G": "gps"}[letter] for letter in result.log.systems[::-1])
     lines += [
         "% pos mode  : single",
-        f"% ionos opt : {'broadcast' if found.log.ionosphere else 'off'}",
+        f"% ionos opt : {'broadcast' if result.log.ionosphere else 'off'}",
         "% tropo opt : saastamoinen",
         "% ephemeris : broadcast",
         f"% navi sys  : {systems}",
@@ -201,12 +201,12 @@ def utc(times: ArrayLike) -> list[str]:
     ]
 
 
-def geojson(found: Positioned) -> str:
+def geojson(result: Positioned) -> str:
     """A line of longitude, latitude (degrees) and height above the ellipsoid (m) [RFC 7946].
 
     Its properties have times in UTC and ``integrity`` of each point, and what was ``damaged``.
     """
-    rows = places(found)
+    rows = places(result)
     line = [[round(row.longitude, 9), round(row.latitude, 9), round(row.height, 4)] for row in rows]
     shape = (
         {"type": "LineString", "coordinates": line}
@@ -214,16 +214,16 @@ def geojson(found: Positioned) -> str:
         else {"type": "Point", "coordinates": line[0]}
     )
     about = {
-        "filter": found.filter,
+        "filter": result.filter,
         "coordTimes": utc([row.time for row in rows]),
         "integrity": [row.integrity for row in rows],
-        "damaged": found.log.damaged,
+        "damaged": result.log.damaged,
     }
     feature = {"type": "Feature", "geometry": shape, "properties": about}
     return json.dumps({"type": "FeatureCollection", "features": [feature]}) + "\n"
 
 
-def nmea(found: Positioned) -> str:
+def nmea(result: Positioned) -> str:
     """GGA and RMC of each epoch, in UTC.
 
     Heights are above the ellipsoid, with a separation of 0: no geoid is known here. Where the
@@ -231,8 +231,8 @@ def nmea(found: Positioned) -> str:
     The status at the end of RMC [NMEA 4.1] is C (caution) for untested positions, U (unsafe) for
     others of `DOUBTS`, and V (not provided) elsewhere.
     """
-    talker = {"C": "GB", "G": "GP"}.get(found.log.systems, "GN")
-    rows, lines = places(found), []
+    talker = {"C": "GB", "G": "GP"}.get(result.log.systems, "GN")
+    rows, lines = places(result), []
     for row, when in zip(rows, utc([row.time for row in rows]), strict=True):
         clock, date = when[11:-1].replace(":", ""), when[8:10] + when[5:7] + when[2:4]
         at = f"{_angle(row.latitude, 2, 'NS')},{_angle(row.longitude, 3, 'EW')}"

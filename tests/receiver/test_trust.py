@@ -101,7 +101,7 @@ def test_a_clock_that_is_set_anew_at_each_epoch_does_not_pull_the_track():
     own, phone = (positioned(log, clock=clock) for clock in ("auto", "phone"))
     assert error(own).max() < 6.0
     assert error(phone).max() < 6.0
-    assert own.clock[1] == pytest.approx(2 * 30.0**2, rel=0.3)
+    assert own.clock.densities[0] == pytest.approx(2 * 30.0**2, rel=0.3)
     assert "estimated from" in report.summary(own)
     for filter in ("ekf", "aukf", "student"):
         crystal = positioned(log, filter, clock="crystal")
@@ -180,6 +180,15 @@ def test_a_track_that_begins_at_a_wrong_fix_is_not_the_one_that_is_trusted(stead
     assert set(found.trust[:4]) == {"apart"}
     assert set(found.trust[3 + AGREEING :]) == {""}
     assert error(found)[~found.doubtful].max() < 15.0
+
+
+def test_a_log_without_any_trust_is_told_as_a_whole(steady):
+    """Three fixes that later ones contradict, and too few after them."""
+    found = positioned(pulled(steady, np.arange(3)).part(slice(0, 6)))
+    assert found.doubtful.all()
+    assert report.summary(found).startswith("NOT SOUND    6 of 6 positions")
+    for form in tracks.FORMATS.values():
+        assert form(found)
 
 
 def test_distrust_is_in_every_track_and_in_the_exit_status(steady, tmp_path):
