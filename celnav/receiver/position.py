@@ -133,9 +133,14 @@ class Log:
             yield Epoch(k, t, dt, (self.q[k], self.w[k], self.sigma[k], reset[k]), self.z[k])
 
     def prior(self, k: int = 0) -> Gaussian:
-        """About the fix of an epoch, ``(8,)`` or ``(9,)``."""
-        deviations = START[: self.fixes.shape[-1]]
-        return Gaussian(np.nan_to_num(self.fixes[k]), np.diag(np.square(deviations)))
+        """About the fix of an epoch, ``(8,)`` or ``(9,)``; without rates, moving on to the next."""
+        fix = self.fixes[k].copy()
+        later = k + 1 + np.flatnonzero(np.isfinite(self.fixes[k + 1 :, 6]))
+        if np.isnan(fix[7]) and later.size:
+            interval = self.times[later[0]] - self.times[k]
+            step = (self.fixes[later[0]] - fix) / interval
+            fix[[3, 4, 5, 7]] = step[[0, 1, 2, 6]]
+        return Gaussian(np.nan_to_num(fix), np.diag(np.square(START[: len(fix)])))
 
     def part(self, which: slice) -> Log:
         """Some of the epochs."""

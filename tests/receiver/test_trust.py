@@ -283,24 +283,39 @@ def test_a_sound_epoch_is_called_apart_as_often_as_is_allowed(steady):
         assert (squares > chi2.isf(p, 3)).mean() == pytest.approx(p, rel=0.25, abs=0.004)
 
 
-def test_a_receiver_that_turns_is_followed():
-    """Circles of 30 m at 10 m/s, 3.3 m/s^2: the log shows the acceleration."""
-    phase = (TIMES - TIMES[0]) / 3.0
-    zero = np.zeros(T)
-    path = 30.0 * np.stack([np.cos(phase) - 1.0, np.sin(phase), zero], -1)
-    velocity = 10.0 * np.stack([-np.sin(phase), np.cos(phase), zero], -1)
+def moving(path, velocity):
+    """A log of a receiver that moves from `PLACE`, ``(T, 3)`` m and m/s."""
     log = logged(3e4 + 30.0 * (TIMES - TIMES[0]))
     sources = pseudorange.sources(SKY, TIMES, np.broadcast_to(PLACE, (T, 3)))
-    at_rest, moving = (
+    at_rest, away = (
         pseudorange.measure(np.concatenate([p, v, np.zeros((T, 2))], -1), sources.q, sources.w)
         for p, v in ((PLACE + 0.0 * path, 0.0 * velocity), (PLACE + path, velocity))
     )
-    ranges, rates = np.split(moving - at_rest, 2, -1)
-    doppler = log.doppler - B1I_HZ / LIGHT * rates
-    log = replace(log, code=log.code + ranges, doppler=doppler)
-    for measured in (log, replace(log, doppler=np.full_like(doppler, np.nan))):
-        found = positioned(measured)
-        off = np.linalg.norm(found.mean[:, :3] - PLACE - path, axis=-1)
-        assert off[~found.doubtful].max() < 12.0
-        assert found.doubtful.sum() < 0.1 * T
-        assert found.acceleration > 1.0
+    ranges, rates = np.split(away - at_rest, 2, -1)
+    return replace(log, code=log.code + ranges, doppler=log.doppler - B1I_HZ / LIGHT * rates)
+
+
+SECONDS = TIMES[:, None] - TIMES[0]
+EAST = np.cross([0.0, 0.0, 1.0], PLACE / np.hypot(*PLACE[:2]))
+CIRCLE = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+MOTIONS = {
+    "circles of 30 m at 10 m/s": (
+        30.0 * (np.cos(SECONDS / 3.0) - 1.0) * CIRCLE[0] + 30.0 * np.sin(SECONDS / 3.0) * CIRCLE[1],
+        -10.0 * np.sin(SECONDS / 3.0) * CIRCLE[0] + 10.0 * np.cos(SECONDS / 3.0) * CIRCLE[1],
+    ),
+    "straight on at 200 m/s": (200.0 * SECONDS * EAST, 200.0 * EAST + 0.0 * SECONDS),
+}
+
+
+@pytest.mark.parametrize("rates", [True, False])
+@pytest.mark.parametrize("motion", MOTIONS)
+def test_a_receiver_that_moves_is_followed(motion, rates):
+    """The log shows its acceleration, and the ranges its velocity, if there are no rates."""
+    path, velocity = MOTIONS[motion]
+    log = moving(path, velocity)
+    log = log if rates else replace(log, doppler=np.full_like(log.doppler, np.nan))
+    found = positioned(log)
+    off = np.linalg.norm(found.mean[:, :3] - PLACE - path, axis=-1)
+    assert off.max() < 15.0
+    assert not found.doubtful.any()
+    assert (found.acceleration > 1.0) == motion.startswith("circles")
