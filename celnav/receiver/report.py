@@ -293,7 +293,7 @@ def summary(result: Positioned) -> str:
     """
     log, local, measured = result.log, result.local(result.mean), result.measured
     used, there, trusted = log.used, np.isfinite(result.mean[:, 0]), result.trusted
-    fixes = log.fixes[trusted, :3]
+    fixes, positions = log.fixes[trusted, :3], result.mean[trusted, :3]
     count, fixed = used.sum(1), np.isfinite(log.fixes[:, 0])
     latitude, longitude, height = ecef2geodetic(*result.place, ell=ELLIPSOID)
     names = [log.names[s] for s in np.flatnonzero(used.any(0))]
@@ -321,11 +321,11 @@ def summary(result: Positioned) -> str:
         f"ionosphere   {ionosphere}",
         f"noise        ranges {_noise(log.noise[0], 'm')}; rates {_noise(log.noise[1], 'm/s')}",
         f"clock        {_clock(result)}",
-        f"filter       {result.filter}; NIS {result.nis:.3f} a degree of freedom, 1 where noise and "
-        f"motion are as assumed; acceleration {result.acceleration:.3g} m^2/s^3",
+        f"filter       {result.filter}; NIS {result.nis:.3f} a degree of freedom, 1 where noise "
+        f"and motion are as assumed; acceleration {result.acceleration:.3g} m^2/s^3",
         f"mean         {' '.join(f'{v:.3f}' for v in result.place)} m; {latitude:.7f}°, "
         f"{longitude:.7f}°, {height:.2f} m",
-        f"scatter      {_rms(result.mean[trusted, :3] - result.place):.3f} m in 3-D about its mean; "
+        f"scatter      {_rms(positions - result.place):.3f} m in 3-D about its mean; "
         f"of each epoch by itself {_rms(fixes - np.nanmean(fixes, 0)):.3f} m",
     ]
     if result.reference is not None:
