@@ -33,26 +33,31 @@ def run(options: argparse.Namespace) -> int:
     from celnav.receiver.sky import on_earth
     from celnav.receiver.tracks import FORMATS
 
-    mask, noise = (
-        number("mask", options.mask),
-        number("acceleration-noise", options.acceleration_noise),
-    )
+    mask, noise = number("mask", options.mask), None
+    if options.acceleration_noise != "auto":
+        noise = number("acceleration-noise", options.acceleration_noise)
+        density = noise
+        _checked(
+            "--acceleration-noise", lambda: positioning_filters.filters(4, acceleration=density)
+        )
     alarm = number("false-alarm", options.false_alarm)
-    reference = (
+    given = (
         None
         if options.position is None
         else np.array([number("position", text) for text in options.position])
     )
     sigma = None if options.sigma is None else [number("sigma", text) for text in options.sigma]
     _checked("--mask", lambda: positioning.mask(mask))
-    _checked("--acceleration-noise", lambda: positioning_filters.filters(4, acceleration=noise))
     _checked("--false-alarm", lambda: probability(alarm))
     _checked("--sigma", lambda: positioning.deviations(sigma))
-    if reference is not None:
-        _checked("--position", partial(on_earth, "position", reference))
+    if given is not None:
+        _checked("--position", partial(on_earth, "position", given))
     names = ["ls", *positioning_filters.filters(4)]
     if options.filter not in names:
         raise UsageError(f"--filter: expected one of {', '.join(names)}, got {options.filter!r}")
+    clocks = [*positioning_filters.CLOCKS, "auto"]
+    if options.clock not in clocks:
+        raise UsageError(f"--clock: expected one of {', '.join(clocks)}, got {options.clock!r}")
     systems = None if options.systems is None else options.systems.replace(",", "").upper()
     _checked("--systems", lambda: positioning.chosen(systems))
     out = Path(options.out)
@@ -79,44 +84,53 @@ def run(options: argparse.Namespace) -> int:
         observations, navigation, systems=systems, mask_deg=mask, sigma=sigma, false_alarm=alarm
     )
     # A receiver that moves has no error from the one position in its header.
-    at_rest = given is not None or not log.moved
-    reference = observations.reference(given) if at_rest else None
+    reference = None
+    if given is not None or not log.moved:
+        reference = observations.reference(given)
     east, north, up = observations.antenna
-    source = "the header" if reference is None else "--position"
+    source = "the header" if given is None else "--position"
     of = f"the marker's by {source} and the header's offset, {east:.3f} m east, "
     of += f"{north:.3f} north, {up:.3f} up"
     try:
-        solution = positioning_report.position(
-            log, options.filter, reference, acceleration=noise, of=of
+        result = positioning_report.position(
+            log,
+            options.filter,
+            reference,
+            acceleration=noise,
+            clock=options.clock,
+            false_alarm=alarm,
+            of=of,
         )
     except FilterError as error:
         raise InputError(
             f"{options.filter} is lost on {options.observations}: "
             f"{str(error).partition(' (on_failure')[0]}"
         ) from None
-    print(positioning_report.summary(solution))
-    status = int(options.strict and bool(solution.doubtful.any()))
+    print(positioning_report.summary(result))
+    status = 0
+    if options.strict:
+        status = 3 if result.distrusted.any() else int(result.doubtful.any())
     if track is not None:
-        outputs.text(out.name, track(solution))
+        outputs.text(out.name, track(result))
         print(f"wrote {out}")
         return status
-    positioning_report.write(solution, outputs)
+    positioning_report.write(result, outputs)
     try:
         with outputs.path_for(positioning_report.RECORDING) as path:
-            positioning_report.record_positioned(solution, path)
+            positioning_report.record_positioned(result, path)
     except (ImportError, OSError, RuntimeError, ValueError) as error:  # of one epoch there is none
         warn(f"no recording ({error}); everything else is written")
     print(f"wrote {outputs.directory}")
     return status
 
 
-def _ionosphere(text: str) -> tuple[Array, Array]:
+def _ionosphere(given: str) -> tuple[Array, Array]:
     """Klobuchar's coefficients, of a file's header or of eight numbers."""
     from celnav.receiver.rinex import ionosphere, read_ionosphere
 
-    parts = text.split(",")
-    if len(parts) == 1 or Path(text).exists():
-        return read_ionosphere(text)
+    parts = given.split(",")
+    if len(parts) == 1 or Path(given).exists():
+        return read_ionosphere(given)
     if len(parts) != 8:
         raise UsageError(
             "--ion: expected a navigation file, or eight numbers with commas between, got "

@@ -67,11 +67,11 @@ def read_pos(path: str | Path) -> Solution:
 
     >>> fixes = read_pos("rover.pos")
     """
-    text, called = unpacked(Path(path))
+    lines, called = unpacked(Path(path))
     names: list[str] = []
     rows: list[list[float]] = []
     times: list[np.datetime64] = []
-    for k, line in enumerate(text.splitlines(), 1):
+    for k, line in enumerate(lines, 1):
         words = line.lstrip("% ").split()
         if line.startswith("%"):
             names = words if PLACE[0] in words else names
@@ -150,7 +150,7 @@ def read_imu(path: str | Path, tags: str | Path) -> Samples:
     >>> samples = read_imu("imu.csv", "imu.csv.tag")
     """
     text, called = unpacked(Path(path))
-    lines = text.splitlines()[1:-1]
+    lines = text[1:-1]
     rows = []
     for k, line in enumerate(lines, 2):
         try:

@@ -12,14 +12,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from celnav.files import InputError
-from celnav.filters.run import run
 from celnav.gaussian.linalg import Array
 from celnav.models.gnss import ROTATION_RATE, TILT, Broadcast, satellites, tilted, turned
 from celnav.receiver.constellation import GEOSTATIONARY, TOE_S, geostationary, synthetic
-from celnav.receiver.filters import filters
 from celnav.receiver.fixes import GIVEN
 from celnav.receiver.position import Log, prepare
-from celnav.receiver.report import Positioned
+from celnav.receiver.report import STILL, Positioned, position
 from celnav.receiver.rinex import Navigation, Observations, read_navigation, read_observations
 from celnav.show.draw import Line, Panel, curve, panels
 from celnav.study.study import Rngs
@@ -77,10 +75,11 @@ def _read(files: Files) -> tuple[Observations, Navigation, Array]:
 
 
 def _prepared(half: Observations, navigation: Navigation, mask_deg: float) -> Log:
-    """What a burst does is the filters' to weather: nothing is excluded, and the noise is what is
-    taken for it.
+    """What a burst does is the filters' to weather: nothing is excluded, the noise is what is taken
+    for it, and no step of the clock is a reset.
     """
-    return prepare(half, navigation, mask_deg=mask_deg, sigma=GIVEN, false_alarm=0.0)
+    log = prepare(half, navigation, mask_deg=mask_deg, sigma=GIVEN, false_alarm=0.0)
+    return replace(log, clock=None)
 
 
 def positioned(files: Files, filter: str, mask_deg: float) -> Positioned:
@@ -91,9 +90,11 @@ def positioned(files: Files, filter: str, mask_deg: float) -> Positioned:
     OSError, InputError: naming the file, if one cannot be read or has no position in its header.
     """
     half, navigation, reference = _read(files)
-    log = _prepared(half, navigation, mask_deg)
-    track = run(filters(len(log.names))[filter], log.prior(), log.epochs(), keep="cov")
-    return Positioned(log, filter, track.mean, track.cov[:, :3, :3], reference)
+    return _positioned(_prepared(half, navigation, mask_deg), filter, reference)
+
+
+def _positioned(log: Log, filter: str, reference: Array) -> Positioned:
+    return position(log, filter, reference, acceleration=STILL, clock="crystal", false_alarm=0.0)
 
 
 def run_filters(
@@ -123,16 +124,11 @@ def run_filters(
     )
     for label, part in (("", half), ("burst/", replace(half, code=half.code + noise))):
         log = _prepared(part, navigation, mask_deg)
-        known = filters(len(log.names))
-        frame = Positioned(log, "ls", log.fixes, log.fix_cov, reference)
-        tracks = {name: run(known[name], log.prior(), log.epochs(), keep="mean") for name in names}
-        out |= {
-            label + name: frame.local(mean)
-            for name, mean in {"ls": log.fixes, **{n: t.mean for n, t in tracks.items()}}.items()
-        }
+        tracks = {name: _positioned(log, name, reference) for name in ("ls", *names)}
+        out |= {label + name: track.local(track.mean) for name, track in tracks.items()}
         if not label:
             during = half.times[(k >= first) & (k < first + EPOCHS + AFTER)]
-            nis = np.array([tracks[names[0]].nis.sum() / tracks[names[0]].dof.sum()])
+            nis = np.array([tracks[names[0]].nis])
             out |= {"times": log.times, "during": np.isin(log.times, during), "nis": nis}
     own = navigation.sets.chosen(navigation.sets.geostationary & (navigation.sets.health == 0.0))
     own = own.chosen(np.lexsort((own.toe, own.number)))

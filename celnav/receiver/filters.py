@@ -1,5 +1,5 @@
-"""Filters of a moving receiver's log, by name: an EKF, and unscented filters that differ in what
-they do to the noise.
+"""Filters of a moving receiver's log, by name: EKF and UKF, which differ in what they do to the
+noise.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from celnav.filters.adaptive import (
 )
 from celnav.filters.joint import Hook
 from celnav.filters.model import Linear, Motion, Sensor
-from celnav.filters.records import Epoch, Filter
-from celnav.filters.sequential import ekf, ukf
+from celnav.filters.records import Epoch
+from celnav.filters.sequential import Sequential, ekf, ukf
 from celnav.gaussian.linalg import Array
 from celnav.models import pseudorange
 from celnav.models.gnss import LIGHT
@@ -28,6 +28,11 @@ CRYSTAL = (LIGHT**2 * 2e-19 / 2.0, 2.0 * np.pi**2 * LIGHT**2 * 2e-20)
 """A compensated crystal's noise of frequency, white (m^2/s) and walking (m^2/s^3): h0 = 2e-19, h-2
 = 2e-20.
 """
+OVEN = (LIGHT**2 * 8e-20 / 2.0, 2.0 * np.pi**2 * LIGHT**2 * 4e-23)
+"""Of a crystal in an oven, h0 = 8e-20, h-2 = 4e-23: a clock that looks better counts as one."""
+PHONE = (100.0, 1.0)
+"""Of a phone's clock, which may be set anew at each epoch: 10 m and 1 m/s in a second."""
+CLOCKS = {"crystal": CRYSTAL, "phone": PHONE}
 OFFSET_WALK = 1e-5
 """Of the offset between two systems' clocks, m^2/s: a meter a day, as their times and orbits
 wander.
@@ -82,14 +87,20 @@ def hooks(S: int, window: int = 10, systems: int = 1) -> dict[str, tuple[Hook, .
 
 
 def filters(
-    S: int, *, second: Array | None = None, acceleration: float = 0.01, window: int = 10
-) -> dict[str, Filter]:
-    """Filters of a `Log` by name: ekf, and the unscented ones of `hooks`.
+    S: int,
+    *,
+    second: Array | None = None,
+    acceleration: float = 0.01,
+    clock: tuple[float, float] = CRYSTAL,
+    window: int = 10,
+) -> dict[str, Sequential]:
+    """Filters of a `Log` by name: ekf, and those of `hooks`, which are EKF but for ukf and aukf.
 
     ``second (k, S)``: offsets of the clocks of more systems, as in `celnav.models.pseudorange`;
     None: there is one system. ``acceleration``: density of the white acceleration, m^2/s^3: 0.01
     for a receiver at rest or nearly so, ``a^2 T`` for one that turns with the acceleration a,
-    measured each T seconds.
+    measured each T seconds. ``clock``: densities of its process noise, such as `CRYSTAL`; at an
+    epoch to which it was set the step counts as noise, too.
 
     Raises
     ------
@@ -101,11 +112,9 @@ def filters(
         )
 
     def root(_mean: Array, epoch: Epoch) -> Array:
-        return np.linalg.cholesky(
-            block_diag(
-                process_noise(epoch.dt, acceleration, *CRYSTAL), OFFSET_WALK * epoch.dt * offset
-            )
-        )
+        Q = process_noise(epoch.dt, acceleration, *clock)
+        Q[6, 6] += epoch.u[3] ** 2
+        return np.linalg.cholesky(block_diag(Q, OFFSET_WALK * epoch.dt * offset))
 
     offset = np.eye(0 if second is None else len(second))
     motion = Motion(Linear(lambda epoch: block_diag(transition(epoch.dt), offset)), sqrt_Q=root)
@@ -114,11 +123,13 @@ def filters(
         sqrt_R=_noise,
         jacobian=lambda x, epoch: pseudorange.jacobian(x, epoch.u[0], epoch.u[1], second),
     )
-    unscented = {
-        name: ukf(motion, sensor, beta=2.0, form="covariance", hooks=hook)
-        for name, hook in hooks(S, window, 1 + len(offset)).items()
-    }
-    return {"ekf": ekf(motion, sensor, form="covariance"), **unscented}
+    kinds: dict[str, Sequential] = {"ekf": ekf(motion, sensor, form="covariance")}
+    for name, hook in hooks(S, window, 1 + len(offset)).items():
+        if name in ("ukf", "aukf"):
+            kinds[name] = ukf(motion, sensor, beta=2.0, form="covariance", hooks=hook)
+        else:
+            kinds[name] = ekf(motion, sensor, form="covariance", hooks=hook)
+    return kinds
 
 
 def _noise(_mean: Array, epoch: Epoch) -> Array:

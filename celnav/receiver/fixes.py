@@ -89,8 +89,8 @@ class Seen(NamedTuple):
 
 
 class Fixed(NamedTuple):
-    """States ``(T, 8 + k)``, their variances, and covariances of positions ``(T, 3, 3)``, nan
-    where there is no fix; deviations ``sigma (T, 2 S)``.
+    """States ``(T, 8 + k)``, their variances by the receiver's noise alone, and covariances of
+    positions ``(T, 3, 3)``, nan where there is no fix; deviations ``sigma (T, 2 S)``.
 
     ``kinds``: of ranges and rates, what is left of them. ``misfit``: squared residuals of ranges
     ``(T,)``, in deviations; nan without a fix.
@@ -113,22 +113,38 @@ def fixed(seen: Seen, noise: tuple[Noise, Noise], false_alarm: float) -> Fixed:
     packed, order = _packed(seen)
     fits = _fits(packed, noise, false_alarm)
     sigma, (T, S) = seen.deviations(noise), seen.elevation.shape
-    kinds = []
+    kinds, shares, n = [], [], order.shape[-1]
     for fit in fits:
         kept, excluded = np.zeros((2, T, S), bool)
-        n = order.shape[-1]
         np.put_along_axis(kept, order, fit.kind.kept[:, :n], -1)
         np.put_along_axis(excluded, order, fit.kind.excluded[:, :n], -1)
         kinds.append(fit.kind._replace(kept=kept, excluded=excluded))
+        left = np.zeros((T, S))
+        np.put_along_axis(left, order, fit.left[:, :n], -1)
+        shares.append(_white_share(left, kept, fit.x.shape[-1]))
     ranges, rates = fits
-    n = order.shape[-1]
     # Without the first system no offset from its clock is known.
     first = (ranges.kind.kept[:, :n] & (packed.system == 0)).any(-1, keepdims=True)
     apart = np.where(first & ~ranges.kind.kept[:, n:], ranges.x[:, 4:], np.nan)
     states = _states(np.concatenate([ranges.x[:, :4], apart], -1), rates.x)
-    variances = _states(*(fit.cov.diagonal(0, -2, -1) for fit in fits))
+    variances = _states(
+        *(share * fit.cov.diagonal(0, -2, -1) for share, fit in zip(shares, fits, strict=True))
+    )
     squares = np.where(np.isfinite(states[:, 6]), misfit(ranges.left, ranges.kind.kept), np.nan)
     return Fixed(states, variances, ranges.cov[:, :3, :3], sigma, (kinds[0], kinds[1]), squares)
+
+
+def _white_share(left: Array, kept: Array, unknowns: int) -> float:
+    """The part of the variances of measurements that is new at each epoch.
+
+    left: residuals ``(T, S)`` in deviations. Errors of atmosphere and orbits hardly change from one
+    epoch to the next, so half the squares of differences have the receiver's noise alone.
+    """
+    both = kept[1:] & kept[:-1]
+    spare = both.sum(-1) - unknowns
+    changes = np.where(both & (spare > 0)[:, None], left[1:] - left[:-1], 0.0)
+    redundancy = spare[spare > 0].sum()
+    return float(0.5 * np.square(changes).sum() / redundancy) if redundancy else 1.0
 
 
 def _states(ranges: Array, rates: Array) -> Array:

@@ -32,6 +32,7 @@ from celnav.receiver.sky import (
     look,
     saastamoinen,
 )
+from celnav.receiver.walks import Walk, acceleration_noise, walk_noise
 
 CREDIBLE_M = (1.5e7, 5e7)
 """Pseudoranges outside are none."""
@@ -72,9 +73,12 @@ class Log:
         ``(T, 2)``, whether there was redundancy.
     noise: of ranges and of rates. jumps: ``(T,)`` m, what the receiver has set its clock by since
         the start, which was taken off ranges and fixes. dilution: of each epoch ``(T,)``.
-        ionosphere: whether the broadcast model's coefficients were there to
-        correct it by. left_out: why measurements are not used, and how many. others: systems in the
-        files that are not used.
+        ionosphere: whether the broadcast model's coefficients were there to correct it by.
+    clock: process noise of the receiver's clock as its fixes show it, and where it was set besides;
+        None: too few fixes. acceleration: density (m^2/s^3) of the receiver's acceleration,
+        likewise; None: too few rates.
+    left_out: why measurements are not used, and how many. others: systems in the files that are not
+        used.
     files: names of what was read. damaged: messages with the line, one for each epoch or broadcast
         set that was left out because it is damaged.
     """
@@ -98,6 +102,8 @@ class Log:
     jumps: Array
     dilution: Dilution
     ionosphere: bool
+    clock: Walk | None
+    acceleration: float | None
     left_out: dict[str, int]
     others: tuple[str, ...] = ()
     files: tuple[str, ...] = ()
@@ -140,25 +146,32 @@ class Log:
         return bool(there.any() and np.median(squares.sum(-1)) > MOVED)
 
     def epochs(self) -> Iterator[Epoch]:
-        """Epochs for `filters`; ``u`` is ``(q, w, sigma)`` at the epoch's time."""
+        """Epochs for `filters`; ``u`` is ``(q, w, sigma, reset)`` at the epoch's time, ``reset``
+        (m) the step by which the clock was set.
+        """
         intervals = np.diff(self.times, prepend=self.times[:1])
+        reset = np.zeros(len(self.times)) if self.clock is None else self.clock.reset
         for k, (t, dt) in enumerate(zip(self.times.tolist(), intervals.tolist(), strict=True)):
-            yield Epoch(k, t, dt, (self.q[k], self.w[k], self.sigma[k]), self.z[k])
+            yield Epoch(k, t, dt, (self.q[k], self.w[k], self.sigma[k], reset[k]), self.z[k])
 
-    def prior(self) -> Gaussian:
-        """About the first fix, ``(8 + k,)``."""
-        return Gaussian(
-            np.nan_to_num(self.fixes[0]), np.diag(np.square(START[: self.fixes.shape[-1]]))
-        )
+    def prior(self, k: int = 0) -> Gaussian:
+        """About the fix of an epoch, ``(8 + k,)``; without rates, moving on to the next."""
+        fix = self.fixes[k].copy()
+        later = k + 1 + np.flatnonzero(np.isfinite(self.fixes[k + 1 :, 6]))
+        if np.isnan(fix[7]) and later.size:
+            interval = self.times[later[0]] - self.times[k]
+            step = (self.fixes[later[0]] - fix) / interval
+            fix[[3, 4, 5, 7]] = step[[0, 1, 2, 6]]
+        return Gaussian(np.nan_to_num(fix), np.diag(np.square(START[: len(fix)])))
 
     def part(self, which: slice) -> Log:
         """Some of the epochs."""
         arrays: dict[str, Any] = {
             k: v[which] for k, v in vars(self).items() if isinstance(v, np.ndarray)
         }
-        return replace(
-            self, **arrays, dilution=Dilution(*(values[which] for values in self.dilution))
-        )
+        clock = self.clock and self.clock._replace(reset=self.clock.reset[which])
+        dilution = Dilution(*(values[which] for values in self.dilution))
+        return replace(self, **arrays, clock=clock, dilution=dilution)
 
 
 def prepare(
@@ -247,45 +260,52 @@ def prepare(
         seen = Seen(z, sources.q, sources.w, elevation, position, modeled, offsets)
         if final:
             noise = estimated(seen, false_alarm) if given is None else given
-        found = fixed(seen, noise, false_alarm)
-        there = np.isfinite(found.states[:, 6])
+        fixes = fixed(seen, noise, false_alarm)
+        there = np.isfinite(fixes.states[:, 6])
         if not there.any():
             raise refusal
-        near = found.states[_nearest(there)]
+        near = fixes.states[_nearest(there)]
         position, velocity, clock = near[:, :3], np.nan_to_num(near[:, 3:6]), near[:, 6]
     left_out["below the mask"] = int((usable & ~used).sum())
-    kept, excluded = found.measurements("kept"), found.measurements("excluded")
-    lone = (np.isfinite(z) & ~kept & ~excluded)[:, : code.shape[-1]] & ~found.kinds[0].unusable[
+    kept, excluded = fixes.measurements("kept"), fixes.measurements("excluded")
+    lone = (np.isfinite(z) & ~kept & ~excluded)[:, : code.shape[-1]] & ~fixes.kinds[0].unusable[
         :, None
     ]
     left_out["the only range of a system, which nothing tests"] = int(lone.sum())
     z = np.where(kept, z, np.nan)
-    tested = there & found.kinds[0].tested
+    tested = there & fixes.kinds[0].tested
     first = int(np.argmax(tested if tested.any() else there))
-    z, states, jumps = _without_jumps(z, found.states, times)
+    z, states, jumps = _without_jumps(z, fixes.states, times)
     ranged = np.isfinite(z[:, : len(observations.names)])
     left_out["before the first consistent fix"] = int(ranged[:first].sum())
+    sound = np.where((tested if tested.any() else there)[:, None], states, np.nan)
+    (place, v, bias, drift), variances = (
+        (values[:, :3], values[:, 3:6], values[:, 6], values[:, 7])
+        for values in (sound, fixes.variances)
+    )
     shown = np.where(usable, 1.0, np.nan)
     log = Log(
         times,
         observations.names,
         z,
-        found.sigma,
+        fixes.sigma,
         modeled,
         seen.q,
         seen.w,
         shown * elevation,
         shown * azimuth,
         states,
-        found.cov,
-        found.misfit,
+        fixes.cov,
+        fixes.misfit,
         excluded,
-        np.stack([kind.unusable for kind in found.kinds], -1),
-        np.stack([kind.tested for kind in found.kinds], -1),
+        np.stack([kind.unusable for kind in fixes.kinds], -1),
+        np.stack([kind.tested for kind in fixes.kinds], -1),
         noise,
         jumps,
         dilution(seen.q, position, _axes(position), ranged, second),
         navigation.klobuchar is not None,
+        walk_noise(times, bias, drift, *variances[2:]),
+        acceleration_noise(times, place, v, *variances[:2]),
         left_out,
         others,
         (str(observations.path), *str(navigation.path).split(", ")),
@@ -359,11 +379,11 @@ def mask(degrees: float) -> float:
 
 def _nearest(there: Array) -> Array:
     """Of each epoch the nearest ``(T,)`` that has something."""
-    k, own = np.flatnonzero(there), np.arange(len(there))
-    after = np.clip(np.searchsorted(k, own), 0, len(k) - 1)
+    k, epochs = np.flatnonzero(there), np.arange(len(there))
+    after = np.clip(np.searchsorted(k, epochs), 0, len(k) - 1)
     before = np.maximum(after - 1, 0)
     return np.asarray(
-        np.where(np.abs(k[after] - own) < np.abs(k[before] - own), k[after], k[before])
+        np.where(np.abs(k[after] - epochs) < np.abs(k[before] - epochs), k[after], k[before])
     )
 
 

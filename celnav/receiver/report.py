@@ -4,23 +4,24 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from celnav.files import Outputs
 from celnav.filters.records import FilterError
-from celnav.filters.run import run
 from celnav.gaussian.linalg import Array
 from celnav.models.gnss import GEO_NUMBERS
-from celnav.receiver.filters import filters
+from celnav.receiver.filters import CLOCKS, OVEN, PHONE, filters
 from celnav.receiver.geodesy import ELLIPSOID, ecef2geodetic
+from celnav.receiver.integrity import probability
 from celnav.receiver.position import Log
 from celnav.receiver.rinex import SYSTEMS
 from celnav.receiver.sky import GROUND_M, local_axes, on_earth
 from celnav.receiver.tracks import DOUBTS, civil, table
+from celnav.receiver.trust import SOUND_M, guarded
 from celnav.show import colors
 from celnav.show.draw import (
     Panel,
@@ -44,6 +45,8 @@ KIND_COLORS = {
 }
 HEIGHTS_M = (-1e3, 5e4, 1.6e5)
 """Above the ellipsoid: receivers are between the first two, or in orbit above the third."""
+STILL = 0.01
+"""Density of the acceleration of a receiver at rest or nearly so, m^2/s^3."""
 MOST_LINES = 5
 """Damaged lines that a summary names."""
 IGSO_NUMBERS = frozenset({*range(6, 11), 13, 16, 31, 38, 39, 40, 56})
@@ -67,6 +70,15 @@ def kinds(names: Sequence[str]) -> Array:
     )
 
 
+class ClockNoise(NamedTuple):
+    """Process noise of a clock: what it is from, and densities of white noise (m^2/s) and of random
+    walk (m^2/s^3) of its frequency.
+    """
+
+    source: str
+    densities: tuple[float, float]
+
+
 @dataclass(frozen=True, eq=False)
 class Positioned:
     """A receiver's track.
@@ -79,6 +91,8 @@ class Positioned:
         of: where that is from.
     nis: squared innovations, of fixes residuals, in the deviations that are claimed for them, per
         degree of freedom.
+    apart, trust: ``(T,)``, see `celnav.receiver.trust.Guarded`. clock, acceleration: the process
+        noise that was assumed, of the latter in m^2/s^3.
     """
 
     log: Log
@@ -86,8 +100,12 @@ class Positioned:
     mean: Array
     cov: Array
     reference: Array | None
-    of: str = "known"
-    nis: float = np.nan
+    of: str
+    nis: float
+    apart: Array
+    trust: Array
+    clock: ClockNoise
+    acceleration: float
 
     @property
     def measured(self) -> Array:
@@ -97,9 +115,22 @@ class Positioned:
         return np.isfinite(self.mean[:, 0]) & self.log.used.any(-1)
 
     @property
+    def reported(self) -> Array:
+        """Epochs ``(T,)`` of exchanged tracks: measured, or coasting although there were ranges."""
+        return np.asarray(self.measured | (np.isfinite(self.mean[:, 0]) & (self.trust != "")))
+
+    @property
+    def trusted(self) -> Array:
+        """Epochs ``(T,)`` with a measured position that the track agrees with, or all `reported`
+        if there is none.
+        """
+        trusted = self.measured & (self.trust == "")
+        return np.asarray(trusted if trusted.any() else self.reported)
+
+    @property
     def place(self) -> Array:
-        """The mean position, m."""
-        return np.asarray(self.mean[self.measured, :3].mean(0))
+        """The mean of `trusted` positions, m."""
+        return np.asarray(self.mean[self.trusted, :3].mean(0))
 
     @property
     def origin(self) -> Array:
@@ -132,29 +163,46 @@ class Positioned:
 
         "tested" (the ranges agree), "excluded" (they agree without those excluded), "contradiction"
         (they disagree, none is used), "no ranges", "untested" (no redundancy, or the test is off),
-        "implausible height" (`HEIGHTS_M`).
+        "implausible height" (`HEIGHTS_M`), "weak" (deviations of more than a third of `SOUND_M`);
+        or that of `trust`, which comes first.
         """
         log, there = self.log, np.isfinite(self.mean[:, :1])
         height = np.ravel(
             ecef2geodetic(*np.where(there, self.mean[:, :3], self.origin).T, ell=ELLIPSOID)[2]
         )
         low, high, orbit = HEIGHTS_M
+        deviation = np.sqrt(np.trace(self.cov, axis1=1, axis2=2))
         return np.select(
             [
+                self.trust != "",
                 log.unusable[:, 0],
                 ~log.used.any(1),
                 (height < low) | ((height > high) & (height < orbit)),
+                3.0 * deviation > SOUND_M,
                 log.excluded[:, : len(log.names)].any(1),
                 log.tested[:, 0],
             ],
-            ["contradiction", "no ranges", "implausible height", "excluded", "tested"],
+            [
+                self.trust,
+                "contradiction",
+                "no ranges",
+                "implausible height",
+                "weak",
+                "excluded",
+                "tested",
+            ],
             "untested",
         )
 
     @property
     def doubtful(self) -> Array:
         """Positions ``(T,)`` that may be far off although no residual shows it; see `DOUBTS`."""
-        return self.measured & np.isin(self.integrity, list(DOUBTS))
+        return self.reported & np.isin(self.integrity, list(DOUBTS))
+
+    @property
+    def distrusted(self) -> Array:
+        """Epochs ``(T,)`` at which track and ranges contradict each other, or did so before."""
+        return np.asarray(self.reported & (self.trust != ""))
 
     @property
     def minutes(self) -> Array:
@@ -163,38 +211,75 @@ class Positioned:
 
 
 def position(
-    log: Log, filter: str, reference: Array | None, *, acceleration: float = 0.01, of: str = "known"
+    log: Log,
+    filter: str,
+    reference: Array | None,
+    *,
+    acceleration: float | None = None,
+    clock: str = "auto",
+    false_alarm: float = 1e-5,
+    of: str = "known",
 ) -> Positioned:
     """Run a filter of `celnav.receiver.filters.filters` over a log; "ls" takes each epoch by
     itself.
 
-    Positions that are not near the Earth become nan. ``of``: see `Positioned`.
+    Positions that are not near the Earth become nan. Each epoch is compared with the track, for ls
+    with that of the ekf, see `celnav.receiver.trust`; ranges that contradict it are not used.
+
+    Parameters
+    ----------
+    acceleration: density of the receiver's acceleration, m^2/s^3; None: what the log shows, at
+        least `STILL`. clock: its process noise: of a "crystal", a "phone", or "auto", what the log
+        shows.
+    false_alarm: probability that a sound epoch is said to contradict the track; 0: none is.
+    of: see `Positioned`.
 
     Raises
     ------
-    ValueError: for an unknown filter, or a reference that is far from the Earth's surface.
+    ValueError: for an unknown filter or clock, or a reference that is far from the Earth's surface.
     FilterError: if the filter is lost.
     """
-    known = filters(len(log.names), second=log.second, acceleration=acceleration)
+    noise = clock_noise(log, clock)
+    if acceleration is None:
+        acceleration = max(STILL, log.acceleration or 0.0)
+    named = filters(
+        len(log.names), second=log.second, acceleration=acceleration, clock=noise.densities
+    )
     if reference is not None:
         on_earth("reference", reference)
-    if filter not in ("ls", *known):
-        raise ValueError(f"filter: expected one of ls, {', '.join(known)}, got {filter!r}")
+    if filter not in ("ls", *named):
+        raise ValueError(f"filter: expected one of ls, {', '.join(named)}, got {filter!r}")
+    track = guarded(named["ekf" if filter == "ls" else filter], log, probability(false_alarm))
+    mean, cov, nis, dof = track[:4]
     if filter == "ls":
         mean, cov, nis = log.fixes, log.fix_cov, log.misfit
         dof = np.where(np.isfinite(nis), np.maximum(log.spare, 0), 0)
     else:
-        track = run(known[filter], log.prior(), log.epochs(), keep="cov")
-        assert track.mean is not None
-        size = np.linalg.norm(track.mean[:, :3], axis=-1)
+        unused = np.isin(track.trust, ("apart", "distrusted"))
+        log = replace(log, z=np.where(unused[:, None], np.nan, log.z))
+        size = np.linalg.norm(mean[:, :3], axis=-1)
         there = (size > GROUND_M[0]) & (size < GROUND_M[1])
-        if not (there & log.used.any(-1)).any():
+        if not (there & (unused | log.used.any(-1))).any():
             raise FilterError("its positions are far from the Earth")
-        mean = np.where(there[:, None], track.mean, np.nan)
-        cov = np.where(there[:, None, None], track.cov[:, :3, :3], np.nan)
-        nis, dof = track.nis, track.dof
+        mean = np.where(there[:, None], mean, np.nan)
+        cov = np.where(there[:, None, None], cov, np.nan)
     nis_per_degree = float(np.nansum(nis) / max(int(dof.sum()), 1))
-    return Positioned(log, filter, mean, cov, reference, of, nis_per_degree)
+    used = mean, cov, reference, of, nis_per_degree, track.apart, track.trust, noise
+    return Positioned(log, filter, *used, acceleration)
+
+
+def clock_noise(log: Log, clock: str) -> ClockNoise:
+    """Process noise of a "crystal", of a "phone", or "auto": what the log shows, at least that of
+    an oven; ValueError for another clock.
+    """
+    if clock in CLOCKS:
+        return ClockNoise(clock, CLOCKS[clock])
+    if clock != "auto":
+        raise ValueError(f"clock: expected one of {', '.join(CLOCKS)}, auto, got {clock!r}")
+    if log.clock is None:
+        return ClockNoise("a phone's, as there are too few fixes to estimate it", PHONE)
+    white, walk = np.maximum(log.clock.cautious, OVEN).tolist()
+    return ClockNoise(f"estimated from {log.clock.steps} steps of the fixes' clocks", (white, walk))
 
 
 def _rms(vectors: Array) -> float:
@@ -202,27 +287,28 @@ def _rms(vectors: Array) -> float:
     return float(np.sqrt(np.nanmean(np.square(vectors).sum(-1))))
 
 
-def summary(found: Positioned) -> str:
-    """In lines: epochs, satellites, DOP, integrity, noise, scatter, and the error if a position is
-    known.
+def summary(result: Positioned) -> str:
+    """In lines: whether the track is sound, epochs, satellites, DOP, integrity, noise; then of
+    trusted positions their mean, scatter, and the error if a position is known.
     """
-    log, local, measured = found.log, found.local(found.mean), found.measured
-    used, there = log.used, np.isfinite(found.mean[:, 0])
+    log, local, measured = result.log, result.local(result.mean), result.measured
+    used, there, trusted = log.used, np.isfinite(result.mean[:, 0]), result.trusted
+    fixes, positions = log.fixes[trusted, :3], result.mean[trusted, :3]
     count, fixed = used.sum(1), np.isfinite(log.fixes[:, 0])
-    latitude, longitude, height = ecef2geodetic(*found.place, ell=ELLIPSOID)
+    latitude, longitude, height = ecef2geodetic(*result.place, ell=ELLIPSOID)
     names = [log.names[s] for s in np.flatnonzero(used.any(0))]
     left_out = [f"{number} {reason}" for reason, number in log.left_out.items() if number]
     ionosphere = "by the broadcast coefficients"
     if not log.ionosphere:
         ionosphere = "not corrected: no header has GPSA and GPSB"
     lines = [
+        _verdict(result),
         f"epochs       {len(log.times)}, {civil(log.times[0])} to {civil(log.times[-1])} BDT; "
         f"{measured.sum()} with a position, "
-        f"{(there & ~measured).sum()} more predicted without a range, {(~there).sum()} without a "
-        "position",
-        f"doubtful     {_doubtful(found)}",
+        f"{(there & ~measured).sum()} more predicted without a range that is used, "
+        f"{(~there).sum()} without a position",
         *([f"damaged      {_damaged(log.damaged)}"] if log.damaged else []),
-        f"systems      {_systems(found)}",
+        f"systems      {_systems(result)}",
         f"satellites   {len(names)} ({', '.join(names)}); {count.min()} to {count.max()} at a "
         f"time, mean {count.mean():.1f}",
         f"alone        {(fixed & (log.spare == 0)).sum()} epochs with no more than a fix needs; "
@@ -236,24 +322,23 @@ def summary(found: Positioned) -> str:
         f"noise        ranges {_noise(log, 0, 'm')}; rates {_noise(log, 1, 'm/s')}",
         f"modeled      {_modeled(log)}",
         *(["motion       the receiver moved: no one position is right"] if log.moved else []),
-        f"clock        set {np.count_nonzero(np.diff(log.jumps))} times by whole milliseconds",
-        f"filter       {found.filter}; NIS {found.nis:.3f} a degree of freedom, 1 where noise and "
-        "motion are as taken",
-        f"mean         {' '.join(f'{v:.3f}' for v in found.place)} m; {latitude:.7f}°, "
+        f"clock        {_clock(result)}",
+        f"filter       {result.filter}; NIS {result.nis:.3f} a degree of freedom, 1 where noise "
+        f"and motion are as assumed; acceleration {result.acceleration:.3g} m^2/s^3",
+        f"mean         {' '.join(f'{v:.3f}' for v in result.place)} m; {latitude:.7f}°, "
         f"{longitude:.7f}°, {height:.2f} m",
-        f"scatter      {_rms(found.mean[measured, :3] - found.place):.3f} m in 3-D about its mean; "
-        "of each epoch by itself "
-        f"{_rms(log.fixes[:, :3] - np.nanmean(log.fixes[:, :3], 0)):.3f} m",
+        f"scatter      {_rms(positions - result.place):.3f} m in 3-D about its mean; "
+        f"of each epoch by itself {_rms(fixes - np.nanmean(fixes, 0)):.3f} m",
     ]
-    if found.reference is not None:
-        parts = np.sqrt(np.square(local[measured]).mean(0))
-        ratio = np.square(local[measured] / found.local_std[measured]).mean(0)
+    if result.reference is not None:
+        parts = np.sqrt(np.square(local[trusted]).mean(0))
+        ratio = np.square(local[trusted] / result.local_std[trusted]).mean(0)
         lines += [
-            f"reference    {' '.join(f'{v:.3f}' for v in found.reference)} m, of the antenna: "
-            f"{found.of}",
-            f"error        {_rms(local[measured]):.3f} m RMS in 3-D: east {parts[0]:.3f}, north "
+            f"reference    {' '.join(f'{v:.3f}' for v in result.reference)} m, of the antenna: "
+            f"{result.of}",
+            f"error        {_rms(local[trusted]):.3f} m RMS in 3-D: east {parts[0]:.3f}, north "
             f"{parts[1]:.3f}, up {parts[2]:.3f}; "
-            f"of each epoch by itself {_rms(log.fixes[:, :3] - found.reference):.3f} m",
+            f"of each epoch by itself {_rms(fixes - result.reference):.3f} m",
             f"claimed      (error / deviation)^2: east {ratio[0]:.2f}, north {ratio[1]:.2f}, up "
             f"{ratio[2]:.2f}; 1 where "
             "deviations are right, which treat errors of atmosphere and orbits as independent",
@@ -261,12 +346,28 @@ def summary(found: Positioned) -> str:
     return "\n".join(lines)
 
 
-def _doubtful(found: Positioned) -> str:
-    """How many positions are marked, and why."""
-    counts = Counter(found.integrity[found.doubtful].tolist())
-    reasons = ", ".join(f"{n} {word} ({DOUBTS[word]})" for word, n in counts.items())
-    every = f"{counts.total()} of {found.measured.sum()} positions"
-    return f"{every}: {reasons}" if reasons else every
+def _verdict(result: Positioned) -> str:
+    """The headline: whether positions are sound, and how many are not, since when and why."""
+    total, times = result.reported.sum(), result.log.times[result.doubtful]
+    counts = Counter(result.integrity[result.doubtful].tolist())
+    if not times.size:
+        return f"SOUND        all {total} positions agree with the ranges of their epochs"
+    reasons = "; ".join(f"{n} {word} ({DOUBTS[word]})" for word, n in counts.items())
+    since = f"from {civil(times[0])} to {civil(times[-1])} BDT"
+    return f"NOT SOUND    {times.size} of {total} positions, {since}: {reasons}"
+
+
+def _clock(result: Positioned) -> str:
+    """Its process noise, where that is from, and how often it was set."""
+    log, (source, (white, walk)) = result.log, result.clock
+    set_by = [f"{np.count_nonzero(np.diff(log.jumps))} times by whole milliseconds"]
+    if log.clock is not None:
+        steps = np.count_nonzero(log.clock.reset[~result.distrusted])
+        set_by.append(f"{steps} times by another step")
+    return (
+        f"noise of frequency {white:.3g} m^2/s white, {walk:.3g} m^2/s^3 random walk, {source}; "
+        f"set {', '.join(set_by)}"
+    )
 
 
 def _damaged(messages: tuple[str, ...]) -> str:
@@ -276,18 +377,18 @@ def _damaged(messages: tuple[str, ...]) -> str:
     return f"{len(messages)} epochs or broadcast sets left out: {lines}{rest}"
 
 
-def _systems(found: Positioned) -> str:
+def _systems(result: Positioned) -> str:
     """Which are used, how their clocks differ, and which are not."""
     words = " and ".join(
-        f"{SYSTEMS[letter].name} {SYSTEMS[letter].signal}" for letter in found.log.systems
+        f"{SYSTEMS[letter].name} {SYSTEMS[letter].signal}" for letter in result.log.systems
     )
-    for letter, offset in zip(found.log.systems[1:], found.mean.T[8:], strict=True):
+    for letter, offset in zip(result.log.systems[1:], result.mean.T[8:], strict=True):
         known = offset[np.isfinite(offset)]
         longer = np.median(known) if known.size else np.nan
         words += f"; ranges of {SYSTEMS[letter].name} are longer by {longer:.2f} m (median)"
-    if found.log.systems[1:]:
+    if result.log.systems[1:]:
         words += ": clocks, and the receiver's delays"
-    return words + (f"; not used: {', '.join(found.log.others)}" if found.log.others else "")
+    return words + (f"; not used: {', '.join(result.log.others)}" if result.log.others else "")
 
 
 def _integrity(log: Log) -> str:
@@ -340,32 +441,32 @@ def _modeled(log: Log) -> str:
     )
 
 
-def figures(found: Positioned) -> dict[str, Figure]:
+def figures(result: Positioned) -> dict[str, Figure]:
     """Drawings by file stem: the track, and the sky."""
-    return {"track": _track(found), "sky": _sky(found)}
+    return {"track": _track(result), "sky": _sky(result)}
 
 
-def _track(found: Positioned) -> Figure:
-    alone, local = found.local(found.log.fixes), found.local(found.mean)
+def _track(result: Positioned) -> Figure:
+    alone, local = result.local(result.log.fixes), result.local(result.mean)
     dots = dict[str, Any](linestyle="", marker=".", markersize=2.0)
     both = [
         curve(
             alone[:, 0], alone[:, 1], color=colors.MEASUREMENT, label="each epoch by itself", **dots
         ),
-        curve(local[:, 0], local[:, 1], color=colors.ESTIMATE, label=found.filter, **dots),
+        curve(local[:, 0], local[:, 1], color=colors.ESTIMATE, label=result.filter, **dots),
     ]
-    if found.doubtful.any():
-        east, north, _ = local[found.doubtful].T
+    if result.doubtful.any():
+        east, north, _ = local[result.doubtful].T
         doubtful = dots | {"marker": "x", "markersize": 5.0}
         both.append(curve(east, north, color=colors.PAPER, label="doubtful", **doubtful))
     shades = (colors.COMPARISON, colors.TRUTH, colors.ESTIMATE)
-    moved = components(found.minutes, local, ("east", "north", "up"), shades, linewidth=0.9)
-    title = f"from the {'known' if found.reference is not None else 'mean'} position"
+    moved = components(result.minutes, local, ("east", "north", "up"), shades, linewidth=0.9)
+    title = f"from the {'known' if result.reference is not None else 'mean'} position"
     return panels(
         [
             Panel(title, both, "east (m)", "north (m)", more={"aspect": "equal"}),
             Panel(
-                f"{found.filter}: {len(local)} epochs",
+                f"{result.filter}: {len(local)} epochs",
                 moved,
                 "time since the first fix (min)",
                 "position (m)",
@@ -376,8 +477,8 @@ def _track(found: Positioned) -> Figure:
     )
 
 
-def _sky(found: Positioned) -> Figure:
-    log = found.log
+def _sky(result: Positioned) -> Figure:
+    log = result.log
     fig, axes = figure(10.0, 4.2, 1, 2, width_ratios=(2, 3))
     axes[0].remove()
     polar: Any = fig.add_subplot(1, 2, 1, projection="polar")
@@ -398,10 +499,10 @@ def _sky(found: Positioned) -> Figure:
     polar.set_title("sky: zenith in the middle, north up")
     fig.legend(*polar.get_legend_handles_labels(), loc="outside lower left", markerscale=4, ncols=4)
     axes[1].step(
-        found.minutes, log.used.sum(1), color=colors.COMPARISON, label="satellites", where="post"
+        result.minutes, log.used.sum(1), color=colors.COMPARISON, label="satellites", where="post"
     )
     axes[1].plot(
-        found.minutes, log.dilution.position, color=colors.ESTIMATE, label="PDOP", linewidth=0.9
+        result.minutes, log.dilution.position, color=colors.ESTIMATE, label="PDOP", linewidth=0.9
     )
     high = max(float(log.used.sum(1).max()), 1.0)
     axes[1].set(
@@ -415,13 +516,13 @@ FILES = ("summary.txt", "track.csv", *picture_names(("track", "sky")))
 RECORDING = "position.rrd"
 
 
-def write(found: Positioned, outputs: Outputs) -> None:
+def write(result: Positioned, outputs: Outputs) -> None:
     """Write `FILES`, all of which are made before the first is written."""
-    texts = {"summary.txt": summary(found) + "\n", "track.csv": table(found)}
-    outputs.publish(texts, pictures(figures(found).items()))
+    texts = {"summary.txt": summary(result) + "\n", "track.csv": table(result)}
+    outputs.publish(texts, pictures(figures(result).items()))
 
 
-def record_positioned(found: Positioned, path: Any) -> None:
+def record_positioned(result: Positioned, path: Any) -> None:
     """Record the track, the sky and plots. Needs rerun.
 
     Raises
@@ -430,10 +531,10 @@ def record_positioned(found: Positioned, path: Any) -> None:
     """
     from celnav.show import recording, views
 
-    log, local, alone = found.log, found.local(found.mean), found.local(found.log.fixes)
+    log, local, alone = result.log, result.local(result.mean), result.local(result.log.fixes)
     times = log.times - log.times[0]
-    middle = local[found.measured].mean(0)
-    spread = 3.0 * max(_rms(local[found.measured] - middle), 0.1)
+    middle = local[result.measured].mean(0)
+    spread = 3.0 * max(_rms(local[result.measured] - middle), 0.1)
     growing = dict.fromkeys(("track/alone", "track/filter", "track/doubtful"), np.inf)
     eye = middle + np.array([0.0, -spread, 4.0 * spread])
     scatter = views.space("track", "east, north, up, m", eye=eye, target=middle, growing=growing)
@@ -445,23 +546,23 @@ def record_positioned(found: Positioned, path: Any) -> None:
         views.rows(*plots, views.plot("sats", "satellites and PDOP", times)),
         column_shares=(1, 1),
     )
-    facts = {"filter": found.filter, "first": civil(log.times[0]), "epochs": len(times)}
+    facts = {"filter": result.filter, "first": civil(log.times[0]), "epochs": len(times)}
     with recording.recording(path, times, name="position", layout=layout, properties=facts) as out:
-        out.text("info", "```\n" + summary(found) + "\n```")
+        out.text("info", "```\n" + summary(result) + "\n```")
         out.points("track/alone", alone, colors.MEASUREMENT, radius=1.2)
         out.points("track/filter", local, colors.ESTIMATE, radius=1.6)
-        doubtful = np.where(found.doubtful[:, None], local, np.nan)
+        doubtful = np.where(result.doubtful[:, None], local, np.nan)
         out.points("track/doubtful", doubtful, colors.PAPER, radius=3.0)
-        out.points("track/here", local, colors.TRUTH, radius=5.0, label=found.filter)
-        if np.isfinite(found.cov).any():
-            out.ellipsoids("track/ellipsoid", local, found.local_cov, colors.ESTIMATE, sigmas=1.0)
-        std = found.local_std
+        out.points("track/here", local, colors.TRUTH, radius=5.0, label=result.filter)
+        if np.isfinite(result.cov).any():
+            out.ellipsoids("track/ellipsoid", local, result.local_cov, colors.ESTIMATE, sigmas=1.0)
+        std = result.local_std
         for i, name in enumerate(("east", "north", "up")):
             out.curve(
                 f"{name}/alone", alone[:, i], colors.MEASUREMENT, "each epoch by itself", width=1.0
             )
-            out.curve(f"{name}/filter", local[:, i], colors.ESTIMATE, found.filter)
-            out.bounds(f"{name}/filter", std[:, i], found.filter, center=local[:, i], shown=False)
+            out.curve(f"{name}/filter", local[:, i], colors.ESTIMATE, result.filter)
+            out.bounds(f"{name}/filter", std[:, i], result.filter, center=local[:, i], shown=False)
         out.curve("sats/used", log.used.sum(1), colors.COMPARISON, "satellites")
         out.curve("sats/pdop", log.dilution.position, colors.ESTIMATE, "PDOP")
         _record_sky(out, log)

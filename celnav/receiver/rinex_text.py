@@ -76,7 +76,7 @@ class File(NamedTuple):
         return InputError(f"{self.called}, line {k + 1}: {words}")
 
 
-def _unpacked(path: Path) -> tuple[list[str], str]:
+def unpacked(path: Path) -> tuple[list[str], str]:
     """Lines of a RINEX file without trailing blanks, and what messages call it."""
     called = str(path)
     raw = path.read_bytes()
@@ -138,7 +138,7 @@ def _decompressed(path: Path, raw: bytes, most: int) -> bytes:
 
 def read_text(path: Path, kind: str) -> File:
     """A file of a ``kind``, "O" (observations) or "N" (navigation), of version 2 to 4."""
-    text, called = _unpacked(path)
+    text, called = unpacked(path)
     file = File(called, math.nan, text, {}, 0)
     first = text[0]
     if len(first) < 60 or "RINEX VERSION" not in first[60:]:

@@ -54,11 +54,16 @@ COLUMNS = (
     "satellites",
     "pdop",
     "integrity",
+    "apart",
     "excluded",
 )
 DOUBTS = {
     "untested": "no redundancy shows a faulty satellite",
     "implausible height": "where no receiver is",
+    "weak": "by its own deviation it may be off by more than 100 m",
+    "apart": "the ranges contradict the track by more than both explain",
+    "distrusted": "trust was lost before, and a filter coasts",
+    "displaced": "far from where the track was trusted, where no receiver can have got",
 }
 """Values of `celnav.receiver.report.Positioned.integrity` whose positions are marked, and why."""
 
@@ -68,18 +73,19 @@ def civil(t: float, form: str = "%Y-%m-%dT%H:%M:%S") -> str:
     return (EPOCH_ZERO + timedelta(milliseconds=round(t * 1e3))).strftime(form)
 
 
-def table(found: Positioned) -> str:
+def table(result: Positioned) -> str:
     """All epochs as CSV; empty where there is nothing. ``clock_m`` is the receiver's clock with
     what it was set by.
 
-    ``integrity``: see `celnav.receiver.report.Positioned`. ``excluded``: satellites whose range
-    was; with "rate", whose rate alone was.
+    ``integrity``: see `celnav.receiver.report.Positioned`. ``apart``: squared distance of the
+    ranges from the track, in units of the largest that noise explains. ``excluded``: satellites
+    whose range was; with "rate", whose rate alone was.
     """
-    local, log = found.local(found.mean), found.log
-    mean = found.mean[:, :8].copy()
+    local, log = result.local(result.mean), result.log
+    mean = result.mean[:, :8].copy()
     mean[:, 6] += log.jumps
     numbers = np.column_stack(
-        [log.times, mean, local, found.local_std, log.used.sum(1), log.dilution.position]
+        [log.times, mean, local, result.local_std, log.used.sum(1), log.dilution.position]
     )
     ranges, rates = np.split(log.excluded, 2, -1)
     text = io.StringIO()
@@ -89,7 +95,9 @@ def table(found: Positioned) -> str:
         cells = [f"{v:.4f}".rstrip("0").rstrip(".") if np.isfinite(v) else "" for v in row]
         named = [n for n, out in zip(log.names, ranges[k], strict=True) if out]
         named += [f"{n} rate" for n, out in zip(log.names, rates[k], strict=True) if out]
-        writer.writerow([civil(log.times[k]), *cells, found.integrity[k], ", ".join(named)])
+        apart = f"{result.apart[k]:.3g}" if np.isfinite(result.apart[k]) else ""
+        words = [result.integrity[k], apart, ", ".join(named)]
+        writer.writerow([civil(log.times[k]), *cells, *words])
     return text.getvalue()
 
 
@@ -107,16 +115,18 @@ class Place(NamedTuple):
     satellites: int
     hdop: float
     integrity: str
+    measured: bool
+    trusted: bool
 
 
-def places(found: Positioned) -> list[Place]:
-    """All epochs whose position some range went into."""
-    k, log = np.flatnonzero(found.measured), found.log
+def places(result: Positioned) -> list[Place]:
+    """All epochs whose position some range went into, or might have, had the filter trusted it."""
+    k, log = np.flatnonzero(result.reported), result.log
     latitude, longitude, height = (
-        np.reshape(v, k.size) for v in ecef2geodetic(*found.mean[k, :3].T, ell=ELLIPSOID)
+        np.reshape(v, k.size) for v in ecef2geodetic(*result.mean[k, :3].T, ell=ELLIPSOID)
     )
     axes = local_axes(np.radians(latitude), np.radians(longitude))
-    velocity, cov = (axes @ found.mean[k, 3:6, None])[..., 0], axes @ found.cov[k] @ axes.mT
+    velocity, cov = (axes @ result.mean[k, 3:6, None])[..., 0], axes @ result.cov[k] @ axes.mT
     rows = zip(
         log.times[k],
         latitude,
@@ -126,40 +136,42 @@ def places(found: Positioned) -> list[Place]:
         cov,
         log.used[k].sum(1),
         log.dilution.horizontal[k],
-        found.integrity[k].tolist(),
+        result.integrity[k].tolist(),
+        result.measured[k].tolist(),
+        (result.trust[k] == "").tolist(),
         strict=True,
     )
     return [Place(*row) for row in rows]
 
 
-def pos(found: Positioned) -> str:
+def pos(result: Positioned) -> str:
     """RTKLIB's solution file, in GPS time: latitude, longitude and height with their deviations.
 
-    Every solution is a single one. RTKLIB has no column for integrity: a comment line marks each
-    position of `DOUBTS`.
+    The quality is 5, a single solution, 7 (dead reckoning) where the filter coasts, and 0 (none)
+    where another position deserves no trust. A comment line marks each position of `DOUBTS`.
     """
-    rows, form = places(found), "%Y/%m/%d %H:%M:%S.%f"
+    rows, form = places(result), "%Y/%m/%d %H:%M:%S.%f"
     lines = [
-        f"% program   : celnav {celnav.__version__} {found.filter}",
-        *(f"% inp file  : {name}" for name in found.log.files),
-        *(f"% left out  : {damage}" for damage in found.log.damaged),
+        f"% program   : celnav {celnav.__version__} {result.filter}",
+        *(f"% inp file  : {name}" for name in result.log.files),
+        *(f"% left out  : {damage}" for damage in result.log.damaged),
     ]
     for name, place in (("start", rows[0]), ("end  ", rows[-1])):
         week, second = divmod(place.time + GPS_AHEAD_S, WEEK_S)
         when = civil(place.time + GPS_AHEAD_S, form)[:-5]
         lines.append(f"% obs {name} : {when} GPST (week{GPS_WEEK + int(week):04d} {second:8.1f}s)")
     systems = " ".join(
-        {"C": "beidou", "G": "gps", "E": "galileo"}[letter] for letter in found.log.systems[::-1]
+        {"C": "beidou", "G": "gps", "E": "galileo"}[letter] for letter in result.log.systems[::-1]
     )
     lines += [
         "% pos mode  : single",
-        f"% ionos opt : {'broadcast' if found.log.ionosphere else 'off'}",
+        f"% ionos opt : {'broadcast' if result.log.ionosphere else 'off'}",
         "% tropo opt : saastamoinen",
         "% ephemeris : broadcast",
         f"% navi sys  : {systems}",
         "%",
-        "% (lat/lon/height=WGS84/ellipsoidal,Q=1:fix,2:float,3:sbas,4:dgps,5:single,6:ppp,ns=# of "
-        "satellites)",
+        "% (lat/lon/height=WGS84/ellipsoidal,Q=1:fix,2:float,3:sbas,4:dgps,5:single,6:ppp,7:dr,"
+        "ns=# of satellites)",
         "%  GPST                  latitude(deg) longitude(deg)  height(m)   Q  ns"
         "   sdn(m)   sde(m)   sdu(m)  sdne(m)  sdeu(m)  sdun(m) age(s)  ratio",
     ]
@@ -172,10 +184,11 @@ def pos(found: Positioned) -> str:
         deviations = "".join(
             f" {np.copysign(np.sqrt(abs(v)), v):8.4f}" for v in (nn, ee, uu, en, eu, nu)
         )
+        quality = 7 if not place.measured else 5 if place.trusted else 0
         lines.append(
             f"{civil(place.time + GPS_AHEAD_S, form)[:-3]} {place.latitude:14.9f} "
             f"{place.longitude:14.9f} {place.height:10.4f}"
-            f"   5 {place.satellites:3d}{deviations} {0.0:6.2f} {0.0:6.1f}"
+            f"   {quality} {place.satellites:3d}{deviations} {0.0:6.2f} {0.0:6.1f}"
         )
     return "\n".join(lines) + "\n"
 
@@ -190,12 +203,12 @@ def utc(times: ArrayLike) -> list[str]:
     ]
 
 
-def geojson(found: Positioned) -> str:
+def geojson(result: Positioned) -> str:
     """A line of longitude, latitude (degrees) and height above the ellipsoid (m) [RFC 7946].
 
     Its properties have times in UTC and ``integrity`` of each point, and what was ``damaged``.
     """
-    rows = places(found)
+    rows = places(result)
     line = [[round(row.longitude, 9), round(row.latitude, 9), round(row.height, 4)] for row in rows]
     shape = (
         {"type": "LineString", "coordinates": line}
@@ -203,24 +216,25 @@ def geojson(found: Positioned) -> str:
         else {"type": "Point", "coordinates": line[0]}
     )
     about = {
-        "filter": found.filter,
+        "filter": result.filter,
         "coordTimes": utc([row.time for row in rows]),
         "integrity": [row.integrity for row in rows],
-        "damaged": found.log.damaged,
+        "damaged": result.log.damaged,
     }
     feature = {"type": "Feature", "geometry": shape, "properties": about}
     return json.dumps({"type": "FeatureCollection", "features": [feature]}) + "\n"
 
 
-def nmea(found: Positioned) -> str:
+def nmea(result: Positioned) -> str:
     """GGA and RMC of each epoch, in UTC.
 
-    Heights are above the ellipsoid, with a separation of 0: no geoid is known here. The status at
-    the end of RMC [NMEA 4.1] is C (caution) for untested positions, U (unsafe) for those at an
-    implausible height, and V (not provided) elsewhere.
+    Heights are above the ellipsoid, with a separation of 0: no geoid is known here. Where the
+    filter coasts the quality is 6 and the mode E, estimated; positions without trust are V (void).
+    The status at the end of RMC [NMEA 4.1] is C (caution) for untested positions, U (unsafe) for
+    others of `DOUBTS`, and V (not provided) elsewhere.
     """
-    talker = {"C": "GB", "G": "GP", "E": "GA"}.get(found.log.systems, "GN")
-    rows, lines = places(found), []
+    talker = {"C": "GB", "G": "GP", "E": "GA"}.get(result.log.systems, "GN")
+    rows, lines = places(result), []
     for row, when in zip(rows, utc([row.time for row in rows]), strict=True):
         clock, date = when[11:-1].replace(":", ""), when[8:10] + when[5:7] + when[2:4]
         at = f"{_angle(row.latitude, 2, 'NS')},{_angle(row.longitude, 3, 'EW')}"
@@ -231,11 +245,14 @@ def nmea(found: Positioned) -> str:
             else ","
         )
         hdop = f"{row.hdop:.2f}" if np.isfinite(row.hdop) else ""
+        quality, mode = (1, "A") if row.measured else (6, "E")
         lines.append(
-            f"{talker}GGA,{clock},{at},1,{row.satellites:02d},{hdop},{row.height:.3f},M,0.0,M,,"
+            f"{talker}GGA,{clock},{at},{quality},{row.satellites:02d},{hdop},"
+            f"{row.height:.3f},M,0.0,M,,"
         )
-        status = {"untested": "C", "implausible height": "U"}.get(row.integrity, "V")
-        lines.append(f"{talker}RMC,{clock},A,{at},{moving},{date},,,A,{status}")
+        status = "C" if row.integrity == "untested" else "U" if row.integrity in DOUBTS else "V"
+        valid = "A" if row.trusted else "V"
+        lines.append(f"{talker}RMC,{clock},{valid},{at},{moving},{date},,,{mode},{status}")
     return "".join(
         f"${line}*{reduce(lambda a, b: a ^ b, line.encode('ascii')):02X}\r\n" for line in lines
     )

@@ -190,6 +190,19 @@ def test_a_fast_clock_without_rates_is_no_jump(pair):
     np.testing.assert_allclose(found.fixes[:, 6], bias, atol=1e-3)
 
 
+def test_a_log_that_is_too_short_for_its_clock_has_that_of_a_phone(pair, log):
+    nav, obs = pair
+    short = positioning_report.position(
+        positioning.prepare(obs.part(slice(0, 4)), nav), "ekf", None
+    )
+    assert short.clock.densities == positioning_filters.PHONE
+    assert "too few fixes" in positioning_report.summary(short)
+    found = positioning_report.position(log, "ekf", None)
+    assert found.clock.densities == positioning_filters.OVEN
+    with pytest.raises(ValueError, match=r"^clock: expected one of crystal, phone, auto, got 'x'"):
+        positioning_report.position(log, "ekf", None, clock="x")
+
+
 def test_one_epoch_is_enough(pair):
     nav, obs = pair
     found = positioning.prepare(obs.part(slice(0, 1)), nav)

@@ -59,6 +59,7 @@ def test_position_writes_everything_and_replaces_its_own(files, tmp_path, capsys
     ("options", "status", "words"),
     [
         (["--filter", "aukff"], 2, "celnav: --filter: expected one of ls, ekf"),
+        (["--clock", "sundial"], 2, "celnav: --clock: expected one of crystal, phone, auto, got"),
         (["--mask", "ten"], 2, "celnav: --mask: expected a number"),
         (["--mask", "91"], 2, "celnav: --mask: expected degrees from 0 to below 90, got 91"),
         (

@@ -170,7 +170,8 @@ def doubtful():
     four = [obs.names.index(name) for name in ("C01", "C02", "C05", "C38")]
     code[2:4] = np.nan
     code[2:4, four] = obs.code[2:4, four] + [1e4, 0.0, 0.0, 0.0]
-    return report.position(positioning.prepare(replace(obs, code=code), nav), "ls", PLACE)
+    log = positioning.prepare(replace(obs, code=code), nav)
+    return report.position(log, "ls", PLACE, false_alarm=0.0)
 
 
 def test_a_position_that_nothing_tests_is_marked_in_every_track(doubtful):
@@ -193,9 +194,9 @@ def test_a_position_that_nothing_tests_is_marked_in_every_track(doubtful):
 
 
 def test_a_position_that_nothing_tests_is_counted_at_the_top_and_drawn(doubtful, tmp_path):
-    second = report.summary(doubtful).splitlines()[1]
-    assert second == (
-        "doubtful     2 of 6 positions: 2 untested (no redundancy shows a faulty satellite)"
+    assert report.summary(doubtful).splitlines()[0] == (
+        "NOT SOUND    2 of 6 positions, from 2020-06-25T00:31:00 to 2020-06-25T00:31:30 BDT: "
+        "2 untested (no redundancy shows a faulty satellite)"
     )
     figure = report.figures(doubtful)["track"]
     (drawn,) = [line for line in figure.axes[0].lines if line.get_label() == "doubtful"]
@@ -208,7 +209,8 @@ def test_a_position_that_nothing_tests_is_counted_at_the_top_and_drawn(doubtful,
 
 
 def test_a_track_without_doubt_has_no_marks(found):
-    assert report.summary(found).splitlines()[1] == "doubtful     0 of 6 positions"
+    headline = "SOUND        all 6 positions agree with the ranges of their epochs"
+    assert report.summary(found).splitlines()[0] == headline
     assert "integrity" not in tracks.pos(found)
     assert not [
         line
@@ -235,8 +237,9 @@ def test_a_height_where_no_receiver_is_is_marked(found, height, word):
     result = replace(found, mean=moved)
     assert result.integrity.tolist() == ["tested", word, *["tested"] * 4]
     assert result.doubtful.tolist() == [k == 1 and word != "tested" for k in range(6)]
-    text = "doubtful     1 of 6 positions: 1 implausible height (where no receiver is)"
-    assert (text in report.summary(result)) == (word != "tested")
+    text = report.summary(result).splitlines()[0]
+    assert text.startswith("NOT SOUND    1 of 6 positions") == (word != "tested")
+    assert ("1 implausible height (where no receiver is)" in text) == (word != "tested")
     assert (",A,U*" in tracks.nmea(result)) == (word != "tested")
 
 
@@ -266,7 +269,8 @@ def test_strict_ends_with_1_where_a_position_is_doubtful(files, tmp_path, capsys
     words = ["position", *files, "--false-alarm", alarm, "--out", str(tmp_path / "track.csv")]
     assert cli.main(words) == 0
     assert cli.main([*words, "--strict"]) == status
-    assert f"doubtful     {6 * status} of 6 positions" in capsys.readouterr().out
+    headline = ("SOUND        all 6 positions", "NOT SOUND    6 of 6 positions")[status]
+    assert capsys.readouterr().out.startswith(headline)
 
 
 def test_systems_and_the_ionosphere_are_given_by_options(files, tmp_path, capsys):

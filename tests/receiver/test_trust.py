@@ -1,0 +1,321 @@
+"""A track is trusted as long as the ranges of each epoch agree with it: simulated receivers with
+phones' clocks, wrong filters, and ranges that are pulled away.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rinex_pair import (
+    ALPHA,
+    BETA,
+    PLACE,
+    TOE,
+    above,
+    constellation,
+    navigation,
+    observations,
+    observed,
+    written,
+)
+from scipy.stats import chi2
+
+from celnav import cli
+from celnav.models import pseudorange
+from celnav.models.gnss import B1I_HZ, LIGHT
+from celnav.receiver import position as positioning
+from celnav.receiver import report, tracks
+from celnav.receiver.filters import CRYSTAL, filters, process_noise, transition
+from celnav.receiver.rinex import Navigation
+from celnav.receiver.trust import AGREEING, guarded
+
+T = 90
+TIMES = TOE + 1800.0 + np.arange(T)
+SKY = above(constellation(), TIMES[[0, -1]])
+NAVIGATION = Navigation(Path("nav.rnx"), SKY, (np.array(ALPHA), np.array(BETA)))
+NOISE = 1.0
+PULL = np.array([4000.0, -3000.0, 2000.0])
+"""From the receiver to where its ranges are pulled."""
+
+
+def logged(bias, seed=0):
+    """A log of a receiver at rest whose clock is ahead by ``bias`` m, with noise."""
+    rng, log = np.random.default_rng(seed), observed(SKY, TIMES, bias)
+    code = log.code + NOISE * rng.normal(size=log.code.shape)
+    doppler = log.doppler + 0.05 * B1I_HZ / LIGHT * rng.normal(size=log.doppler.shape)
+    return replace(log, code=code, doppler=doppler)
+
+
+@pytest.fixture(scope="module")
+def steady():
+    return logged(3e4 + 30.0 * (TIMES - TIMES[0]))
+
+
+def pulled(log, epochs, satellites=slice(None)):
+    """The log with ranges and rates of some satellites as if the receiver were at `PULL`."""
+    sources = pseudorange.sources(SKY, TIMES, np.broadcast_to(PLACE, (T, 3)))
+    here, there = (
+        pseudorange.measure(np.concatenate([p, np.zeros(5)]), sources.q, sources.w)
+        for p in (PLACE, PLACE + PULL)
+    )
+    ranges, rates = np.split(there - here, 2, -1)
+    code, doppler = log.code.copy(), log.doppler.copy()
+    code[epochs, satellites] += ranges[epochs, satellites]
+    doppler[epochs, satellites] -= B1I_HZ / LIGHT * rates[epochs, satellites]
+    return replace(log, code=code, doppler=doppler)
+
+
+def positioned(log, filter="student", **options):
+    return report.position(positioning.prepare(log, NAVIGATION), filter, PLACE, **options)
+
+
+def error(found):
+    return np.linalg.norm(found.mean[:, :3] - PLACE, axis=-1)
+
+
+def four(log):
+    """Places of four satellites with a good geometry that are seen all the time."""
+    names = ("C01", "C02", "C05", "C38")
+    return [list(log.names).index(name) for name in names]
+
+
+def test_a_sound_log_is_sound(steady):
+    found = positioned(steady)
+    assert set(found.trust) == {""}
+    assert found.apart.max() < 1.0
+    assert error(found).max() < 10.0
+    assert report.summary(found).startswith("SOUND        all 90 positions")
+
+
+def test_a_clock_that_is_set_anew_at_each_epoch_does_not_pull_the_track():
+    """With the noise of a crystal the steps of the clock are errors of the position; no error of
+    that kind is called sound.
+    """
+    steps = 30.0 * np.random.default_rng(1).normal(size=T)
+    log = logged(3e4 + 30.0 * (TIMES - TIMES[0]) + steps)
+    own, phone = (positioned(log, clock=clock) for clock in ("auto", "phone"))
+    assert error(own).max() < 6.0
+    assert error(phone).max() < 6.0
+    assert own.clock.densities[0] == pytest.approx(2 * 30.0**2, rel=0.3)
+    assert "estimated from" in report.summary(own)
+    for filter in ("ekf", "aukf", "student"):
+        crystal = positioned(log, filter, clock="crystal")
+        assert error(crystal)[~crystal.doubtful].max() < 100.0
+        assert crystal.nis > 3.0 * positioned(log, filter).nis
+
+
+def test_a_reset_that_is_no_millisecond_costs_nothing(steady):
+    """The clock is set by 2 km in the middle: the track goes on."""
+    late = TIMES[50] <= TIMES
+    found = positioned(replace(steady, code=steady.code + 2000.0 * late[:, None]))
+    assert np.flatnonzero(found.log.clock.reset).tolist() == [50]
+    assert not found.log.jumps.any()
+    np.testing.assert_allclose(error(found), error(positioned(steady)), atol=0.5)
+    assert "1 times by another step" in report.summary(found)
+
+
+def without_redundancy(log, epochs):
+    """Four satellites are left at some epochs."""
+    code = log.code.copy()
+    gone = np.setdiff1d(np.arange(code.shape[1]), four(log))
+    code[np.ix_(epochs, gone)] = np.nan
+    return replace(log, code=code)
+
+
+@pytest.mark.parametrize("filter", ["student", "ekf", "aukf", "ls"])
+def test_four_satellites_that_pull_the_track_away_are_not_followed(steady, filter):
+    """Nothing tests them, but the track does: it coasts until there is redundancy again."""
+    bad = np.arange(40, 60)
+    log = without_redundancy(pulled(steady, bad), bad)
+    found = positioned(log, filter)
+    assert set(found.trust[40:60]) == {"apart"}
+    assert set(found.trust[:40]) | set(found.trust[60:]) == {""}
+    assert error(found)[~found.doubtful].max() < 15.0
+    if filter != "ls":  # which has no track to go on with
+        assert error(found)[bad].max() < 60.0
+        assert not found.measured[bad].any()
+
+
+def test_four_sound_satellites_are_followed_with_a_word(steady):
+    some = np.arange(40, 60)
+    found = positioned(without_redundancy(steady, some))
+    assert found.measured.all()
+    assert found.integrity[some].tolist() == ["untested"] * 20
+    assert error(found).max() < 10.0
+
+
+def test_after_a_contradiction_four_satellites_are_not_followed(steady):
+    """Even if they agree with the track: it has just lost trust, and there is no redundancy."""
+    log = without_redundancy(steady, np.arange(41, 60))
+    code = log.code.copy()
+    code[40] += 1e4 * np.random.default_rng(3).normal(size=code.shape[1])
+    found = positioned(replace(log, code=code))
+    assert found.integrity[40] == "contradiction"
+    assert set(found.trust[41:60]) == {"distrusted"}
+    assert set(found.integrity[60:]) == {"tested"}
+
+
+@pytest.mark.parametrize("back", [70, T])
+def test_a_receiver_that_all_satellites_displace_says_so_until_it_is_back(steady, back):
+    """Spoofed as a whole: ranges agree with each other, but no receiver moves 5 km in a second."""
+    found = positioned(pulled(steady, np.arange(40, back)))
+    away = AGREEING - 1
+    assert set(found.trust[:40]) == {""}
+    assert found.trust[40] == "apart"
+    assert set(found.trust[41 : 40 + away]) == {"distrusted"}
+    assert set(found.trust[40 + away : back]) == {"displaced"}
+    assert set(found.trust[back : back + away]) <= {"apart", "distrusted"}
+    assert set(found.trust[back + away :]) <= {""}
+    assert error(found)[~found.doubtful].max() < 15.0
+    assert report.summary(found).startswith("NOT SOUND")
+
+
+def test_a_track_that_begins_at_a_wrong_fix_is_not_the_one_that_is_trusted(steady):
+    found = positioned(pulled(steady, np.arange(3)))
+    assert set(found.trust[:4]) == {"apart"}
+    assert set(found.trust[3 + AGREEING :]) == {""}
+    assert error(found)[~found.doubtful].max() < 15.0
+
+
+def test_a_log_without_any_trust_is_told_as_a_whole(steady):
+    """Three fixes that later ones contradict, and too few after them."""
+    found = positioned(pulled(steady, np.arange(3)).part(slice(0, 6)))
+    assert found.doubtful.all()
+    assert report.summary(found).startswith("NOT SOUND    6 of 6 positions")
+    for form in tracks.FORMATS.values():
+        assert form(found)
+
+
+def test_distrust_is_in_every_track_and_in_the_exit_status(steady, tmp_path):
+    found = positioned(pulled(steady, np.arange(40, T)))
+    coasting = np.isin(found.trust, ("apart", "distrusted"))
+    rows = list(csv.DictReader(tracks.table(found).splitlines()))
+    assert [row["integrity"] for row in rows] == found.integrity.tolist()
+    assert [float(row["apart"]) > 1.0 for row in rows[:42]] == [False] * 40 + [True] * 2
+    lines = [line for line in tracks.pos(found).splitlines() if not line.startswith("%")]
+    quality = np.array([int(line.split()[5]) for line in lines])
+    np.testing.assert_array_equal(quality == 7, coasting)
+    np.testing.assert_array_equal(quality == 0, found.trust == "displaced")
+    assert set(quality[:40]) == {5}
+    sentences = tracks.nmea(found).split("\r\n")[:-1]
+    gga, rmc = ([s.partition("*")[0].split(",") for s in sentences[i::2]] for i in (0, 1))
+    assert [s[6] for s in gga] == ["6" if k else "1" for k in coasting]
+    assert [s[2] for s in rmc] == ["A"] * 40 + ["V"] * (T - 40)
+    assert [s[-1] for s in rmc] == ["V"] * 40 + ["U"] * (T - 40)
+    (feature,) = json.loads(tracks.geojson(found))["features"]
+    assert feature["properties"]["integrity"] == found.integrity.tolist()
+
+
+@pytest.mark.parametrize(("pull", "status"), [(0.0, 1), (5e3, 3)])
+def test_strict_ends_with_3_where_ranges_contradict_the_track(tmp_path, capsys, pull, status):
+    """Four satellites are left in the file after half a minute, and the range of one is pulled;
+    four that agree are untested.
+    """
+    head, *epochs = observations(SKY, TIMES[:40])[0].split("\n>")
+    names = [SKY.names[s] for s in four(SKY)]
+    for k in range(30, 40):
+        first, *rows = epochs[k].splitlines()
+        rows = [row for row in rows if row[:3] in names]
+        rows[0] = f"{rows[0][:3]}{float(rows[0][3:17]) + pull:14.3f}{rows[0][17:]}"
+        epochs[k] = "\n".join([f"{first[:31]}{len(rows):3d}", *rows])
+    files = [
+        str(written(tmp_path, "\n>".join([head, *epochs]) + "\n", "obs.rnx")),
+        str(written(tmp_path, navigation(SKY), "nav.rnx")),
+    ]
+    out = tmp_path / "track.pos"
+    assert cli.main(["position", *files, "--out", str(out)]) == 0
+    assert cli.main(["position", *files, "--strict", "--out", str(out)]) == status
+    headline = capsys.readouterr().out.splitlines()[0]
+    assert headline.startswith("NOT SOUND    10 of 40 positions, from 2020-06-25T00:30:30")
+    assert ("apart" in headline) == (status == 3)
+    rows = [line.split() for line in out.read_text("utf-8").splitlines() if line[0] != "%"]
+    assert [row[5] for row in rows] == ["5"] * 30 + ["7" if pull else "5"] * 10
+
+
+def test_the_distance_is_that_of_the_plain_formula(steady):
+    """Prediction and fix by their covariances, with matrices that are inverted in full."""
+    log = positioning.prepare(steady, NAVIGATION, sigma=(NOISE, 0.05))
+    filter = filters(len(log.names))["ekf"]
+    found = guarded(filter, log, 1e-3)
+    state = filter.start(log.prior())
+    for k, epoch in enumerate(log.epochs()):
+        state = filter.predict(state, epoch)
+        d = log.fixes[k, :3] - state.belief.mean[:3]
+        S = state.belief.cov[:3, :3] + log.fix_cov[k]
+        assert found.apart[k] == pytest.approx(d @ np.linalg.solve(S, d) / 16.266, rel=1e-3)
+        state, _ = filter.update(state, epoch)
+
+
+def test_a_sound_epoch_is_called_apart_as_often_as_is_allowed(steady):
+    """Receivers that move, with clocks that run, as the filter assumes: the squared distances are
+    chi-square with three degrees.
+    """
+    log = positioning.prepare(steady, NAVIGATION, sigma=(NOISE, 0.05))
+    S, rng, squares = len(log.names), np.random.default_rng(6), []
+    filter = filters(S, acceleration=0.5)["ekf"]
+    L = np.linalg.cholesky(process_noise(1.0, 0.5, *CRYSTAL))
+    for _ in range(30):
+        x = np.concatenate([PLACE, np.zeros(3), [3e4, 30.0]])
+        z, fixes, fix_cov = log.z.copy(), log.fixes.copy(), log.fix_cov.copy()
+        for k in range(T):
+            at = log.q[k], log.w[k]
+            z[k] = pseudorange.measure(x, *at) + log.sigma[k] * rng.normal(size=2 * S)
+            z[k, ~np.isfinite(log.z[k])] = np.nan
+            used = log.used[k]
+            G = pseudorange.jacobian(x, *at)[:S, [0, 1, 2, 6]][used] / log.sigma[k, :S][used, None]
+            left = (z[k] - pseudorange.measure(x, *at))[:S][used] / log.sigma[k, :S][used]
+            fixes[k] = x
+            fixes[k, :3] += np.linalg.lstsq(G, left)[0][:3]
+            fix_cov[k] = np.linalg.pinv(G.T @ G)[:3, :3]
+            x = transition(1.0) @ x + L @ rng.normal(size=8)
+        drawn = replace(log, z=z, fixes=fixes, fix_cov=fix_cov, clock=None)
+        found = guarded(filter, drawn, 1e-6)
+        assert set(found.trust) == {""}
+        squares.append(found.apart[3:] * chi2.isf(1e-6, 3))
+    squares = np.concatenate(squares)
+    assert squares.mean() == pytest.approx(3.0, abs=0.2)
+    for p in (0.5, 0.1, 0.01):
+        assert (squares > chi2.isf(p, 3)).mean() == pytest.approx(p, rel=0.25, abs=0.004)
+
+
+def moving(path, velocity):
+    """A log of a receiver that moves from `PLACE`, ``(T, 3)`` m and m/s."""
+    log = logged(3e4 + 30.0 * (TIMES - TIMES[0]))
+    sources = pseudorange.sources(SKY, TIMES, np.broadcast_to(PLACE, (T, 3)))
+    at_rest, away = (
+        pseudorange.measure(np.concatenate([p, v, np.zeros((T, 2))], -1), sources.q, sources.w)
+        for p, v in ((PLACE + 0.0 * path, 0.0 * velocity), (PLACE + path, velocity))
+    )
+    ranges, rates = np.split(away - at_rest, 2, -1)
+    return replace(log, code=log.code + ranges, doppler=log.doppler - B1I_HZ / LIGHT * rates)
+
+
+SECONDS = TIMES[:, None] - TIMES[0]
+EAST = np.cross([0.0, 0.0, 1.0], PLACE / np.hypot(*PLACE[:2]))
+CIRCLE = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+MOTIONS = {
+    "circles of 30 m at 10 m/s": (
+        30.0 * (np.cos(SECONDS / 3.0) - 1.0) * CIRCLE[0] + 30.0 * np.sin(SECONDS / 3.0) * CIRCLE[1],
+        -10.0 * np.sin(SECONDS / 3.0) * CIRCLE[0] + 10.0 * np.cos(SECONDS / 3.0) * CIRCLE[1],
+    ),
+    "straight on at 200 m/s": (200.0 * SECONDS * EAST, 200.0 * EAST + 0.0 * SECONDS),
+}
+
+
+@pytest.mark.parametrize("rates", [True, False])
+@pytest.mark.parametrize("motion", MOTIONS)
+def test_a_receiver_that_moves_is_followed(motion, rates):
+    """The log shows its acceleration, and the ranges its velocity, if there are no rates."""
+    path, velocity = MOTIONS[motion]
+    log = moving(path, velocity)
+    log = log if rates else replace(log, doppler=np.full_like(log.doppler, np.nan))
+    found = positioned(log)
+    off = np.linalg.norm(found.mean[:, :3] - PLACE - path, axis=-1)
+    assert off.max() < 15.0
+    assert not found.doubtful.any()
+    assert (found.acceleration > 1.0) == motion.startswith("circles")
