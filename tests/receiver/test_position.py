@@ -198,7 +198,8 @@ def test_a_log_that_is_too_short_for_its_clock_has_that_of_a_phone(pair, log):
     assert short.clock.densities == positioning_filters.PHONE
     assert "too few fixes" in positioning_report.summary(short)
     found = positioning_report.position(log, "ekf", None)
-    assert found.clock.densities == positioning_filters.OVEN
+    assert (np.array(found.clock.densities) >= positioning_filters.OVEN).all()
+    assert found.clock.densities[0] < 1.0
     with pytest.raises(ValueError, match=r"^clock: expected one of crystal, phone, auto, got 'x'"):
         positioning_report.position(log, "ekf", None, clock="x")
 
