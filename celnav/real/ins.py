@@ -355,13 +355,13 @@ ROWS = [
         revised=SEEN,
     ),
     finding(
-        "sigma-points",
+        "ukf-alike",
         "With one heading that is well known sigma points change little.",
         alike("RMS drift of the UKF over the EKF's", "ukf", "fixes"),
         revised=SEEN,
     ),
     finding(
-        "invariant",
+        "errors-alike",
         "So does the invariant error.",
         alike("RMS drift with errors on the body over the invariant's", "body", "fixes"),
         revised=SEEN,
