@@ -206,31 +206,24 @@ def standing(
     """
     times = finite("t", t, ("T",))
     samples = [finite(name, x, (len(times), 3)) for name, x in (("rate", rate), ("force", force))]
-    length = number("window_s", window_s, above=0.0)
-    limits = (
-        number("most_rate", most_rate, above=0.0),
+    window = np.floor((times - times[0]) / number("window_s", window_s, above=0.0))
+    most = number("most_rate", most_rate, above=0.0)
+    spreads = [
         number("rate_spread", rate_spread, above=0.0),
         number("force_spread", force_spread, above=0.0),
-    )
-    window = np.floor((times - times[0]) / length).astype(int)
-    first = np.flatnonzero(np.diff(window, prepend=-1))[:-1]  # the last window is not full
-    last = np.flatnonzero(np.diff(window))
-    if not len(first):
-        return times[:0], np.zeros((0, 6))
-    count = (last - first + 1)[:, None]
-    means = [np.add.reduceat(x, first)[: len(first)] / count for x in _to(last, samples)]
-    squares = [
-        np.add.reduceat(np.square(x - np.repeat(m, count[:, 0], 0)), first) / count
-        for x, m in zip(_to(last, samples), means, strict=True)
     ]
-    values = np.abs(means[0]), *map(np.sqrt, squares)
-    still = np.all([(x < most).all(-1) for x, most in zip(values, limits, strict=True)], 0)
-    rows = np.concatenate([np.zeros_like(means[0]), means[0]], -1)
+    last = np.flatnonzero(np.diff(window))  # of each window but the last, which is not full
+    if not len(last):
+        return times[:0], np.zeros((0, 6))
+    first = np.append(0, last[:-1] + 1)
+    count = last - first + 1
+    x = np.concatenate(samples, -1)[: last[-1] + 1]
+    mean = np.add.reduceat(x, first) / count[:, None]
+    squares = np.add.reduceat(np.square(x - np.repeat(mean, count, 0)), first)
+    spread = np.sqrt(squares / count[:, None])
+    still = (spread < np.repeat(spreads, 3)).all(-1) & (np.abs(mean[:, :3]) < most).all(-1)
+    rows = np.concatenate([np.zeros_like(mean[:, :3]), mean[:, :3]], -1)
     return times[last][still], rows[still]
-
-
-def _to(last: Array, samples: Iterable[Array]) -> list[Array]:
-    return [x[: last[-1] + 1] for x in samples]
 
 
 @dataclass(frozen=True, eq=False)

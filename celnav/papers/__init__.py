@@ -30,6 +30,7 @@ REAL = {
     "nanograv": "pulsars' arrival times (daily_averages.npz)",
     "rxte": "photons of a pulsar, the satellite's orbit, a timing model (*.fits, FPorbit*, *.par)",
     "broad": "trials of BROAD (MATLAB files)",
+    "ins": "a car's inertial unit and RTK fixes (imu*.csv, imu*.tag, gnss*.pos)",
 }
 """Study on real data, which is also the name of its module and input -> what the folder holds."""
 

@@ -559,3 +559,27 @@ def test_windows_in_which_the_unit_stands():
 def test_what_cannot_be_meant_is_refused(make, message):
     with pytest.raises(ValueError, match="^" + message):
         make()
+
+
+def test_of_several_headings_the_likelihood_picks_one():
+    """Four runs of a batch, a quarter turn apart; the fixes and the unit are the same."""
+    system = inertial.strapdown(LATITUDE, HEIGHT, LOW_COST)
+    times, u, z, truth, _ = flights(system, 1, 6.0, 0.0)
+    start = truth[0, 0]
+    true_heading = at.to_euler(start[:4])[2]
+    headings = true_heading + np.radians([20.0, 110.0, 200.0, 290.0])
+    prior = system.prior(
+        at.to_euler(start[:4])[:2],
+        headings,
+        sigma_level=0.02,
+        sigma_heading=np.radians(30.0),
+        velocity=start[4:7],
+        position=start[7:10],
+        sigma_velocity=0.1,
+        sigma_position=0.5,
+    )
+    filter = celnav.ekf(system.motion, system.gnss(LEVER, **GNSS))
+    track = celnav.run(filter, prior, times, z, u, keep="cov", engine="compiled")
+    assert track.log_likelihood.argmax() == 0
+    heading = at.to_euler(track.mean[-1, 0, :4])[2] - at.to_euler(truth[-1, 0, :4])[2]
+    assert abs((heading + np.pi) % (2.0 * np.pi) - np.pi) < np.radians(3.0)
