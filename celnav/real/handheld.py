@@ -211,7 +211,7 @@ class Settings:
         ``s - l``, with s a Gauss-Markov
     process and l what follows it, so that it has no mean: a hand comes back.
     mag: white noise of a step, uT.
-    field, stir: deviation, uT, of the field's disturbance on Earth axes, and the rate, 1/s, at which
+    field, stir: deviation, uT, of the field's disturbance on Earth axes; the rate, 1/s, at which
         it is forgotten for each m/s^2 of `Log.lively`.
     acc_bias, mag_bias: deviations, m/s^2 and uT, of constants on the sensor's axes.
     skew, scale: those of scale factors and misalignments of magnetometer and gyro.
@@ -268,7 +268,8 @@ Q, BIAS, S, L, D, H, V, ACC, MAG, SKEW, SCALE = (
 )
 """Of a state ``(..., 42)``: attitude, drift (rad/s), both parts of the acceleration (m/s^2),
 disturbance, horizontal and downward part of the field (uT), constants of both sensors, matrices of
-the magnetometer and of the gyro by rows. Of deviations ``(..., 41)`` those of the attitude are three."""
+the magnetometer and of the gyro by rows. Of deviations ``(..., 41)`` those of the attitude are
+three."""
 N, NOISY = 41, np.eye(41)[:, [*range(9), *range(12, 15)]]
 
 
@@ -319,7 +320,7 @@ def apart() -> Space:
 
 
 def by_rows(matrix: Array, vector: Array) -> Array:
-    """Product of matrices, whose rows stand side by side ``(..., 9)``, with vectors ``(..., 3)``."""
+    """Product of matrices, by rows ``(..., 9)``, with vectors ``(..., 3)``."""
     parts = [(matrix[..., i : i + 3] * vector).sum(-1)[..., None] for i in (0, 3, 6)]
     return side_by_side(parts)
 

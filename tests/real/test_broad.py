@@ -30,7 +30,7 @@ real_only = pytest.mark.skipif(not REAL.is_dir(), reason="no real files beside t
 
 @cache
 def made():
-    """A trial: six seconds at rest, then a hand that turns and shakes; fields as BROAD names them."""
+    """A trial: six seconds at rest, then a hand that turns and shakes; fields as BROAD has them."""
     rng, S = np.random.default_rng(0), int(30.0 * HZ)
     t = np.arange(S) / HZ
     on = np.clip(t - 6.0, 0.0, 1.0)[:, None]
@@ -77,7 +77,7 @@ def test_a_made_trial_is_followed_and_missing_samples_cost_nothing_but_themselve
     )
     rmse = np.sqrt(np.nanmean(np.square(errors), (0, 1)))
     assert (rmse < [3.0, 3.0, 1.0]).all(), rmse
-    # The made field is the same everywhere, and nothing is skewed: errors are smaller than predicted.
+    # The made field is the same everywhere, and nothing is skewed: errors are small.
     assert np.nanmean(out["mekf/nees"][100:, 1]) / 3.0 < 2.0
     assert (np.nanmean(out["mekf/std"][100:, 1], 0) < [1.0, 1.0, 4.0]).all()
 
