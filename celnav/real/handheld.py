@@ -1,17 +1,29 @@
 """A gyro, an accelerometer and a magnetometer in a hand, as BROAD [Laidig2021] has them: what is
 read, and what is believed.
 
-Earth axes are east, north (of the magnetic field) and up; the state is an attitude, the drift of
-the gyro, the acceleration of the hand, the field's disturbance, and constants. Eight samples make a
-step: those of the gyro are integrated, the others turned to its end and averaged, those of the
-magnetometer as of `LAG` samples before, which makes the innovations of the trials `TUNED` most
-probable.
+Earth axes are east, north (of the magnetic field) and up. The state has the attitude, the drift of
+the gyro, the acceleration of the hand, the disturbance of the field, and constants. A step has
+`STEP` samples: an eighth of a second. Those of the gyro are integrated, the others are turned to
+its end and averaged, those of the magnetometer as of `LAG` samples before, which makes the
+innovations of the trials `TUNED` most probable.
+
+Four facts of physics shape the model:
+
+- A hand comes back, so its acceleration has no mean. How large it is shows on axes that the gyro
+  alone keeps: there gravity is constant. The norm of the specific force does not show it, because
+  a horizontal acceleration changes that norm in second order only.
+- The field differs from place to place, so its disturbance changes as the hand moves.
+- The axes of the gyro, and those of the magnetometer, are not exactly those of the accelerometer:
+  scale factors and misalignments of both are constants of the state. Without them a tilt is
+  estimated where there is none, and taken for a bias of the accelerometer.
+- A sensor at rest does not turn. Nothing else measures the drift about the vertical while the
+  field is unknown.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -23,7 +35,7 @@ from celnav.files import InputError
 from celnav.filters.adaptive import student_t
 from celnav.filters.model import Motion, Sensor
 from celnav.filters.records import Epoch, epochs
-from celnav.filters.sequential import Sequential, ekf, ukf
+from celnav.filters.sequential import Sequential, ekf
 from celnav.gaussian import attitude
 from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.linalg import Array, Belief, side_by_side, tria
@@ -44,17 +56,19 @@ TRIALS = (
 )
 TUNED = (TRIALS[0], TRIALS[3], TRIALS[5])
 GRAVITY = 9.8127  # m/s^2, in Berlin
-STEP, LAG = 8, 4  # samples
+STEP, LAG = 36, 4  # samples
+QUIET, SLOW = 0.05, 0.03  # m/s^2 and rad/s: what moves less than that for a second is at rest
 
 
 # -- what was recorded -----------------------------------------------------------------------------
 class Log(NamedTuple):
     """A trial in steps of ``dt`` s.
 
-    rate: ``(T, 3)`` rad/s, turns as the samples of a step do together. acc, mag: ``(T, 3)`` m/s^2
-        and uT, means of the step on the
-    axes at its end. lively: ``(T, 1)`` m/s^2, by how much the accelerations of the last second were
-    no gravity, in the mean.
+    rate: ``(T, 3)`` rad/s, turns as the samples of a step do together.
+    acc, mag: ``(T, 3)`` m/s^2 and uT, means of the step on the axes at its end.
+    lively: ``(T, 1)`` m/s^2, RMS of the specific force about its mean of the last second, on axes
+        that the gyro keeps.
+    still: ``(T, 3)`` rad/s, the rate where the sensor was at rest for a second, else nan.
     truth: ``(T, 4)``, nan where the cameras lost it. moving: ``(T,)``, where the benchmark judges.
     """
 
@@ -62,13 +76,34 @@ class Log(NamedTuple):
     acc: Array
     mag: Array
     lively: Array
+    still: Array
     truth: Array
     moving: Array
     dt: float
 
 
+class Samples(NamedTuple):
+    """What a file has: rate rad/s, specific force m/s^2 and field uT ``(S, 3)``, quaternions
+    ``(S, 4)``, scalar first, ``(S, 1)`` positive where the benchmark judges, and the rate Hz."""
+
+    gyr: Array
+    acc: Array
+    mag: Array
+    q: Array
+    moving: Array
+    hz: float
+
+
 def read(path: Path, lag: int = LAG) -> Log:
-    """A trial from its MATLAB file; ``lag``: of the magnetometer, samples.
+    """A trial from its MATLAB file in steps; ``lag``: of the magnetometer, samples."""
+    gyr, acc, mag, q, moving, hz = samples(path, lag)
+    return steps(gyr, acc, mag, hz, lag)._replace(
+        truth=_unit(q)[STEP - 1 :: STEP], moving=moving[STEP - 1 :: STEP, 0] > 0.0
+    )
+
+
+def samples(path: Path, lag: int = LAG) -> Samples:
+    """A trial from its MATLAB file.
 
     Raises InputError, naming the file and the field, for one that is damaged.
     """
@@ -118,9 +153,7 @@ def read(path: Path, lag: int = LAG) -> Log:
         )
     if not (moving > 0.0).any():
         raise InputError(f"{path}: movement: expected some samples that are to be judged, got none")
-    return steps(gyr, acc, mag, hz, lag)._replace(
-        truth=_unit(q)[STEP - 1 :: STEP], moving=moving[STEP - 1 :: STEP, 0] > 0.0
-    )
+    return Samples(gyr, acc, mag, q, moving, hz)
 
 
 def _unit(q: Array) -> Array:
@@ -146,11 +179,23 @@ def steps(gyr: Array, acc: Array, mag: Array, hz: float, lag: int = LAG) -> Log:
         turn = attitude.multiply(turn, turned[i + lag :: STEP][:T])
         rate = attitude.log(turn) * hz / STEP if i == 0 else rate
     mean, dt = sums / STEP, STEP / hz
-    odd = np.nan_to_num((np.linalg.norm(mean[0], axis=-1, keepdims=True) - GRAVITY) ** 2)
-    width = max(1, round(1.0 / dt))
-    total = np.cumsum(np.concatenate([np.zeros((width, 1)), odd]), 0)
-    lively = np.sqrt(np.maximum(total[width:] - total[:-width], 0.0) / width)
-    return Log(rate, mean[0], mean[1], lively, np.full((T, 4), np.nan), np.ones(T, bool), dt)
+    width = max(2, round(1.0 / dt))
+    q, kept = attitude.IDENTITY, np.zeros((T, 3))
+    for k, turn in enumerate(attitude.exp(rate * dt)):
+        q = attitude.multiply(turn, q)
+        force = attitude.rotate(attitude.inverse(q), mean[0, k])
+        kept[k] = np.where(np.isfinite(force), force, kept[k - 1])
+    lively = np.sqrt(_last(kept, width, kept[0]).var(-1).mean(-1, keepdims=True))
+    fastest = _last(np.abs(rate), width, np.inf).max((-1, -2))[:, None]
+    still = np.where((lively < QUIET) & (fastest < SLOW), rate, np.nan)
+    unknown = np.full((T, 4), np.nan)
+    return Log(rate, mean[0], mean[1], lively, still, unknown, np.ones(T, bool), dt)
+
+
+def _last(values: Array, width: int, before: Any) -> Array:
+    """The last values ``(T, 3, width)`` at each epoch, with a value before the first."""
+    values = np.concatenate([np.zeros((width - 1, 3)) + before, values])
+    return np.lib.stride_tricks.sliding_window_view(values, width, axis=0)
 
 
 # -- what is believed ------------------------------------------------------------------------------
@@ -165,9 +210,11 @@ class Settings:
     acc, rest: the same of a sensor at rest, m/s^2. tau, wash: times s of that acceleration: it is
         ``s - l``, with s a Gauss-Markov
     process and l what follows it, so that it has no mean: a hand comes back.
-    mag: white noise of a step, uT. field, far: deviation, uT, and time, s, of the field's
-        disturbance on Earth axes.
+    mag: white noise of a step, uT.
+    field, stir: deviation, uT, of the field's disturbance on Earth axes; the rate, 1/s, at which
+        it is forgotten for each m/s^2 of `Log.lively`.
     acc_bias, mag_bias: deviations, m/s^2 and uT, of constants on the sensor's axes.
+    skew, scale: those of scale factors and misalignments of magnetometer and gyro.
     """
 
     gyro: Any
@@ -180,44 +227,33 @@ class Settings:
     wash: Any
     mag: Any
     field: Any
-    far: Any
+    stir: Any
     acc_bias: Any
     mag_bias: Any
+    skew: Any
+    scale: Any
 
 
 DRIFT, DRIFT_WALK = 0.01, 1e-5  # rad/s at the start, and rad/s^(3/2)
+TREMOR = 1e-3  # rad/s, of a sensor at rest
 SETTINGS = Settings(
     gyro=7.43e-05,
-    turning=0.00562,
-    acc=0.0119,
-    shaking=0.0355,
-    rest=0.00142,
-    push=1.02,
-    tau=0.107,
-    wash=0.338,
-    mag=0.433,
-    field=1.05,
-    far=6.34,
-    acc_bias=0.0746,
-    mag_bias=0.379,
+    turning=0.00034,
+    acc=0.00602,
+    shaking=0.095,
+    rest=0.001,
+    push=1.1,
+    tau=0.225,
+    wash=0.232,
+    mag=0.218,
+    field=0.668,
+    stir=0.316,
+    acc_bias=0.056,
+    mag_bias=0.428,
+    skew=0.0176,
+    scale=0.00418,
 )
-WHITE = replace(
-    SETTINGS,
-    turning=0.00646,
-    acc=0.00324,
-    shaking=0.923,
-    rest=0.0,
-    push=0.0,
-    mag=0.432,
-    field=0.995,
-    far=5.71,
-    acc_bias=0.0831,
-    mag_bias=0.294,
-)
-"""The same for a filter to which the hand's acceleration is white noise: where that one's
-innovations are most probable.
-"""
-Q, BIAS, S, L, D, H, V, ACC, MAG = (
+Q, BIAS, S, L, D, H, V, ACC, MAG, SKEW, SCALE = (
     slice(0, 4),
     slice(4, 7),
     slice(7, 10),
@@ -227,11 +263,14 @@ Q, BIAS, S, L, D, H, V, ACC, MAG = (
     slice(17, 18),
     slice(18, 21),
     slice(21, 24),
+    slice(24, 33),
+    slice(33, 42),
 )
-"""Of a state ``(..., 24)``: attitude, drift (rad/s), both parts of the acceleration (m/s^2),
-disturbance, horizontal and downward part of the field (uT), constants of both sensors. Of
-deviations ``(..., 23)`` those of the attitude are three."""
-N, NOISY = 23, np.eye(23)[:, [*range(9), *range(12, 15)]]
+"""Of a state ``(..., 42)``: attitude, drift (rad/s), both parts of the acceleration (m/s^2),
+disturbance, horizontal and downward part of the field (uT), constants of both sensors, matrices of
+the magnetometer and of the gyro by rows. Of deviations ``(..., 41)`` those of the attitude are
+three."""
+N, NOISY = 41, np.eye(41)[:, [*range(9), *range(12, 15)]]
 
 
 VECTORS = (S, L, D)
@@ -239,7 +278,7 @@ VECTORS = (S, L, D)
 
 def together() -> Space:
     """Space of states whose deviations turn the vectors on Earth axes along with the attitude,
-    ``(..., 23)``: about Earth axes.
+    ``(..., 41)``: about Earth axes.
 
     What a sensor sees of a vector then does not depend on the attitude's deviation, and a turn of
     everything about the vertical, of which nothing but the mean of the field tells, is the same
@@ -275,26 +314,38 @@ def together() -> Space:
     return Space(plus, minus)
 
 
-def apart(transported: bool = False) -> Space:
+def apart() -> Space:
     """Space of states whose attitude deviates on the sensor's axes, and the rest by itself."""
-    return product((attitude.attitude(transported=transported), 4, 3), (EUCLIDEAN, N - 3, N - 3))
+    return product((attitude.attitude(), 4, 3), (EUCLIDEAN, N - 3, N - 3))
+
+
+def by_rows(matrix: Array, vector: Array) -> Array:
+    """Product of matrices, by rows ``(..., 9)``, with vectors ``(..., 3)``."""
+    parts = [(matrix[..., i : i + 3] * vector).sum(-1)[..., None] for i in (0, 3, 6)]
+    return side_by_side(parts)
 
 
 def motion(s: Settings, space: Space) -> Motion:
     """How a state goes on; ``epoch.u`` is rate ``(..., 3)`` and `Log.lively` ``(..., 1)``."""
     perfect = Gyro(0.0, 0.0)
 
+    def same_place(epoch: Epoch) -> Array:
+        """Correlation of the field's disturbance over the interval."""
+        return np.asarray(np.exp(-epoch.dt * s.stir * epoch.u[1]))
+
     def f(x: Array, epoch: Epoch) -> Array:
-        tau, wash, far = (np.exp(-epoch.dt / time) for time in (s.tau, s.wash, s.far))
+        tau, wash = (np.exp(-epoch.dt / time) for time in (s.tau, s.wash))
+        far = same_place(epoch)
         followed = wash * x[..., L] + (1.0 - wash) * x[..., S]
-        turned = perfect.propagate(x[..., : BIAS.stop], epoch.u[0], epoch.dt)
+        rate = epoch.u[0] - by_rows(x[..., SCALE], epoch.u[0])
+        turned = perfect.propagate(x[..., : BIAS.stop], rate, epoch.dt)
         return side_by_side([turned, tau * x[..., S], followed, far * x[..., D], x[..., D.stop :]])
 
     def noise(_mean: Array, epoch: Epoch) -> Array:
         (rate, lively), dt = epoch.u, epoch.dt
         turn = np.sqrt((s.gyro**2 + s.turning**2 * (rate * rate).sum(-1)[..., None]) * dt)
         push = np.sqrt((s.rest**2 + (s.push * lively) ** 2) * (1.0 - np.exp(-2.0 * dt / s.tau)))
-        field = s.field * np.sqrt(1.0 - np.exp(-2.0 * dt / s.far))
+        field = s.field * np.sqrt(1.0 - same_place(epoch) ** 2)
         std = side_by_side(
             [part + 0.0 * turn for part in (turn, DRIFT_WALK * np.sqrt(dt), push, field)]
         )
@@ -303,8 +354,8 @@ def motion(s: Settings, space: Space) -> Motion:
     return Motion(f, sqrt_Q=noise, space=space)
 
 
-def sensors(s: Settings) -> tuple[Sensor, Sensor]:
-    """Accelerometer and magnetometer."""
+def sensors(s: Settings) -> tuple[Sensor, Sensor, Sensor]:
+    """Accelerometer, magnetometer, and the gyro of a sensor at rest."""
 
     def acc(x: Array, _epoch: Epoch) -> Array:
         return np.asarray(
@@ -314,27 +365,23 @@ def sensors(s: Settings) -> tuple[Sensor, Sensor]:
 
     def mag(x: Array, _epoch: Epoch) -> Array:
         field = x[..., D] + side_by_side([0.0 * x[..., H], x[..., H], -x[..., V]])
-        return np.asarray(attitude.rotate(x[..., Q], field) + x[..., MAG])
+        field = attitude.rotate(x[..., Q], field)
+        return np.asarray(field + by_rows(x[..., SKEW], field) + x[..., MAG])
 
     def acc_noise(_mean: Array, epoch: Epoch) -> Array:
         return np.asarray(np.sqrt(s.acc**2 + (s.shaking * epoch.u[1]) ** 2)[..., None] * np.eye(3))
 
-    return Sensor(acc, sqrt_R=acc_noise), Sensor(
-        mag, sqrt_R=lambda _mean, _epoch: np.asarray(s.mag)[..., None] * np.eye(3)
+    return (
+        Sensor(acc, sqrt_R=acc_noise),
+        Sensor(mag, sqrt_R=lambda _mean, _epoch: np.asarray(s.mag)[..., None] * np.eye(3)),
+        Sensor(lambda x, _epoch: x[..., BIAS], sqrt_R=TREMOR * np.eye(3)),
     )
 
 
-def filters(s: Settings = SETTINGS, white: Settings = WHITE) -> dict[str, Sequential]:
-    """The filters that are compared, by name; all but "white" believe the same."""
-    seen, believed = sensors(s), (motion(s, together()), *sensors(s))
-    return {
-        "mekf": ekf(*believed),
-        "ukf": ukf(*believed),
-        "robust": ekf(*believed, hooks=[student_t()]),
-        "white": ekf(motion(white, together()), *sensors(white)),
-        "apart": ekf(motion(s, apart()), *seen),
-        "transported": ekf(motion(s, apart(transported=True)), *seen),
-    }
+def filters(s: Settings = SETTINGS) -> dict[str, Sequential]:
+    """The filters that are compared, by name, of the same model."""
+    models = motion(s, together()), *sensors(s)
+    return {"mekf": ekf(*models), "robust": ekf(*models, hooks=[student_t()])}
 
 
 def prior(logs: Sequence[Log], s: Settings = SETTINGS) -> Gaussian:
@@ -356,10 +403,11 @@ def prior(logs: Sequence[Log], s: Settings = SETTINGS) -> Gaussian:
     )
     mean = np.zeros((len(logs), N + 1))
     mean[:, Q], mean[:, H], mean[:, V] = Rotation.from_matrix(axes.mT).as_quat(), 18.0, 40.0
-    std = [0.1, 0.1, 0.3, DRIFT, s.rest, s.field, 4.0, s.acc_bias, s.mag_bias]
+    std = [0.1, 0.1, 0.3, DRIFT, s.rest, s.field, 4.0, s.acc_bias, s.mag_bias, s.skew, s.scale]
     each = side_by_side([np.zeros((len(logs), 1)) + part for part in std])
     return Gaussian(
-        mean, np.square(np.repeat(each, [1, 1, 1, 3, 6, 3, 2, 3, 3], -1))[..., None] * np.eye(N)
+        mean,
+        np.square(np.repeat(each, [1, 1, 1, 3, 6, 3, 2, 3, 3, 9, 9], -1))[..., None] * np.eye(N),
     )
 
 
@@ -374,12 +422,13 @@ class Flight:
     lag: int = LAG
     part: float = 1.0
 
+    def paths(self) -> list[Path]:
+        """Their files."""
+        return found(self.folder, [f"{name}.mat" for name in self.trials])
+
     def logs(self) -> list[Log]:
         """The trials, as long as the longest: nothing is measured after the end of the others."""
-        logs = [
-            read(path, self.lag)
-            for path in found(self.folder, [f"{name}.mat" for name in self.trials])
-        ]
+        logs = [read(path, self.lag) for path in self.paths()]
         if max(log.dt for log in logs) > 1.001 * min(log.dt for log in logs):
             raise InputError(
                 f"{self.folder}: sampling_rate: expected the same in all trials, got "
@@ -400,6 +449,7 @@ PADDING: dict[str, Any] = {
     "acc": np.nan,
     "mag": np.nan,
     "lively": 0.0,
+    "still": np.nan,
     "truth": np.nan,
     "moving": False,
 }
@@ -413,23 +463,19 @@ def _padded(values: Array, T: int, fill: Any) -> Array:
 GROUPS = (Group("attitude", "deg", slice(0, 3), 180.0 / np.pi),)
 
 
-def trial(
-    config: Flight, _rngs: Sequence[Any] = (), *, s: Settings = SETTINGS, on_earth: bool = True
-) -> Trial:
-    """The trials, with the filters; errors are rotation vectors on Earth axes. ``on_earth``: so are
-    the filters' own deviations.
-    """
+def trial(config: Flight, _rngs: Sequence[Any] = (), *, s: Settings = SETTINGS) -> Trial:
+    """The trials, with the filters; errors are rotation vectors on Earth axes."""
     logs = config.logs()
-    rate, acc, mag, lively, truth = (
-        np.stack(part, 1) for part in list(zip(*logs, strict=True))[:5]
+    rate, acc, mag, lively, still, truth = (
+        np.stack(part, 1) for part in list(zip(*logs, strict=True))[:6]
     )
     acc[0] = mag[0] = np.nan  # the start is made of it
-    every = epochs(logs[0].dt * np.arange(len(rate)), (acc, mag), (rate[1:], lively[1:]), truth)
+    z = acc, mag, still
+    every = epochs(logs[0].dt * np.arange(len(rate)), z, (rate[1:], lively[1:]), truth)
 
     def compare(truth: Array, belief: Belief) -> tuple[Array, Array]:
-        q, root = belief.mean[..., Q], belief.sqrt_cov[..., :3, :]
-        error = attitude.log(attitude.multiply(attitude.inverse(truth), q))
-        return error, tria(root if on_earth else attitude.matrix(q).mT @ root)
+        error = attitude.log(attitude.multiply(attitude.inverse(truth), belief.mean[..., Q]))
+        return error, tria(belief.sqrt_cov[..., :3, :])
 
     return Trial(GROUPS, filters(s), prior(logs, s), lambda _name: every, compare)
 

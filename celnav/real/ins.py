@@ -32,7 +32,8 @@ from celnav.papers import citation
 from celnav.real import found
 from celnav.real.drive import read_imu, read_pos
 from celnav.show import colors
-from celnav.show.figures import Line, Panel, Rows, bars, panels
+from celnav.show.draw import Line, Panel, bars, panels
+from celnav.show.figures import Rows
 from celnav.study.ledger import Bounds, Number, Sentence, check, estimate, finding
 from celnav.study.numbers import Decided, of
 from celnav.study.study import Part, Results, Study
