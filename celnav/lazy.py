@@ -97,3 +97,11 @@ def require(what: str, extra: str, *packages: str) -> None:
         for package in packages:
             if find_spec(package) is None:
                 raise ModuleNotFoundError(name=package)
+
+
+def installed(package: str) -> bool:
+    """Whether a package of an extra is installed."""
+    try:
+        return find_spec(package) is not None
+    except ModuleNotFoundError:  # from a finder that refuses it
+        return False

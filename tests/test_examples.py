@@ -92,6 +92,8 @@ def problem():
     )
     truth, z = celnav.simulate(motion, gps, prior, times, runs=2)
     filter = celnav.ukf(motion, gps)
+    t, space = np.arange(0.0, 3.0, 0.01), celnav.product(p=3, v=3)
+    car = celnav.ukf(celnav.Motion(f, Q, space=space), gps)
     return {
         **{name: getattr(celnav, name) for name in celnav.__all__},
         "celnav": celnav,
@@ -137,6 +139,16 @@ def problem():
         "groups": (celnav.Group("position", "m", slice(0, 3), 1000.0),),
         "step": lambda x: x**2,
         "measure": lambda x: x[..., :3],
+        "t": t,
+        "rate": np.zeros((len(t), 3)),
+        "force": np.tile([0.0, 0.0, -9.81], (len(t), 1)),
+        "t_fix": t[25::25],
+        "z_fix": np.tile(x0[:3], (len(t[25::25]), 1)),
+        "imu": celnav.models.inertial.Imu(1e-4, 1e-3, 1e-3, 0.05),
+        "lat": np.full(2, 0.8),
+        "lon": np.full(2, 0.1),
+        "height": np.full(2, 100.0),
+        "car_track": celnav.run(car, prior, times, z, keep="cov"),
         "infos": filter.step(filter.start(prior), celnav.Epoch(z=z[0]))[1],
     }
 

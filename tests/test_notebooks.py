@@ -102,7 +102,8 @@ def test_the_notebook_on_real_data_has_the_verdicts_that_are_expected(study):
     """Its outputs are of the real files, which are not there where tests run."""
     found = verdicts(next(path for path in NOTEBOOKS if path.stem[3:] == "real_data"))
     for row in real.load(study).STUDY.rows:
-        if row.kind == "finding":
+        # Without the package that a row compares with nothing is expected of it.
+        if row.kind == "finding" and row.expected != "no number":
             assert found[row.id] in ("undecided", row.expected or "shown"), row.id
 
 

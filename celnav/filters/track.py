@@ -124,7 +124,7 @@ class Track:
         """The belief of a named part of the state (`celnav.product`): ``mean (T, ..., k)``,
         ``cov (T, ..., k, k)`` and ``std``; needs ``run(keep="cov")``.
 
-        >>> track.part("p").std[-1]
+        >>> car_track.part("p").std[-1]
         """
         points, tangents = space_of(self.filter).places(name)
         return Covariance(self.mean[..., points], self.cov[..., tangents, tangents])

@@ -103,7 +103,7 @@ def local_position(
     """Position ``(..., 3)`` m on north, east, down axes that stay at the ``origin``, as geodetic
     ones: latitude, longitude (rad), height.
 
-    >>> p = earth.local_position(lat, lon, height, (lat[0], lon[0], height[0]))
+    >>> p = celnav.models.earth.local_position(lat, lon, height, (lat[0], lon[0], height[0]))
     """
     place = finite("origin", origin, (3,))
     geodetic = [

@@ -106,8 +106,8 @@ class Imu:
         gyro_instability_deg_h, accelerometer_instability_ug: bias instability B; the bias walks by
             ``B sqrt(2 / instability_s)`` in 1 s, as one of deviation B and that correlation time.
 
-        >>> Imu.datasheet(gyro_deg_sqrt_h=0.3, accelerometer_ug_sqrt_hz=70.0,
-        ...               gyro_bias_deg_s=0.1, accelerometer_bias_mg=5.0)
+        >>> imu = Imu.datasheet(gyro_deg_sqrt_h=0.3, accelerometer_ug_sqrt_hz=70.0,
+        ...                     gyro_bias_deg_s=0.1, accelerometer_bias_mg=5.0)
         """
         gyro = _one_of(
             gyro_deg_s_sqrt_hz=(gyro_deg_s_sqrt_hz, np.radians(1.0)),
@@ -176,7 +176,7 @@ def level(force: ArrayLike) -> Array:
     """Roll and pitch ``(..., 2)`` rad of a body at rest, from its mean specific force ``(..., 3)``
     m/s^2 on axes forward, right, down.
 
-    >>> roll, pitch = inertial.level(force[:100].mean(0))
+    >>> roll, pitch = celnav.models.inertial.level(force[:100].mean(0))
     """
     x, y, z = np.moveaxis(finite("force", force, (..., 3)), -1, 0)
     return np.stack([np.arctan2(-y, -z), np.arctan2(x, np.hypot(y, z))], -1)
@@ -200,8 +200,8 @@ def standing(
     force_spread: limits of the standard deviations within a window, on each axis. With the engine
     on a rest shakes as much as a smooth ride straight on: compare the times with speeds of fixes.
 
-    >>> rows = inertial.standing(t, rate, force, window_s=0.5, most_rate=0.01, rate_spread=0.005,
-    ...                          force_spread=0.2)
+    >>> limits = dict(window_s=0.5, most_rate=0.01, rate_spread=0.005, force_spread=0.2)
+    >>> rows = celnav.models.inertial.standing(t, rate, force, **limits)
     >>> merged = celnav.merge(imu=(t, (rate, force)), fixes=(t_fix, z_fix), still=rows)
     """
     times = finite("t", t, ("T",))
@@ -515,7 +515,7 @@ def strapdown(
     Within an interval the errors of attitude and biases are taken not to reach the velocity: at 100
     Hz this changes correlations of the process noise by less than a hundredth.
 
-    >>> system = inertial.strapdown(0.8, 100.0, imu, states=("lag", "lever"))
+    >>> system = celnav.models.inertial.strapdown(0.8, 100.0, imu, states=("lag", "lever"))
     >>> filter = celnav.ekf(system.motion, system.gnss(sigma_position=0.02))
     """
     place = number("latitude", latitude, -np.pi / 2, np.pi / 2), number("height_m", height_m)

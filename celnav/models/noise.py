@@ -28,7 +28,7 @@ def allan_deviation(t: ArrayLike, samples: ArrayLike, interval_s: float) -> Alla
     t: ``(T,)`` s, evenly spaced. samples: ``(T, ...)`` of a rate. White noise of density N has
     ``N / interval_s^(1/2)``; the intervals hold for white noise.
 
-    >>> allan_deviation(t, rate, 1.0).deviation
+    >>> deviation = celnav.models.noise.allan_deviation(t, rate, 1.0).deviation
     """
     times = finite("t", t, ("T",))
     x = finite("samples", samples)

@@ -17,7 +17,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import fields, replace
 from functools import partial
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,6 +27,7 @@ from celnav.files import InputError, read_json
 from celnav.filters.run import run
 from celnav.gaussian import attitude
 from celnav.gaussian.linalg import Array
+from celnav.lazy import installed
 from celnav.papers import citation
 from celnav.real import found
 from celnav.real.handheld import (
@@ -71,7 +71,7 @@ TITLE = "Attitude from a sensor in a hand"
 CITATION = citation("Laidig2021")
 INPUTS = ("broad",)
 PUBLISHED = ("Madgwick", "Mahony")
-VQF_INSTALLED = find_spec("vqf") is not None
+VQF_INSTALLED = installed("vqf")
 
 
 # -- what is flown, and what is found --------------------------------------------------------------
