@@ -1,5 +1,5 @@
 """Inertial navigation with satellite fixes and other sensors: a strapdown system as a motion, and
-sensors that know its states [Groves2013].
+sensors that know its states [Groves2013]::
 
     imu = Imu.datasheet(gyro_deg_s_sqrt_hz=0.004, accelerometer_ug_sqrt_hz=70.0, ...)
     system = strapdown(latitude, height_m, imu, states=("lever",))
