@@ -15,6 +15,7 @@ import pytest
 import celnav
 from benchmarks.report import MEASURED, shown
 from celnav.papers import PAPERS, load
+from celnav.real.ins import PEER
 from docs.pages import judged, picture, verdict_page
 
 ROOT = Path(__file__).parents[1]
@@ -99,6 +100,15 @@ def test_a_notebook_shows_every_statement(paper):
     assert [claim["id"] for claim in judged(paper)] == [
         row.id for row in load(paper).STUDY.rows if row.kind == "statement"
     ]
+
+
+def test_the_drift_of_a_car_is_that_of_the_notebook():
+    """The largest, and the median by its ratio to that of the program that came with the log."""
+    notebook = (ROOT / "notebooks" / "07_real_data.ipynb").read_text(encoding="utf-8")
+    largest = float(re.search(r"largest drift \(m\): ([\d.]+)", notebook)[1])
+    rows = re.search(r'<tr id=\\"wheels-peer\\".*?</tr>', notebook, re.DOTALL)[0]
+    median = PEER["wheels"][0] * float(re.search(r"program&#39;s: ([\d.]+) \[", rows)[1])
+    assert f"{median:.1f} m of drift in 15 s outages (median; {largest:.1f} m at most)" in README
 
 
 def test_links_and_pictures_are_there():

@@ -18,7 +18,7 @@ from celnav.gaussian.attitude import (
     unit,
 )
 from celnav.gaussian.linalg import Array, side_by_side
-from celnav.gaussian.spaces import Part, Space
+from celnav.gaussian.spaces import NamedPart, Space
 
 __all__ = ["extended_pose"]
 
@@ -34,7 +34,11 @@ def extended_pose() -> Space:
 
     >>> motion = celnav.Motion(f, Q, space=extended_pose())
     """
-    parts = Part("q", (0, 4), (0, 3)), Part("v", (4, 7), (3, 6)), Part("p", (7, 10), (6, 9))
+    parts = (
+        NamedPart("q", (0, 4), (0, 3)),
+        NamedPart("v", (4, 7), (3, 6)),
+        NamedPart("p", (7, 10), (6, 9)),
+    )
     return Space(_plus, _minus, check=_check, size=10, parts=parts)
 
 

@@ -21,7 +21,7 @@ from celnav.gaussian.linalg import Array, side_by_side
 __all__ = ["Space", "angles", "product"]
 
 
-class Part(NamedTuple):
+class NamedPart(NamedTuple):
     """A named part of a product: first and last place, plus one, in points and in tangents."""
 
     name: str
@@ -51,7 +51,7 @@ class Space(NamedTuple):
     mean: Callable[[Array, Array], Array] | None = None
     check: Callable[[Array, str], Array] | None = None
     size: int | None = None
-    parts: tuple[Part, ...] = ()
+    parts: tuple[NamedPart, ...] = ()
 
     def part(self, x: Array, name: str) -> Array:
         """Components ``(..., k)`` of a named part: of points ``x (..., N)``, or of deviations
@@ -180,10 +180,10 @@ def product(*factors: tuple[Space, int, int], **parts: Any) -> Space:
     spaces = [space for space, _, _ in factors]
     # One place on the points' axis and one on the tangents' axis for each space.
     places = list(zip(pairwise(points), pairwise(tangents), strict=True))
-    named = [Part(name, *place) for name, place in zip(parts, places, strict=False)]
+    named = [NamedPart(name, *place) for name, place in zip(parts, places, strict=False)]
     for (_, (at, _), (by, _)), space in zip(tuple(named), spaces, strict=False):
         for name, (a, b), (c, d) in space.parts:
-            named.append(Part(name, (at + a, at + b), (by + c, by + d)))
+            named.append(NamedPart(name, (at + a, at + b), (by + c, by + d)))
     if len({part.name for part in named}) < len(named):
         raise ValueError("parts: expected names that differ from those within a part")
     blocks = tuple(
