@@ -34,15 +34,15 @@ class Inside:
     """Seconds inside the device's flights, copies among them, since it was last set to zero."""
 
     def __init__(self) -> None:
-        self.seconds, self.fly = 0.0, cuda.Device.fly
-        inside = self
+        self.seconds, run = 0.0, cuda.Lane.run
 
-        def timed(self: cuda.Device, *arguments: Any) -> None:
+        def timed(lane: cuda.Lane, *arguments: Any, results: int) -> Array:
             begin = time.perf_counter()
-            inside.fly(self, *arguments)
-            inside.seconds += time.perf_counter() - begin
+            rows = run(lane, *arguments, results=results)
+            self.seconds += time.perf_counter() - begin
+            return rows
 
-        cuda.Device.fly = timed  # type: ignore[method-assign]
+        cuda.Lane.run = timed  # type: ignore[method-assign]
 
 
 def wall(work: Callable[[], object], rounds: int) -> float:

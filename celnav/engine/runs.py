@@ -306,17 +306,21 @@ def run_compiled(
 
     row_size = sum(x.shape[2] for x in rows.values())
     room = (
-        device.room() // jobs // (8 * (T * M + K * row_size + plan.size))
+        device.room(jobs) // (8 * (T * M + K * row_size + plan.size))
         if device
         else CHUNK // (8 * T * M)
     )
     chunk = max(unit, min(-(-runs // jobs), room) // unit * unit)
-    if jobs > 1 and runs > chunk:
-        with ThreadPoolExecutor(jobs) as pool:
-            list(pool.map(run_chunk, range(0, runs, chunk)))
-    else:
-        for first in range(0, runs, chunk):
-            run_chunk(first)
+    try:
+        if jobs > 1 and runs > chunk:
+            with ThreadPoolExecutor(jobs) as pool:
+                list(pool.map(run_chunk, range(0, runs, chunk)))
+        else:
+            for first in range(0, runs, chunk):
+                run_chunk(first)
+    finally:
+        if device:
+            device.release()
     if once is not None:
         for k, at in enumerate(sentinels):
             for side in range(2):
@@ -416,10 +420,11 @@ def _on_device(
             places = np.where(places >= 0, places - low, -1)
             shapes = [(high - low, per_run.shape[2], x.shape[2]) for x in rows.values()]
             ends = np.cumsum([int(np.prod(shape)) for shape in shapes])
-            out = np.empty(max(1, *ends, 1))
-            device.fly(entry, plan.steps[span], places, state, shared[span], per_run[span], out)
-            for x, shape, values in zip(rows.values(), shapes, np.split(out, ends), strict=False):
-                x[low:high, first : first + shape[1]] = values.reshape(shape)
+            inputs = plan.steps[span], places, state, shared[span], per_run[span]
+            with device.lane() as lane:
+                out = np.split(lane.run(entry, *inputs, results=max(1, *ends, 1)), ends)
+                for x, shape, values in zip(rows.values(), shapes, out, strict=False):
+                    x[low:high, first : first + shape[1]] = values.reshape(shape)
 
         return through
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import ctypes
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
 from typing import Any
@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 from celnav.tape.ptx import TARGET
 
 THREADS = 64  # of a block: registers are the scarce resource
-MOST = 1 << 32  # bytes copied at once, which the host must hold, too
+MOST = 1 << 25  # bytes of the arrays of a lane, which the host holds, too
 _ERROR_LOG, _ERROR_LOG_SIZE = 5, 6  # options of the driver's compiler
 _MAJOR, _MINOR = 75, 76  # attributes of a device: its compute capability
+_NON_BLOCKING = 1  # a stream that does not wait for the default one
 
 
 class CudaError(RuntimeError):
@@ -47,13 +48,13 @@ class Device:
     """A device, and the programs loaded on it."""
 
     def __init__(self, driver: Any):
-        self.driver, self._entries = driver, dict[str, Any]()
+        self.driver, self._entries, self._idle = driver, dict[str, Any](), list[Lane]()
         number, self._context, capability = ctypes.c_int(), ctypes.c_void_p(), list[int]()
-        self._do("cuInit", ctypes.c_uint(0))
-        self._do("cuDeviceGet", ctypes.byref(number), ctypes.c_int(0))
+        self.do("cuInit", ctypes.c_uint(0))
+        self.do("cuDeviceGet", ctypes.byref(number), ctypes.c_int(0))
         for attribute in (_MAJOR, _MINOR):
             value = ctypes.c_int()
-            self._do("cuDeviceGetAttribute", ctypes.byref(value), ctypes.c_int(attribute), number)
+            self.do("cuDeviceGetAttribute", ctypes.byref(value), ctypes.c_int(attribute), number)
             capability.append(value.value)
         if tuple(capability) < TARGET:
             least, its = (".".join(map(str, version)) for version in (TARGET, capability))
@@ -61,12 +62,12 @@ class Device:
                 f"engine='cuda': expected a device of compute capability {least} or higher, got "
                 f"{its}"
             )
-        self._do("cuDevicePrimaryCtxRetain", ctypes.byref(self._context), number)
+        self.do("cuDevicePrimaryCtxRetain", ctypes.byref(self._context), number)
 
     def entry(self, program: str) -> Any:
         """The entry of a program, which the driver compiles at its first use."""
         if program not in self._entries:
-            self._do("cuCtxSetCurrent", self._context)
+            self.do("cuCtxSetCurrent", self._context)
             module, entry, log = (
                 ctypes.c_void_p(),
                 ctypes.c_void_p(),
@@ -75,7 +76,7 @@ class Device:
             options = (ctypes.c_int * 2)(_ERROR_LOG, _ERROR_LOG_SIZE)
             values = (ctypes.c_void_p * 2)(ctypes.addressof(log), len(log))
             image = ctypes.c_char_p(program.encode())
-            self._do(
+            self.do(
                 "cuModuleLoadDataEx",
                 ctypes.byref(module),
                 image,
@@ -84,73 +85,39 @@ class Device:
                 values,
                 log=log,
             )
-            self._do("cuModuleGetFunction", ctypes.byref(entry), module, ctypes.c_char_p(b"entry"))
+            self.do("cuModuleGetFunction", ctypes.byref(entry), module, ctypes.c_char_p(b"entry"))
             self._entries[program] = entry
         return self._entries[program]
 
-    def room(self) -> int:
-        """Bytes that a run may use: half of the free memory, because the memory of the threads
-        comes out of it, too.
+    def room(self, lanes: int) -> int:
+        """Bytes that each of so many lanes may use: all of them half of the free memory, because
+        the memory of the threads comes out of it, too.
         """
-        self._do("cuCtxSetCurrent", self._context)
+        self.do("cuCtxSetCurrent", self._context)
         free, whole = ctypes.c_size_t(), ctypes.c_size_t()
-        self._do("cuMemGetInfo_v2", ctypes.byref(free), ctypes.byref(whole))
-        return min(free.value // 2, MOST)
-
-    def fly(
-        self,
-        entry: Any,
-        kinds: NDArray[np.int32],
-        at: NDArray[np.int64],
-        *arrays: NDArray[np.float64],
-    ) -> None:
-        """Call an entry with the ``arrays`` state, shared, own and rows (of all fields),
-        contiguous; state and rows come back.
-        """
-        state, shared, own, rows = arrays
-        self._do("cuCtxSetCurrent", self._context)
-        inputs: tuple[NDArray[Any], ...] = kinds, at, state, shared, own
-        with self._memory([x.nbytes for x in (*inputs, rows)]) as places:
-            for place, x in zip(places, inputs, strict=False):
-                self._do(
-                    "cuMemcpyHtoD_v2",
-                    place,
-                    ctypes.c_void_p(x.ctypes.data),
-                    ctypes.c_size_t(x.nbytes),
-                )
-            steps, width, runs = own.shape
-            values = [
-                *places,
-                *map(ctypes.c_int64, (shared.shape[1], width, int(at.max()) + 1, runs, steps)),
-            ]
-            pointers = (ctypes.c_void_p * len(values))(*map(ctypes.addressof, values))
-            # Blocks in three dimensions, threads in three dimensions, bytes of shared memory.
-            grid = (-(-runs // THREADS), 1, 1, THREADS, 1, 1, 0)
-            self._do("cuLaunchKernel", entry, *map(ctypes.c_uint, grid), None, pointers, None)
-            self._do("cuCtxSynchronize")
-            for place, x in ((places[2], state), (places[5], rows)):
-                self._do(
-                    "cuMemcpyDtoH_v2",
-                    ctypes.c_void_p(x.ctypes.data),
-                    place,
-                    ctypes.c_size_t(x.nbytes),
-                )
+        self.do("cuMemGetInfo_v2", ctypes.byref(free), ctypes.byref(whole))
+        return min(free.value // 2 // lanes, MOST)
 
     @contextmanager
-    def _memory(self, sizes: Sequence[int]) -> Iterator[list[ctypes.c_uint64]]:
-        """Blocks of device memory of the given sizes, freed at the end in any case."""
-        places = list[ctypes.c_uint64]()
+    def lane(self) -> Iterator[Lane]:
+        """A lane that nobody else uses meanwhile; `release` frees what the lanes hold."""
+        self.do("cuCtxSetCurrent", self._context)
         try:
-            for size in sizes:
-                place = ctypes.c_uint64()
-                self._do("cuMemAlloc_v2", ctypes.byref(place), ctypes.c_size_t(size), asked=size)
-                places.append(place)
-            yield places
+            lane = self._idle.pop()
+        except IndexError:
+            lane = Lane(self)
+        try:
+            yield lane
         finally:
-            for place in places:
-                self.driver.cuMemFree_v2(place)
+            self._idle.append(lane)
 
-    def _do(self, name: str, *arguments: Any, log: Any = None, asked: int | None = None) -> None:
+    def release(self) -> None:
+        """Free the memory of all lanes that are idle."""
+        self.do("cuCtxSetCurrent", self._context)
+        while self._idle:
+            self._idle.pop().close()
+
+    def do(self, name: str, *arguments: Any, log: Any = None, asked: int | None = None) -> None:
         """Call a function of the driver; an error includes the compiler's ``log``, or the number of
         bytes ``asked`` for.
         """
@@ -166,3 +133,89 @@ class Device:
         more += f": {said[0]} ({said[1]})"
         more += "" if log is None else f": {log.value.decode(errors='replace').strip()}"
         raise CudaError(f"engine='cuda': {name}{more}")
+
+
+class Lane:
+    """A queue of work on a device, side by side with other lanes.
+
+    It keeps its memory from run to run, because the device waits for all its work before it gives
+    memory back. Results come into memory of the host that is page-locked: the driver copies them at
+    once, not by way of a buffer of its own.
+    """
+
+    def __init__(self, device: Device):
+        self._device, self._stream = device, ctypes.c_void_p()
+        self._blocks = dict[int, tuple[ctypes.c_uint64, int]]()  # on the device, with their sizes
+        self._locked, self._size = ctypes.c_void_p(), 0
+        device.do("cuStreamCreate", ctypes.byref(self._stream), ctypes.c_uint(_NON_BLOCKING))
+
+    def run(
+        self,
+        entry: Any,
+        kinds: NDArray[np.int32],
+        at: NDArray[np.int64],
+        *arrays: NDArray[np.float64],
+        results: int,
+    ) -> NDArray[np.float64]:
+        """Call an entry with the contiguous ``arrays`` state, shared and own; the state comes back
+        in place.
+
+        Returns the rows of all fields, ``results`` numbers, which are valid until the next call.
+        """
+        do, (state, shared, own) = self._device.do, arrays
+        inputs: tuple[NDArray[Any], ...] = kinds, at, state, shared, own
+        rows = self._page_locked(results)
+        places = [self._block(i, x.nbytes) for i, x in enumerate((*inputs, rows))]
+        for place, x in zip(places, inputs, strict=False):
+            source, size = ctypes.c_void_p(x.ctypes.data), ctypes.c_size_t(x.nbytes)
+            do("cuMemcpyHtoDAsync_v2", place, source, size, self._stream)
+        steps, width, runs = own.shape
+        sizes = shared.shape[1], width, int(at.max()) + 1, runs, steps
+        values = [*places, *map(ctypes.c_int64, sizes)]
+        pointers = (ctypes.c_void_p * len(values))(*map(ctypes.addressof, values))
+        # Blocks in three dimensions, threads in three dimensions, bytes of shared memory.
+        grid = (-(-runs // THREADS), 1, 1, THREADS, 1, 1, 0)
+        do("cuLaunchKernel", entry, *map(ctypes.c_uint, grid), self._stream, pointers, None)
+        for place, x in ((places[2], state), (places[5], rows)):
+            target, size = ctypes.c_void_p(x.ctypes.data), ctypes.c_size_t(x.nbytes)
+            do("cuMemcpyDtoHAsync_v2", target, place, size, self._stream)
+        do("cuStreamSynchronize", self._stream)
+        return rows
+
+    def close(self) -> None:
+        """Free the memory, on the device and on the host."""
+        driver = self._device.driver
+        for place, _ in self._blocks.values():
+            driver.cuMemFree_v2(place)
+        if self._locked:
+            driver.cuMemFreeHost(self._locked)
+        driver.cuStreamDestroy_v2(self._stream)
+
+    def _block(self, number: int, size: int) -> ctypes.c_uint64:
+        """A block of device memory of at least a size."""
+        place, known = self._blocks.get(number, (None, 0))
+        if place is None or known < size:
+            if place is not None:
+                self._device.driver.cuMemFree_v2(self._blocks.pop(number)[0])
+            place = ctypes.c_uint64()
+            self._device.do("cuMemAlloc_v2", ctypes.byref(place), ctypes.c_size_t(size), asked=size)
+            self._blocks[number] = place, size
+        return place
+
+    def _page_locked(self, count: int) -> NDArray[np.float64]:
+        """The host's memory of so many numbers."""
+        size = 8 * count
+        if self._size < size:
+            if self._locked:
+                self._device.driver.cuMemFreeHost(self._locked)
+            self._locked, self._size = ctypes.c_void_p(), 0
+            self._device.do(
+                "cuMemHostAlloc",
+                ctypes.byref(self._locked),
+                ctypes.c_size_t(size),
+                ctypes.c_uint(0),
+                asked=size,
+            )
+            self._size = size
+        memory = (ctypes.c_double * count).from_address(self._locked.value or 0)
+        return np.ctypeslib.as_array(memory)

@@ -35,7 +35,12 @@ ROUNDED = re.compile(r"^\s*(?:@\S+\s+)?((?:add|sub|mul|fma|mad|div|rcp|sqrt)\.\S
 def driver(monkeypatch):
     found = installed(monkeypatch, Driver())
     yield found
-    assert not found.memory
+    assert left(found) == (0, 0, 0)
+
+
+def left(driver):
+    """Blocks on the device and on the host, and streams, that nobody gave back."""
+    return len(driver.memory), len(driver.locked), driver.streams
 
 
 @pytest.fixture
@@ -206,12 +211,13 @@ def test_functions_of_the_c_library_are_arithmetic(name, driver, tmp_path):
     if name.startswith("log") and name != "log1p":
         x = np.abs(x)
     device = cuda.Device(driver)
-    state, shared, rows = np.zeros((1, 1, 300)), np.zeros((1, 1)), np.empty((1, 1, 300))
-    device.fly(
-        device.entry(text), np.zeros(1, np.int32), np.zeros(1, np.int64), state, shared, x, rows
-    )
+    kinds, at = np.zeros(1, np.int32), np.zeros(1, np.int64)
+    state, shared = np.zeros((1, 1, 300)), np.zeros((1, 1))
+    with device.lane() as lane:
+        rows = lane.run(device.entry(text), kinds, at, state, shared, x, results=300).copy()
+    device.release()
     expected = FUNCTIONS[name](*x[0])
-    units = np.abs(rows[0, 0] - expected) / np.spacing(np.abs(expected))
+    units = np.abs(rows - expected) / np.spacing(np.abs(expected))
     allowed = 2.0 + 2.0 * np.abs(x[0, 1] * np.log(x[0, 0])) if name == "pow" else 3.0
     assert (units <= allowed).all(), units.max()
 
@@ -312,7 +318,7 @@ def test_runs_are_flown_in_parts_that_the_device_has_room_for(jobs, monkeypatch)
     _, found = flown(filters[1], prior, runs.TIMES, z, jobs=jobs)
     assert small.calls["cuLaunchKernel"] > pieces + 2 * jobs
     assert small.most < 0.6 * small.free
-    assert not small.memory
+    assert left(small) == (0, 0, 0)
     for name in ("mean", "std", "whitened", "log_likelihood"):
         np.testing.assert_array_equal(getattr(found, name), getattr(at_once, name))
 
@@ -330,8 +336,8 @@ def test_a_program_is_made_and_loaded_once(driver):
         1,
         1,
     )
-    memories = 6 * driver.calls["cuLaunchKernel"]
-    assert driver.calls["cuMemAlloc_v2"] == driver.calls["cuMemFree_v2"] == memories
+    assert driver.calls["cuMemAlloc_v2"] == driver.calls["cuMemFree_v2"]
+    assert 18 <= driver.calls["cuMemAlloc_v2"] < 6 * driver.calls["cuLaunchKernel"]
 
 
 def test_a_study_takes_the_engine_that_is_set(driver):
@@ -395,20 +401,20 @@ FAULTS = {
         r"cuMemAlloc_v2 of \d+ bytes: CUDA_ERROR_OUT_OF_MEMORY",
     ),
     "copy": (
-        {"failing": {"cuMemcpyHtoD_v2": (1, 3)}},
-        r"cuMemcpyHtoD_v2: CUDA_ERROR_INVALID_VALUE \(invalid argument\)",
+        {"failing": {"cuMemcpyHtoDAsync_v2": (1, 3)}},
+        r"cuMemcpyHtoDAsync_v2: CUDA_ERROR_INVALID_VALUE \(invalid argument\)",
     ),
     "launch": (
         {"failing": {"cuLaunchKernel": (1, 1)}},
         r"cuLaunchKernel: CUDA_ERROR_INVALID_VALUE",
     ),
     "flight": (
-        {"failing": {"cuCtxSynchronize": (700, 1)}},
-        r"cuCtxSynchronize: CUDA_ERROR_ILLEGAL_ADDRESS \(an illegal memory",
+        {"failing": {"cuStreamSynchronize": (700, 1)}},
+        r"cuStreamSynchronize: CUDA_ERROR_ILLEGAL_ADDRESS \(an illegal memory",
     ),
     "copy back": (
-        {"failing": {"cuMemcpyDtoH_v2": (1, 2)}},
-        r"cuMemcpyDtoH_v2: CUDA_ERROR_INVALID_VALUE",
+        {"failing": {"cuMemcpyDtoHAsync_v2": (1, 2)}},
+        r"cuMemcpyDtoHAsync_v2: CUDA_ERROR_INVALID_VALUE",
     ),
 }
 
@@ -420,7 +426,7 @@ def test_faults_are_told_and_nothing_leaks(name, monkeypatch):
     for jobs in (1, 2):
         with pytest.raises(cuda.CudaError, match=f"^engine='cuda': {message}"):
             fly(jobs=jobs)
-        assert not driver.memory
+        assert left(driver) == (0, 0, 0)
     if name == "no memory after all":
         assert driver.calls["cuMemFree_v2"] == 3
     assert fly("auto").engine == "compiled"
