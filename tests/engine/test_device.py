@@ -17,20 +17,12 @@ from celnav.tape.tape import Tape
 pytest.importorskip("llvmlite")
 
 
-def _missing() -> str:
-    """Why there is no device; "" if there is one."""
-    try:
-        cuda.device()
-    except cuda.CudaError as error:
-        return str(error)
-    return ""
+try:
+    cuda.device()
+except cuda.CudaError as error:
+    pytest.skip(str(error), allow_module_level=True)
 
-
-MISSING = _missing()
-pytestmark = [
-    pytest.mark.usefixtures("eager"),
-    pytest.mark.skipif(bool(MISSING), reason=MISSING),
-]
+pytestmark = pytest.mark.usefixtures("eager")
 
 
 def compared(*arguments, **options):
