@@ -36,10 +36,10 @@ ROOMS = [
 ]
 LEVEL = {room: level for level, rooms in enumerate(ROOMS) for room in rooms}
 UPWARD = {
-    ("track", name)
-    for name in ("celnav.show.report", "celnav.show.report.report", "celnav.show.report.Report")
+    ("track", f"celnav.show.{name}")
+    for name in ("report", "report.report", "report.Report", "history", "history.figure")
 }
-"""A track is asked for its report, which is made, and imported, at the call."""
+"""A track is asked for its report and its plot, which are made, and imported, at the call."""
 UPWARD |= {("run", name) for name in ("celnav.engine.compiled", "celnav.engine.compiled.run_by")}
 """``run`` chooses an engine, and imports what machine code needs at the call only."""
 MODULES = sorted(

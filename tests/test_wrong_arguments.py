@@ -93,7 +93,8 @@ plots: draw
 diagnose: Diagnosis.biased Diagnosis.white autocorrelation first_order forgotten_wraps grid_index
 diagnosis_text: consistency laid_out page
 diagnosis: figure size
-report: Report.figure
+history: figure
+report: Report.figure component_names errors
 scenes: arc behind beside constellation flight sigma_points sightings track turning unit
 showcase: Showcase record write
 """

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from copy import copy
-from datetime import UTC, date, timedelta
+from datetime import UTC, date, datetime, timedelta
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -335,6 +335,18 @@ def as_seconds(times: Any) -> Any:
     except (AttributeError, IndexError, TypeError, ValueError):
         pass  # not dates: the caller checks them as numbers
     return times
+
+
+def first_date(times: Any) -> np.datetime64 | None:
+    """The first of the dates that `as_seconds` counts from, in UTC; None for numbers."""
+    if not isinstance(times, list | tuple):
+        times = np.asarray(times).reshape(-1)
+    first: Any = times[0] if len(times) else None
+    if isinstance(first, datetime) and first.tzinfo is not None:
+        first = first.astimezone(UTC).replace(tzinfo=None)
+    if isinstance(first, date):
+        first = np.datetime64(first)
+    return first.astype("datetime64[ns]") if isinstance(first, np.datetime64) else None
 
 
 def _rows(name: str, values: Any, times: int) -> Any:

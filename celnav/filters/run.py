@@ -20,6 +20,7 @@ from celnav.filters.records import (
     Info,
     check_interval,
     epochs,
+    first_date,
     without_input,
 )
 from celnav.filters.sequential import Sequential
@@ -99,7 +100,8 @@ def run(
 
         stream = as_epochs(times, z, u)
         options: Any = {"every": every, "keep": keep, "on_failure": on_failure}
-        return with_columns(run_by(engine, filter, prior, stream, jobs, also, reduce, **options), z)
+        track = run_by(engine, filter, prior, stream, jobs, also, reduce, **options)
+        return labeled(track, times, z)
     collector = Collector(integer("every", every), rows_of(keep))
     choice("on_failure", on_failure, ("raise", "flag"))
     reduced, before = None, None
@@ -122,15 +124,22 @@ def run(
         if reduce is not None:
             reduced = reduce(reduced, epoch, state, infos)
         before = state
-    return with_columns(collector.track(reduced, filter), z)
+    return labeled(collector.track(reduced, filter), times, z)
 
 
-def with_columns(track: Track, z: Any) -> Track:
-    """The track with the names of the columns, if all measurements are tables."""
+def labeled(track: Track, times: Any, z: Any) -> Track:
+    """The track with the date of its first epoch, and with the names of the measurements' columns
+    if all of them are tables.
+    """
     tables = z if isinstance(z, tuple) else (z,)
-    if not all(hasattr(table, "columns") for table in tables):
+    columns: tuple[str, ...] = ()
+    if all(hasattr(table, "columns") for table in tables):
+        columns = tuple(str(name) for table in tables for name in table.columns)
+    listed = hasattr(times, "__array__") or isinstance(times, list | tuple)
+    start = first_date(times) if listed else None
+    if start is None and not columns:
         return track
-    return replace(track, columns=tuple(str(name) for table in tables for name in table.columns))
+    return replace(track, columns=columns, start=start)
 
 
 def as_epochs(times: Any, z: Any, u: Any) -> Iterable[Epoch]:

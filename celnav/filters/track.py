@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from celnav.filters.model import Motion
 from celnav.filters.records import Epoch, Info
@@ -21,6 +21,8 @@ from celnav.lazy import requires_extra
 
 if TYPE_CHECKING:
     import pandas as pd
+    import xarray as xr
+    from matplotlib.figure import Figure
 
     from celnav.show.report import Report
 
@@ -42,7 +44,8 @@ class Track:
         had at an epoch: innovations, nan where not measured; whitened innovations, 0 where not
         used; bool, the components that were used.
     sensors: how many of these components each sensor has, in their order.
-    columns: names of the measurements' columns, if they came as a table of pandas.
+    columns: names of the measurements' columns, if they came as a table of pandas. start: the date
+        of t = 0 in UTC, if times came as dates.
     log_likelihood: ``(...)`` of all measurements, also of epochs not stored.
     events: counts ``(...)`` over all epochs: "missing" and "rejected" components, "redone" steps.
         If ``z`` was None, as many are missing as that sensor has at other epochs.
@@ -72,6 +75,7 @@ class Track:
     failed_at: Array
     sensors: tuple[int, ...] = ()
     columns: tuple[str, ...] = ()
+    start: np.datetime64 | None = None
     extra: dict[str, Array] = field(default_factory=dict)
     reduced: Any = None
     filter: Any = None
@@ -159,22 +163,89 @@ class Track:
 
         return report(self, truth, names=names, start=start, space=space, level=level)
 
+    def plot(
+        self,
+        truth: ArrayLike | None = None,
+        run: int = 0,
+        *,
+        names: Sequence[str] | None = None,
+        space: Space | None = None,
+    ) -> Figure:
+        """A figure of one run: the errors of all components within ±3 predicted deviations, and the
+        whitened innovations within ±3.
+
+        truth, names, space: as of `report`; without a truth only the deviations are drawn. run: its
+            number; several batch axes count as one. Needs matplotlib.
+
+        >>> celnav.run(filter, prior, times, z).plot(truth).savefig("run.png")
+        """
+        from celnav.show.history import figure  # of a higher room, as the report is
+
+        return figure(self, truth, run, names=names, space=space)
+
     @property
     def measured(self) -> list[str]:
         """Names of the components of the innovation: columns of a table, or ``z0, z1, ...``."""
         count = sum(self.sensors)
         return [*self.columns] if len(self.columns) == count else [f"z{i}" for i in range(count)]
 
-    def to_dataframe(self, names: list[str] | None = None) -> pd.DataFrame:
-        """A row for each stored epoch and run (batch axes count as one): time, run, means, standard
-        deviations, NIS. Needs pandas.
+    @property
+    def dates(self) -> NDArray[np.datetime64] | None:
+        """The epochs' dates ``(T,)`` in UTC, if times came as dates."""
+        if self.start is None:
+            return None
+        return self.start + np.round(1e9 * self.times).astype("timedelta64[ns]")
 
-        ``names``: of the state's components; default ``x0, x1, ...``.
+    def to_dataframe(self, names: list[str] | None = None) -> pd.DataFrame:
+        """A row for each stored epoch and run (batch axes count as one): time (s), date, run,
+        means, standard deviations, NIS. Needs pandas.
+
+        ``names``: of the state's components; default: those of a product's parts, or ``x0, x1,
+        ...``.
         """
         with requires_extra("Track.to_dataframe", "notebooks"):
             import pandas as pd
 
         return pd.DataFrame(self._columns(names))
+
+    def to_xarray(self, names: list[str] | None = None) -> xr.Dataset:
+        """A data set with all that is stored, its axes named: time (s), date, run (run0, run1, ...
+        if there are several batch axes), state, error, measurement. Needs xarray.
+
+        ``names``: as of `to_dataframe`; ``error`` are the components of deviations and covariances,
+        of which an attitude has three.
+
+        >>> data = track.to_xarray()
+        >>> data["std"].sel(error="x0").mean("run")
+        """
+        with requires_extra("Track.to_xarray", "notebooks"):
+            import xarray as xr
+
+        batch = self.failed_at.ndim
+        runs = ["run"] if batch == 1 else [f"run{i}" for i in range(batch)]
+        axes: dict[str, Any] = {"time": ("time", self.times, {"units": "s"})}
+        if self.dates is not None:
+            axes["date"] = "time", self.dates
+        variables: dict[str, Any] = {name: (runs, x) for name, x in self.events.items()}
+        variables |= {
+            "log_likelihood": (runs, self.log_likelihood),
+            "failed_at": (runs, self.failed_at),
+        }
+        if self.mean is not None:
+            axes["state"] = self._names(names)
+            variables["mean"] = ["time", *runs, "state"], self.mean
+        if self.std is not None:
+            axes["error"] = self._error_names(names)
+            variables["std"] = ["time", *runs, "error"], self.std
+        if self.belief is not None:
+            axes["error_"] = axes["error"]
+            variables["cov"] = ["time", *runs, "error", "error_"], self.cov
+        if self.whitened is not None:
+            axes["measurement"] = self.measured
+            for name in INNOVATIONS:
+                variables[name] = ["time", *runs, "measurement"], getattr(self, name)
+            variables |= {"nis": (["time", *runs], self.nis), "dof": (["time", *runs], self.dof)}
+        return xr.Dataset(variables, axes, {"engine": self.engine})
 
     def to_csv(self, path: str | Path, names: list[str] | None = None) -> None:
         """Write what `to_dataframe` would hold, with 17 significant digits, without needing
@@ -184,14 +255,29 @@ class Track:
         columns = self._columns(names)
         lines = [
             columns,
-            *([f"{v:.17g}" for v in row] for row in zip(*columns.values(), strict=True)),
+            *([_written(v) for v in row] for row in zip(*columns.values(), strict=True)),
         ]
         write_text(Path(path), "".join(",".join(line) + "\n" for line in lines))
 
-    def _columns(self, names: Any) -> dict[str, Array]:
+    def _columns(self, names: Any) -> dict[str, Any]:
         mean = _stored("to_dataframe", self.mean, "means")
         T, N, runs = len(mean), mean.shape[-1], int(np.prod(mean.shape[1:-1]))
-        names = [f"x{i}" for i in range(N)] if names is None else names
+        columns: dict[str, Any] = {"t": np.repeat(self.times, runs)}
+        if self.dates is not None:
+            columns["date"] = np.repeat(self.dates, runs)
+        columns["run"] = np.tile(np.arange(runs), T)
+        columns |= dict(zip(self._names(names), mean.reshape(T * runs, N).T, strict=True))
+        if self.std is not None:
+            std = self.std.reshape(T * runs, -1)
+            for label, column in zip(self._error_names(names), std.T, strict=True):
+                columns[f"std_{label}"] = column
+        return columns if self.whitened is None else columns | {"nis": self.nis.ravel()}
+
+    def _names(self, names: Any) -> list[str]:
+        """Names of the components of the mean."""
+        N = self.mean.shape[-1]
+        if names is None:
+            return _fitting(space_of(self.filter).point_labels, N, "x")
         named = (
             not isinstance(names, str)
             and isinstance(names, Iterable)
@@ -199,13 +285,24 @@ class Track:
         )
         if not named or len(names) != N:
             raise ValueError(f"names: expected {N} words, such as ['x', 'y'], got {names!r:.80}")
-        columns = {"t": np.repeat(self.times, runs), "run": np.tile(np.arange(runs), T)}
-        columns |= dict(zip(names, mean.reshape(T * runs, N).T, strict=True))
-        if self.std is not None:
-            std = self.std.reshape(T * runs, -1)
-            labels = names if std.shape[-1] == N else [f"d{i}" for i in range(std.shape[-1])]
-            columns |= {f"std_{label}": column for label, column in zip(labels, std.T, strict=True)}
-        return columns if self.whitened is None else columns | {"nis": self.nis.ravel()}
+        return list(names)
+
+    def _error_names(self, names: Any) -> list[str]:
+        """Names of the components of a deviation: the mean's, if there are as many."""
+        n = self.std.shape[-1]
+        if self.mean is not None and self.mean.shape[-1] == n:
+            return self._names(names)
+        return _fitting(space_of(self.filter).labels, n, "d")
+
+
+def _fitting(labels: list[str], count: int, letter: str) -> list[str]:
+    """The labels, if there are so many; else numbered letters."""
+    return labels if len(labels) == count else [f"{letter}{i}" for i in range(count)]
+
+
+def _written(value: Any) -> str:
+    """A number with all its digits, or a date."""
+    return str(value) if isinstance(value, np.datetime64) else f"{value:.17g}"
 
 
 def space_of(filter: Any) -> Space:

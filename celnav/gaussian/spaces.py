@@ -82,11 +82,12 @@ class Space(NamedTuple):
     @property
     def labels(self) -> list[str]:
         """Names of the components of a tangent, of the innermost parts: q0, q1, ...; else none."""
-        labels: dict[int, str] = {}
-        for name, _, (first, stop) in self.parts:
-            for i in range(first, stop):
-                labels[i] = f"{name}{i - first}" if stop - first > 1 else name
-        return [labels[i] for i in sorted(labels)]
+        return _labels((part.name, part.tangents) for part in self.parts)
+
+    @property
+    def point_labels(self) -> list[str]:
+        """The same for the components of a point, of which an attitude has four."""
+        return _labels((part.name, part.points) for part in self.parts)
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Space) and self[:4] == other[:4]
@@ -102,6 +103,15 @@ class Space(NamedTuple):
 
     def __reduce__(self) -> Any:
         return "EUCLIDEAN" if self is EUCLIDEAN else (Space, tuple(self))
+
+
+def _labels(places: Iterable[tuple[str, tuple[int, int]]]) -> list[str]:
+    """Names of components, of parts from one place to another; the last part that has it counts."""
+    labels: dict[int, str] = {}
+    for name, (first, stop) in places:
+        for i in range(first, stop):
+            labels[i] = f"{name}{i - first}" if stop - first > 1 else name
+    return [labels[i] for i in sorted(labels)]
 
 
 EUCLIDEAN = Space()

@@ -184,13 +184,6 @@ def report(
     """What `celnav.Track.report` gives, which says the arguments."""
     instance("track", track, Track, "what celnav.run gave")
     level = number("level", level, above=0.0, below=1.0)
-    if track.mean is None or track.std is None:
-        raise ValueError(
-            "track: expected one with means and deviations; run with keep='cov', or 'std'"
-        )
-    if space is None:
-        space = space_of(track.filter)
-    instance("space", space, Space, "a Space, such as celnav.attitude()")
     first = 0 if start is None else int(np.searchsorted(track.times, number("start", start)))
     times = track.times[first:]
     T = len(times)
@@ -198,15 +191,8 @@ def report(
         raise ValueError(
             f"start: expected at most {track.times[-1]:g}, the last epoch, got {start!r}"
         )
-    error = _errors(track, truth, space)
+    error, names = errors(track, truth, names, space)
     n = error.shape[-1]
-    if names is None:
-        names = space.labels[:n] or [f"x{i}" for i in range(n)]
-    names = sequence("names", names, "['x', 'y']")
-    if len(names) != n or not all(isinstance(name, str) for name in names):
-        raise ValueError(
-            f"names: expected {n} words, one for each component of the error, got {names!r:.80}"
-        )
     error, std = (x[first:].reshape(T, -1, n) for x in (error, track.std[..., :n]))
     std = np.where(np.isfinite(error), std, np.nan)
     with np.errstate(invalid="ignore", divide="ignore"):  # where nothing is known there is nan
@@ -244,6 +230,33 @@ def _lost(track: Track) -> tuple[tuple[int, float], ...]:
     missing = np.isnan(track.mean).any(-1).reshape(len(track.times), -1)[:, runs]
     since = np.where(missing.any(0), track.times[missing.argmax(0)], np.nan)
     return tuple(zip(runs.tolist(), since.tolist(), strict=True))
+
+
+def errors(
+    track: Track, truth: Any, names: Sequence[str] | None, space: Space | None
+) -> tuple[Array, Sequence[str]]:
+    """Errors ``(T, ..., n)`` in a space, and the names of their components."""
+    if track.mean is None or track.std is None:
+        raise ValueError(
+            "track: expected one with means and deviations; run with keep='cov', or 'std'"
+        )
+    if space is None:
+        space = space_of(track.filter)
+    instance("space", space, Space, "a Space, such as celnav.attitude()")
+    error = _errors(track, truth, space)
+    return error, component_names(names, space, error.shape[-1])
+
+
+def component_names(names: Sequence[str] | None, space: Space, n: int) -> Sequence[str]:
+    """Names of ``n`` components of an error: those given, those of the space, or x0, x1, ..."""
+    if names is None:
+        names = space.labels[:n] or [f"x{i}" for i in range(n)]
+    names = sequence("names", names, "['x', 'y']")
+    if len(names) != n or not all(isinstance(name, str) for name in names):
+        raise ValueError(
+            f"names: expected {n} words, one for each component of the error, got {names!r:.80}"
+        )
+    return names
 
 
 def _errors(track: Track, truth: Any, space: Space) -> Array:

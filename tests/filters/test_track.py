@@ -170,3 +170,39 @@ def test_reports_and_diagnoses_of_a_few_rows():
         assert report.components == whole.report(np.zeros((40, 2))).components
     few = celnav.run(filter, PRIOR, times, z, keep=("innovation",))
     assert str(diagnose(few)) == str(diagnose(whole))
+
+
+def test_dates_are_kept():
+    """In every time zone, and for stored epochs only."""
+    pd = pytest.importorskip("pandas")
+    filter = celnav.ukf(MOTION, celnav.Sensor(EYE, EYE))
+    zone = pd.date_range("2026-01-01", periods=5, freq="500ms", tz="Europe/Berlin")
+    forms = [zone, zone.to_pydatetime(), list(zone), zone.tz_convert(None).to_numpy()]
+    for times in forms:
+        track = celnav.run(filter, PRIOR, times, np.ones((5, 2)), every=2)
+        assert track.start == np.datetime64("2025-12-31T23:00")
+        np.testing.assert_array_equal(track.dates, zone.tz_convert(None).to_numpy()[::2])
+        frame = track.to_dataframe()
+        assert list(frame.columns[:3]) == ["t", "date", "run"]
+        np.testing.assert_array_equal(frame["date"].to_numpy(), track.dates)
+    plain = celnav.run(filter, PRIOR, np.arange(5.0), np.ones((5, 2)))
+    assert plain.start is plain.dates is None
+    assert "date" not in plain.to_dataframe()
+
+
+def test_a_data_set_has_what_the_track_has():
+    pytest.importorskip("xarray")
+    filter = celnav.ukf(MOTION, celnav.Sensor(EYE, EYE))
+    prior = celnav.Gaussian(np.zeros((3, 2)), EYE)
+    track = celnav.run(filter, prior, np.arange(4.0), np.ones((4, 3, 2)), keep="cov")
+    data = track.to_xarray(["east", "north"])
+    np.testing.assert_array_equal(data["std"].sel(error="north").isel(run=1), track.std[:, 1, 1])
+    assert data["cov"].dims == ("time", "run", "error", "error_")
+    for name in ("mean", "cov", "innovation", "used", "nis", "log_likelihood", "failed_at"):
+        np.testing.assert_array_equal(data[name].to_numpy(), getattr(track, name))
+    assert data["time"].attrs == {"units": "s"}
+    several = celnav.Gaussian(np.zeros((2, 3, 2)), EYE)
+    track = celnav.run(filter, several, np.arange(4.0), np.ones((4, 1, 1, 2)), keep="nothing")
+    data = track.to_xarray()
+    assert set(data.data_vars) == {*track.events, "log_likelihood", "failed_at"}
+    assert data["failed_at"].dims == ("run0", "run1")
