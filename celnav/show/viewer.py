@@ -1,0 +1,90 @@
+"""Recordings in the browser, without a network: a page, the viewer as one script, and each
+recording as another.
+
+A page that is opened from disk may load scripts, but no other files. So the viewer's WebAssembly
+and the recordings are text within scripts. The viewer is that of the package ``rerun-notebook``.
+"""
+
+from __future__ import annotations
+
+import gzip
+from base64 import b64encode
+from importlib import metadata
+from importlib.util import find_spec
+from pathlib import Path
+from urllib.parse import quote
+
+from celnav.lazy import installed, requires_extra
+
+PAGE, SCRIPT = "viewer.html", "viewer.js"
+PACKAGE = "rerun_notebook"
+_OPEN, _CLOSE = "//!<INLINE-MARKER-OPEN>", "//!<INLINE-MARKER-CLOSE>"
+"""Between them the viewer's script fetches its WebAssembly."""
+_EXPORT = "export {"
+_START = """\
+"use strict";
+{
+  const bytes = (text) => Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
+  const packed = "@WASM";
+  window.celnavWasm = () =>
+    new Response(new Blob([bytes(packed)]).stream().pipeThrough(new DecompressionStream("gzip")),
+      { headers: { "Content-Type": "application/wasm" } });
+  const module = document.createElement("script");
+  module.type = "module";
+  module.textContent = new TextDecoder().decode(bytes("@MODULE"));
+  document.head.append(module);
+}
+"""
+
+
+def available() -> bool:
+    """Whether the viewer's package is installed."""
+    return installed(PACKAGE)
+
+
+def viewer() -> dict[str, bytes]:
+    """The two files of the viewer by name, 23 MB; MissingError if its package is not installed."""
+    with requires_extra("the viewer in the browser", "notebooks"):
+        if (spec := find_spec(PACKAGE)) is None or spec.origin is None:
+            raise ModuleNotFoundError(name=PACKAGE)
+    static = Path(spec.origin).parent / "static"
+    module = _patched((static / "widget.js").read_text(encoding="utf-8"))
+    wasm = gzip.compress((static / "re_viewer_bg.wasm").read_bytes(), 6, mtime=0)
+    script = _START.replace("@WASM", _text(wasm)).replace("@MODULE", _text(module.encode()))
+    page = (Path(__file__).parent / "pages" / PAGE).read_bytes()
+    return {PAGE: page, SCRIPT: script.encode()}
+
+
+def as_script(recording: bytes) -> bytes:
+    """The script of a recording, the bytes of an ``.rrd`` file; its file is ``NAME.rrd.js``."""
+    return f'celnavRecording("{_text(recording)}");\n'.encode()
+
+
+def address(recording: str, seconds: float | None = None) -> str:
+    """The address that shows a recording, a path relative to the page, at a time (s) since its
+    start.
+
+    >>> address("csrukf/gaps.rrd", 120.0)
+    'viewer.html?csrukf/gaps@120'
+    """
+    at = "" if seconds is None else f"@{seconds:g}"
+    return f"{PAGE}?{quote(recording.removesuffix('.rrd'))}{at}"
+
+
+def _patched(module: str) -> str:
+    """The viewer's script with its WebAssembly taken from memory, and with its class handed to the
+    page.
+    """
+    start, end = module.find(_OPEN), module.find(_CLOSE)
+    export = module.rfind(_EXPORT)
+    if min(start, end, export) < 0:
+        version = metadata.version(PACKAGE.replace("_", "-"))
+        raise RuntimeError(
+            f"{PACKAGE}: expected a script of the form that version 0.41 has, got version {version}"
+        )
+    wasm = "\nreturn window.celnavWasm();\n"
+    return module[: start + len(_OPEN)] + wasm + module[end:export] + "celnavViewer(WebViewer);\n"
+
+
+def _text(data: bytes) -> str:
+    return b64encode(data).decode()

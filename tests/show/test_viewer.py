@@ -1,0 +1,84 @@
+"""Recordings as scripts, and the viewer's page, which needs no network."""
+
+from __future__ import annotations
+
+import gzip
+import re
+from base64 import b64decode
+
+import pytest
+
+from celnav.lazy import MissingError
+from celnav.show import viewer
+
+MODULE = """async function fetch_viewer_wasm(base_url) {
+  //!<INLINE-MARKER-OPEN>
+  return fetch(new URL("./re_viewer_bg.wasm", base_url));
+  //!<INLINE-MARKER-CLOSE>
+}
+class WebViewer {}
+export {
+  widget_default as default
+};
+"""
+
+
+@pytest.fixture
+def package(tmp_path, monkeypatch):
+    """A package of the viewer's form in place of what is installed."""
+    static = tmp_path / viewer.PACKAGE / "static"
+    static.mkdir(parents=True)
+    (static.parent / "__init__.py").touch()
+    (static / "widget.js").write_text(MODULE)
+    (static / "re_viewer_bg.wasm").write_bytes(b"\0asm" + bytes(range(256)))
+    monkeypatch.syspath_prepend(tmp_path)
+    return static
+
+
+def quoted(script):
+    """The texts of base 64 in a script, decoded."""
+    return [b64decode(text) for text in re.findall(r'"([A-Za-z0-9+/=]{20,})"', script.decode())]
+
+
+def test_the_viewer_is_one_script_that_fetches_nothing(package):
+    files = viewer.viewer()
+    wasm, module = quoted(files[viewer.SCRIPT])
+    assert gzip.decompress(wasm) == (package / "re_viewer_bg.wasm").read_bytes()
+    assert b"fetch(" not in module
+    assert b"return window.celnavWasm();" in module
+    assert module.decode().endswith("class WebViewer {}\ncelnavViewer(WebViewer);\n")
+    page = files[viewer.PAGE].decode()
+    assert "://" not in page
+    assert files == viewer.viewer()  # the same bytes each time
+
+
+def test_a_recording_is_a_script_with_its_bytes():
+    recording = bytes(range(256)) * 3
+    script = viewer.as_script(recording)
+    assert quoted(script) == [recording]
+    assert script.startswith(b'celnavRecording("')
+
+
+@pytest.mark.parametrize(
+    ("given", "text"),
+    [
+        (("a.rrd",), "viewer.html?a"),
+        (("csrukf/gaps.rrd", 120.0), "viewer.html?csrukf/gaps@120"),
+        (("my study/a b.rrd", 0.5), "viewer.html?my%20study/a%20b@0.5"),
+    ],
+)
+def test_addresses(given, text):
+    assert viewer.address(*given) == text
+
+
+def test_another_viewer_is_refused_by_its_version(package, monkeypatch):
+    monkeypatch.setattr(viewer.metadata, "version", lambda name: "9.9")
+    (package / "widget.js").write_text(MODULE.replace("//!<INLINE-MARKER-OPEN>", ""))
+    with pytest.raises(RuntimeError, match=r"version 0\.41 has, got version 9\.9"):
+        viewer.viewer()
+
+
+def test_without_its_package(monkeypatch):
+    monkeypatch.setattr(viewer, "find_spec", lambda name: None)
+    with pytest.raises(MissingError, match="the viewer in the browser needs rerun_notebook"):
+        viewer.viewer()
