@@ -6,11 +6,13 @@ own, so that Sphinx finds them side by side and leaves nothing behind here.
 
 from __future__ import annotations
 
+import io
 import json
 import re
 import shutil
 import sys
 import tempfile
+from contextlib import chdir, redirect_stdout
 from pathlib import Path
 
 from sphinx.cmd.build import main
@@ -23,14 +25,22 @@ HERE = Path(__file__).resolve().parent
 
 def within(notebook: str) -> str:
     """A notebook with its links to anchors that its own outputs make as HTML, of which Sphinx knows
-    nothing.
+    nothing. Anchors of headings, which Jupyter spells with capitals, are in lower case here.
     """
     content = json.loads(notebook)
-    for cell in content["cells"]:
-        if cell["cell_type"] == "markdown":
-            cell["source"] = re.sub(
-                r"\[([^\]]*)\]\((#[^)]*)\)", r'<a href="\2">\1</a>', "".join(cell["source"])
-            )
+    cells = [cell for cell in content["cells"] if cell["cell_type"] == "markdown"]
+    text = "\n".join("".join(cell["source"]) for cell in cells)
+    headings = {
+        re.sub(r"[^\w-]", "", head.lower().replace(" ", "-"))
+        for head in re.findall(r"^#+ (.*)$", text, re.MULTILINE)
+    }
+
+    def link(found: re.Match[str]) -> str:
+        anchor = found[2].lower() if found[2].lower() in headings else found[2]
+        return f'<a href="#{anchor}">{found[1]}</a>'
+
+    for cell in cells:
+        cell["source"] = re.sub(r"\[([^\]]*)\]\(#([^)]*)\)", link, "".join(cell["source"]))
     return json.dumps(content)
 
 
@@ -44,9 +54,36 @@ def linked(page: str) -> str:
 
 
 def drawn(page: str) -> str:
-    """A page whose picture of verdicts stands in it as SVG, so that its squares are links."""
-    picture = (HERE / "verdicts.svg").read_text(encoding="utf-8")
-    return re.sub(r"!\[[^\]]*\]\(verdicts\.svg\)", f"```{{raw}} html\n{picture}```", page)
+    """A page whose pictures of `docs` stand in it as SVG: their text is text, their squares are
+    links, and both have the colors of the page.
+    """
+
+    def inline(image: re.Match[str]) -> str:
+        picture = (HERE / image[1]).read_text(encoding="utf-8")
+        return f'```{{raw}} html\n<div class="picture">\n{picture}</div>\n```'
+
+    return re.sub(r"!\[[^\]]*\]\((?:\.\./)?(verdicts\.svg|time_axis\.svg)\)", inline, page)
+
+
+def conventions(text: str) -> str:
+    """The second chapter of ``help(celnav)`` as a table: a word, and what holds for it."""
+    chapter = re.split(r"^-{4,}\n", text, flags=re.MULTILINE)[-1]
+    rows = re.findall(r"^(\w+) {2,}(.*(?:\n {8,}.*)*)", chapter, re.MULTILINE)
+    lines = ["| | |", "|---|---|"]
+    for word, said in rows:
+        said = re.sub(r"\s+", " ", said).replace("|", "\\|")
+        said = re.sub(r"(?<!`)`(\w+)`(?!`)", r"{py:obj}`\1 <celnav.\1>`", said).replace("``", "`")
+        lines.append(f"| {word} | {said} |")
+    return "\n".join(lines) + "\n"
+
+
+def run_programs(path: Path) -> None:
+    """Run the programs of a page whose figures they write, in the folder of the page."""
+    page = path.read_text(encoding="utf-8")
+    if ".savefig(" in page:
+        programs = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+        with chdir(path.parent), redirect_stdout(io.StringIO()):
+            exec(compile("\n".join(programs), str(path), "exec"), {})
 
 
 def build(out: Path) -> int:
@@ -63,7 +100,8 @@ def build(out: Path) -> int:
             )
         (source / "sources.md").write_text(sources(), encoding="utf-8")
         (source / "errata.md").write_text(errata(), encoding="utf-8")
-        (source / "conventions.txt").write_text(celnav.__doc__ or "", encoding="utf-8")
+        (source / "conventions.txt").write_text(conventions(celnav.__doc__ or ""), encoding="utf-8")
+        run_programs(source / "index.md")
         return main(
             [
                 "-b",

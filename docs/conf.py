@@ -15,7 +15,8 @@ import celnav
 
 project, author, copyright = "celnav", "the celnav authors", "the celnav authors"
 version = release = celnav.__version__
-extensions = ["myst_nb", "sphinx.ext.autodoc"]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "docs.search"]
+templates_path = ["_templates"]
 exclude_patterns = ["README.md"]
 
 nb_execution_mode = "off"  # they are shown as they were executed, with all runs
@@ -33,6 +34,7 @@ default_role = "py:obj"  # a name in single ticks is a link where there is somet
 
 html_theme = "furo"
 html_title = "celnav"
+pygments_dark_style = "github-dark"  # that of the theme underlines the names of modules
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
 html_copy_source = html_show_sourcelink = html_show_sphinx = False
@@ -46,6 +48,7 @@ CITED = re.compile(r"\[([A-Z][A-Za-z]+\d{4}\b[^\]]*)\]")
 KEY = re.compile(r"\b([A-Z][A-Za-z]+\d{4})\b")
 ARGUMENT = re.compile(r"^(\w+(?:, \w+)*): (?=\S)")
 ANOTHER = re.compile(r"(?:^ +|(?<=[.)`]) )(?=(\w+(?:, \w+)*): \S)")
+TRANSPOSE = r"\mathsf T", r"\top"  # MathML makes an italic letter of the first
 SMALL = "\u2060"  # before a field's name, whose first letter Sphinx would make a capital
 
 
@@ -72,8 +75,13 @@ def each_begins(names: set[str], lines: list[str]) -> Iterator[str]:
         yield line[start:]
 
 
+def sentence_ends(made: list[str]) -> bool:
+    """Whether the text so far ends a sentence, so that the next line may begin with an argument."""
+    return not made or not made[-1].strip() or made[-1].rstrip().endswith((".", ":", ")", "`"))
+
+
 def written(
-    _app: Sphinx, _what: str, _name: str, thing: Any, _options: Any, lines: list[str]
+    _app: Sphinx, what: str, _name: str, thing: Any, _options: Any, lines: list[str]
 ) -> None:
     """Docstrings, in which ``name: what it is`` speaks of an argument, as fields of
     reStructuredText.
@@ -83,14 +91,19 @@ def written(
         if made and line and not line.strip("-"):  # a heading of a docstring, such as Raises
             made[-1], line = f"**{made[-1]}**", ""
         line = CITED.sub(lambda cited: "[" + KEY.sub(r":ref:`\1 <\1>`", cited[1]) + "]", line)
-        argument = ARGUMENT.match(line)
+        argument = ARGUMENT.match(line) if sentence_ends(made) and what != "module" else None
+        if line.startswith(">>> ") and made and made[-1].strip() and ">>> " not in made[-1]:
+            made.append("")
         if argument:
             before = next((old for old in reversed(made) if old.strip()), "")
             if made and made[-1].strip() and not before.startswith((":", " ")):
                 made.append("")
             line = f":{SMALL}{argument[1]}: {line[argument.end() :]}"
         elif line[:1].strip() and made and made[-1].startswith((":", " ")):
-            made.append("")  # a paragraph begins right after an argument
+            if sentence_ends(made):
+                made.append("")  # a paragraph begins right after an argument
+            else:
+                line = f"    {line}"  # it goes on, although it is not indented
         made.append(line)
     lines[:] = made
 
@@ -112,15 +125,26 @@ def unsaid(
     )
 
 
+def plain_signature(
+    _app: Sphinx, _what: str, _name: str, _thing: Any, _options: Any, arguments: str, result: str
+) -> tuple[str, str] | None:
+    """A signature whose defaults are spaces, or other records, has their names."""
+    if not arguments:
+        return None
+    return re.sub(
+        r"space=\(<ufunc.*?\{\}\)|space=Space\(.*?\)(?=[,)])", "space=EUCLIDEAN", arguments
+    ), result
+
+
 def inline(translator: Any, node: Any) -> None:
     """A formula within a line."""
-    translator.body.append(convert(node.astext()))
+    translator.body.append(convert(node.astext().replace(*TRANSPOSE)))
     raise SkipNode
 
 
 def display(translator: Any, node: Any) -> None:
     """A formula of its own."""
-    translator.body.append(convert(node.astext(), display="block"))
+    translator.body.append(convert(node.astext().replace(*TRANSPOSE), display="block"))
     raise SkipNode
 
 
@@ -128,5 +152,6 @@ def setup(app: Sphinx) -> None:
     """What Sphinx asks for."""
     app.add_html_math_renderer("mathml", (inline, None), (display, None))
     app.connect("autodoc-process-docstring", written)
+    app.connect("autodoc-process-signature", plain_signature)
     app.connect("doctree-read", small)
     app.connect("autodoc-skip-member", unsaid)

@@ -117,6 +117,39 @@ def test_links_and_pictures_are_there():
     assert all((ROOT / target).exists() for target in targets)
 
 
+SUBJECTS = {
+    "square root": "square-root",
+    "IMM": "IMM",
+    "late samples": "late",
+    "NEES, NIS": "NEES",
+    "many runs": "many runs",
+    "C code": "C code",
+    "particle filters": "particle",
+    "gradients, GPU": "gradients",
+}
+
+
+def test_what_others_have_in_part_is_explained():
+    """Each ``~`` of the comparison, and nothing else, has its reason on the page of neighbors."""
+    table = re.search(r"## Compared with.*?\n(\|.*?)\n\n", README, re.DOTALL)[1].splitlines()
+    names = [name.strip() for name in table[0].split("|")[2:-1]]
+    in_part = {
+        (line.split("|")[1].strip(), name)
+        for line in table[2:]
+        for name, cell in zip(names, line.split("|")[2:-1], strict=True)
+        if cell.strip() == "~"
+    }
+    page = (ROOT / "docs" / "neighbors.md").read_text(encoding="utf-8")
+    explained = {
+        (row, name)
+        for subject, libraries in re.findall(r"^\| ([^|:]+): ([^|]+) \|", page, re.MULTILINE)
+        for name in libraries.split(", ")
+        for row in {row for row, _ in in_part if row.startswith(SUBJECTS[subject])}
+    }
+    assert len(in_part) > 10
+    assert in_part == explained
+
+
 TEXTS = [
     ROOT / "README.md",
     *(p for room in ("benchmarks", "docs") for p in (ROOT / room).rglob("*.md")),

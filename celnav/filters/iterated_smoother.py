@@ -3,9 +3,10 @@ smoother, and its extended variant.
 
 A filter linearizes over the beliefs available on the way. The smoothed beliefs are more accurate:
 linearize motion and sensors over them, filter and smooth with these linearizations, and repeat.
-With sigma points this is the iterated posterior linearization smoother [Garcia2017]; with Taylor's
-rule the iterated extended Kalman smoother, which is the Gauss-Newton method for the most probable
-trajectory [Bell1994].
+With sigma points this is the iterated posterior linearization smoother [Garcia2017], which
+[Yaghoobi2022] have in square-root form and parallel in time; with Taylor's rule the iterated
+extended Kalman smoother, which is the Gauss-Newton method for the most probable trajectory
+[Bell1994].
 """
 
 from __future__ import annotations

@@ -11,6 +11,9 @@ An update with a linear measurement ``z = H x + v``, in the letters of the books
     y  = z - H x                         L+ L+' = P - K S S' K'
     x+ = x + U (S^-1 y) = x + K y        P+     = L+ L+'
 
+One QR with sigma points and without a downdate is also the way of [Tronarp2024], who factors the
+residual of the regression too; here the joint is factored once, and no residual is formed.
+
 A rule replaces H and the identity by any functions: it gives the columns D of their images. The
 columns of the noise stand to the right::
 
