@@ -100,7 +100,7 @@ def written(
                 made.append("")
             line = f":{SMALL}{argument[1]}: {line[argument.end() :]}"
         elif line[:1].strip() and made and made[-1].startswith((":", " ")):
-            if sentence_ends(made):
+            if sentence_ends(made) and not line[0].islower():
                 made.append("")  # a paragraph begins right after an argument
             else:
                 line = f"    {line}"  # it goes on, although it is not indented
@@ -128,12 +128,10 @@ def unsaid(
 def plain_signature(
     _app: Sphinx, _what: str, _name: str, _thing: Any, _options: Any, arguments: str, result: str
 ) -> tuple[str, str] | None:
-    """A signature whose defaults are spaces, or other records, has their names."""
+    """A signature whose default is a space has its name."""
     if not arguments:
         return None
-    return re.sub(
-        r"space=\(<ufunc.*?\{\}\)|space=Space\(.*?\)(?=[,)])", "space=EUCLIDEAN", arguments
-    ), result
+    return re.sub(r"space=\(<ufunc 'add'>.*?\(\)\)", "space=EUCLIDEAN", arguments), result
 
 
 def inline(translator: Any, node: Any) -> None:

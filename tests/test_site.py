@@ -90,6 +90,14 @@ def test_each_parameter_on_a_line_of_a_docstring_has_its_entry():
     } <= set(found)
 
 
+def test_a_line_that_goes_on_is_no_paragraph():
+    """Of an argument, also if it is not indented; and a sentence of a module has no arguments."""
+    assert "wraps component 1." in described(celnav.Sensor)["space"]
+    lines = ["Exact over an interval of any", "length: two steps equal one."]
+    written(None, "module", "", celnav.models.motion, None, lines)
+    assert lines == ["Exact over an interval of any", "length: two steps equal one."]
+
+
 PUBLIC = [
     thing
     for name in dir(celnav)
