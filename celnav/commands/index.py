@@ -139,6 +139,11 @@ def verdicts(studies: Mapping[str, Claims]) -> str:
     return markdown(rows)
 
 
+def deciding(claims: Claims) -> list[Mapping[str, Any]]:
+    """What a study is judged by: its statements; its findings where it has none."""
+    return _of_kind(claims, "statement") or _of_kind(claims, "finding")
+
+
 def _of_kind(claims: Claims, kind: str) -> list[Mapping[str, Any]]:
     return [claim for claim in claims if claim["kind"] == kind]
 
