@@ -329,6 +329,23 @@ def test_list_of_a_study_has_figures_tables_and_rows_each_on_one_line_of_a_pipe(
     assert "augmented" in text
 
 
+@pytest.mark.parametrize("width", [80, 120, None])
+def test_lines_of_a_summary_are_wrapped_in_a_terminal_only(terminal, capsys, width):
+    from celnav.commands.terminal import paragraph
+
+    if width is not None:
+        terminal(width)
+    rows = [f"row {i}: " + "position 0.6636 km, velocity 10.64 m/s, " * 4 for i in range(2)]
+    paragraph("\n".join(rows), 4)
+    lines = capsys.readouterr().out.splitlines()
+    if width is None:
+        assert lines == [row.rstrip() for row in rows]
+    else:
+        assert width - 20 < max(map(len, lines)) <= width
+        assert {line[:4] for line in lines} == {"row ", "    "}
+        assert " ".join(" ".join(lines).split()) == " ".join(" ".join(rows).split())
+
+
 def ledger_of(folder):
     """Studies as `celnav verdicts` finds them, with every kind of verdict."""
     from celnav.show.claims import dumps
