@@ -99,10 +99,10 @@ def summary(
         if name in claims:
             said = answer(module.STUDY.found, claims[name])
         source = f": {cited(module.CITATION)}" if module.CITATION else ""
-        paragraphs.append(
-            f"**{module.TITLE}** (`{name}`{source}). {_whose(name)}{module.STUDY.says}\n"
-            f"*We find:* {said}"
-        )
+        paragraph = f"**{module.TITLE}** (`{name}`{source})."
+        if module.STUDY.says:
+            paragraph += f" {_whose(name)}{module.STUDY.says}"
+        paragraphs.append(f"{paragraph}\n*We find:* {said}" if said else paragraph)
     return "\n\n".join(paragraphs)
 
 

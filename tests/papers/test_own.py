@@ -74,9 +74,13 @@ def test_the_template_runs_as_it_is(folder, capsys):
         "What is said",
     ):
         assert text in page
+    assert "We find" not in page  # a study without such sentences has no empty ones
+    assert "It is said" not in page
     capsys.readouterr()
     assert cli.main(["verdicts"]) == 0
-    assert "| `study` | 1 |" in capsys.readouterr().out
+    shown = capsys.readouterr().out
+    assert "| `study` | 1 |" in shown
+    assert shown.endswith("**A vehicle by range and bearing** (`study`).\n")
     assert cli.main(["list", "study.py"]) == 0
     listed = capsys.readouterr().out
     assert all(
