@@ -8,6 +8,7 @@ import importlib
 import io
 import itertools
 import os
+import re
 import sys
 import tomllib
 from collections.abc import Sequence
@@ -23,10 +24,12 @@ from celnav.papers import REAL
 from celnav.papers.own import explain_error
 from celnav.tape.cuda import CudaError
 
-EXIT = (
-    "Exit status: 0, done; 1, it could not be done; "
-    "2, what was given cannot be used; 130, interrupted."
-)
+EXIT = """\
+exit status:
+  0    done
+  1    it could not be done
+  2    the input cannot be used
+  130  interrupted"""
 BAD_INPUT = (
     InputError,
     ForeignFileError,
@@ -37,10 +40,10 @@ BAD_INPUT = (
 )
 """What was given cannot be used, files and folders too: the exit status is 2."""
 PAPERS = ("papers", "jplephem", "erfa", "skyfield_data", "pymap3d", "threadpoolctl")
-RESULTS = ("papers", "matplotlib", "PIL", "jinja2", "tqdm", "filelock", *PAPERS[1:])
+RESULTS = ("papers", "matplotlib", "PIL", "jinja2", "rich", "filelock", *PAPERS[1:])
 NEEDS = {
     "list": PAPERS,
-    "verdicts": PAPERS,
+    "verdicts": (*PAPERS, "rich"),
     "reproduce": RESULTS,  # without rerun it says that there are no recordings
     "run": (*RESULTS, "pyarrow"),
     "campaign": (*RESULTS, "pyarrow"),
@@ -111,6 +114,10 @@ class _Parser(argparse.ArgumentParser):
     """Its mistakes are one line, like all others."""
 
     def error(self, message: str) -> NoReturn:
+        form = r"argument (\S+): invalid choice: (.*) \(choose from (.*)\)"
+        if choice := re.fullmatch(form, message):
+            names = choice[3].replace("'", "")
+            message = f"{choice[1]}: expected one of {names}, got {choice[2]}"
         raise UsageError(f"{message}; see {self.prog} --help")
 
 
@@ -143,7 +150,10 @@ def _options(words: Sequence[str]) -> argparse.Namespace:
 def _parser() -> tuple[_Parser, dict[str, _Parser]]:
     """The parser, and those of the commands by name, of what ``commands/options.toml`` says."""
     parser = _Parser(
-        prog="celnav", description=(celnav.__doc__ or "").partition("\n")[0], epilog=EXIT
+        prog="celnav",
+        description="Navigation filters, batched and in square-root form, and five papers judged.",
+        epilog=EXIT,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="version", version=f"celnav {celnav.__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
@@ -159,7 +169,14 @@ def _parser() -> tuple[_Parser, dict[str, _Parser]]:
                 options[f"--{study}"] = {"metavar": "DIR", "help": said}
         if name in ("reproduce", "run", "campaign"):
             options |= computing
-        command = commands.add_parser(name, help=about["help"], description=about["help"])
+        examples = "\n".join(["examples:", *(f"  {line}" for line in about["examples"])])
+        command = commands.add_parser(
+            name,
+            help=about["help"],
+            description=about["help"],
+            epilog=examples,
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
         needs = (name, *NEEDS[name]) if name in NEEDS else ()
         command.set_defaults(module="mission" if name == "run" else name, needs=needs)
         for option, said in options.items():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shlex
 import subprocess
 import sys
 import tomllib
@@ -84,15 +85,16 @@ def test_reproduce_tells_the_share_and_the_time_left_of_figures_and_recordings_t
 ):
     assert cli.main(["reproduce", "--out", str(tmp_path), "--effort", "1", "--jobs", "1"]) == 0
     told = [line for line in capsys.readouterr().out.splitlines() if line.startswith("celnav: ")]
-    assert [line.rpartition(": ")[2] for line in told] == [
-        "all",
-        "all",
-        "ledger",
-        "figures",
-        "recordings",
+    found = [re.fullmatch(r"celnav: (\d+)%(, \d+ s left)?: (.*)", line) for line in told]
+    assert [
+        (int(share), bool(left), what) for share, left, what in (m.groups() for m in found)
+    ] == [
+        (8, False, "tiny: all"),  # two CPU seconds of runs, ten of what is made of them
+        (17, False, "tiny: all"),
+        (17, False, "tiny: ledger"),
+        (25, True, "tiny: figures"),
+        (67, True, "tiny: recordings"),
     ]
-    shares = [int(re.match(r"celnav: (\d+)%, .* left: ", line)[1]) for line in told]
-    assert shares == [5, 9, 9, 18, 64]  # one CPU second of runs, ten of what is made of them
 
 
 def test_reproduce_writes_everything_and_replaces_its_own(study, tmp_path, capsys):
@@ -159,6 +161,11 @@ def test_strict_fails_where_a_claim_is_not_as_expected(study, tmp_path, capsys):
         ),
         (["reproduce", "--seed", "x"], 2, "--seed: expected a whole number"),
         (
+            ["reproduce", "--engine", "x"],
+            2,
+            "--engine: expected one of numpy, compiled, cuda, auto, got 'x'; see celnav",
+        ),
+        (
             ["reproduce", "--effort", "x"],
             2,
             "celnav: --effort: expected a number in (0, 1], got 'x'",
@@ -181,6 +188,13 @@ def test_a_mistake_is_one_line_and_an_exit_code(
     assert text in error
     assert error.count("\n") == 1
     assert not list(tmp_path.iterdir())
+
+
+def test_a_folder_that_is_not_there_is_told_before_computing(tmp_path, capsys):
+    words = ["reproduce", "ins", "--ins", "absent", "--out", str(tmp_path / "out")]
+    assert cli.main(words) == 2
+    assert capsys.readouterr().err == "celnav: --ins: expected a folder that exists, got 'absent'\n"
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_foreign_file_is_refused_before_computing(study, tmp_path, capsys):
@@ -265,11 +279,171 @@ def test_a_picture_that_cannot_be_is_one_line(tmp_path, monkeypatch, capsys, opt
     assert [path.name for path in tmp_path.iterdir()] == ["a.rrd"]
 
 
-def test_list_names_papers_figures_filters_and_rules(capsys):
+@pytest.fixture
+def terminal(monkeypatch):
+    """Standard output is a terminal of so many columns."""
+
+    def use(columns):
+        monkeypatch.setenv("COLUMNS", str(columns))
+        monkeypatch.setenv("TERM", "xterm-256color")
+        monkeypatch.delenv("NO_COLOR", raising=False)
+        monkeypatch.setattr(sys.stdout, "isatty", lambda: True, raising=False)
+
+    return use
+
+
+def plain(text):
+    """What a terminal shows."""
+    return re.sub(r"\x1b\[[0-9;]*m", "", text)
+
+
+@pytest.mark.parametrize("width", [80, 120])
+def test_list_has_a_line_for_each_study_and_says_how_to_see_more(terminal, capsys, width):
+    terminal(width)
     assert cli.main(["list"]) == 0
+    *studies, more = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in studies] == [*papers.PAPERS, *papers.REAL]
+    assert "celnav list NAME" in more
+    assert max(map(len, [*studies, more])) <= width
+
+
+@pytest.mark.parametrize("width", [80, 120])
+@pytest.mark.parametrize("name", [*papers.PAPERS, "ins"])
+def test_list_of_a_study_fits_the_terminal(terminal, capsys, name, width):
+    terminal(width)
+    assert cli.main(["list", name]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert width - 10 < max(map(len, lines)) <= width
+
+
+def test_list_of_a_study_has_figures_tables_and_rows_each_on_one_line_of_a_pipe(capsys):
+    assert cli.main(["list", "csrukf"]) == 0
     text = capsys.readouterr().out
-    for part in ("csrukf", "figure_13", "table_3", "augmented", "cubature"):
-        assert part in text
+    assert "\x1b" not in text
+    lines, study = text.splitlines(), load("csrukf")
+    drawn = [caption for caption, _ in [*study.FIGURES.values(), *study.TABLES.values()]]
+    for said in [*drawn, *(row.says for row in study.STUDY.rows)]:
+        assert [line for line in lines if line.endswith(f" {said}")], said
+    figures = [line.split()[0] for line in lines if line.startswith("  figure_")]
+    assert figures == sorted(study.FIGURES)
+    assert "augmented" in text
+
+
+@pytest.mark.parametrize("width", [80, 120, None])
+def test_lines_of_a_summary_are_wrapped_in_a_terminal_only(terminal, capsys, width):
+    from celnav.commands.terminal import paragraph
+
+    if width is not None:
+        terminal(width)
+    rows = [f"row {i}: " + "position 0.6636 km, velocity 10.64 m/s, " * 4 for i in range(2)]
+    paragraph("\n".join(rows), 4)
+    lines = capsys.readouterr().out.splitlines()
+    if width is None:
+        assert lines == [row.rstrip() for row in rows]
+    else:
+        assert width - 20 < max(map(len, lines)) <= width
+        assert {line[:4] for line in lines} == {"row ", "    "}
+        assert " ".join(" ".join(lines).split()) == " ".join(" ".join(rows).split())
+
+
+def ledger_of(folder):
+    """Studies as `celnav verdicts` finds them, with every kind of verdict."""
+    from celnav.show.claims import dumps
+
+    words = {"reproduced": 1.0, "not reproduced": 9.0, "no number": np.nan}
+    rows = [
+        Row(
+            "statement",
+            id,
+            "It is so [say, at [a] :x:], whatever else there may be.",
+            lambda _, v=v: Number("x", v, (0.0, 2.0)),
+        )
+        for id, v in words.items()
+    ]
+    claims = [row.judged(None) for row in rows]
+    assert [claim.verdict for claim in claims] == list(words)
+    for name in ("csrukf", "aukf"):
+        (folder / name).mkdir()
+        (folder / name / "claims.json").write_text(dumps(claims))
+        (folder / name / "checks.json").write_text("[]")
+
+
+@pytest.mark.parametrize("width", [80, 120])
+@pytest.mark.parametrize("paper", [[], ["csrukf"]])
+def test_verdicts_are_a_table_with_signs_and_colors_in_a_terminal(
+    terminal, tmp_path, capsys, paper, width
+):
+    ledger_of(tmp_path)
+    terminal(width)
+    assert cli.main(["verdicts", *paper, "--out", str(tmp_path)]) == 0
+    text = capsys.readouterr().out
+    assert "\x1b[32m" in text  # green
+    assert "\x1b[31m" in text  # red
+    lines = plain(text).splitlines()
+    for sign, verdict in [("✓", "reproduced"), ("✗", "not reproduced"), ("?", "no number")]:
+        assert any(re.search(rf"{re.escape(sign)} (1 )?{verdict}", line) for line in lines)
+    assert max(len(line.rstrip()) for line in lines) <= width
+    words = " ".join(" ".join(lines).split())
+    assert not paper or ("[say," in words and "[a]" in words and ":x:]" in words)
+    assert ("aukf" in plain(text)) == (not paper)
+
+
+@pytest.mark.parametrize("paper", [[], ["csrukf"]])
+def test_verdicts_are_markdown_in_a_pipe(tmp_path, capsys, paper):
+    ledger_of(tmp_path)
+    assert cli.main(["verdicts", *paper, "--out", str(tmp_path)]) == 0
+    text = capsys.readouterr().out
+    assert "\x1b" not in text
+    head, line, *_ = text.splitlines()
+    assert head.startswith("| place |" if paper else "| paper | statements |")
+    assert re.fullmatch(r"[| :-]+", line)
+    assert any(line.startswith("**") for line in text.splitlines())
+
+
+def test_verdicts_of_what_was_not_reproduced_is_one_line(tmp_path, capsys):
+    ledger_of(tmp_path)
+    assert cli.main(["verdicts", "csrukg", "--out", str(tmp_path)]) == 2
+    assert capsys.readouterr().err == (
+        f"celnav: PAPER: expected one that was reproduced in {tmp_path} (csrukf, aukf), "
+        "got 'csrukg'; did you mean csrukf?\n"
+    )
+
+
+COMMANDS = cli._parser()[1]
+OPTIONS = tomllib.loads(
+    (Path(celnav.__file__).parent / "commands" / "options.toml").read_text(encoding="utf-8")
+)
+
+
+@pytest.mark.parametrize("name", ["", *COMMANDS])
+def test_help_fits_a_terminal_of_80_columns(name, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    parser, commands = cli._parser()
+    text = (commands[name] if name else parser).format_help()
+    assert max(map(len, text.splitlines())) <= 80
+    assert "examples:" in text or not name
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_examples_of_help_run(name, tmp_path, monkeypatch, capsys):
+    """All are understood; those that need no results and no data are run."""
+    monkeypatch.chdir(tmp_path)
+    for example in OPTIONS[name]["examples"]:
+        celnav_, *words = shlex.split(re.split(r" [|>] ", example)[0])
+        assert celnav_ == "celnav"
+        module = cli._options(words).module
+        assert module == ("mission" if name == "run" else words[0])
+        if module in ("new", "list"):
+            assert cli.main(words) == 0
+
+
+def test_the_page_on_the_command_line_has_every_command_and_exit_status():
+    page = (Path(celnav.__file__).parents[1] / "docs/command_line.md").read_text(encoding="utf-8")
+    overview = page.split("```")[1]
+    assert re.findall(r"(?m)^celnav (\w+)", overview) == list(COMMANDS)
+    assert max(map(len, overview.splitlines())) <= 80
+    for status in re.findall(r"(?m)^  (\d+) ", cli.EXIT):
+        assert f"\n| {status} | " in page
 
 
 def call(*arguments, **options):
@@ -378,7 +552,8 @@ def test_what_is_undecided_is_a_surprise_with_all_runs_and_told_with_fewer(
     study(undecided=True)
     command = ["reproduce", "tiny", "--out", str(tmp_path), "--jobs", "1", "--strict"]
     assert cli.main([*command, "--effort", effort]) == status
-    assert capsys.readouterr().out.splitlines()[-1].endswith(f"index.html: {ending}")
+    last = capsys.readouterr().out.splitlines()[-1]
+    assert re.search(rf"index.html in \d+ s: {ending}$", last)
 
 
 @pytest.mark.parametrize("paper", papers.PAPERS)
@@ -405,7 +580,7 @@ def test_list_says_what_each_parameter_means_and_its_unit(paper, capsys):
 
 def value_after(text, key):
     """The value that stands after a name, as TOML; None where it is left out."""
-    rest = re.split(rf"(?m)^  {re.escape(key)} +|\b{re.escape(key)} = ", text, maxsplit=1)[1]
+    rest = re.split(rf"\b{re.escape(key)} = ", text, maxsplit=1)[1]
     ends = [n for n in range(1, len(rest) + 1) if rest[:n].count("[") == rest[:n].count("]")]
     simple = re.match(r'"[^"]*"|\(left out\)|[^\s,]+', rest)
     word = rest[: ends[0]] if rest[0] == "[" else simple[0]
@@ -420,11 +595,12 @@ def values_of(preset):
 def test_list_prints_the_values_of_each_preset(paper, capsys):
     assert cli.main(["list", paper]) == 0
     top, _, config = capsys.readouterr().out.partition("\n[config] of a mission")
-    heading, values, *others = config.split("\n\n")
+    values, *others = config.split("\n\n")
+    heading, _, values = values.partition("\n")
     (first, preset), *presets = load(paper).PRESETS.items()
-    assert heading == f", with the values of preset {first}:"
+    assert heading == f", with the values of preset {first}"
     runs = re.search(r"of each configuration \((\d+)\)", top)[1]
-    values = f"  runs {runs}\n{values}"
+    values = f"  runs = {runs}\n{values}"
     printed = {key: value_after(values, key) for key in values_of(preset)}
     assert printed == values_of(preset)
     for text, (name, preset) in zip(others, presets, strict=False):
@@ -448,7 +624,7 @@ def test_bare_celnav_shows_the_help(capsys):
         cli.main([])
     shown = capsys.readouterr().out
     assert "campaign" in shown
-    assert "Exit status: 0" in shown
+    assert "exit status:\n  0    done\n" in shown
 
 
 def test_a_lack_of_memory_is_one_line(study, tmp_path, monkeypatch, capsys):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 
 import numpy as np
 import pytest
@@ -21,6 +22,20 @@ def written(path, header, rows, mark=","):
         "\n".join([header, *(mark.join(map(str, row)) for row in rows)]) + "\n", encoding="utf-8"
     )
     return path
+
+
+@pytest.mark.parametrize("width", [80, 120])
+def test_in_a_terminal_the_text_has_its_width(tmp_path, monkeypatch, capsys, width):
+    rows = [(k, x, 1.0, -x, 1.0) for k, x in enumerate(WHITE)]
+    path = written(tmp_path / "a.csv", "t,east_m,std_east_m,north_m,std_north_m", rows)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", str(width))
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True, raising=False)
+    assert main(["diagnose", path.name]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, lines)) <= width
+    first = "component   east_m" if width == 80 else "component  samples"
+    assert any(" ".join(line.split()).startswith(" ".join(first.split())) for line in lines)
 
 
 def test_a_table_with_claims_is_diagnosed_and_written(tmp_path, capsys):

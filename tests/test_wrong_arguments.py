@@ -71,7 +71,7 @@ belief: symmetric
 extended_pose: extended_pose
 inertial: Strapdown
 montecarlo: Draws Draws.close blocks effort generators renewed run_of steps
-claims: answer Ledger cells columns counted dumps markdown notes numbers plain read_claims style tally written
+claims: answer Ledger cells columns counted dumps ledger markdown notes numbers plain read_claims style tally written
 gyro: Gyro.drift
 ledger: Claim Row Row.judged estimate order read_ledger read_printed
 operations: counted step_operations
@@ -83,11 +83,11 @@ sightings: limb
 study: concatenated
 study: Results Results.at Results.claims Results.error Results.first Results.get Results.group Results.nees Results.squares
     Results.times Results.value Study Study.at_hand Study.reproduce Study.results Study.units Unit.check Unit.do evaluate_filters
-    evaluate_from_priors
+    evaluate_from_priors monte_carlo
 page: macro render
 picture: command end picture
 squares: squares
-progress: Progress Progress.add Progress.close Progress.runs Progress.say
+progress: Progress Progress.add Progress.close Progress.runs
 estimates: Estimate Estimate.error Estimate.sigma estimates_of
 plots: draw
 diagnose: Diagnosis.biased Diagnosis.white autocorrelation first_order forgotten_wraps grid_index

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-__all__ = ["consistency", "laid_out", "page"]
+__all__ = ["WIDTH", "consistency", "laid_out", "page"]
 
 WIDTH = 110
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from celnav.analysis.diagnose import Component, Diagnosis, Model
 
 
-def page(diagnosis: Diagnosis) -> str:
+def page(diagnosis: Diagnosis, width: int = WIDTH) -> str:
     """A table of the components, then size, bias, whiteness, and the noise that explains it."""
     T, t = len(diagnosis.times), diagnosis.times
     spaced = "at irregular times" if diagnosis.step is None else f"{diagnosis.step:.6g} s apart"
@@ -38,19 +38,27 @@ def page(diagnosis: Diagnosis) -> str:
         said += [line for c in colored for line in _noise(c, diagnosis) if not diagnosis.wraps]
         said += [("model", diagnosis.why)] if diagnosis.why else []
     head = f"{runs}, {T} epochs over {t[-1] - t[0]:.6g} s, {spaced}{gaps}"
-    return laid_out(head, _table(diagnosis), said)
+    return laid_out(head, _table(diagnosis), said, width)
 
 
-def laid_out(head: str, table: Sequence[Sequence[str]], said: Iterable[tuple[str, str]]) -> str:
+def laid_out(
+    head: str,
+    table: Sequence[Sequence[str]],
+    said: Iterable[tuple[str, str]],
+    width: int = WIDTH,
+) -> str:
     """A first line, a table whose first column is words, and what is said of something, line by
-    line.
+    line; rows and columns change places where the table is wider than ``width``.
     """
     widths = [max(map(len, column)) for column in zip(*table, strict=True)]
+    if sum(widths) + 2 * len(widths) - 2 > width:
+        table = list(zip(*table, strict=True))
+        widths = [max(map(len, column)) for column in zip(*table, strict=True)]
     rows = [
         [row[0].ljust(widths[0]), *(x.rjust(n) for x, n in zip(row[1:], widths[1:], strict=True))]
         for row in table
     ]
-    lines = [_filled(f"{word:8} {line}") for word, line in said]
+    lines = [_filled(f"{word:8} {line}", width) for word, line in said]
     return "\n".join([head, "", *map("  ".join, rows), "", *lines])
 
 
@@ -63,10 +71,10 @@ def consistency(ratio: float, band: tuple[float, float]) -> str:
     return "conservative" if ratio < band[0] else "consistent"
 
 
-def _filled(line: str) -> str:
-    """Lines of at most `WIDTH`, never broken between a number and its unit."""
+def _filled(line: str, width: int) -> str:
+    """Lines of at most so many columns, never broken between a number and its unit."""
     protected = re.sub(r"(?<=\d) (?=%|s\b)", "\0", line)
-    filled = textwrap.fill(protected, WIDTH, subsequent_indent=9 * " ", break_on_hyphens=False)
+    filled = textwrap.fill(protected, width, subsequent_indent=9 * " ", break_on_hyphens=False)
     return filled.replace("\0", " ")
 
 

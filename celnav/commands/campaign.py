@@ -18,6 +18,7 @@ from celnav.commands.arguments import (
     workers,
 )
 from celnav.commands.mission import ORIGIN
+from celnav.commands.terminal import paragraph
 from celnav.files import InputError, Outputs, locked
 from celnav.show.progress import Progress
 
@@ -48,7 +49,7 @@ def run(options: argparse.Namespace) -> int:
     except KeyboardInterrupt:
         warn(f"interrupted; what is finished is kept in {folder}, the same command goes on")
         return 130
-    print(summary(outcome.rows, outcome.groups))
+    paragraph(summary(outcome.rows, outcome.groups), 4)
     with locked(folder):
         write(outcome, figures(outcome), outputs)
     print(f"wrote {folder / 'index.html'}")

@@ -38,6 +38,8 @@ class Table(NamedTuple):
 def run(options: argparse.Namespace) -> int:
     """Everything is computed before anything is written."""
     from celnav.analysis.diagnose import diagnose
+    from celnav.analysis.diagnosis_text import WIDTH, page
+    from celnav.commands.terminal import columns
 
     lags, level = whole("lags", options.lags, 1), number("level", options.level)
     if not 0.0 < level < 1.0:
@@ -54,10 +56,10 @@ def run(options: argparse.Namespace) -> int:
         )
     except ValueError as error:
         raise InputError(f"{options.residuals}: {str(error).partition(': ')[2]}") from None
-    words = f"{options.residuals}: {diagnosis}"
-    if table.ignored:
-        words += f"\n\nnot looked at: {', '.join(table.ignored)} (--columns chooses)"
-    print(words)
+    ignored = ", ".join(table.ignored)
+    more = f"\n\nnot looked at: {ignored} (--columns chooses)" if ignored else ""
+    words = f"{options.residuals}: {diagnosis}{more}"
+    print(f"{options.residuals}: {page(diagnosis, min(columns(), WIDTH))}{more}")
     if outputs is not None:
         from celnav.show.diagnosis import figure
 

@@ -99,10 +99,10 @@ def summary(
         if name in claims:
             said = answer(module.STUDY.found, claims[name])
         source = f": {cited(module.CITATION)}" if module.CITATION else ""
-        paragraphs.append(
-            f"**{module.TITLE}** (`{name}`{source}). {_whose(name)}{module.STUDY.says}\n"
-            f"*We find:* {said}"
-        )
+        paragraph = f"**{module.TITLE}** (`{name}`{source})."
+        if module.STUDY.says:
+            paragraph += f" {_whose(name)}{module.STUDY.says}"
+        paragraphs.append(f"{paragraph}\n*We find:* {said}" if said else paragraph)
     return "\n\n".join(paragraphs)
 
 
@@ -137,6 +137,11 @@ def verdicts(studies: Mapping[str, Claims]) -> str:
         numbers = [str(count.get(verdict, "")) for verdict in shown]
         rows.append([f"`{name}`", str(sum(count.values())), *numbers])
     return markdown(rows)
+
+
+def deciding(claims: Claims) -> list[Mapping[str, Any]]:
+    """What a study is judged by: its statements; its findings where it has none."""
+    return _of_kind(claims, "statement") or _of_kind(claims, "finding")
 
 
 def _of_kind(claims: Claims, kind: str) -> list[Mapping[str, Any]]:

@@ -4,108 +4,100 @@ from __future__ import annotations
 
 import argparse
 import textwrap
+from collections.abc import Mapping
 from dataclasses import asdict
 from types import ModuleType
 from typing import Any
 
 from celnav import papers
 from celnav.commands.arguments import load
+from celnav.commands.terminal import columns, entry, paragraph
 from celnav.papers.own import name_of
+from celnav.study.ledger import KINDS
 
-WIDTH = 132
-"""Of lines."""
-UNBROKEN: Any = {
-    "subsequent_indent": 70 * " ",
-    "break_on_hyphens": False,
-    "break_long_words": False,
-}
-"""How a line is wrapped."""
+PLURALS = {"statement": "statements", "erratum": "errata"}
+MORE = "celnav list NAME lists figures, tables, statements, filters and parameters."
 
 
 def run(options: argparse.Namespace) -> int:
-    """Print papers, figures, filters and rules, or the parameters of a paper."""
+    """Print a line for each study, or what one study has."""
     if options.paper is None:
-        _everything()
+        for name in (*papers.PAPERS, *papers.REAL):
+            title = load(name).TITLE + " (real data)" * (name in papers.REAL)
+            print(f"{name:9}", textwrap.shorten(title, columns() - 10, placeholder=" ..."))
+        print(MORE)
         return 0
     study = load(options.paper)
-    if options.paper not in papers.PAPERS:
-        _drawn(name_of(options.paper), study)
+    name = name_of(options.paper)
+    paragraph(f"{name}: {study.TITLE}")
+    if name in papers.REAL:
+        paragraph(f"Run it with celnav reproduce {name} --{name} DIR: {papers.REAL[name]}.")
+    _show("figures", {stem: study.FIGURES[stem][0] for stem in sorted(study.FIGURES)})
+    _show("tables", {stem: study.TABLES[stem][0] for stem in sorted(study.TABLES)})
+    for kind in KINDS:
+        rows = {row.id: row.says for row in study.STUDY.rows if row.kind == kind}
+        _show(PLURALS.get(kind, f"{kind}s"), rows)
     if hasattr(study, "PRESETS"):
-        print(end="" if options.paper in papers.PAPERS else "\n")
-        _parameters(options.paper)
+        _parameters(papers.load(options.paper, mission=True))
     return 0
 
 
-def _everything() -> None:
-    for name in (*papers.PAPERS, *papers.REAL):
-        study = load(name)
-        _drawn(name, study)
-        if name in papers.PAPERS:
-            print(f"\n  filters: {', '.join(study.filters(next(iter(study.PRESETS.values()))))}")
-            print(f"  presets: {', '.join(study.PRESETS)}")
-            print(f"  parameters: celnav list {name}\n")
-    print("rules: unscented (by default cubature of degree 3), simplex, cubature (degree 3 and 5),")
-    print("  gauss_hermite, smolyak, from_filterpy, Taylor (EKF)")
+def _show(heading: str, entries: Mapping[str, str]) -> None:
+    """A heading and what stands below it; nothing where nothing does."""
+    if entries:
+        print(f"\n{heading}")
+        for name, text in entries.items():
+            entry(name, text)
 
 
-def _drawn(name: str, study: ModuleType) -> None:
-    print(f"{name}: {study.TITLE}\n")
-    for stem, (caption, _) in {**study.FIGURES, **study.TABLES}.items():
-        print(f"  {stem:12} {caption}")
-    if name in papers.REAL:
-        folder = papers.REAL[name]
-        print(f"\n  on real data: celnav reproduce {name} --{name} DIR, folder of {folder}\n")
-
-
-def _parameters(paper: str) -> None:
-    """What stands under ``[config]`` of a mission, with units and what each preset changes."""
+def _parameters(study: ModuleType) -> None:
+    """What a mission may say, with units and what each preset changes."""
     from celnav.campaign.missions import flat
     from celnav.campaign.typed import described, unit_of
 
-    study = papers.load(paper, mission=True)
     presets = {name: flat(asdict(config)) for name, config in study.PRESETS.items()}
-    first, *others = presets.items()
-    print(
-        f"{paper}: {study.TITLE}\n\nAt the top of a "
-        f"mission:\n\n{_TOP.format(runs=first[1]['runs'])}"
+    first, *others = presets
+    filters = study.filters(study.PRESETS[first])
+    _show("filters and presets", {"filters": ", ".join(filters), "presets": ", ".join(presets)})
+    limits = {
+        f"limits.{name} ({unit})": "largest length of the error at the end"
+        for name, unit in study.JUDGED.items()
+    }
+    _show(
+        "at the top of a mission",
+        TOP
+        | {"runs": f"Monte-Carlo runs of each configuration ({presets[first]['runs']})"}
+        | limits,
     )
-    for name, unit in study.JUDGED.items():
-        print(
-            f"  limits.{name:25} {'':24} {unit:9} largest error at the end, of the vector's length"
-        )
-    print(f"\n[config] of a mission, with the values of preset {first[0]}:\n")
-    said = described(type(study.PRESETS[first[0]]))
-    for key, value in first[1].items():
+    print(f"\n[config] of a mission, with the values of preset {first}")
+    said = described(type(study.PRESETS[first]))
+    for key, value in presets[first].items():
         if key != "runs":
             meaning, source, words = said[key]
-            choices = (
-                f" One of {', '.join(_written(w) for w in words if w is not None)}."
-                if words
-                else ""
-            )
-            line = (
-                f"  {key:32} {_written(value):24} {unit_of(key):9} {meaning}.{choices} [{source}]"
-            )
-            print(*textwrap.wrap(line, WIDTH, **UNBROKEN), sep="\n")
-    for name, values in others:
-        changed = {key: value for key, value in values.items() if value != first[1][key]}
-        print(f"\npreset {name}: {_assigned(changed) or 'the same'}")
+            listed = ", ".join(_written(word) for word in words or () if word is not None)
+            choices = f" One of {listed}." if listed else ""
+            head = f"{key} = {_written(value)} {unit_of(key)}".rstrip()
+            entry(head, f"{meaning}.{choices} [{source}]")
+    for name in others:
+        changed = {k: v for k, v in presets[name].items() if v != presets[first][k]}
+        print()
+        paragraph(f"preset {name}: {_assigned(changed) or 'the same'}")
     if instead := getattr(study, "MISSION", {}):
-        print(f"\na mission has instead, whatever its preset: {_assigned(instead)}")
-    print(f"\nfilters: {', '.join(study.filters(study.PRESETS[first[0]]))}")
+        print()
+        paragraph(f"a mission has instead, whatever its preset: {_assigned(instead)}")
 
 
-_TOP = """\
-  title                            a line of your own
-  paper, preset                    where models and values come from
-  filters                          a list of names; none: all that are listed below
-  runs                             of each configuration ({runs})
-  seed                             of the random numbers, which all configurations share (0)
-  block                            runs of a work unit (100); a campaign grows by whole ones
-  every                            judge one epoch in so many, and the last (1)
-  settle_s                         where means over time begin; none: in the middle of the run
-  limits                           a table of largest errors at the end; a run beyond one has \
-failed"""
+TOP = {
+    "title": "a line of your own",
+    "paper, preset": "where models and values come from",
+    "filters": "a list of names; all that are listed above if it is left out",
+    "runs": "",
+    "seed": "of the random numbers, which all configurations share (0)",
+    "block": "runs of a work unit (100); a campaign grows by whole units",
+    "every": "judge one epoch in so many, and the last one (1)",
+    "settle_s": "start of averages over time; the middle of the run if it is left out",
+    "limits": "a table of largest errors at the end; a run beyond one of them has failed",
+}
 
 
 def _assigned(values: dict[str, Any]) -> str:

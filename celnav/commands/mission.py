@@ -8,6 +8,7 @@ from contextlib import closing
 from pathlib import Path
 
 from celnav.commands.arguments import UsageError, done, folder_of, fraction, warn, workers
+from celnav.commands.terminal import paragraph
 from celnav.files import InputError, Outputs, locked, read_json
 from celnav.show.progress import Progress
 
@@ -42,7 +43,7 @@ def run(options: argparse.Namespace) -> int:
     except WorkError as error:
         warn(str(error))
         return 1
-    print(summary(outcome.rows, outcome.groups))
+    paragraph(summary(outcome.rows, outcome.groups), 4)
     first, recorded = first_run(study), ""
     drawings = figures(outcome) | ({"errors": errors(first)} if first else {})
     with locked(outputs.directory):

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from celnav.commands.arguments import UsageError, number, warn
+from celnav.commands.terminal import paragraph
 from celnav.files import InputError, Outputs
 from celnav.lazy import require
 
@@ -106,7 +107,7 @@ def run(options: argparse.Namespace) -> int:
             f"{options.filter} is lost on {options.observations}: "
             f"{str(error).partition(' (on_failure')[0]}"
         ) from None
-    print(positioning_report.summary(result))
+    paragraph(positioning_report.summary(result), 13)
     status = 0
     if options.strict:
         status = 3 if result.distrusted.any() else int(result.doubtful.any())

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from importlib import metadata
 from pathlib import Path
-from time import process_time
+from time import monotonic, process_time
 from types import ModuleType
 from typing import Any, NamedTuple, TypeVar
 
@@ -23,6 +23,7 @@ from celnav import papers
 from celnav.campaign.engine import UnfinishedError, compute
 from celnav.commands.arguments import UsageError, cores, fraction, load, warn, whole, workers
 from celnav.commands.index import USER, index, page_data
+from celnav.commands.terminal import paragraph
 from celnav.files import Outputs, locked, npz, remove_leftovers
 from celnav.gaussian.linalg import Array
 from celnav.papers.own import name_of
@@ -57,7 +58,7 @@ class Task(NamedTuple):
 
 def run(options: argparse.Namespace) -> int:
     """Do the studies side by side where there are several processes; write each when it is done."""
-    words = list(dict.fromkeys(options.papers))
+    start, words = monotonic(), list(dict.fromkeys(options.papers))
     if not words:
         real = (name for name in papers.REAL if getattr(options, name) is not None)
         words = [*papers.PAPERS, *real]
@@ -71,7 +72,7 @@ def run(options: argparse.Namespace) -> int:
     if options.engine == "cuda":
         device()  # an error at once, not of each unit
     if effort < 1.0:
-        print(
+        paragraph(
             f"celnav: {effort:.3g} of the runs: intervals are wide, "
             "and what they do not decide is undecided"
         )
@@ -95,7 +96,8 @@ def run(options: argparse.Namespace) -> int:
     notes = [f"{surprises} not as expected, see above"] if surprises else []
     if effort < 1.0 and undecided:
         notes.append(f"{undecided} undecided with {effort:.3g} of the runs")
-    print(f"wrote {out / 'index.html'}: {', '.join(notes) or 'all as expected'}")
+    took = f"wrote {out / 'index.html'} in {monotonic() - start:.0f} s"
+    paragraph(f"{took}: {', '.join(notes) or 'every verdict is the expected one'}")
     return 1 if options.strict and surprises else 0
 
 
@@ -105,8 +107,11 @@ def _check_inputs(modules: Mapping[str, ModuleType], options: argparse.Namespace
     takers["rinex"] = "a paper that takes a receiver's log (aukf)"
     taken = {name for module in modules.values() for name in getattr(module, "INPUTS", ())}
     for name, taker in takers.items():
-        if getattr(options, name) is not None and name not in taken:
+        folder = getattr(options, name)
+        if folder is not None and name not in taken:
             raise UsageError(f"--{name}: expected {taker}, got {', '.join(modules)}")
+        if folder is not None and not Path(folder).is_dir():
+            raise UsageError(f"--{name}: expected a folder that exists, got {folder!r}")
     for name in modules:
         if name in papers.REAL and getattr(options, name) is None:
             folder = papers.REAL[name]
@@ -210,12 +215,13 @@ def _write(task: Task, results: Results, progress: Progress) -> list[Claim]:
         count = Counter(claim.verdict for claim in claims if claim.kind == kind)
         if count:
             listed = ", ".join(f"{number} {verdict}" for verdict, number in sorted(count.items()))
-            progress.say(f"{name}: {kind}s: {listed}")
+            print(f"{name}: {kind}s: {listed}", flush=True)
     for claim in claims:
         if claim.surprise:
-            progress.say(
+            print(
                 f"{name}: not as expected: {claim.id}: {claim.verdict}, "
-                f"expected {claim.expected}: {claim.row.says}"
+                f"expected {claim.expected}: {claim.row.says}",
+                flush=True,
             )
     return claims
 

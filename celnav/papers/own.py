@@ -231,19 +231,18 @@ EXPECTED: dict[str, tuple[Check, str, str]] = {
     ),
     "STUDY": (
         _is(Study),
-        "a celnav.study.study.Study(name, groups, trial, parts, rows)",
+        "a celnav.study.Study(name, groups, trial, parts, rows)",
         "always",
     ),
     "PRESETS": (
         _are_presets,
-        '{"usual": Config()}, of a dataclass on celnav.study.parameters.Timed '
-        "with a whole number of runs",
+        '{"usual": Config()}, of a dataclass on celnav.study.Timed with a whole number of runs',
         "mission",
     ),
     "filters": (_takes(1), "a function (config) that gives filters by name", "mission"),
     "trial": (
         _takes(2),
-        "a function (config, rngs) that gives a celnav.study.trial.Trial",
+        "a function (config, rngs) that gives a celnav.study.Trial",
         "",
     ),
     "FIGURES": (_is_drawn, DRAWN, ""),
@@ -296,7 +295,7 @@ def _wrong_study(study: Study, figures: Mapping[str, Any], mission: bool) -> Ite
         yield f"parts: expected a function (effort) that gives parts, got an error: {got}"
     else:
         if not isinstance(parts, Mapping) or not parts or not _all([*parts.values()], Part):
-            example = '{"usual": celnav.study.study.Part(work, config, runs=100)}'
+            example = '{"usual": celnav.study.Part(work, config, runs=100)}'
             yield f"parts: expected {example} of them, got {parts!r:.60}"
             parts = {}
     for name, part in parts.items():
@@ -305,7 +304,7 @@ def _wrong_study(study: Study, figures: Mapping[str, Any], mission: bool) -> Ite
     if study.figure and study.figure not in figures:
         yield f"figure: expected one of {drawn}, got {study.figure!r}"
     if not _all(study.rows, Row):
-        example = "rows of celnav.study.ledger, such as statement(id, says, decide)"
+        example = "rows, such as celnav.study.statement(id, says, decide)"
         yield f"rows: expected {example}, got {study.rows!r:.60}"
         return
     ids = Counter(row.id for row in study.rows)

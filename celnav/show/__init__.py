@@ -2,4 +2,4 @@
 
 from celnav.lazy import modules
 
-__getattr__, __dir__ = modules(__name__)
+__getattr__, __dir__ = modules(__name__, "draw")

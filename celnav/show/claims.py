@@ -152,13 +152,17 @@ class Ledger:
         return "\n".join([*self._head, *lines])
 
     def _repr_markdown_(self) -> str:
-        rows = [COLUMNS, ["---"] * len(COLUMNS), *(cells(c).values() for c in self._claims)]
-        return "\n\n".join([*self._head, markdown(rows)])
+        return "\n\n".join([*self._head, ledger(self._claims)])
 
     def _repr_html_(self) -> str:
         from celnav.show.page import macro
 
         return macro("paragraphs", self._head) + macro("ledger", self._claims, anchor="#say-")
+
+
+def ledger(claims: Sequence[WrittenClaim]) -> str:
+    """A table in Markdown, a row for each claim."""
+    return markdown([COLUMNS, ["---"] * len(COLUMNS), *(cells(c).values() for c in claims)])
 
 
 def markdown(rows: Iterable[Iterable[str]]) -> str:

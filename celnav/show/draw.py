@@ -23,6 +23,29 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+__all__ = [
+    "KINDS",
+    "MARKERS",
+    "SERIES",
+    "STYLES",
+    "Item",
+    "Line",
+    "Panel",
+    "band",
+    "bars",
+    "components",
+    "curve",
+    "figure",
+    "grid",
+    "interval",
+    "level",
+    "look",
+    "panels",
+    "picture_names",
+    "pictures",
+    "quantiles",
+]
+
 KINDS = ("png", "svg")
 """Of each figure that is written."""
 Item = Callable[["Axes"], Any]

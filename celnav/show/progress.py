@@ -3,71 +3,96 @@
 from __future__ import annotations
 
 import sys
+from textwrap import shorten
 from time import monotonic
 from typing import Any
 
 EVERY_S = 5.0
 """Between plain lines about runs."""
-FORM = "{desc}: {percentage:3.0f}%|{bar}| {elapsed}<{remaining}{postfix}"
+BASIS = 0.1
+"""Part of the work that has to be measured before a time is estimated from it."""
 
 
 class Progress:
     """Of work of known cost in any unit, ``total`` in all, ``done`` of it before: the share, the
     time left, and what is done.
 
-    Of Monte-Carlo runs only a name is needed, see `runs`.
+    The time left is estimated from the work that followed the first finished piece: before it,
+    processes start and code is compiled. Of Monte-Carlo runs only a name is needed, see `runs`.
     """
 
     def __init__(self, name: str, total: float = 0.0, done: float = 0.0):
         self._name, self._total, self._said = name, 0.0, float("-inf")
         self._bar: Any = None
+        self._basis: tuple[float, float] | None = None  # time and work at the first finished piece
+        self._label = ""
         if total:
             self._begin(total, done)
 
     def _begin(self, total: float, done: float) -> None:
-        self._total, self._done, self._before = total, done, done
-        self._start = monotonic()
+        self._total, self._done = total, done
         if sys.stderr.isatty():
-            from tqdm import tqdm
+            from rich.console import Console
+            from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
+            from rich.progress import Progress as Bar
+            from rich.table import Column
 
-            more: Any = {"bar_format": FORM, "smoothing": 0.0, "file": sys.stderr}
-            self._bar = tqdm(total=total, initial=done, desc=self._name, **more)
+            title = shorten(self._name, 24, placeholder="...")
+            name = TextColumn(f"{title} {{task.percentage:.0f}} %", markup=False)
+            one_line = Column(no_wrap=True, ratio=1)
+            what = TextColumn("{task.description}", markup=False, table_column=one_line)
+            # What is printed meanwhile stands above the bar, if it goes to the same terminal.
+            self._bar = Bar(
+                *(name, BarColumn(14), TimeElapsedColumn(), what),
+                console=Console(stderr=True),
+                expand=True,
+                transient=True,
+                redirect_stdout=sys.stdout.isatty(),
+                refresh_per_second=2,
+            )
+            self._bar.add_task("", total=total, completed=done)
+            self._bar.start()
         elif done:
             print(f"{self._name}: {done / total:.0%} was done before", flush=True)
+
+    def _time_left(self) -> str:
+        """Empty as long as there is nothing to estimate it from, and at the end."""
+        start, before = self._basis or (0.0, self._done)
+        here, left = self._done - before, self._total - self._done
+        if here <= BASIS * (self._total - before) or left <= 0.0:
+            return ""
+        return f"{_duration((monotonic() - start) * left / here)} left"
 
     def add(self, cost: float, label: str = "") -> None:
         """So much more is done; ``label``: what it was, or what begins now."""
         self._done += cost
+        if cost and self._basis is None:
+            self._basis = monotonic(), self._done
+        left = self._time_left()
         if self._bar is not None:
-            self._bar.update(cost)
-            self._bar.set_postfix_str(label or self._bar.postfix)
+            self._label = label or self._label
+            text = ", ".join(filter(None, [left, self._label]))
+            self._bar.update(self._bar.task_ids[0], completed=self._done, description=text)
         elif label:
-            here, left = self._done - self._before, max(self._total - self._done, 0.0)
-            time = f", {_duration((monotonic() - self._start) * left / here)} left" if here else ""
-            print(f"{self._name}: {self._done / self._total:.0%}{time}: {label}", flush=True)
+            share = f"{self._done / self._total:.0%}"
+            print(f"{self._name}: {', '.join(filter(None, [share, left]))}: {label}", flush=True)
 
     def runs(self, done: int, total: int) -> None:
         """So many runs of all are done. The first call says how many were done before."""
         if not self._total:
             self._begin(total, done)
-        cost, now = done - self._done, monotonic()
-        label = ""
+        now, label = monotonic(), ""
         if self._bar is not None or done == total or now - self._said >= EVERY_S:
-            seconds, here = max(now - self._start, 1e-9), done - self._before
-            label = f"{done}/{total} runs" + (f", {here / seconds:.0f} a second" if here else "")
+            label = f"{done}/{total} runs"
+            if self._basis is not None and now > self._basis[0]:
+                label += f", {(done - self._basis[1]) / (now - self._basis[0]):.0f} a second"
             self._said = now
-        self.add(cost, label)
-
-    def say(self, line: str) -> None:
-        """A line of its own."""
-        if self._bar is not None:
-            self._bar.clear()
-        print(line, flush=True)
+        self.add(done - self._done, label)
 
     def close(self) -> None:
-        """Nothing more comes."""
+        """Nothing more comes: the bar goes."""
         if self._bar is not None:
-            self._bar.close()
+            self._bar.stop()
 
 
 def _duration(seconds: float) -> str:

@@ -11,6 +11,8 @@ import numpy as np
 from celnav.gaussian.checks import choice, finite, integer, number
 from celnav.gaussian.linalg import Array
 
+__all__ = ["SOURCES", "Parameters", "Timed", "param"]
+
 SOURCES = ("paper", "inferred", "chosen")
 """Printed; follows from what is printed; ours, because nothing is."""
 

@@ -11,6 +11,7 @@ import os
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from hashlib import sha256
 from itertools import groupby
 from pathlib import Path
@@ -38,9 +39,12 @@ __all__ = [
     "When",
     "evaluate_filters",
     "evaluate_from_priors",
+    "monte_carlo",
 ]
 
 Rngs = Sequence[np.random.Generator]
+START_S = 0.5
+"""CPU seconds that a unit takes before its runs, mostly to compile their filters; roughly."""
 When = int | slice | str
 """An epoch, those that are averaged over, or the name of a window, see `Study`."""
 
@@ -136,6 +140,41 @@ def evaluate_from_priors(
         for label, runs in zip(priors, np.split(values, count, 1), strict=True):
             out[f"{name}, {label}/{what}"] = runs
     return out
+
+
+def monte_carlo(
+    trial: Callable[[Any, Rngs], Trial],
+    filters: Sequence[str],
+    config: Any,
+    number: int = 0,
+    runs: int = 1,
+    block: int = 100,
+    cost: float = 1.0,
+    *,
+    every: int = 1,
+    cov: bool = False,
+) -> Part:
+    """A part whose work is to run filters of a trial by name, see `evaluate_filters`; the rest: see
+    `Part`.
+
+    trial: ``(config, rngs) ->`` runs and their filters; a function of a module, since other
+        processes are given it.
+
+    >>> trial = lambda config, rngs: problem.trial(filters, rngs)
+    >>> part = celnav.study.monte_carlo(trial, ("ukf",), None, runs=400)
+    """
+    return Part(partial(_evaluate, trial, filters, every, cov), config, number, runs, block, cost)
+
+
+def _evaluate(
+    trial: Callable[[Any, Rngs], Trial],
+    names: Sequence[str],
+    every: int,
+    cov: bool,
+    config: Any,
+    rngs: Rngs,
+) -> dict[str, Array]:
+    return evaluate_filters(trial(config, rngs), names, every, cov=cov)
 
 
 @dataclass(frozen=True, eq=False)
@@ -263,7 +302,7 @@ class Unit(NamedTuple):
     @property
     def cost(self) -> float:
         """CPU seconds, roughly."""
-        return self.work.cost * len(self.runs) / self.work.runs
+        return START_S + self.work.cost * len(self.runs) / self.work.runs
 
     @property
     def title(self) -> str:

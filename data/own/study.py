@@ -1,83 +1,59 @@
-"""A radar sees a vehicle: its range well, its bearing poorly. Do filters know how little they know? Change what you like.
+"""A radar measures range and bearing of a vehicle. Is an extended Kalman filter overconfident?
 
-celnav reproduce study.py --effort 0.1   does a tenth of the runs and writes out/index.html; without --effort all of them
-celnav list study.py                     parameters, which a mission (paper = "study.py") may change and sweep
-"""
+celnav reproduce study.py   runs this study and writes out/index.html"""
 
 from dataclasses import dataclass
 
 import numpy as np
 
 import celnav
-from celnav.models.motion import constant_velocity
-from celnav.show import colors, figures
-from celnav.show.draw import Line, Panel, panels
-from celnav.study import numbers
-from celnav.study.ledger import Sentence, statement
-from celnav.study.parameters import Timed, param
-from celnav.study.study import Part, Study, evaluate_filters
-from celnav.study.trial import trial_from_arrays
 
 TITLE = "A vehicle by range and bearing"
-GROUPS = (celnav.Group("position", "m", slice(0, 2)), celnav.Group("velocity", "m/s", slice(2, 4)))  # what is judged
+GROUPS = (celnav.Group("position", "m", slice(0, 2)), celnav.Group("velocity", "m/s", slice(2, 4)))
 
 
 @dataclass(frozen=True)
-class Config(Timed):
-    """Parameters, with units in their names; param: the default, its source, its meaning, its bounds."""
-
-    steps: int = param(60, "chosen", "measurements after the first, 1 s apart", least=1)
-    runs: int = param(400, "chosen", "of a Monte Carlo", least=2)
-    range_m: float = param(1.0, "chosen", "deviation of a range", above=0.0)
-    bearing_deg: float = param(3.0, "chosen", "deviation of a bearing", above=0.0)
+class Config(celnav.study.Timed):
+    runs: int = celnav.study.param(400, "chosen", "Monte-Carlo runs", least=2)
+    steps: int = celnav.study.param(60, "chosen", "measurements, 1 s apart", least=1)
+    bearing_deg: float = celnav.study.param(3.0, "chosen", "σ of a bearing", above=0.0)
 
     @property
     def times(self):
         return np.arange(self.steps + 1.0)
 
 
-def believed(c):
-    """Motion, sensor and start, of which filters are made; states are [east, north] and their rates, in m and m/s."""
-    h = lambda x, epoch: np.stack([np.hypot(x[..., 0], x[..., 1]), np.arctan2(x[..., 1], x[..., 0])], -1)  # noqa: E731
-    radar = celnav.Sensor(h, np.diag([c.range_m, np.radians(c.bearing_deg)]) ** 2, space=celnav.angles([1]))
-    start = celnav.Gaussian([1000.0, 0.0, -5.0, 10.0], np.diag([100.0, 100.0, 5.0, 5.0]) ** 2)
-    return constant_velocity(2, q=0.1), radar, start
+def problem(config):  # a state is east and north (m), then their rates (m/s)
+    def h(x, epoch):  # x (..., 4)
+        return np.stack([np.hypot(x[..., 0], x[..., 1]), np.arctan2(x[..., 1], x[..., 0])], -1)
+
+    R = np.diag([1.0, np.radians(config.bearing_deg)]) ** 2
+    radar = celnav.Sensor(h, R, space=celnav.angles([1]))
+    prior = celnav.Gaussian([1000.0, 0.0, -5.0, 10.0], np.diag([100.0, 100.0, 5.0, 5.0]) ** 2)
+    motion = celnav.models.motion.constant_velocity(2, q=0.1)
+    return celnav.Problem(motion, radar, prior, config.times, groups=GROUPS)
 
 
-def filters(c):
-    motion, radar, _ = believed(c)
-    return {"ekf": celnav.ekf(motion, radar), "ukf": celnav.ukf(motion, radar)}
+def filters(config):
+    models = problem(config).motion, problem(config).sensor
+    return {"ekf": celnav.ekf(*models), "ukf": celnav.ukf(*models)}
 
 
-def simulate(c, rngs):
-    """A run for each generator: truth (T, runs, 4), measurements (T, runs, 2). What is believed happens; yours may differ."""
-    return celnav.simulate(*believed(c), c.times, runs=rngs)
+def trial(config, rngs):  # truth and measurements, a run with each random generator
+    return problem(config).trial(filters(config), rngs)
 
 
-def trial(c, rngs):
-    """Filters on what is simulated, and how they are judged."""
-    truth, z = simulate(c, rngs)
-    return trial_from_arrays(GROUPS, filters(c), believed(c)[2], c.times, z, truth)
-
-
-def evaluate(c, rngs):
-    """What a process does: all filters on some of the runs."""
-    return evaluate_filters(trial(c, rngs), list(filters(c)))
-
-
-def figure(r):
-    """Errors and consistency over time; r: results."""
-    left = [figures.rmse(r, "usual", name, line, "position") for name, line in LINES.items()]
-    right = [figures.consistency(r, "usual", LINES, "nees", 4)]
-    return panels([Panel("", left, "time (s)", "RMSE of position (m)"), Panel("", right, "time (s)", "NEES", "y")], size=(7, 3))
+def figure(results):
+    lines = {"ekf": celnav.show.Line("EKF", "blue"), "ukf": celnav.show.Line("UKF", "orange")}
+    nees = celnav.show.figures.consistency(results, "usual", lines, "nees", 4)
+    return celnav.show.panels(celnav.show.Panel("", [nees], "time (s)", "NEES", "y"), size=(6, 3))
 
 
 PRESETS = {"usual": Config()}
-PARTS = {name: Part(evaluate, c, runs=c.runs) for name, c in PRESETS.items()}
-LINES = {"ekf": Line("EKF", colors.COMPARISON), "ukf": Line("UKF", colors.ESTIMATE)}
-FIGURES = {"figure_01": ("Position error of the runs, and their mean NEES with the 95 % band of a consistent filter.", figure)}
-NEES = numbers.consistency("NEES", ("usual", "ekf"), accept=(4.0, None), at=slice(1, None))
-WHY = "that of a consistent filter with four states is 4"
-CLAIM = statement("claims", "An extended filter is overconfident.", NEES, why=WHY, found="Mean NEES {0}.", figure="figure_01")
-FOUND = [Sentence("It does, until later bearings have settled the position.", {"claims": "reproduced"})]
-STUDY = Study("study", GROUPS, trial, lambda effort: PARTS, [CLAIM], "An EKF takes an arc for a line.", FOUND, "figure_01")
+PARTS = {"usual": celnav.study.monte_carlo(trial, ("ekf", "ukf"), Config(), runs=Config.runs)}
+FIGURES = {"figure_01": ("Mean NEES, and the 95 % band of a consistent filter.", figure)}
+# The range that is accepted is written down before the number is known.
+NEES = celnav.study.numbers.consistency("NEES", ("usual", "ekf"), (4.0, None), at=slice(1, None))
+WHY = "The NEES of a consistent filter of four states is 4 in the mean."
+ROW = celnav.study.statement("overconfident", "An EKF is overconfident.", NEES, why=WHY)
+STUDY = celnav.study.Study("study", GROUPS, trial, lambda effort: PARTS, [ROW], figure="figure_01")

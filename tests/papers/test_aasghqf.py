@@ -42,6 +42,7 @@ from celnav.papers.aasghqf.scenario import (
 )
 from celnav.show.claims import dumps
 from celnav.study.montecarlo import generator
+from celnav.study.study import evaluate_filters
 
 STATEMENTS = """
 table-1-counts points-for-two-states degrees-of-observability threshold-weights observability-is-the-criterion
@@ -138,7 +139,7 @@ def test_a_run_does_not_depend_on_how_many_there_are():
     one = aasghqf.simulate(config, [generator(5, 0, 2)])
     np.testing.assert_array_equal(three.z[:, 2:], one.z)
     many, alone = (
-        study.run_filters(("ukf",), config, [generator(5, 0, r) for r in runs])
+        evaluate_filters(study.judged(config, [generator(5, 0, r) for r in runs]), ("ukf",))
         for runs in ((0, 1, 2), (2,))
     )
     np.testing.assert_allclose(many["ukf/error"][:, 2:], alone["ukf/error"], rtol=1e-7, atol=1e-9)

@@ -5,8 +5,10 @@ told before anything runs.
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -43,7 +45,9 @@ def units(folder, name="study"):
 
 
 def test_the_template_runs_as_it_is(folder, capsys):
-    assert len([line for line in TEMPLATE.splitlines() if line.strip()]) <= 60
+    assert len([line for line in TEMPLATE.splitlines() if line.strip()]) <= 40
+    imported = re.findall(r"(?m)^\s*(?:import|from) (\S+)", TEMPLATE)
+    assert imported == ["dataclasses", "numpy", "celnav"]
     assert reproduce("study.py") == 0
     out = folder / "out" / "study"
     (claim,) = json.loads((out / "claims.json").read_text())
@@ -70,17 +74,56 @@ def test_the_template_runs_as_it_is(folder, capsys):
         "What is said",
     ):
         assert text in page
+    assert "We find" not in page  # a study without such sentences has no empty ones
+    assert "It is said" not in page
     capsys.readouterr()
     assert cli.main(["verdicts"]) == 0
-    assert "| `study` | 1 |" in capsys.readouterr().out
+    shown = capsys.readouterr().out
+    assert "| `study` | 1 |" in shown
+    assert shown.endswith("**A vehicle by range and bearing** (`study`).\n")
     assert cli.main(["list", "study.py"]) == 0
     listed = capsys.readouterr().out
     assert all(
-        text in listed
-        for text in ("bearing_deg", "figure_01", "filters: ekf, ukf", "limits.position")
+        text in listed for text in ("bearing_deg", "figure_01", "ekf, ukf", "limits.position")
     )
     assert cli.main(["view", "study.py"]) == 2
     assert "study.py: has no recordings" in capsys.readouterr().err
+
+
+def test_the_page_on_studies_shows_what_is_written():
+    page = Path(__file__).parents[2] / "docs" / "howto" / "own_study.md"
+    (shown, *_) = re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
+    assert shown == TEMPLATE
+
+
+def test_papers_are_made_of_the_same_names():
+    """``celnav.study`` has no names of its own: those of the template are what papers import."""
+    names = set(re.findall(r"celnav\.study\.(?:numbers\.)?(\w+)", TEMPLATE)) - {"numbers"}
+    assert names >= {"Study", "Timed", "consistency", "monte_carlo", "param", "statement"}
+    rows = {"statement"}  # of papers, in ledger.toml
+    texts = [path.read_text() for path in Path(papers.__file__).parent.rglob("*.py")]
+    for name in names - rows:
+        of = celnav.study.numbers if name == "consistency" else celnav.study
+        assert getattr(of, name).__module__.startswith("celnav.study.")
+        assert any(re.search(rf"\b{name}\b", text) for text in texts), name
+
+
+def test_the_template_runs_where_nothing_of_celnav_lies(folder):
+    """As its users have it: a process of its own, in a folder of their own."""
+    command = [
+        sys.executable,
+        "-m",
+        "celnav",
+        "reproduce",
+        "study.py",
+        "--effort",
+        "0.1",
+        "--strict",
+    ]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    last = done.stdout.splitlines()[-1]
+    assert re.fullmatch(r"wrote out/index.html in \d+ s: every verdict is the expected one", last)
 
 
 def test_the_statement_of_the_template_is_decided_by_a_tenth_of_the_runs(folder):
@@ -95,7 +138,10 @@ def test_results_are_kept_as_long_as_the_file_says_the_same(folder):
     reproduce("study.py")
     assert units(folder) == first
     (folder / "study.py").write_text(
-        TEMPLATE.replace("range_m: float = param(1.0", "range_m: float = param(2.0")
+        TEMPLATE.replace(
+            "bearing_deg: float = celnav.study.param(3.0",
+            "bearing_deg: float = celnav.study.param(4.0",
+        )
     )
     reproduce("study.py")
     assert not set(units(folder)) & set(first)
@@ -123,7 +169,10 @@ def test_processes_give_the_same_and_refuse_a_file_that_has_changed(folder):
     ).read_bytes()
     name = own.load("study.py").__name__
     (folder / "study.py").write_text(
-        TEMPLATE.replace("bearing_deg: float = param(3.0", "bearing_deg: float = param(4.0")
+        TEMPLATE.replace(
+            "bearing_deg: float = celnav.study.param(3.0",
+            "bearing_deg: float = celnav.study.param(4.0",
+        )
     )
     del sys.modules[name]
     with pytest.raises(
@@ -218,7 +267,7 @@ def test_an_empty_file_misses_what_is_always_needed(folder):
         own.load("study.py")
     assert str(error.value).splitlines()[1:] == [
         "  TITLE: expected a text, what the study is about, got none",
-        "  STUDY: expected a celnav.study.study.Study(name, groups, trial, parts, rows), got none",
+        "  STUDY: expected a celnav.study.Study(name, groups, trial, parts, rows), got none",
     ]
 
 
@@ -248,15 +297,15 @@ def test_an_empty_file_misses_what_is_always_needed(folder):
             "NameError: name 'PORTS' is not defined",
         ),
         (
-            "    motion, radar, _ = believed(c)",
-            "    motion, radar = believed(c)",
+            "    models = problem(config).motion, problem(config).sensor",
+            "    _, _, _ = models = problem(config).motion, problem(config).sensor",
             1,
-            "motion, radar = believed(c)",
+            "_, _, _ = models",
             "ValueError: ",
         ),
         (
-            "return panels(",
-            "return panelz(",
+            "    return celnav.show.panels(",
+            "    return panelz(",
             1,
             "return panelz(",
             "NameError: name 'panelz' is not defined",
@@ -327,8 +376,7 @@ def test_a_mission_takes_a_study_beside_it(folder, capsys, monkeypatch):
     (missions / "good.toml").write_text(text)
     assert cli.main(["run", "missions/good.toml", "--jobs", "1", "--effort", "1"]) == 0
     out = capsys.readouterr().out
-    assert "A vehicle by range and bearing: 100%, " in out
-    assert ": 6/6 runs" in out
+    assert "A vehicle by range and bearing: 100%: 6/6 runs" in out
     assert "ukf: position" in out
     monkeypatch.chdir(missions)
     (missions / "sweep.toml").write_text(text.replace("1.0", "[0.5, 1.0]"))
@@ -376,7 +424,7 @@ def test_a_study_without_presets_flies_no_missions_but_is_reproduced(folder, cap
     (folder / "study.py").write_text(
         TEMPLATE.replace("PRESETS", "CASES")
         .replace("def filters(", "def them(")
-        .replace("filters(c)", "them(c)")
+        .replace("filters(config)", "them(config)")
     )
     assert reproduce("study.py") == 0
     (folder / "m.toml").write_text('paper = "study.py"\n')

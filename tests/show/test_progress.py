@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 import sys
 
 import pytest
@@ -17,9 +18,18 @@ class Terminal(io.StringIO):
     def isatty(self):
         return True
 
-    def frame(self):
-        """The last line, as it stands."""
-        return self.getvalue().split("\r")[-1].strip()
+    def frames(self):
+        """The states of the bar's line, as they stand; codes of color and of the cursor are left out."""
+        text = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", self.getvalue())
+        return [" ".join(frame.replace("━", " ").split()) for frame in re.split(r"[\r\n]+", text)]
+
+
+def terminal(monkeypatch):
+    """A terminal of 80 columns at standard error."""
+    monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setattr(sys, "stderr", shown := Terminal())
+    return shown
 
 
 @pytest.fixture
@@ -30,42 +40,55 @@ def clock(monkeypatch):
     return now
 
 
-def test_a_bar_has_the_share_and_the_last_label(monkeypatch, capsys):
-    monkeypatch.setattr(sys, "stderr", terminal := Terminal())
+def test_a_bar_has_the_share_and_the_last_label_and_goes(monkeypatch, capsys):
+    shown = terminal(monkeypatch)
     bar = Progress("units", 8.0, 2.0)
-    assert terminal.frame().startswith("units:  25%|")
     bar.add(2.0, "first")
-    assert terminal.frame().startswith("units:  50%|")
-    assert terminal.frame().endswith(", first")
+    bar._bar.refresh()
     bar.add(2.0)
-    assert terminal.frame().startswith("units:  75%|")
-    assert terminal.frame().endswith(", first")
+    bar._bar.refresh()
+    sys.stdout.write("a line\n")
     bar.add(2.0, "second")
-    assert terminal.frame().startswith("units: 100%|")
-    assert terminal.frame().endswith(", second")
-    bar.say("a line")
-    assert terminal.frame() == ""
-    assert capsys.readouterr().out == "a line\n"
+    bar._bar.refresh()
+    lines = shown.frames()
+    for start, end in [("units 25 %", ""), ("units 50 %", "first"), ("units 75 %", "first")]:
+        assert any(line.startswith(start) and line.endswith(end) for line in lines)
+    assert lines[-1].startswith("units 100 %")
+    assert lines[-1].endswith(" second")
     bar.close()
-    assert terminal.frame().startswith("units: 100%|")
+    assert shown.getvalue().endswith("\x1b[1A\x1b[2K")  # one line up, and it is erased
+    assert capsys.readouterr().out == "a line\n"
+
+
+def test_a_label_that_is_too_long_does_not_wrap(monkeypatch):
+    shown = terminal(monkeypatch)
+    bar = Progress("units", 8.0)
+    bar.add(2.0, 20 * "a long label ")
+    bar._bar.refresh()
+    bar.close()
+    text = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", shown.getvalue())
+    frames = re.split(r"[\r\n]+", text)
+    assert any("a long label" in frame for frame in frames)
+    assert max(map(len, frames)) <= 80
 
 
 def test_lines_have_the_share_and_the_time_left(clock, capsys):
-    lines = Progress("units", 10.0, 2.0)
+    lines = Progress("units", 102.0, 2.0)
     clock[0] = 30.0
-    lines.add(2.0, "a")  # 2 in 30 s; 6 are left
-    lines.add(1.0)
+    lines.add(2.0, "a")  # how fast the rest goes is not known: processes have just started
+    clock[0] = 32.0
+    lines.add(8.0, "b")  # 8 in 2 s; that is less than a tenth of the rest
+    lines.add(2.0)
     clock[0] = 40.0
-    lines.add(3.0, "b")  # 6 in 40 s; 2 are left
-    lines.say("a line")
-    lines.add(2.0, "c")
+    lines.add(38.0, "c")  # 48 in 10 s; 50 are left
+    lines.add(50.0, "d")
     lines.close()
     assert capsys.readouterr().out.splitlines() == [
-        "units: 20% was done before",
-        "units: 40%, 2 min left: a",
-        "units: 80%, 13 s left: b",
-        "a line",
-        "units: 100%, 0 s left: c",
+        "units: 2% was done before",
+        "units: 4%: a",
+        "units: 12%: b",
+        "units: 51%, 10 s left: c",
+        "units: 100%: d",
     ]
 
 
@@ -77,13 +100,13 @@ def test_work_that_begins_says_no_time(clock, capsys):
 
 def test_runs_have_lines_with_their_rate(clock, capsys):
     runs = Progress("study")
-    for clock[0], done in [(0.0, 200), (4.9, 300), (5.0, 400), (9.9, 600), (10.0, 1000)]:
+    for clock[0], done in [(0.0, 200), (4.9, 300), (5.0, 310), (9.9, 600), (10.0, 1000)]:
         runs.runs(done, 1000)
     assert capsys.readouterr().out.splitlines() == [
         "study: 20% was done before",
         "study: 20%: 200/1000 runs",
-        "study: 40%, 15 s left: 400/1000 runs, 40 a second",
-        "study: 100%, 0 s left: 1000/1000 runs, 80 a second",
+        "study: 31%: 310/1000 runs, 100 a second",
+        "study: 100%: 1000/1000 runs, 137 a second",
     ]
 
 
@@ -96,12 +119,13 @@ def test_runs_without_a_rate_say_no_time(clock, capsys):
 
 
 def test_runs_have_a_bar(monkeypatch, capsys):
-    monkeypatch.setattr(sys, "stderr", terminal := Terminal())
+    shown = terminal(monkeypatch)
     runs = Progress("study")
     for done in (20, 30, 40):
         runs.runs(done, 100)
+    runs._bar.refresh()
+    last = shown.frames()[-1]
     runs.close()
-    assert terminal.frame().startswith("study:  40%|")
-    assert ", 40/100 runs, " in terminal.frame()
-    assert terminal.frame().endswith(" a second")
+    assert last.startswith("study 40 %")
+    assert " 40/100 runs, " in last
     assert capsys.readouterr().out == ""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from multiprocessing.reduction import ForkingPickler
 
 import numpy as np
 import pytest
@@ -29,7 +30,15 @@ from celnav.study.numbers import (
 )
 from celnav.study.parameters import Parameters, Timed, param
 from celnav.study.problem import Problem
-from celnav.study.study import Part, Study, Unit, evaluate_filters, evaluate_from_priors
+from celnav.study.study import (
+    START_S,
+    Part,
+    Study,
+    Unit,
+    evaluate_filters,
+    evaluate_from_priors,
+    monte_carlo,
+)
 from celnav.study.trial import Group
 
 GROUPS = (Group("position", "m", slice(0, 1)), Group("velocity", "mm/s", slice(1, 2), 1e3))
@@ -105,10 +114,24 @@ def test_errors_are_in_the_units_of_the_groups(results):
     assert np.isnan(results.get("good", "blind/nis")).all()
 
 
+def test_filters_of_a_trial_are_a_part_by_one_call():
+    """What it gives are the arrays of `evaluate_filters`, also in another process."""
+    part = monte_carlo(trial, ("kf",), 2.0, 3, 5, every=2, cov=True)
+    assert (part.number, part.runs, part.block, part.cost) == (3, 5, 100, 1.0)
+    made = ForkingPickler.loads(ForkingPickler.dumps(part))
+    found = made.work(made.config, [np.random.default_rng(i) for i in range(2)])
+    runs = trial(2.0, [np.random.default_rng(i) for i in range(2)])
+    expected = evaluate_filters(runs, ("kf",), 2, cov=True)
+    assert set(found) == set(expected)
+    for name, values in expected.items():
+        np.testing.assert_array_equal(found[name], values)
+
+
 def test_the_effort_scales_runs_and_only_takes_parts():
     units = STUDY.units(effort=0.1, seed=1, only=["good", "facts"])
     assert [(unit.part, len(unit.runs)) for unit in units] == [("good", 4), ("facts", 1)]
-    assert sum(unit.cost for unit in STUDY.units() if unit.part == "good") == pytest.approx(2.0)
+    good = [unit.cost for unit in STUDY.units() if unit.part == "good"]
+    assert sum(good) == pytest.approx(2.0 + len(good) * START_S)
     with pytest.raises(
         ValueError, match=r"^only: expected one of good, bad, facts, got 'god'; did you mean good"
     ):

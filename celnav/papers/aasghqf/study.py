@@ -51,7 +51,7 @@ from celnav.study.numbers import (
     operations,
 )
 from celnav.study.operations import counted
-from celnav.study.study import Part, Results, Rngs, Study, When, evaluate_filters
+from celnav.study.study import Part, Results, Rngs, Study, When, evaluate_filters, monte_carlo
 
 __all__ = ["STUDY"]
 
@@ -103,11 +103,6 @@ def shown(sim: scenario.Scenario) -> trials.Trial:
 def judged(config: Config, rngs: Any) -> trials.Trial:
     """A trial in the units of the paper."""
     return shown(simulate(config, rngs))
-
-
-def run_filters(names: Sequence[str], config: Config, rngs: Rngs) -> dict[str, Array]:
-    """Filters by name, at all epochs."""
-    return evaluate_filters(judged(config, rngs), names, cov=True)
 
 
 def bound(config: Config, _: Rngs) -> dict[str, Array]:
@@ -177,8 +172,8 @@ def degrees(config: Config, _: Rngs) -> dict[str, Array]:
 
 
 def on_line(names: Sequence[str], config: Config, rngs: Rngs) -> dict[str, Array]:
-    """Filters by `CHOICES`: error as `run_filters` has it, the weights as a number and the number
-    of points, both ``(T, runs)``, at each epoch."""
+    """Filters by `CHOICES`: error as `evaluate_filters` has it, the weights as a number and the
+    number of points, both ``(T, runs)``, at each epoch."""
     sim = simulate(config, rngs)
     out = {"times": config.times}
     scale = trials.scales(shown(sim).groups, 13)
@@ -313,14 +308,13 @@ def parts(effort: float = 1.0) -> dict[str, Part]:
     fitted = flight(T3)
     slow = flight(PRESETS["A-slow"])
     kinds = ("unweighed", "weighed")
+    filter_runs = partial(monte_carlo, judged, cov=True)
     out = {}
     for i, (name, config) in enumerate(PRESETS.items()):
         config = T3 if name == "T3" else flight(config)
-        out[name] = Part(partial(run_filters, FLOWN), config, i, A.runs, 50, 11.0)
+        out[name] = filter_runs(FLOWN, config, i, A.runs, 50, 11.0)
     return out | {
-        MANY: Part(
-            partial(run_filters, ("ukf", "aasghqf", "nonlinear")), fitted, 0, 200, 100, 11.0
-        ),
+        MANY: filter_runs(("ukf", "aasghqf", "nonlinear"), fitted, 0, 200, 100, 11.0),
         "bound": Part(bound, flight(A)),
         "observability": Part(degrees, T3),
         "fixes": Part(first_fixes, T3),
@@ -328,9 +322,7 @@ def parts(effort: float = 1.0) -> dict[str, Part]:
         "six states": Part(partial(six_states, ("ekf", "ukf", "sghqf")), SIX, 5, 1000, 100, 5.0),
         "tensor": Part(partial(six_states, ("sghqf", "ghqf")), SIX, 5, 400, 100, 10.0),
         "T3, on line": Part(partial(on_line, ("bends",)), T3, 0, A.runs, 50, 2.0),
-        "first fix": Part(
-            partial(run_filters, ("ukf", "sghqf")), replace(A, steps=1), 1, 1000, 100, 2.0
-        ),
+        "first fix": filter_runs(("ukf", "sghqf"), replace(A, steps=1), 1, 1000, 100, 2.0),
         f"{MANY}, on line": Part(partial(on_line, kinds), fitted, 0, 200, 50, 16.0),
         "A-slow, on line": Part(partial(on_line, tuple(CHOICES)), slow, 2, A.runs, 50, 10.0),
         "turning": Part(partial(on_line, kinds[:1]), scenario.TURNING, 2, 10, 50, 1.0),

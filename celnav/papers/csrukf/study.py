@@ -60,7 +60,8 @@ from celnav.study.numbers import (
     ratio,
     tiers,
 )
-from celnav.study.study import Part, Results, Rngs, Study, evaluate_filters
+from celnav.study.study import Part, Results, Rngs, Study, monte_carlo
+from celnav.study.trial import Trial
 
 __all__ = [
     "BOTH",
@@ -145,12 +146,12 @@ def variants(config: Config) -> dict[str, Filter]:
     return out
 
 
-def run_filters(names: Sequence[str], every: int, config: Config, rngs: Rngs) -> dict[str, Array]:
-    """Filters and variants by name."""
+def with_variants(config: Config, rngs: Rngs) -> Trial:
+    """`trial`, with `variants` among the filters."""
     runs = trial(config, rngs)
     if config.measured == "positions":
         runs = runs._replace(filters={**runs.filters, **variants(config)})
-    return evaluate_filters(runs, names, every, cov=True)
+    return runs
 
 
 def walk(config: Config, rngs: Rngs) -> dict[str, Array]:
@@ -341,10 +342,12 @@ def parts(effort: float = 1.0) -> dict[str, Part]:
     """All that is computed; the long arc, the random settings and the flights of `compared` grow
     with the effort, and flights from one coefficient to the next are shorter below `BRIEF`."""
 
+    filter_runs = partial(monte_carlo, with_variants, cov=True)
+
     def flights(names: str, config: Config, number: int, runs: int = P.runs) -> Part:
         filters = names.split(", ")
         cost = 8e-6 * config.steps * runs * len(filters)
-        return Part(partial(run_filters, filters, 1), config, number, runs, 128, cost)
+        return filter_runs(filters, config, number, runs, 128, cost)
 
     basic = "srukf, csrukf, csrukf+z0, openloop"
     both = ("srukf", "csrukf")
@@ -352,9 +355,9 @@ def parts(effort: float = 1.0) -> dict[str, Part]:
     walking = replace(P, phi=1.0)
     poor = replace(D, phi=1.0)
     out = {
-        "0.8, many": Part(partial(run_filters, both, 60), colored, 1, 1600, 200, 16.0),
-        "0, many": Part(partial(run_filters, both, P.steps), P, 0, 1600, 200, 14.0),
-        "I, many": Part(partial(run_filters, both[1:], P.steps), walking, 2, 400, 200, 2.0),
+        "0.8, many": filter_runs(both, colored, 1, 1600, 200, 16.0, every=60),
+        "0, many": filter_runs(both, P, 0, 1600, 200, 14.0, every=P.steps),
+        "I, many": filter_runs(both[1:], walking, 2, 400, 200, 2.0, every=P.steps),
         "0": flights(f"{basic}, srukf-reff, lagged, printed roots", P, 0),
         "0.8": flights(f"{basic}, srukf-reff, phi 0.9, phi 1", colored, 1),
         "I": flights(f"{basic}, srukf-inflated, phi 0.95, phi 0.99", walking, 2),
@@ -362,11 +365,13 @@ def parts(effort: float = 1.0) -> dict[str, Part]:
         "walk": Part(walk, walking, 2, P.runs, 128, 0.1),
         "stress/I": flights("csrukf, without J", replace(STRESS, phi=1.0), 6, STRESS.runs),
         "sensor/D/I": flights(f"{ISOTROPIC}, angles", replace(poor, measured="angles"), 11),
-        "theory": Part(partial(theory, max(3000, round(18000 * effort))), P, cost=9.0),
-        "settings": Part(partial(settings, max(50, round(300 * effort))), P, 20, cost=4.0),
-        "geometry": Part(geometry, P),
-        "redrawn": Part(redrawn, P, 21),
-        "linear": Part(linear, P, 23),
+        "theory": Part(
+            partial(theory, max(3000, round(18000 * effort))), P, cost=9.0 * effort + 0.5
+        ),
+        "settings": Part(partial(settings, max(50, round(300 * effort))), P, 20, cost=4.0 * effort),
+        "geometry": Part(geometry, P, cost=0.2),
+        "redrawn": Part(redrawn, P, 21, cost=0.1),
+        "linear": Part(linear, P, 23, cost=0.1),
     }
     many, some, day = (max(20, round(steps * effort)) for steps in (600, 200, 360))
     paper, small, long, angles, ratios = forms = [list[tuple[Config, float]]() for _ in range(5)]

@@ -1,0 +1,62 @@
+"""What fits the terminal; in a pipe or a file a line is as long as what it says."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+import textwrap
+from typing import TYPE_CHECKING
+
+from celnav.show.claims import style
+
+if TYPE_CHECKING:
+    from rich.text import Text
+
+UNLIMITED = 1_000_000
+INDENT = 26
+"""Columns before the text of an entry."""
+LOOKS = {
+    "good": ("✓", "green"),
+    "part": ("½", "yellow"),
+    "bad": ("✗", "red"),
+    "error": ("!", "magenta"),
+    "open": ("?", "blue"),
+}
+"""Sign and color of each `style` of a verdict."""
+
+
+def columns() -> int:
+    """Width of the terminal; outside of one there is no limit."""
+    return shutil.get_terminal_size().columns if sys.stdout.isatty() else UNLIMITED
+
+
+def entry(name: str, text: str) -> None:
+    """Print a name and what it is; what does not fit follows below, indented."""
+    head, width = f"  {name}".ljust(INDENT - 1) + " ", columns()
+    if len(head) > INDENT and width < UNLIMITED:
+        print(*textwrap.wrap(head, width, subsequent_indent="    "), sep="\n")
+        head = " " * INDENT
+    lines = textwrap.wrap(
+        text,
+        width,
+        initial_indent=head,
+        subsequent_indent=" " * INDENT,
+        break_on_hyphens=False,
+    )
+    print(*lines or [head.rstrip()], sep="\n")
+
+
+def paragraph(text: str, indent: int = 0) -> None:
+    """Print a text, each of its lines wrapped at words; what does not fit is indented."""
+    for line in text.splitlines():
+        hanging = " " * indent
+        wrapped = textwrap.wrap(line, columns(), subsequent_indent=hanging, break_on_hyphens=False)
+        print("\n".join(wrapped))
+
+
+def marked(verdict: str, count: str = "") -> Text:
+    """A verdict with its sign, in its color."""
+    from rich.text import Text
+
+    sign, color = LOOKS[style(verdict)]
+    return Text(" ".join(filter(None, [sign, count, verdict])), color)
