@@ -204,7 +204,8 @@ def _noise(c: Component, diagnosis: Diagnosis) -> list[tuple[str, str]]:
     size = "" if innovations else f", σ = {fit.sigma:.4g} ({least:.4g} to {most:.4g})"
     of = "of its innovations " if innovations else ""
     lines = [
-        f"Phi {of}from sample to sample = {_coefficient(fit.phi)} ({_coefficient(low)} to {_coefficient(high)}, {percent})"
+        f"Phi {of}from sample to sample = {_coefficient(fit.phi)} "
+        f"({_coefficient(low)} to {_coefficient(high)}, {percent})"
         f"{time}{size}"
     ]
     accepted, mixture = fit.p >= diagnosis.doubt, fit.mixture
@@ -238,8 +239,8 @@ def _advice(c: Component, diagnosis: Diagnosis) -> str:
     if mixture is not None and mixture.p >= diagnosis.doubt:
         driving = mixture.sigma**2 * (1.0 - mixture.phi**2)
         return (
-            f"suggested: a state V' = {_coefficient(mixture.phi)} V + zeta{spaced}, zeta of variance "
-            f"{driving:.4g} and V of {mixture.sigma**2:.4g}, measured as h(x) + V with "
+            f"suggested: a state V' = {_coefficient(mixture.phi)} V + zeta{spaced}, zeta of "
+            f"variance {driving:.4g} and V of {mixture.sigma**2:.4g}, measured as h(x) + V with "
             f"R=[[{mixture.white_sigma**2:.4g}]]; for the mean of these samples it predicts σ = "
             f"{mixture.mean_sigma:.3g}, the first-order noise alone {fit.mean_sigma:.3g}, {white}"
         )
@@ -288,7 +289,8 @@ def _scaled(factors: Factors, model: Model, diagnosis: Diagnosis) -> list[str]:
         f"{_listed(factors.predicted)}, the given filter {_listed(model.white_predicted)}",
         f"the factor of Q lies in {a:.4g} to {b:.4g}, that of R in {c:.4g} to {d:.4g} "
         f"({100 * diagnosis.level:.3g} %)",
-        f"the log-likelihood grows by {_plain(factors.gain, 4)} with them; {_rest(rest, factors.p)}",
+        f"the log-likelihood grows by {_plain(factors.gain, 4)} with them; "
+        f"{_rest(rest, factors.p)}",
     ]
     if factors.degenerate:
         lines[1] = f"the likelihood has no clear maximum there ({factors.degenerate})"
