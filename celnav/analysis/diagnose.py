@@ -8,6 +8,7 @@ component on its own grid: a slow sensor has its own lags, and a gap costs only 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -133,6 +134,26 @@ class SensorConsistency(NamedTuple):
     shared: float
 
 
+class Factors(NamedTuple):
+    """The given filter with the most probable factors of Q and of R, for white noise.
+
+    Q, R: factors of the matrices. Q_interval, R_interval: of the factors.
+    gain: in log-likelihood, over the given filter.
+    predicted: ``(n,)`` standard deviations at the end.
+    p: ``(m,)``, Ljung and Box's p of its innovations. degenerate: why the likelihood has no inner
+        maximum, "" if it has one.
+    """
+
+    Q: float
+    R: float
+    Q_interval: Interval
+    R_interval: Interval
+    gain: float
+    predicted: Array
+    p: Array
+    degenerate: str
+
+
 class Model(NamedTuple):
     """A filter for colored noise, fitted to the data: ``Phi (m, m)`` and ``R (m, m)``.
 
@@ -140,11 +161,10 @@ class Model(NamedTuple):
         Phi acts from epoch to epoch.
     phi_interval, sigma_interval: ``(m, 2)``.
     gain: in log-likelihood, over the given filter, which assumes white noise.
-    white_gain: the gain of white noise with the most probable factors of Q and R; nan if not
-        compared.
-    not_compared: why not.
-    predicted, white_predicted: ``(n,)`` standard deviations at the end, of both filters.
-    p: ``(m,)``, Ljung and Box's p of its innovations. converged: of the search.
+    factors: of Q and R of the given filter instead; None if not compared. not_compared: why not.
+    predicted, white_predicted: ``(n,)`` standard deviations at the end, of this filter and of the
+        given one.
+    p: ``(m,)``, Ljung and Box's p of its innovations. degenerate: as in `Factors`.
     """
 
     name: str
@@ -153,17 +173,27 @@ class Model(NamedTuple):
     phi_interval: Array
     sigma_interval: Array
     gain: float
-    white_gain: float
+    factors: Factors | None
     not_compared: str
     predicted: Array
     white_predicted: Array
     p: Array
-    converged: bool
+    degenerate: str
+
+    @property
+    def white_gain(self) -> float:
+        """The gain of white noise with the most probable factors; nan if not compared."""
+        return np.nan if self.factors is None else self.factors.gain
 
     @property
     def is_color(self) -> bool:
         """Whether colored noise is more probable than other white noise."""
         return self.gain > self.white_gain + BETTER
+
+    @property
+    def is_white(self) -> bool:
+        """Whether other white noise is more probable than colored noise."""
+        return self.white_gain > self.gain + BETTER
 
 
 class Diagnosis(NamedTuple):
@@ -684,7 +714,25 @@ def _model(
     first = np.array([np.nan_to_num(c.autocorrelation[0], nan=0.5) for c in components])
     first = np.clip(first, 0.05, 0.95) ** (1.0 / np.maximum(strides, 1.0))
     start = np.concatenate([first if count == m else [first.mean()], np.ones(count)])
-    other, not_compared = np.nan, ""
+    z_level = float(ndtri(0.5 + level / 2))
+
+    def at_end(track: Track) -> Array:
+        """Standard deviations ``(n,)`` of the states of the given filter, mean of the runs."""
+        std = track.std[-1, ..., : baseline.std.shape[-1]]
+        return np.asarray(std.reshape(-1, std.shape[-1]).mean(0))
+
+    def whiteness(track: Track) -> Array:
+        """Ljung and Box's p ``(m,)`` of the innovations, each component on its own grid."""
+        innovations = np.where(track.used, track.whitened, np.nan).reshape(len(t), -1, m)
+        sampled = [np.isfinite(innovations[..., i]).any(1) for i in range(m)]
+        return np.array(
+            [
+                _whiteness(innovations[at, :, i], grid_index(t[at])[0], len(c.band), 1)
+                for i, (at, c) in enumerate(zip(sampled, components, strict=True))
+            ]
+        )
+
+    factors, not_compared = None, ""
     with np.errstate(all="ignore"):  # a search tries extreme parameters
         try:
             tuned = maximize_likelihood(
@@ -695,39 +743,53 @@ def _model(
             )
         except (ValueError, ArithmeticError) as error:
             return None, f"the filter for colored noise could not be fitted: {error}"
+        before = float(baseline.log_likelihood.sum())
         try:
-            other = maximize_likelihood(white, [1.0, 1.0], data).log_likelihood
+            scaled = maximize_likelihood(white, [1.0, 1.0], data)
+            track = run(*white(scaled.parameters), data)
         except (ValueError, ArithmeticError) as error:
             not_compared = str(error)
+        else:
+            # The parameters are of standard deviations, and the factors of their squares.
+            squares = scaled.parameters**2
+            reach = np.exp(2.0 * z_level * np.sqrt(scaled.covariance.diagonal()))
+            low, high = (squares / reach).tolist(), (squares * reach).tolist()
+            factors = Factors(
+                Q=float(squares[0]),
+                R=float(squares[1]),
+                Q_interval=(low[0], high[0]),
+                R_interval=(low[1], high[1]),
+                gain=scaled.log_likelihood - before,
+                predicted=at_end(track),
+                p=whiteness(track),
+                degenerate=_degenerate(scaled, ["Q", "R"]),
+            )
     Phi, cov = matrices(tuned.parameters)
-    reach = float(ndtri(0.5 + level / 2)) * np.sqrt(tuned.covariance.diagonal())
-    doubt, factor = (
-        np.broadcast_to(values, m) for values in (reach[:count], np.exp(reach[count:]))
-    )
+    reach = z_level * np.sqrt(tuned.covariance.diagonal())
+    doubt, ratio = (np.broadcast_to(values, m) for values in (reach[:count], np.exp(reach[count:])))
     half, sigma = np.arctanh(Phi.diagonal()), np.sqrt(cov.diagonal())
-    n = baseline.std.shape[-1]
-    before = float(baseline.log_likelihood.sum())
-    innovations = np.where(fitted.used, fitted.whitened, np.nan).reshape(len(t), -1, m)
-    sampled = [np.isfinite(innovations[..., i]).any(1) for i in range(m)]
+    called = [c.name for c in components] if count > 1 else [""]
+    parameters = [f"{what} {name}".strip() for what in ("Phi", "R") for name in called]
     return Model(
         name=make.__name__,
         Phi=Phi,
         R=cov,
         phi_interval=np.tanh(np.stack([half - 0.5 * doubt, half + 0.5 * doubt], -1)),
-        sigma_interval=np.stack([sigma / factor, sigma * factor], -1),
+        sigma_interval=np.stack([sigma / ratio, sigma * ratio], -1),
         gain=float(fitted.log_likelihood.sum()) - before,
-        white_gain=other - before,
+        factors=factors,
         not_compared=not_compared,
-        predicted=fitted.std[-1, ..., :n].reshape(-1, n).mean(0),
-        white_predicted=baseline.std[-1].reshape(-1, n).mean(0),
-        p=np.array(
-            [
-                _whiteness(innovations[at, :, i], grid_index(t[at])[0], len(c.band), 1)
-                for i, (at, c) in enumerate(zip(sampled, components, strict=True))
-            ]
-        ),
-        converged=tuned.converged,
+        predicted=at_end(fitted),
+        white_predicted=at_end(baseline),
+        p=whiteness(fitted),
+        degenerate=_degenerate(tuned, parameters),
     ), ""
+
+
+def _degenerate(tuned: Any, names: Sequence[str]) -> str:
+    """Why a search has found no inner maximum, with its parameters by name; "" if it has."""
+    why = re.sub(r"parameter (\d+)", lambda found: names[int(found[1])], tuned.message)
+    return "" if tuned.converged else re.split(r";|(?<=of its range),", why)[0]
 
 
 def _louder(motion: Motion, factor: float) -> Motion:

@@ -14,7 +14,7 @@ __all__ = ["WIDTH", "consistency", "laid_out", "page"]
 WIDTH = 110
 
 if TYPE_CHECKING:
-    from celnav.analysis.diagnose import Component, Diagnosis, Model
+    from celnav.analysis.diagnose import Component, Diagnosis, Factors, Model
 
 
 def page(diagnosis: Diagnosis, width: int = WIDTH) -> str:
@@ -212,7 +212,8 @@ def _noise(c: Component, diagnosis: Diagnosis) -> list[tuple[str, str]]:
     size = "" if innovations else f", σ = {fit.sigma:.4g} ({least:.4g} to {most:.4g})"
     of = "of its innovations " if innovations else ""
     lines = [
-        f"Phi {of}from sample to sample = {fit.phi:.3f} ({low:.3f} to {high:.3f}, {percent})"
+        f"Phi {of}from sample to sample = {_coefficient(fit.phi)} "
+        f"({_coefficient(low)} to {_coefficient(high)}, {percent})"
         f"{time}{size}"
     ]
     accepted, mixture = fit.p >= diagnosis.doubt, fit.mixture
@@ -237,7 +238,7 @@ def _advice(c: Component, diagnosis: Diagnosis) -> str:
     assert fit is not None
     white = f"white noise {fit.sigma / np.sqrt(c.samples):.3g}"
     spaced = "" if c.step == diagnosis.step or c.step is None else f", an epoch each {c.step:.4g} s"
-    filter = f"celnav.colored(motion, sensor, Phi=[[{fit.phi:.3f}]])"
+    filter = f"celnav.colored(motion, sensor, Phi=[[{_coefficient(fit.phi)}]])"
     filter = f"{filter} with R=[[{fit.sigma**2:.4g}]]{spaced}"
     mean = f"for the mean of these samples it predicts σ = {fit.mean_sigma:.3g}"
     if fit.p >= diagnosis.doubt:
@@ -246,8 +247,8 @@ def _advice(c: Component, diagnosis: Diagnosis) -> str:
     if mixture is not None and mixture.p >= diagnosis.doubt:
         driving = mixture.sigma**2 * (1.0 - mixture.phi**2)
         return (
-            f"suggested: a state V' = {mixture.phi:.3f} V + zeta{spaced}, zeta of variance "
-            f"{driving:.4g} and V of {mixture.sigma**2:.4g}, measured as h(x) + V with "
+            f"suggested: a state V' = {_coefficient(mixture.phi)} V + zeta{spaced}, zeta of "
+            f"variance {driving:.4g} and V of {mixture.sigma**2:.4g}, measured as h(x) + V with "
             f"R=[[{mixture.white_sigma**2:.4g}]]; for the mean of these samples it predicts σ = "
             f"{mixture.mean_sigma:.3g}, the first-order noise alone {fit.mean_sigma:.3g}, {white}"
         )
@@ -258,41 +259,89 @@ def _advice(c: Component, diagnosis: Diagnosis) -> str:
 
 
 def _fitted(model: Model, diagnosis: Diagnosis) -> list[str]:
-    """The filter fitted to the track's data, and how reliable it is."""
-    phi, R = ", ".join(f"{x:.3f}" for x in model.Phi.diagonal()), model.R
+    """The filter fitted to the track's data, or other Q and R, and how reliable it is."""
+    factors, name = model.factors, f"celnav.{model.name}"
+    grows = f"the log-likelihood grows by {_plain(model.gain, 4)} with it"
+    if factors is None:
+        lines, compared = [], f"other Q and R alone were not compared ({model.not_compared})"
+    else:
+        # Colored noise that is the better explanation, and is determined, stands alone.
+        alone = model.is_color and not model.degenerate
+        lines = [] if alone else _scaled(factors, model, diagnosis)
+        compared = f"by {_plain(factors.gain, 4)} with other Q and R alone"
+    if model.degenerate:
+        left_out = (
+            f"{name} is left out: the likelihood has no clear maximum in Phi and R "
+            f"({model.degenerate}); {grows}"
+        )
+        return [*lines, left_out if lines else f"{left_out}; {compared}"]
+    if model.is_white:
+        return [*lines, f"{name} is not suggested: {grows}, {compared}"]
+    if factors is None:
+        compared = f"{grows}; {compared}"
+    elif model.is_color:
+        compared = f"{grows}, {compared}: the noise is colored"
+    else:
+        compared = f"{grows}, {compared}: these data do not distinguish color from wrong dynamics"
+    return [*lines, *_colored(model, compared, diagnosis)]
+
+
+def _scaled(factors: Factors, model: Model, diagnosis: Diagnosis) -> list[str]:
+    """The given filter with other Q and R."""
+    rest = not (factors.p < diagnosis.doubt).any()
+    suggested = rest and not factors.degenerate and model.is_white
+    (a, b), (c, d) = factors.Q_interval, factors.R_interval
+    lines = [
+        f"{'suggested' if suggested else 'fitted, not suggested'}: the given filter with Q times "
+        f"{factors.Q:.4g} and R times {factors.R:.4g}; at the end it predicts σ = "
+        f"{_listed(factors.predicted)}, the given filter {_listed(model.white_predicted)}",
+        f"the factor of Q lies in {a:.4g} to {b:.4g}, that of R in {c:.4g} to {d:.4g} "
+        f"({100 * diagnosis.level:.3g} %)",
+        f"the log-likelihood grows by {_plain(factors.gain, 4)} with them; "
+        f"{_rest(rest, factors.p)}",
+    ]
+    if factors.degenerate:
+        lines[1] = f"the likelihood has no clear maximum there ({factors.degenerate})"
+    return lines
+
+
+def _listed(values: Iterable[float]) -> str:
+    return ", ".join(f"{x:.3g}" for x in values)
+
+
+def _rest(white: bool, p: Iterable[float]) -> str:
+    return (
+        f"its innovations are {'white' if white else 'still not white'} (p {', '.join(map(_p, p))})"
+    )
+
+
+def _colored(model: Model, compared: str, diagnosis: Diagnosis) -> list[str]:
+    """The filter for colored noise."""
+    phi, R = ", ".join(map(_coefficient, model.Phi.diagonal())), model.R
     diagonal = np.array_equal(R, np.diag(R.diagonal()))
     noise = (
         f"np.diag([{', '.join(f'{x:.4g}' for x in R.diagonal())}])"
         if diagonal
         else f"np.array({[[float(f'{x:.4g}') for x in row] for row in R]})"
     )
-    after, before = (
-        ", ".join(f"{x:.3g}" for x in values) for values in (model.predicted, model.white_predicted)
-    )
     ends = [
         ", ".join(f"{a:.4g} to {b:.4g}" for a, b in values)
         for values in (model.phi_interval, model.sigma_interval)
     ]
     rest = not (model.p < diagnosis.doubt).any()
-    suggested = model.is_color and rest and model.converged
-    grows = f"the log-likelihood grows by {_plain(model.gain, 4)} with it"
-    if np.isnan(model.white_gain):
-        compared = f"{grows}; other Q and R alone were not compared ({model.not_compared})"
-    else:
-        verdict = (
-            "the noise is colored"
-            if model.is_color
-            else "these data do not distinguish color from wrong dynamics"
-        )
-        compared = f"{grows}, by {_plain(model.white_gain, 4)} with other Q and R alone: {verdict}"
-    lines = [
+    suggested = model.is_color and rest
+    return [
         f"{'suggested' if suggested else 'fitted, not suggested'}: "
         f"celnav.{model.name}(motion, sensor, Phi=np.diag([{phi}])) with R={noise}; at the end it "
-        f"predicts σ = {after}, the given filter {before}",
+        f"predicts σ = {_listed(model.predicted)}, the given filter "
+        f"{_listed(model.white_predicted)}",
         f"Phi lies in {ends[0]}, σ of its noise in {ends[1]} ({100 * diagnosis.level:.3g} %)",
         compared,
-        f"its innovations are {'white' if rest else 'still not white'} "
-        f"(p {', '.join(map(_p, model.p))})",
+        _rest(rest, model.p),
     ]
-    doubt = "the likelihood has no clear maximum there, so these numbers are uncertain"
-    return lines if model.converged else [*lines, doubt]
+
+
+def _coefficient(phi: float) -> str:
+    """With three digits of its distance to 1, which decides how correlated the noise is."""
+    distance = 1.0 - abs(phi) or 1.0
+    return f"{phi:.{max(3, 2 - int(np.floor(np.log10(distance))))}f}"

@@ -27,7 +27,14 @@ R = TypeVar("R")
 
 
 class UnfinishedError(WorkError):
-    """Units that could not be done; everything else is kept."""
+    """Units that could not be done; everything else is kept.
+
+    causes: what they raised, as far as they lived to.
+    """
+
+    def __init__(self, message: str, causes: Sequence[Exception] = ()):
+        super().__init__(message)
+        self.causes = tuple(causes)
 
 
 def _nothing() -> None:
@@ -51,6 +58,7 @@ def compute(
     """
     missing = dict.fromkeys(units)
     unfinished: list[str] = []
+    causes: list[Exception] = []
     deaths = 0
     while missing:
         # One at a time, it is clear whose worker it is that dies.
@@ -65,6 +73,7 @@ def compute(
                     del missing[unit]
                     if isinstance(outcome, Exception):
                         unfinished.append(_titled(unit, _message(outcome)))
+                        causes.append(outcome)
                     else:
                         keep(unit, outcome)
                         deaths = 0
@@ -81,7 +90,7 @@ def compute(
     if unfinished:
         rest = f" and {len(unfinished) - 3} more" if len(unfinished) > 3 else ""
         count = "1 unit is" if len(unfinished) == 1 else f"{len(unfinished)} units are"
-        raise UnfinishedError(f"{count} not done: {'; '.join(unfinished[:3])}{rest}")
+        raise UnfinishedError(f"{count} not done: {'; '.join(unfinished[:3])}{rest}", causes)
 
 
 def _titled(unit: Unit, why: str) -> str:

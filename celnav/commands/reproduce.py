@@ -24,9 +24,10 @@ from celnav.campaign.engine import UnfinishedError, compute
 from celnav.commands.arguments import UsageError, cores, fraction, load, warn, whole, workers
 from celnav.commands.index import USER, index, page_data
 from celnav.commands.terminal import paragraph
-from celnav.files import Outputs, locked, npz, remove_leftovers
+from celnav.files import InputError, Outputs, locked, npz, remove_leftovers
 from celnav.gaussian.linalg import Array
 from celnav.papers.own import name_of
+from celnav.real import found
 from celnav.show.claims import dumps
 from celnav.show.draw import picture_names, pictures
 from celnav.show.progress import Progress
@@ -102,7 +103,9 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _check_inputs(modules: Mapping[str, ModuleType], options: argparse.Namespace) -> None:
-    """UsageError where no study takes a folder that is given, or one is missing that it needs."""
+    """UsageError where no study takes a folder that is given, or one is missing that it needs;
+    FileNotFoundError where a folder lacks the files that a study names.
+    """
     takers = {name: f"the study {name}" for name in papers.REAL}
     takers["rinex"] = "a paper that takes a receiver's log (aukf)"
     taken = {name for module in modules.values() for name in getattr(module, "INPUTS", ())}
@@ -116,6 +119,8 @@ def _check_inputs(modules: Mapping[str, ModuleType], options: argparse.Namespace
         if name in papers.REAL and getattr(options, name) is None:
             folder = papers.REAL[name]
             raise UsageError(f"{name}: expected --{name} DIR with it, a folder of {folder}")
+        if name in papers.REAL:
+            found(getattr(options, name), getattr(modules[name], "FILES", ()))
 
 
 def _units(task: Task, options: argparse.Namespace, **chosen: Any) -> list[Unit]:
@@ -164,6 +169,8 @@ def _do(
         try:
             compute(todo, pool, keep)
         except UnfinishedError as error:
+            if len(set(map(str, error.causes))) == 1 and isinstance(error.causes[0], InputError):
+                raise error.causes[0] from None  # of one damaged file, which all units read
             raise OSError(
                 f"{error}; what is finished is kept: the same command goes on from there"
             ) from None

@@ -2,8 +2,9 @@
 there was stated by anybody.
 
 ``CITATION``: where the data come from. ``TITLE``, ``STUDY``, ``FIGURES``, ``TABLES``,
-    ``RECORDINGS`` and ``record`` are as a
-paper's; ``INPUTS`` is the study's own name: ``STUDY.parts`` takes the folder of its data under it.
+``RECORDINGS`` and ``record`` are as a paper's; ``INPUTS`` is the study's own name: ``STUDY.parts``
+takes the folder of its data under it, and reads it or leaves that to its parts; then ``FILES`` are
+the patterns of files without which the folder is refused.
 The ledger has findings, with intervals by blocks of time (`celnav.study.ledger.estimate`,
 ``block=``), and checks; filters run once, and arrays are ``(T, 1, ...)``. The data are nobody's
 here: without a folder a study is not done, and its rows are not on the page.

@@ -71,6 +71,8 @@ TITLE = "Attitude from a sensor in a hand"
 CITATION = citation("Laidig2021")
 INPUTS = ("broad",)
 PUBLISHED = ("Madgwick", "Mahony")
+ERRORS = tuple(f"results_{name.lower()}_average_rmse.json" for name in PUBLISHED)
+FILES = (*(f"{name}.mat" for name in TRIALS), *ERRORS)
 VQF_INSTALLED = installed("vqf")
 
 
@@ -113,10 +115,7 @@ def published(config: Flight, _rngs: Sequence[Any]) -> dict[str, Array]:
     that truth finds best in the mean over all 39 trials: "tagp_parameters" of the files that come
         with the data."""
     out = {}
-    for name, path in zip(
-        PUBLISHED,
-        found(config.folder, [f"results_{name.lower()}_average_rmse.json" for name in PUBLISHED]),
-    ):
+    for name, path in zip(PUBLISHED, found(config.folder, ERRORS), strict=True):
         try:
             out[name] = np.array(
                 [

@@ -46,6 +46,7 @@ if TYPE_CHECKING:
 TITLE = "A car with an inertial unit, without fixes for 15 s"
 CITATION = citation("GnssImu2025")
 INPUTS = ("ins",)
+FILES = ("imu*.csv*", "imu*.tag", "gnss*.pos*")
 
 MOUNT = np.radians([180.0, -6.79, 185.35])  # roll, pitch, yaw of the unit's axes against the car's
 LEVER = np.array([0.0, -0.05, 0.0])  # m, from the unit to the antenna: forward, right, down
@@ -121,7 +122,7 @@ class Log(NamedTuple):
 
 def log(folder: Path) -> Log:
     """The log of a folder."""
-    table, tags, solution = found(folder, ["imu*.csv*", "imu*.tag", "gnss*.pos*"])
+    table, tags, solution = found(folder, FILES)
     fixes, samples = read_pos(solution), read_imu(table, tags)
     origin = fixes.latitude[0], fixes.longitude[0], fixes.height_m[0]
     p = earth.local_position(fixes.latitude, fixes.longitude, fixes.height_m, origin)

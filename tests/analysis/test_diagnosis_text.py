@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from celnav.analysis.diagnose import Coloring, Component, Diagnosis, Mixture, Model
+from celnav.analysis.diagnose import Coloring, Component, Diagnosis, Factors, Mixture, Model
 from celnav.analysis.diagnose import SensorConsistency as Sensor
 
 WHITE = Component(
@@ -31,6 +31,16 @@ WHITE = Component(
 FIT = Coloring(0.5, (0.4, 0.6), 2.0, (1.5, 2.5), 0.125, 0.3, Mixture(0.8, 1.0, 0.5, 0.25, 7.5, 0.4))
 COLORED = WHITE._replace(p=1e-16, effective=25.0, coloring=FIT)
 SOUND = Sensor(("z0",), 1.1, (0.8, 1.2), np.ones(3), np.ones(3), 1.0)
+FACTORS = Factors(
+    Q=4.0,
+    R=0.25,
+    Q_interval=(2.0, 8.0),
+    R_interval=(0.125, 0.5),
+    gain=10.0,
+    predicted=np.array([2.5, 0.75]),
+    p=np.array([0.25, 0.5]),
+    degenerate="",
+)
 MODEL = Model(
     name="colored",
     Phi=np.diag([0.5, 0.25]),
@@ -38,12 +48,12 @@ MODEL = Model(
     phi_interval=np.array([[0.4, 0.6], [0.1, 0.4]]),
     sigma_interval=np.array([[1.5, 2.5], [2.0, 4.0]]),
     gain=50.0,
-    white_gain=10.0,
+    factors=FACTORS,
     not_compared="",
     predicted=np.array([1.5, 0.25]),
     white_predicted=np.array([1.0, 0.125]),
     p=np.array([0.5, 0.75]),
-    converged=True,
+    degenerate="",
 )
 
 
@@ -219,43 +229,86 @@ FITTED = (
 )
 COLOR = "the noise is colored"
 WRONG = "these data do not distinguish color from wrong dynamics"
-UNCLEAR = "the likelihood has no clear maximum there, so these numbers are uncertain"
+
+
+def of_track(**changed):
+    """What is said of a model of a track."""
+    assert said("noise", COLORED, WHITE, model=MODEL) == []
+    return said("model", COLORED, WHITE, model=MODEL._replace(**changed))
+
+
+def colored(word, gain, verdict, innovations):
+    return [
+        f"{word}: {FITTED}",
+        "Phi lies in 0.4 to 0.6, 0.1 to 0.4, σ of its noise in 1.5 to 2.5, 2 to 4 (95 %)",
+        f"the log-likelihood grows by 50 with it, by {gain} with other Q and R alone: {verdict}",
+        f"its innovations are {innovations}",
+    ]
+
+
+def scaled(word, gain, innovations="white (p 0.25, 0.5)", ends=None):
+    return [
+        f"{word}: the given filter with Q times 4 and R times 0.25; at the end it predicts "
+        "σ = 2.5, 0.75, the given filter 1, 0.125",
+        ends or "the factor of Q lies in 2 to 8, that of R in 0.125 to 0.5 (95 %)",
+        f"the log-likelihood grows by {gain} with them; its innovations are {innovations}",
+    ]
 
 
 @pytest.mark.parametrize(
-    ("changed", "word", "verdict", "innovations", "more"),
+    ("p", "word", "innovations"),
     [
-        ({}, "suggested", COLOR, "white (p 0.5, 0.75)", []),
-        (
-            {"p": np.array([0.5, 0.02])},
-            "fitted, not suggested",
-            COLOR,
-            "still not white (p 0.5, 0.02)",
-            [],
-        ),
-        ({"p": np.array([0.5, 0.03])}, "suggested", COLOR, "white (p 0.5, 0.03)", []),
-        ({"white_gain": 49.9}, "fitted, not suggested", WRONG, "white (p 0.5, 0.75)", []),
-        ({"converged": False}, "fitted, not suggested", COLOR, "white (p 0.5, 0.75)", [UNCLEAR]),
+        (0.75, "suggested", "white (p 0.5, 0.75)"),
+        (0.02, "fitted, not suggested", "still not white (p 0.5, 0.02)"),
+        (0.03, "suggested", "white (p 0.5, 0.03)"),
     ],
 )
-def test_a_fitted_filter_is_suggested_only_if_nothing_speaks_against_it(
-    changed, word, verdict, innovations, more
-):
-    model = MODEL._replace(**changed)
-    assert said("model", COLORED, WHITE, model=model) == [
-        f"{word}: {FITTED}",
-        "Phi lies in 0.4 to 0.6, 0.1 to 0.4, σ of its noise in 1.5 to 2.5, 2 to 4 (95 %)",
-        f"the log-likelihood grows by 50 with it, by {model.white_gain:.3g} with other Q and R "
-        f"alone: {verdict}",
-        f"its innovations are {innovations}",
-        *more,
+def test_colored_noise_that_is_more_probable_stands_alone(p, word, innovations):
+    lines = of_track(p=np.array([0.5, p]))
+    assert lines == colored(word, 10, COLOR, innovations)
+
+
+def test_other_white_noise_that_is_as_probable_stands_beside_it():
+    rival = FACTORS._replace(gain=49.9)
+    assert of_track(factors=rival) == [
+        *scaled("fitted, not suggested", 49.9),
+        *colored("fitted, not suggested", 49.9, WRONG, "white (p 0.5, 0.75)"),
     ]
-    assert said("noise", COLORED, WHITE, model=model) == []
+
+
+@pytest.mark.parametrize("p", [0.02, 0.03])
+def test_other_white_noise_that_is_more_probable_is_suggested_if_it_leaves_nothing(p):
+    rival = FACTORS._replace(gain=60.0, p=np.array([p, 0.5]))
+    sound = p > 0.025  # 5 % shared by two components
+    word = "suggested" if sound else "fitted, not suggested"
+    assert of_track(factors=rival) == [
+        *scaled(word, 60, f"{'' if sound else 'still not '}white (p {p}, 0.5)"),
+        "celnav.colored is not suggested: the log-likelihood grows by 50 with it, by 60 with other "
+        "Q and R alone",
+    ]
+    edge = rival._replace(p=FACTORS.p, degenerate="R ran to the end of its range")
+    uncertain = "the likelihood has no clear maximum there (R ran to the end of its range)"
+    lines = scaled("fitted, not suggested", 60, ends=uncertain)
+    assert of_track(factors=edge)[:3] == lines
+
+
+@pytest.mark.parametrize("gain", [10.0, 60.0])
+def test_a_degenerate_fit_of_colored_noise_is_left_out(gain):
+    """Whether or not its likelihood is larger; then the factors are not suggested either."""
+    lines = of_track(factors=FACTORS._replace(gain=gain), degenerate="Phi z0 ran to the end")
+    assert lines == [
+        *scaled("suggested" if gain > 50.0 else "fitted, not suggested", f"{gain:.0f}"),
+        "celnav.colored is left out: the likelihood has no clear maximum in Phi and R "
+        "(Phi z0 ran to the end); the log-likelihood grows by 50 with it",
+    ]
+    alone = of_track(factors=None, not_compared="Q is unknown", degenerate="Phi z0 ran to the end")
+    other = "other Q and R alone were not compared (Q is unknown)"
+    assert alone == [f"{lines[-1]}; {other}"]
 
 
 def test_a_fitted_filter_of_correlated_noise_without_a_rival():
     R = np.array([[4.0, 0.5], [0.5, 9.0]])
-    model = MODEL._replace(R=R, white_gain=np.nan, not_compared="Q is unknown", name="augmented")
+    model = MODEL._replace(R=R, factors=None, not_compared="Q is unknown", name="augmented")
     first, _, compared, _ = said("model", WHITE, WHITE, model=model)
     assert first == (
         "fitted, not suggested: "
@@ -267,3 +320,13 @@ def test_a_fitted_filter_of_correlated_noise_without_a_rival():
         "the log-likelihood grows by 50 with it; "
         "other Q and R alone were not compared (Q is unknown)"
     )
+
+
+@pytest.mark.parametrize(
+    ("phi", "printed"),
+    [(0.8, "0.800"), (-0.41, "-0.410"), (0.9, "0.900"), (0.91777, "0.9178"), (0.998124, "0.99812")],
+)
+def test_a_coefficient_near_1_has_the_digits_that_its_noise_needs(phi, printed):
+    near = COLORED._replace(coloring=FIT._replace(phi=phi))
+    assert said("noise", near)[0].startswith(f"z0: Phi from sample to sample = {printed} (")
+    assert f"Phi=[[{printed}]]" in said("model", near)[0]
