@@ -57,3 +57,12 @@ def eager(monkeypatch):
     token = ENGINE.set("numpy")
     yield
     ENGINE.reset(token)
+
+
+@pytest.fixture(autouse=True)
+def no_viewer(request, monkeypatch):
+    """Studies are written without the viewer for the browser, 23 MB, except in tests of it."""
+    from celnav.show import viewer
+
+    if "package" not in request.fixturenames:
+        monkeypatch.setattr(viewer, "available", lambda: False)

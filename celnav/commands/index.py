@@ -19,6 +19,7 @@ import celnav
 from celnav import papers
 from celnav.commands.arguments import load
 from celnav.files import InputError, read_json
+from celnav.show import viewer
 from celnav.show.claims import answer, markdown, read_claims, tally
 from celnav.study.ledger import KINDS, VERDICTS, Sentence
 
@@ -174,10 +175,20 @@ def _shown(out: Path, name: str, claims: Claims) -> dict[str, Any]:
             _figure(path, name, module) for path in sorted((folder / "figures").glob("*.png"))
         ],
         "tables": [_table(path, module) for path in sorted((folder / "tables").glob("*.csv"))],
-        "recordings": [file for file in module.RECORDINGS if file in files],
+        "recordings": [
+            {"file": file, "live": _live(out, f"{name}/{file}")}
+            for file in module.RECORDINGS
+            if file in files
+        ],
         "files": files,
         "about": _record(folder)[1],
     }
+
+
+def _live(out: Path, recording: str) -> str:
+    """The address of a recording in the browser; "" where the viewer or its script is missing."""
+    there = all((out / name).is_file() for name in (viewer.SCRIPT, viewer.script_name(recording)))
+    return viewer.address(recording) if there else ""
 
 
 def _notebook(out: Path, name: str, module: Any) -> dict[str, str]:

@@ -28,6 +28,7 @@ from celnav.files import InputError, Outputs, locked, npz, remove_leftovers
 from celnav.gaussian.linalg import Array
 from celnav.papers.own import name_of
 from celnav.real import found
+from celnav.show import viewer
 from celnav.show.claims import dumps
 from celnav.show.draw import picture_names, pictures
 from celnav.show.progress import Progress
@@ -54,7 +55,8 @@ class Task(NamedTuple):
         """Refuse what could not be written before anything is computed."""
         tables = (f"tables/{stem}.csv" for stem in self.module.TABLES)
         figures = picture_names(f"figures/{stem}" for stem in self.module.FIGURES)
-        self.outputs.check([*figures, *tables, *FILES, *self.module.RECORDINGS])
+        scripts = map(viewer.script_name, self.module.RECORDINGS)
+        self.outputs.check([*figures, *tables, *FILES, *self.module.RECORDINGS, *scripts])
 
 
 def run(options: argparse.Namespace) -> int:
@@ -79,7 +81,7 @@ def run(options: argparse.Namespace) -> int:
         )
     out = Path(options.out)
     top = Outputs(out)
-    top.check(["index.html"])
+    top.check(["index.html", viewer.PAGE, viewer.SCRIPT])
     tasks = {
         name: Task(name, module, word if papers.is_file(word) else None, Outputs(out / name))
         for word, (name, module) in zip(words, modules.items(), strict=True)
@@ -91,6 +93,8 @@ def run(options: argparse.Namespace) -> int:
             out, *(out / name / part for name in tasks for part in ("", "figures", "tables"))
         )
         claims = _do(tasks, options, effort, seed, pool)
+        if not options.no_viewer and viewer.available():
+            write_viewer(top, tasks)
         top.text("index.html", index(out))
     surprises = sum(claim.surprise for claim in claims)
     undecided = sum(claim.verdict == "undecided" != claim.expected for claim in claims)
@@ -231,6 +235,17 @@ def _write(task: Task, results: Results, progress: Progress) -> list[Claim]:
                 flush=True,
             )
     return claims
+
+
+def write_viewer(top: Outputs, tasks: Mapping[str, Task]) -> None:
+    """Write the viewer, if it is not there, and each recording as a script."""
+    if not viewer.is_current(top.directory):
+        top.publish(viewer.viewer())
+    for task in tasks.values():
+        outputs = task.outputs
+        for name in task.module.RECORDINGS:
+            if (path := outputs.directory / name).is_file():
+                outputs.bytes(viewer.script_name(name), viewer.as_script(path.read_bytes()))
 
 
 def _arrays(data: Mapping[str, Mapping[str, Array]]) -> dict[str, Array]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import gzip
 from base64 import b64encode
-from importlib import metadata
+from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
 from urllib.parse import quote
@@ -42,6 +42,12 @@ def available() -> bool:
     return installed(PACKAGE)
 
 
+def page() -> bytes:
+    """The viewer's page, with the version of the viewer in it."""
+    template = (Path(__file__).parent / "pages" / PAGE).read_text(encoding="utf-8")
+    return template.replace("@VERSION", version(PACKAGE.replace("_", "-"))).encode()
+
+
 def viewer() -> dict[str, bytes]:
     """The two files of the viewer by name, 23 MB; MissingError if its package is not installed."""
     with requires_extra("the viewer in the browser", "notebooks"):
@@ -51,12 +57,22 @@ def viewer() -> dict[str, bytes]:
     module = _patched((static / "widget.js").read_text(encoding="utf-8"))
     wasm = gzip.compress((static / "re_viewer_bg.wasm").read_bytes(), 6, mtime=0)
     script = _START.replace("@WASM", _text(wasm)).replace("@MODULE", _text(module.encode()))
-    page = (Path(__file__).parent / "pages" / PAGE).read_bytes()
-    return {PAGE: page, SCRIPT: script.encode()}
+    return {PAGE: page(), SCRIPT: script.encode()}
+
+
+def is_current(folder: Path) -> bool:
+    """Whether a folder has the viewer of the installed version."""
+    files = folder / PAGE, folder / SCRIPT
+    return all(path.is_file() for path in files) and files[0].read_bytes() == page()
+
+
+def script_name(recording: str) -> str:
+    """The file of a recording's script, beside the recording."""
+    return f"{recording}.js"
 
 
 def as_script(recording: bytes) -> bytes:
-    """The script of a recording, the bytes of an ``.rrd`` file; its file is ``NAME.rrd.js``."""
+    """The script of a recording, the bytes of an ``.rrd`` file."""
     return f'celnavRecording("{_text(recording)}");\n'.encode()
 
 
@@ -78,9 +94,9 @@ def _patched(module: str) -> str:
     start, end = module.find(_OPEN), module.find(_CLOSE)
     export = module.rfind(_EXPORT)
     if min(start, end, export) < 0:
-        version = metadata.version(PACKAGE.replace("_", "-"))
+        other = version(PACKAGE.replace("_", "-"))
         raise RuntimeError(
-            f"{PACKAGE}: expected a script of the form that version 0.41 has, got version {version}"
+            f"{PACKAGE}: expected a script of the form that version 0.41 has, got version {other}"
         )
     wasm = "\nreturn window.celnavWasm();\n"
     return module[: start + len(_OPEN)] + wasm + module[end:export] + "celnavViewer(WebViewer);\n"

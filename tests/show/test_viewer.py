@@ -8,6 +8,10 @@ from base64 import b64decode
 
 import pytest
 
+from celnav import papers
+from celnav.commands import reproduce
+from celnav.commands.index import _shown, index
+from celnav.files import Outputs
 from celnav.lazy import MissingError
 from celnav.show import viewer
 
@@ -32,6 +36,7 @@ def package(tmp_path, monkeypatch):
     (static / "widget.js").write_text(MODULE)
     (static / "re_viewer_bg.wasm").write_bytes(b"\0asm" + bytes(range(256)))
     monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(viewer, "version", lambda name: "9.9")
     return static
 
 
@@ -71,8 +76,16 @@ def test_addresses(given, text):
     assert viewer.address(*given) == text
 
 
-def test_another_viewer_is_refused_by_its_version(package, monkeypatch):
-    monkeypatch.setattr(viewer.metadata, "version", lambda name: "9.9")
+def test_a_viewer_of_another_version_is_not_current(package, tmp_path, monkeypatch):
+    assert not viewer.is_current(tmp_path)
+    for name, content in viewer.viewer().items():
+        (tmp_path / name).write_bytes(content)
+    assert viewer.is_current(tmp_path)
+    monkeypatch.setattr(viewer, "version", lambda name: "10.0")
+    assert not viewer.is_current(tmp_path)
+
+
+def test_another_viewer_is_refused_by_its_version(package):
     (package / "widget.js").write_text(MODULE.replace("//!<INLINE-MARKER-OPEN>", ""))
     with pytest.raises(RuntimeError, match=r"version 0\.41 has, got version 9\.9"):
         viewer.viewer()
@@ -82,3 +95,25 @@ def test_without_its_package(monkeypatch):
     monkeypatch.setattr(viewer, "find_spec", lambda name: None)
     with pytest.raises(MissingError, match="the viewer in the browser needs rerun_notebook"):
         viewer.viewer()
+
+
+def test_reproduce_writes_it_and_the_page_links_it(package, tmp_path):
+    """A recording that is there is a script; one that is not there has no link."""
+    out, outputs = tmp_path / "out", Outputs(tmp_path / "out" / "csrukf")
+    recording = bytes(range(256)) * 3
+    outputs.bytes("csrukf_P_08.rrd", recording)
+    for kind in ("claims", "checks"):
+        outputs.text(f"{kind}.json", "[]\n")
+    outputs.bytes("figures/csrukf_figure_08.png", b"")
+    assert "viewer.html" not in index(out)
+    task = reproduce.Task("csrukf", papers.load("csrukf"), None, outputs)
+    reproduce.write_viewer(Outputs(out), {"csrukf": task})
+    assert viewer.is_current(out)
+    assert quoted((out / "csrukf" / "csrukf_P_08.rrd.js").read_bytes()) == [recording]
+    assert not (out / "csrukf" / "csrukf_P_0.rrd.js").exists()
+    before = (out / viewer.SCRIPT).stat().st_mtime_ns
+    reproduce.write_viewer(Outputs(out), {"csrukf": task})
+    assert (out / viewer.SCRIPT).stat().st_mtime_ns == before  # made once
+    study = _shown(out, "csrukf", [])
+    live = {found["file"]: found["live"] for found in study["recordings"]}
+    assert live == {"csrukf_P_08.rrd": viewer.address("csrukf/csrukf_P_08.rrd")}
