@@ -796,7 +796,7 @@ def points(r: Results, name: str, per: int = 1) -> float:
 def saved(per: int) -> Decided:
     """Share of the AUKF's sigma points that the SSUKF saves, from star sample to star sample."""
     return lambda r: Number(
-        f"share of sigma points saved, {per} predictions per update",
+        f"share of sigma points saved at {per}:1 predictions to updates",
         1.0 - points(r, "ssukf", per) / points(r, "aukf", per),
     )
 
@@ -804,7 +804,7 @@ def saved(per: int) -> Decided:
 def fewer(per: int, roots: str, dear: int, *, bar: bool = True) -> Decided:
     """Share of the AUKF's operations that the SSUKF saves; the ``bar`` is 0.333 ± 0.05."""
     label = (
-        f"share of operations saved, {per} predictions per update, {roots} roots"
+        f"share of operations saved at {per}:1 predictions to updates, {roots} roots"
         f"{', divisions and roots counted 20 times' * dear}"
     )
 
