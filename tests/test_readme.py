@@ -14,6 +14,7 @@ import pytest
 
 import celnav
 from benchmarks.report import MEASURED, shown
+from celnav import real
 from celnav.papers import PAPERS, load
 from celnav.real.ins import PEER
 from docs.pages import judged, picture, verdict_page
@@ -44,7 +45,27 @@ def test_sentences_are_short():
     pages = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
     texts = [path.read_text(encoding="utf-8") for path in pages]
     texts += [s.text for paper in PAPERS for s in load(paper).STUDY.found]
-    long = [s for text in texts for s in sentences(text) if len(s.split()) > 35]
+    long = too_long(texts)
+    assert len(long) <= 10, long
+
+
+def too_long(texts):
+    return [s for text in texts for s in sentences(text) if len(s.split()) > 35]
+
+
+def test_sentences_of_the_ledgers_are_short():
+    """Of the statements and explanations of all rows at most ten sentences have more than 35 words.
+
+    Numbers are not filled in.
+    """
+    studies = [
+        *(load(paper).STUDY for paper in PAPERS),
+        *(real.load(s).STUDY for s in real.STUDIES),
+    ]
+    rows = [row for study in studies for row in study.rows]
+    assert len(rows) > 200
+    texts = [text for row in rows for text in (row.says, row.why, row.found, row.revised) if text]
+    long = too_long(texts)
     assert len(long) <= 10, long
 
 

@@ -193,20 +193,20 @@ def rms(found: Mapping[str, Array], key: str) -> float:
 
 
 JUDGED: dict[str, tuple[str, tuple[float | None, float | None]]] = {
-    "ls": ("LS, 3-D RMS from the header's position (m)", (None, 2.5)),
-    "ekf": ("EKF over LS", (None, 1.0)),
-    "ukf": ("UKF over LS", (None, 1.0)),
-    "aukf": ("AUKF over LS", (None, 1.0)),
-    "group": ("group parity over LS", (None, 1.0)),
-    "same": ("EKF and UKF, largest difference (m)", (None, 1e-3)),
-    "burst": ("AUKF over UKF in an added burst", (None, 0.5)),
-    "nis": ("NIS of the EKF per measurement: the noise is taken for generously", (None, 0.1)),
+    "ls": ("LS, RMS distance from the position in the header (m)", (None, 2.5)),
+    "ekf": ("RMS distance of the EKF over that of LS", (None, 1.0)),
+    "ukf": ("RMS distance of the UKF over that of LS", (None, 1.0)),
+    "aukf": ("RMS distance of the AUKF over that of LS", (None, 1.0)),
+    "group": ("RMS distance of group parity over that of LS", (None, 1.0)),
+    "same": ("largest difference of EKF and UKF (m)", (None, 1e-3)),
+    "burst": ("RMS distance of the AUKF over the UKF's in an added burst", (None, 0.5)),
+    "nis": ("NIS of the EKF per measurement, with a generous R (1 if consistent)", (None, 0.1)),
     "consecutive": (
-        "geostationary satellites by consecutive sets, largest distance (m)",
+        "geostationary satellites, largest distance between consecutive sets (m)",
         (None, 2.0),
     ),
     "formula": (
-        "geostationary satellites by the others' formula, least distance (km)",
+        "geostationary satellites, least error of the other satellites' formula (km)",
         (1e3, None),
     ),
 }

@@ -378,8 +378,8 @@ def test_the_parameters_of_a_paper_are_listed_with_units(capsys):
     assert cli.main(["list", "ssukf"]) == 0
     printed = capsys.readouterr().out
     assert (
-        "drift_deg_per_h                  0.02                     deg/h     stationary deviation "
-        "of the" in printed
+        "drift_deg_per_h                  0.02                     deg/h     stationary standard "
+        "deviation of the" in printed
     )
     assert "preset 100 Hz: preintegrated = false\n" in printed
 

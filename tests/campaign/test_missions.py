@@ -125,7 +125,7 @@ def test_everything_else_can_be_chosen():
         ({}, r"paper: expected one of csrukf, .*, got none"),
         (
             {"paper": "csrukf", "config": {"camera_deg": [0.1, 0.2]}},
-            r".*camera_deg \(deg\): has no effect where",
+            r".*camera_deg \(deg\): has no effect if",
         ),
         (
             {"paper": "csrukf", "config": {"measured": "angles", "sigma_km": 1.0}},
@@ -245,7 +245,7 @@ def test_everything_else_can_be_chosen():
                 "paper": "csrukf",
                 "config": {"first_noise": "stationary", "noise_level": "increments", "phi": 1.0},
             },
-            r"config.first_noise: expected R or zero where phi is 1",
+            r"config.first_noise: expected R or zero for phi = 1",
         ),
         (
             {"paper": "csrukf", "config": {"eccentricity": 1.5}},
@@ -534,7 +534,7 @@ def test_a_random_walk_has_increments_only():
     config = {"phi": [0.8, 1.0], "sigma_km": 0.1}
     with pytest.raises(
         ValueError,
-        match=r"^config.noise_level: expected 'increments' where phi is 1: a random walk",
+        match=r"^config.noise_level: expected 'increments' for phi = 1: a random walk",
     ):
         study({"paper": "csrukf", "config": config})
     assert (

@@ -1,6 +1,7 @@
-"""[Fan]: a receiver that circles with 4 g finds its place by BeiDou's pseudoranges and their rates.
+"""[Fan]: a receiver that circles with 4 g determines its position from BeiDou's pseudoranges and
+their rates.
 
-The display equations and Table 1 of the text at hand are lost. What stands for them:
+The text at hand has lost its display equations and Table 1. In their place stand
 `celnav.models.pseudorange` and `celnav.models.gnss` (measurements, orbits),
 `celnav.receiver.filters.transition` (constant velocity), `celnav.receiver.least_squares` (each
 epoch by itself) and `celnav.filters.adaptive.innovation_window` (the adaptive filter).
@@ -65,77 +66,85 @@ START_S = TOE_S + 1800.0
 
 @dataclass(frozen=True)
 class Config(Timed):
-    """Everything that a run depends on."""
+    """All parameters of a run."""
 
-    speed_m_per_s: float = param(400.0, "paper", "of the receiver, on a level circle", above=0.0)
-    acceleration_g: float = param(4.0, "paper", "towards the circle's center", above=0.0)
-    height_m: float = param(800.0, "paper", "above the ellipsoid")
+    speed_m_per_s: float = param(
+        400.0, "paper", "speed of the receiver on a level circle", above=0.0
+    )
+    acceleration_g: float = param(
+        4.0, "paper", "acceleration towards the center of the circle", above=0.0
+    )
+    height_m: float = param(800.0, "paper", "height of the circle above the ellipsoid")
     latitude_deg: float = param(
-        32.03, "inferred: the authors' city", "of the circle", least=-90.0, most=90.0
+        32.03, "inferred: the authors' city", "latitude of the circle", least=-90.0, most=90.0
     )
     longitude_deg: float = param(
-        118.85, "inferred: the authors' city", "of the circle", least=-360.0, most=360.0
+        118.85, "inferred: the authors' city", "longitude of the circle", least=-360.0, most=360.0
     )
     interval_s: float = param(
         0.1,
         "chosen: at 10 Hz the paper's result in the burst appears",
-        "of the measurements",
+        "interval between measurements",
         above=0.0,
     )
-    duration_s: float = param(90.0, "chosen", "of a run", above=0.0)
-    mask_deg: float = param(10.0, "chosen", "least elevation of satellites", least=0.0, below=90.0)
+    duration_s: float = param(90.0, "chosen", "duration of a run", above=0.0)
+    mask_deg: float = param(
+        10.0, "chosen", "smallest elevation of the satellites", least=0.0, below=90.0
+    )
     sigma_range_m: float = param(
         3.0,
         "chosen",
-        "noise of a range, standard deviation: what the filters take it for",
+        "standard deviation of a range that the filters assume",
         above=0.0,
     )
     sigma_rate_m_per_s: float = param(
-        0.1, "chosen", "noise of a range rate, standard deviation", above=0.0
+        0.1, "chosen", "standard deviation of a range rate", above=0.0
     )
     true_sigma_range_m: float = param(
-        3.0, "chosen", "noise of a range, standard deviation: what it is", above=0.0
+        3.0, "chosen", "true standard deviation of a range", above=0.0
     )
     burst: str = param(
         "ranges",
         "chosen: the paper does not say which channels",
-        "which measurements a burst disturbs: none, all ranges, both ranges and rates, the range "
-        "of one satellite",
+        "measurements that a burst disturbs: none, all ranges, both ranges and rates, or ranges of "
+        "one or more satellites (one)",
         one_of=("none", "ranges", "both", "one"),
     )
     motion: str = param(
         "circle",
         "paper",
-        "how the receiver moves: on the circle, or at random, as the filters think",
+        "motion of the receiver: on the circle, or random as in the filters' model",
         one_of=("circle", "model"),
     )
     turn_s: tuple[float, float] = param(
-        (0.0, 1e6), "paper: always", "start and end of the turn; straight before and after"
+        (0.0, 1e6),
+        "paper: always",
+        "start and end of the turn; the track is straight before and after it",
     )
     burst_s: tuple[float, float] = param((60.0, 70.0), "paper", "start and end of the burst")
     burst_sigma: float = param(
         50.0, "paper: without a unit", "size of the burst, m on ranges and m/s on rates", above=0.0
     )
     burst_satellite: int = param(
-        2, "chosen", "which satellite a burst on one disturbs, counted from 0", least=0
+        2, "chosen", "first satellite that a burst 'one' disturbs, counted from 0", least=0
     )
     burst_count: int = param(
         1,
         "chosen",
-        "how many satellites it is, evenly spread from there on, where it is not all",
+        "number of satellites that a burst 'one' disturbs, evenly spread from the first",
         least=1,
     )
     burst_shape: str = param(
         "noise",
         "paper",
-        "what a burst adds: white noise of its size, or its size itself",
+        "what a burst adds: white noise of its size, or a constant of its size",
         one_of=("noise", "constant"),
     )
     acceleration_noise_m2_per_s3: float | None = param(
         None,
-        "inferred: makes up for a constant acceleration",
-        "density of the white acceleration in the filters; left out: the square of the true one, "
-        "times interval_s",
+        "inferred: compensates a constant acceleration",
+        "density of the white acceleration in the filters; if omitted, the square of the true "
+        "acceleration times interval_s",
     )
     clock_white_m2_per_s: float = param(
         CRYSTAL[0], "chosen", "density of the white noise of the clock's frequency", least=0.0
@@ -143,23 +152,23 @@ class Config(Timed):
     clock_walk_m2_per_s3: float = param(
         CRYSTAL[1], "chosen", "density of the random walk of the clock's frequency", least=0.0
     )
-    bias_m: float = param(
-        3e4, "chosen", "true error of the receiver's clock at the start, as a range"
-    )
-    drift_m_per_s: float = param(30.0, "chosen", "true rate of that error at the start")
+    bias_m: float = param(3e4, "chosen", "true clock bias of the receiver at the start, as a range")
+    drift_m_per_s: float = param(30.0, "chosen", "true clock drift at the start")
     deviation: tuple[float, float, float, float] = param(
         (10.0, 1.0, 10.0, 1.0),
         "chosen",
-        "standard deviations at the start: position (m), velocity (m/s), clock (m), its rate (m/s)",
+        "initial standard deviations: position (m), velocity (m/s), clock (m), its rate (m/s)",
         above=0.0,
     )
     assumed_m: float | None = param(
-        None, "chosen", "what filters take the position's deviation for; left out: as it is"
+        None,
+        "chosen",
+        "initial standard deviation of position that the filters assume; if omitted, the true one",
     )
     window: int = param(
         10,
         "chosen: the paper says M",
-        "epochs over which the adaptive filter averages",
+        "epochs in the window of the adaptive filter",
         least=1,
         most=100_000,
     )
@@ -167,12 +176,14 @@ class Config(Timed):
     beta: float = param(
         2.0,
         "paper",
-        "weight of the sigma points' center in the covariance; 2 is best for Gaussians",
+        "enters the covariance weight of the central sigma point; 2 is optimal for Gaussians",
     )
-    runs: int = param(100, "chosen: the paper shows one", "of a Monte Carlo", least=1)
+    runs: int = param(
+        100, "chosen: the paper shows one", "runs of the Monte Carlo simulation", least=1
+    )
 
     def check(self) -> None:
-        """A density that can be, a turn and a burst that begin before they end, a run of some
+        """Check the density, that turn and burst start before they end, and the number of
         epochs."""
         number("acceleration_noise_m2_per_s3", self.acceleration_noise, 0.0)
         if self.assumed_m is not None:
@@ -199,11 +210,11 @@ class Config(Timed):
 
     @property
     def acceleration(self) -> float:
-        """Towards the circle's center, m/s^2."""
+        """Acceleration towards the center of the circle, m/s^2."""
         return self.acceleration_g * STANDARD_GRAVITY
 
     def R(self, S: int) -> Array:
-        """What filters take for the covariance of S ranges and S rates, ``(2 S, 2 S)``."""
+        """Covariance of S ranges and S rates that the filters assume, ``(2 S, 2 S)``."""
         return np.diag(np.repeat([self.sigma_range_m, self.sigma_rate_m_per_s], S) ** 2)
 
     @property
@@ -213,14 +224,14 @@ class Config(Timed):
 
     @property
     def acceleration_noise(self) -> float:
-        """Density of the white acceleration, m^2/s^3: ``a^2 T``, if it is not given, makes up for a
-        constant one."""
+        """Density of the white acceleration, m^2/s^3; by default ``a^2 T``, which compensates a
+        constant acceleration."""
         given = self.acceleration_noise_m2_per_s3
         return self.acceleration**2 * self.interval_s if given is None else given
 
     @property
     def Q(self) -> Array:
-        """Process noise of an interval, ``(8, 8)``."""
+        """Process noise covariance of an interval, ``(8, 8)``."""
         return process_noise(
             self.interval_s,
             self.acceleration_noise,
@@ -230,7 +241,7 @@ class Config(Timed):
 
     @property
     def P0(self) -> Array:
-        """Covariance of the prior, ``(8, 8)``, as filters take it."""
+        """Covariance of the prior that the filters assume, ``(8, 8)``."""
         position, velocity, bias, drift = self.deviation
         return np.diag(np.square([self.assumed_m or position] * 3 + [velocity] * 3 + [bias, drift]))
 
@@ -250,8 +261,8 @@ def axes(config: Config) -> Array:
 
 
 def circle(config: Config) -> tuple[Array, Array]:
-    """Positions and velocities ``(T, 3)`` on the track, Earth-fixed: the circle, left along its
-    tangents."""
+    """Positions and velocities ``(T, 3)`` on the track, Earth-fixed: the circle, and its tangents
+    before and after the turn."""
     east, north, _ = axes(config)
     v = config.speed_m_per_s
     a = config.acceleration
@@ -279,7 +290,7 @@ class Satellites(NamedTuple):
 
 @lru_cache(maxsize=32)
 def visible(config: Config) -> Satellites:
-    """The synthetic constellation along the track, those that are above the mask at some time."""
+    """The satellites of the synthetic constellation that are above the mask at some time."""
     broadcast = synthetic()
     position, velocity = circle(config)
     seen = pseudorange.sources(broadcast, START_S + config.times, position, velocity)
@@ -311,8 +322,8 @@ class Scenario(NamedTuple):
 
 
 def simulate(config: Config, rngs: Sequence[np.random.Generator]) -> Scenario:
-    """Simulate one run with each generator: the track is the same, clock, noise and initial error
-    are its own."""
+    """Simulate one run for each generator. All have the same track, but their own clock, noise and
+    initial error."""
     c = config
     satellites = visible(config)
     position, velocity = circle(config)
@@ -327,7 +338,7 @@ def simulate(config: Config, rngs: Sequence[np.random.Generator]) -> Scenario:
         velocity[:, None],
         [c.bias_m, c.drift_m_per_s],
     )
-    if c.motion == "model":  # satellites are where they would be for the circle
+    if c.motion == "model":  # the satellites stay where they are for the circle
         first, walk, noise = normals(rngs, (8,), (T, 8), (T, 2 * S))
         moved = slice(0, 8)
     F = c.F[moved, moved]
@@ -346,7 +357,7 @@ def simulate(config: Config, rngs: Sequence[np.random.Generator]) -> Scenario:
 
 
 def burst(config: Config, S: int) -> Array:
-    """Size ``(T, 2 S)`` of what the burst adds; ValueError if there is no such satellite."""
+    """Size ``(T, 2 S)`` of the burst; ValueError if there is no such satellite."""
     during = (config.times >= config.burst_s[0]) & (config.times < config.burst_s[1])
     hit = np.zeros(2 * S)
     if config.burst == "one":
@@ -364,13 +375,13 @@ def burst(config: Config, S: int) -> Array:
 
 
 def ukf(config: Config) -> Rule:
-    """The rule of all unscented filters."""
+    """The sigma-point rule of all unscented filters."""
     return unscented(8, config.alpha, config.beta, 0.0)
 
 
 def adapted(config: Config, S: int, rule: Any, *hook: Hook, Q: Array | None = None) -> Sequential:
-    """A filter of the paper's model for S satellites: constant velocity, which all rules move
-    alike, and the measurement by a rule.
+    """A filter with the paper's model for S satellites: constant velocity, which is linear, and a
+    measurement by the ``rule``.
 
     ``Q``: process noise ``(..., 8, 8)`` instead of the configuration's, with one for each run if it
     has that axis.
@@ -390,12 +401,12 @@ def adapted(config: Config, S: int, rule: Any, *hook: Hook, Q: Array | None = No
 
 
 def filters(config: Config, S: int | None = None, Q: Array | None = None) -> dict[str, Filter]:
-    """The filters by name, for ``S`` satellites, those that are visible in this configuration;
+    """The filters by name, for ``S`` satellites, by default those visible in this configuration;
     ``Q``: see `adapted`.
 
     ls: every epoch by itself. ekf, ukf. aukf: the paper's, adapted by a window of innovations.
-    group, channel: adapted by what no state explains. gate, huber, student, sage-husa: baselines.
-    Those after ukf are unscented too.
+    group, channel: adapted by the part of the residual that no state explains. gate, huber,
+    student, sage-husa: baselines. The filters after ukf are unscented too.
     """
     S = len(visible(config).names) if S is None else S
     rule = ukf(config)
@@ -417,7 +428,7 @@ JUDGED = {group.name: group.unit for group in GROUPS}
 
 
 def trial(config: Config, rngs: Sequence[np.random.Generator]) -> Trial:
-    """One run with each generator. There is no bound: the turns of the track are not drawn from the
+    """One run for each generator. There is no bound, because the track is not drawn from the
     filters' model."""
     sim = simulate(config, rngs)
     return Trial(

@@ -1,4 +1,4 @@
-"""[Fan] shown: figures and tables as the paper numbers them, those beyond it, recordings."""
+"""Figures and tables with the numbers of [Fan], further ones, and recordings."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ LINES = {
 
 # -- figures ---------------------------------------------------------------------------------------
 def receiver(_: Results) -> Figure:
-    """From the antenna to a position."""
+    """A receiver, from the antenna to a position."""
     fig, ax = figure(9.0, 2.0)
     arrow: dict[str, Any] = {"arrowstyle": "->", "color": colors.SIGMA}
     look: dict[str, Any] = {"ha": "center", "va": "center"}
@@ -104,17 +104,17 @@ def receiver(_: Results) -> Figure:
     ax.text(
         2.5,
         0.7,
-        "baseband: the third and fourth block run once for each satellite",
+        "baseband: the third and fourth blocks run once for each satellite",
         color=colors.FAINT,
         **look,
     )
-    ax.set(xlim=(-0.5, 5.5), ylim=(-0.9, 0.8), xticks=[], yticks=[], title="Figure 1: a receiver")
+    ax.set(xlim=(-0.5, 5.5), ylim=(-0.9, 0.8), xticks=[], yticks=[], title="Figure 1: the receiver")
     ax.set_axis_off()
     return fig
 
 
 def planes(r: Results) -> Figure:
-    """Orbits' planes against the equator, and how well their nodes are known."""
+    """Orbital planes and the equator, and the uncertainty of the node by inclination."""
     angle = np.linspace(0.0, 2.0 * np.pi, 181)
     dots = dict[str, Any](linestyle="", color=colors.PAPER)
 
@@ -131,7 +131,7 @@ def planes(r: Results) -> Figure:
         np.degrees(NORMAL_ERROR / np.sin(np.radians(dense))),
         Line("δn / sin i", colors.COMPARISON, "--"),
     )
-    simulated = curve(TILTS_DEG, r.get("nodes", "node"), marker="s", label="drawn", **dots)
+    simulated = curve(TILTS_DEG, r.get("nodes", "node"), marker="s", label="simulated", **dots)
     return panels(
         [
             *(
@@ -143,10 +143,10 @@ def planes(r: Results) -> Figure:
                 for title, i in (("a) large", 55.0), ("b) small", 5.0))
             ),
             Panel(
-                f"δn = {NORMAL_ERROR:g} rad",
+                f"error of the normal δn = {NORMAL_ERROR:g} rad",
                 [formula, simulated],
                 "inclination (deg)",
-                "deviation of the node (deg)",
+                "σ of the node (deg)",
                 "xy",
             ),
         ],
@@ -155,8 +155,8 @@ def planes(r: Results) -> Figure:
 
 
 def polar(r: Results) -> Figure:
-    """The unscented transform, from polar to Cartesian coordinates: points, their images, what is
-    made of those."""
+    """The unscented transform from polar to Cartesian coordinates: sigma points, their images, and
+    the resulting means and standard deviations."""
     angle = np.linspace(0.0, 2.0 * np.pi, 121)
     ellipses = list[Item]()
     methods = (
@@ -171,7 +171,7 @@ def polar(r: Results) -> Figure:
             curve(*mean, marker="x", color=color),
             curve(x, y, Line(f"{kind}: mean y = {mean[1]:.4f}", color, style)),
         ]
-    dots = Line("draws", colors.SIGMA, ""), Line("sigma points", colors.PAPER, "")
+    dots = Line("samples", colors.SIGMA, ""), Line("sigma points", colors.PAPER, "")
     clouds = [
         (r.get("polar", what).T, line, size)
         for what, line, size in zip(("draws", "images"), dots, (1.0, 6.0))
@@ -191,15 +191,15 @@ def polar(r: Results) -> Figure:
                 more={"xlim": (150.0, 30.0)},
             ),
             Panel("x = r cos θ, y = r sin θ", [*images, *ellipses], "x (-)", "y (-)"),
-            Panel("means and deviations", ellipses, "x (-)"),
+            Panel("means and 1σ ellipses", ellipses, "x (-)"),
         ],
         size=(10.0, 3.3),
     )
 
 
 def run_of(r: Results, i: int, part: str, title: str, at: str, limit: float, **more: Any) -> Panel:
-    """The first run of EKF, UKF and AUKF, and the quantiles of all of the last; how much better
-    that is."""
+    """The first run of EKF, UKF and AUKF, the quantiles of all runs of the AUKF, and its RMSE over
+    the UKF's."""
     ratio = rms(r, part, "aukf", at, AXES[i].name) / rms(r, part, "ukf", at, AXES[i].name)
     names = [name for name in ("ekf", "ukf", "aukf") if f"{name}/error" in r.data[part]]
     shown = [
@@ -216,13 +216,13 @@ def run_of(r: Results, i: int, part: str, title: str, at: str, limit: float, **m
 
 
 def quiet(i: int, r: Results) -> Figure:
-    """An error without a burst; and where the noise is larger than the filters think."""
-    mistuned = run_of(r, i, "mistuned", "10 m of noise for 3 m", "all", 4.0)
+    """Error of an axis without a burst, and with more noise than the filters assume."""
+    mistuned = run_of(r, i, "mistuned", "σ = 10 m, assumed 3 m", "all", 4.0)
     return panels([run_of(r, i, "none", f"Figure {i + 4}", "all", 2.0), mistuned], size=(10.0, 3.2))
 
 
 def struck(i: int, r: Results) -> Figure:
-    """An error with the burst on all ranges."""
+    """Error of an axis with the burst on all ranges."""
     start, end = r.parts["ranges, 10 Hz"].config.burst_s
     near = run_of(r, i, "ranges, 10 Hz", "the burst", "burst", 3.0, xlim=(start - 2.0, end + 8.0))
     return panels(
@@ -233,18 +233,18 @@ def struck(i: int, r: Results) -> Figure:
 
 
 def factors(r: Results) -> Figure:
-    """What the filter multiplies the noise by."""
+    """The factors by which the AUKF multiplies R."""
     right = 1.0 + (STANDARD.burst_sigma / STANDARD.sigma_range_m) ** 2
     levels = [
         interval(*r.parts["ranges, 10 Hz"].config.burst_s),
-        level(right, label=f"right for ranges in the burst: {right:.0f}", color=colors.PAPER),
+        level(right, label=f"correct for ranges in the burst: {right:.0f}", color=colors.PAPER),
     ]
     A = Line("mean over satellites", colors.ESTIMATE)
     t = r.times("ranges, 10 Hz")
     return panels(
         [
             Panel(
-                f"A of the {half}",
+                f"factor A of the {half}",
                 [*levels, quantiles(t, r.get("ranges, 10 Hz", f"aukf/{half}"), A)],
                 "time (s)",
                 "factor (-)",
@@ -258,7 +258,7 @@ def factors(r: Results) -> Figure:
 
 
 def baselines(r: Results) -> Figure:
-    """Stronger baselines, by where the disturbance is."""
+    """Stronger baselines, by the disturbed measurements."""
     lines = [(LINES | {"ukf": LINES["ukf"]._replace(label="EKF, UKF")})[name] for name in FILTERS]
 
     def bars(case: str) -> Item:
@@ -278,9 +278,9 @@ def baselines(r: Results) -> Figure:
 
     cases = {
         "ranges": "burst on all ranges",
-        "both": "on ranges and rates",
-        "one": "on one range",
-        "mistuned": "mistuned R",
+        "both": "burst on ranges and rates",
+        "one": "burst on one range",
+        "mistuned": "too small R",
     }
     shown = [
         Panel(text, [bars(case)], "position RMSE (m)", log="x") for case, text in cases.items()
@@ -289,7 +289,7 @@ def baselines(r: Results) -> Figure:
 
 
 def densities(r: Results) -> Figure:
-    """Where the filter breaks: little process noise, and the turn is taken for noise of the
+    """RMSE over the process noise. With little of it the AUKF treats the turn as noise of the
     rates."""
     lines = {
         "ekf": LINES["ekf"]._replace(label="EKF, UKF"),
@@ -312,7 +312,7 @@ def densities(r: Results) -> Figure:
             r.parts[part].config.acceleration_noise, label="a² T", color=colors.PAPER, upright=True
         )
         return Panel(
-            part, [*curves, true_density], "process noise (m²/s³)", "position RMSE, quiet (m)", "xy"
+            part, [*curves, true_density], "process noise (m²/s³)", "quiet position RMSE (m)", "xy"
         )
 
     return panels(
@@ -323,7 +323,7 @@ def densities(r: Results) -> Figure:
 
 
 def starts(r: Results) -> Figure:
-    """The initial error that a UKF helps with."""
+    """Median error over time from several initial errors."""
     styles = dict(zip(INITIAL_KM[::-1], ("-", "--", "-.", ":"), strict=True))
     shown = [
         curve(r.times(f"{km:g} km"), medians(r, km, name), LINES[name], linestyle=styles[km])
@@ -337,7 +337,7 @@ def starts(r: Results) -> Figure:
 
 
 def sizes(r: Results) -> Figure:
-    """How long the window may be."""
+    """RMSE over the length of the window."""
     spans = {"quiet": colors.TRUTH, "burst": colors.ESTIMATE, "after": colors.OPEN_LOOP}
 
     def panel(rate: str) -> Panel:
@@ -363,9 +363,9 @@ def sizes(r: Results) -> Figure:
 
 
 def outliers(r: Results) -> Figure:
-    """So many bad ranges at once, and what filters make of them."""
+    """RMSE over the number of bad ranges."""
     size = partial(rms, r, "struck")
-    twice = level(2.0 * size("noise 1/aukf", "before"), label="twice the AUKF's without")
+    twice = level(2.0 * size("noise 1/aukf", "before"), label="twice the AUKF's quiet RMSE")
 
     def panel(shape: str, title: str) -> Panel:
         curves = [
@@ -388,9 +388,9 @@ def outliers(r: Results) -> Figure:
 
 # -- tables ----------------------------------------------------------------------------------------
 def table_1(r: Results) -> Rows:
-    """RMSE by axis; the paper's numbers are lost."""
+    """RMSE by axis; the printed numbers are lost."""
     cases = [("as tuned", "none", name) for name in ("ls", "ekf", "ukf", "aukf")]
-    cases += [("noise of ranges mistuned", "mistuned", name) for name in ("ukf", "aukf")]
+    cases += [("σ = 10 m, assumed 3 m", "mistuned", name) for name in ("ukf", "aukf")]
     return [
         {
             "case": text,
@@ -403,7 +403,7 @@ def table_1(r: Results) -> Rows:
 
 
 def table_2(r: Results) -> Rows:
-    """A real receiver; no rows if its files were not given."""
+    """RMS errors of a real receiver; no rows without its files."""
     real = r.data.get("real", {})
     return [
         {
@@ -419,15 +419,15 @@ def table_2(r: Results) -> Rows:
 FIGURES = {
     "figure_01": ("Fig. 1: the receiver, from the antenna to a position.", receiver),
     "figure_02": (
-        "Fig. 2: an orbit's plane against the equator: the flatter it lies, the less is its node "
-        "known.",
+        "Fig. 2: orbital plane and equator. The smaller the inclination, the more uncertain is the "
+        "node.",
         planes,
     ),
-    "figure_03": ("Fig. 3: the unscented transform, from polar to Cartesian coordinates.", polar),
+    "figure_03": ("Fig. 3: the unscented transform from polar to Cartesian coordinates.", polar),
     **{
         f"figure_{i + 4:02d}": (
-            f"Fig. {i + 4}: error of {axis.name}, without a burst; and where the noise is larger "
-            "than the filters think.",
+            f"Fig. {i + 4}: error of {axis.name} without a burst, and with more noise than the "
+            "filters assume.",
             partial(quiet, i),
         )
         for i, axis in enumerate(AXES)
@@ -439,30 +439,34 @@ FIGURES = {
         )
         for i, axis in enumerate(AXES)
     },
-    "figure_10": ("Beyond the paper: what the filter multiplies the noise by.", factors),
-    "figure_11": ("Beyond the paper: stronger baselines, by where the disturbance is.", baselines),
+    "figure_10": ("Beyond the paper: factors by which the AUKF multiplies R.", factors),
+    "figure_11": (
+        "Beyond the paper: stronger baselines, by the disturbed measurements.",
+        baselines,
+    ),
     "figure_12": (
-        "Beyond the paper: with little process noise the turn is taken for noise of the rates.",
+        "Beyond the paper: RMSE over the process noise. With little of it the AUKF treats the turn "
+        "as noise of the rates.",
         densities,
     ),
-    "figure_13": ("Beyond the paper: the initial error that a UKF helps with.", starts),
+    "figure_13": ("Beyond the paper: median error over time from several initial errors.", starts),
     "figure_14": (
-        "Beyond the paper: half a day of a real receiver, and a burst that is added to it.",
+        "Beyond the paper: half a day of a real receiver, without and with an added burst.",
         lambda r: (
             day.drawn(r.data["real"], LINES, STANDARD.burst_sigma) if "real" in r.data else None
         ),
     ),
-    "figure_15": ("Beyond the paper: how long the window may be.", sizes),
+    "figure_15": ("Beyond the paper: RMSE over the length of the window.", sizes),
     "figure_16": (
-        "Beyond the paper: several bad ranges at once, by noise and by a constant.",
+        "Beyond the paper: RMSE over the number of bad ranges, with noise or a constant error.",
         outliers,
     ),
 }
-"""A drawing of what was not given is None, a table of it has no rows."""
+"""Without the receiver's files its figure is None, and its table has no rows."""
 TABLES = {
-    "table_1": ("Table 1: RMSE of X, Y and Z by filter; the paper's numbers are lost.", table_1),
+    "table_1": ("Table 1: RMSE of X, Y and Z by filter; the printed numbers are lost.", table_1),
     "table_2": (
-        "Beyond the paper: the first half of a real receiver's day, position from the header's.",
+        "Beyond the paper: half a day of a real receiver, RMS distance from the header's position.",
         table_2,
     ),
 }
@@ -472,16 +476,16 @@ TABLES = {
 RECORDINGS = ["aukf_burst.rrd", "aukf_real.rrd"]
 NAMES = {
     "aukf": ("AUKF", colors.ESTIMATE),
-    "ekf": ("EKF, as UKF", colors.COMPARISON),
+    "ekf": ("EKF (and UKF)", colors.COMPARISON),
     "group": ("group parity", colors.TRUTH),
-    "ls": ("each epoch by itself", colors.MEASUREMENT),
+    "ls": ("least squares, each epoch", colors.MEASUREMENT),
 }
 SHOWN = 8
-"""Runs that are flown again: the first in full, the others as points."""
+"""Runs in the recording: the first in full, the others as points."""
 
 
 def record(results: Results, outputs: Outputs) -> list[str]:
-    """Write the recordings among ``outputs``; returns their names. Needs rerun."""
+    """Write the recordings to ``outputs`` and return their names. Needs rerun."""
     written = showcase.write({RECORDINGS[0]: _burst(results)}, outputs)
     if "real" not in results.parts:
         return written
@@ -493,7 +497,7 @@ def record(results: Results, outputs: Outputs) -> list[str]:
 
 
 def _burst(results: Results) -> Showcase:
-    """Runs of "baselines" with the burst on all ranges, which come first there."""
+    """The runs of "baselines" with the burst on all ranges, which is the first case there."""
     c = results.parts["baselines"].config
     number = results.parts["baselines"].number
     sim = simulate(c, [generator(results.seed, number, run) for run in range(SHOWN)])
@@ -507,7 +511,7 @@ def _burst(results: Results) -> Showcase:
         track = run(bank[name], sim.prior, sim.epochs(), keep="cov", on_failure="flag")
         cov = (
             None if name == "ls" else track.cov[:, 0]
-        )  # a line through estimates of single epochs says nothing
+        )  # estimates of single epochs have no covariance here
         estimates[name] = Estimate(
             *NAMES[name], np.asarray(track.mean - sim.truth), cov, nis=track.nis[:, 0]
         )
@@ -529,7 +533,7 @@ def _burst(results: Results) -> Showcase:
         shown = broadcast.chosen(np.isin(broadcast.names, names))
         paths = (
             satellites(shown, START_S + np.linspace(0.0, 86400.0, 145)[:, None]).position / 1e6
-        )  # of a day, Earth-fixed
+        )  # one day, Earth-fixed
         out.globe("world/earth", ELLIPSOID.semimajor_axis / 1e6)
         scenes.constellation(
             out, "world", sim.satellites.q / 1e6, paths, position / 1e6, shown.names, shades
@@ -568,7 +572,7 @@ def _burst(results: Results) -> Showcase:
             ),
         ),
         plots={"adaptation": adapt},
-        events=[(start, f"{c.burst_sigma:g} m of noise on all ranges begin"), (end, "they end")],
+        events=[(start, f"burst starts: {c.burst_sigma:g} m on all ranges"), (end, "burst ends")],
         parameters=vars(c),
         facts={"paper": "aukf", "preset": "burst", "seed": results.seed, "runs": SHOWN},
     )
@@ -577,10 +581,10 @@ def _burst(results: Results) -> Showcase:
 NOTES = """# Fan et al., {0.burst_sigma:g} m of noise on all ranges from {0.burst_s[0]:g} to \
 {0.burst_s[1]:g} s
 
-**Adapting the noise of the measurement shrugs the burst off; the EKF, which equals the UKF, \
-takes it for position.**
+**A filter that adapts its measurement noise suppresses the burst. The EKF, which equals the UKF, \
+treats the burst as motion.**
 
-A receiver circles with {0.acceleration_g:g} g at {0.speed_m_per_s:g} m/s. Group parity knows the \
-noise from what no position
-explains, and needs no window. Satellites: GEO red, IGSO orange, MEO blue.
+A receiver circles with {0.acceleration_g:g} g at {0.speed_m_per_s:g} m/s. Group parity scales R \
+by the part of the residual that no position explains.
+It needs no window. Satellites: GEO red, IGSO orange, MEO blue.
 """

@@ -1,9 +1,8 @@
-"""The covariance of [Sun2015]'s filter in five forms, in the precision of the arrays that are
-given.
+"""The covariance of [Sun2015]'s filter in five forms, in the precision of the given arrays.
 
-Neither celnav nor numpy computes in single precision: a `celnav.Gaussian` holds doubles, and numpy
-factors in double whatever it is given and rounds at the end. So factorizations are written out
-here. What has no root is nan, and so is all that follows from it.
+Neither celnav nor numpy factors in single precision: a `celnav.Gaussian` holds doubles, and numpy
+computes in double precision and rounds at the end. So the factorizations are written out here. A
+matrix without a square root gives nan, and so does everything that follows from it.
 """
 
 from __future__ import annotations
@@ -23,8 +22,8 @@ from celnav.papers.csrukf.scenario import Config, H, Scenario, simulate
 __all__ = ["FORMS", "ROOTS", "cholesky", "compared", "downdate", "fly", "step", "tria", "updated"]
 
 Cases = Sequence[tuple[Config, float]]
-"""Configurations of as many steps, and how many of the units of length, in which all is computed,
-are a kilometer."""
+"""Configurations with the same number of steps, each with the number of length units per kilometer
+in which it is computed."""
 
 FORMS = {
     "plain": "P - K S K'",
@@ -33,21 +32,21 @@ FORMS = {
     "downdated": "QR and downdate, as printed",
     "array": "one QR",
 }
-"""An update: of the covariance, the same made symmetric, as a sum; of the root
-[Sun2015, Eqs. 32-37], and without a difference."""
+"""Forms of an update: of the covariance, of the covariance made symmetric, and as a sum; of the
+square root with a downdate [Sun2015, Eqs. 32-37], and without a difference."""
 ROOTS = ("downdated", "array")
 
 
 def tria(A: Array) -> Array:
-    """Lower root ``(..., n, n)`` of the columns ``A (..., n, q)``, by Householder's reflections of
-    its rows."""
+    """Lower-triangular root ``(..., n, n)`` of ``A A'`` from the columns ``A (..., n, q)``, by
+    Householder reflections of the rows."""
     A, n = A.copy(), A.shape[-2]
     for i in range(n):
         v = A[..., i, i:].copy()
         size = np.sqrt((v * v).sum(-1))
         v[..., 0] += np.where(v[..., 0] < 0, -size, size)
         square = (v * v).sum(-1, keepdims=True)
-        unit = v / np.sqrt(np.where(square > 0, square, 1))  # a row of zeros stays one
+        unit = v / np.sqrt(np.where(square > 0, square, 1))  # a row of zeros stays zero
         rest = A[..., i:, i:]
         rest -= 2 * (rest * unit[..., None, :]).sum(-1, keepdims=True) * unit[..., None, :]
     signs = np.where(A[..., range(n), range(n)] < 0, -1, 1).astype(A.dtype)
@@ -55,7 +54,7 @@ def tria(A: Array) -> Array:
 
 
 def cholesky(P: Array) -> Array:
-    """Lower root ``(..., n, n)`` of a covariance, of which it reads the lower triangle."""
+    """Lower-triangular root ``(..., n, n)`` of a covariance; reads its lower triangle only."""
     L = np.zeros_like(P)
     for j in range(P.shape[-1]):
         row = L[..., j, :j]
@@ -66,8 +65,8 @@ def cholesky(P: Array) -> Array:
 
 
 def downdate(L: Array, V: Array) -> Array:
-    """Lower root of ``L L' - V V'``, column after column as `cholupdate` does it [Sun2015, Eq. 37],
-    by LINPACK's rotations."""
+    """Lower-triangular root of ``L L' - V V'``, by LINPACK's rotations, one column after the other
+    as `cholupdate` works [Sun2015, Eq. 37]."""
     L = L.copy()
     for v in np.moveaxis(V, -1, 0):
         p = _solve(L, v[..., None])[..., 0]
@@ -98,11 +97,12 @@ def _solve(L: Array, B: Array) -> Array:
 def updated(form: str, factor: Array, D: Array, E: Array, sqrt_R: Array) -> tuple[Array, Array]:
     """Gain ``(..., n, m)``, and the covariance or root given a measurement [Sun2015, Eqs. 32-37].
 
-    factor: the covariance or root before it. ``D (..., n, q)``, ``E (..., m, q)``: deviations of
-    the sigma points of state and measurement, so that ``P = D D'`` and ``S = E E' + R``.
+    factor: the covariance or root before the update. ``D (..., n, q)``, ``E (..., m, q)``: weighted
+    deviations of the sigma points of state and measurement, so that ``P = D D'`` and
+    ``S = E E' + R``.
     """
-    # The deviations stand before the noise, as printed: of a precise measurement they are larger,
-    # and reflections that begin with what is large keep the digits of what is small.
+    # The deviations stand before the noise, as printed. If the measurement is precise they are
+    # larger, and reflections that start with the large columns keep the digits of the small ones.
     A = side_by_side([E, sqrt_R])
     m = E.shape[-2]
     if form == "array":
@@ -122,15 +122,15 @@ def updated(form: str, factor: Array, D: Array, E: Array, sqrt_R: Array) -> tupl
 
 
 def _divided(U: Array, L: Array) -> Array:
-    """``U L^-1``: rows and columns of ``L'`` in reverse order are a lower triangle again."""
+    """``U L^-1``; with rows and columns in reverse order ``L'`` is lower triangular again."""
     return _solve(L[..., ::-1, ::-1].mT, U.mT[..., ::-1, :])[..., ::-1, :].mT
 
 
 def step(
     form: str, x: Array, factor: Array, model: Callable[[Array], Array], noise: Array, z: Any = None
 ) -> tuple[Array, Array]:
-    """Mean, and covariance or root, after a motion [Sun2015, Eqs. 24-27]; or, with ``z``, given a
-    measurement."""
+    """Mean, and covariance or root, after a prediction [Sun2015, Eqs. 24-27], or with ``z`` after
+    an update."""
     S = (factor if form in ROOTS else cholesky(factor)).mT
     n = S.dtype.type(S.shape[-1])
     X = x[..., None, :] + np.sqrt(n) * np.concatenate([S, -S], -2)  # the center has weight 0
@@ -148,7 +148,7 @@ def step(
 def fly(
     form: str, precision: str, cases: Cases, sims: Sequence[Scenario]
 ) -> Iterator[tuple[Array, Array]]:
-    """CSRUKF [Sun2015, Eqs. 21-37], corrected; of angles SRUKF, for white noise.
+    """CSRUKF [Sun2015, Eqs. 21-37], corrected; with angles SRUKF, for white noise.
 
     Yields mean, and covariance or root, at each epoch but the first, ``(cases, runs, ...)`` in km
     and km/s.
@@ -164,7 +164,7 @@ def fly(
         means = scale * sim.prior.mean, scale * z
         columns.append((scale * ones, c.phi * ones, star.J[None], *means, *roots))
     # Scalars (cases, 1, 1, 1), J and roots (cases, 1, n, m), x (cases, runs, 6), z (cases, T, runs,
-    # 3), in the precision and the unit that all is computed in.
+    # 3), in the precision and the unit of all computations.
     unit, phi, J, x, z, sqrt_P0, sqrt_Q, sqrt_R = (
         np.stack(column).astype(precision) for column in zip(*columns, strict=True)
     )
@@ -184,10 +184,10 @@ def fly(
         return np.asarray(Y + (z[..., None, :] - Y[..., :3] + phi * X[..., :3]) @ J.mT)
 
     for before, now in pairwise(z.swapaxes(0, 1)):
-        if angles:  # of the state after the motion
+        if angles:  # they measure the state after the prediction
             x, factor = step(form, x, factor, f, sqrt_Q)
             x, factor = step(form, x, factor, h, sqrt_R, now)
-        else:  # their difference is of the state before it
+        else:  # the difference measures the state before it
             difference = now - phi[..., 0] * before
             x, factor = step(form, x, factor, h, sqrt_R, difference)
             x, factor = step(form, x, factor, partial(f_star, difference), sqrt_Q)
@@ -197,9 +197,9 @@ def fly(
 def compared(cases: Cases, _: Config, rngs: Sequence[np.random.Generator]) -> dict[str, Array]:
     """The filter in every form, in double and in single precision throughout, on the same data.
 
-    Of each, as ``<form>, <precision>/...`` ``(cases, runs)``: lost, 1 where a factorization failed;
-    square, the mean square of the 3-D position error, km^2; apart, the largest difference from the
-    array form in double precision, in its deviations.
+    Returns ``<form>, <precision>/...`` ``(cases, runs)``. lost: 1 where a factorization failed.
+    square: mean square of the 3-D position error, km^2. apart: largest difference from the array
+    form in double precision, in its standard deviations.
     """
     sims = [simulate(c, rngs) for c, _ in cases]
     truth = np.stack([sim.truth[1:] for sim in sims], 1)

@@ -1,5 +1,5 @@
-"""[Sun2015]: a satellite that finds its place by two stars and the Earth's limb, through colored
-noise.
+"""[Sun2015]: a satellite determines its position from two stars and the Earth's limb, with colored
+measurement noise.
 
 ========  =========================  ======================================
 equation  content                    here
@@ -63,90 +63,92 @@ FIT = "inferred: by a fit to Tables 1 and 2"
 # -- parameters ------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Config(Timed):
-    """Everything that a run depends on; angles in degrees, as the paper prints them."""
+    """All parameters of a run; angles in degrees, as the paper prints them."""
 
-    semi_major_axis_km: float = param(7136.635, "paper", "of the orbit", below=1e6)
-    eccentricity: float = param(0.001, "paper", "of the orbit", least=0.0, below=1.0)
+    semi_major_axis_km: float = param(7136.635, "paper", "semi-major axis of the orbit", below=1e6)
+    eccentricity: float = param(0.001, "paper", "eccentricity of the orbit", least=0.0, below=1.0)
     inclination_deg: float = param(
-        65.0, "paper", "of the orbit to the equator", least=0.0, most=180.0
+        65.0, "paper", "inclination of the orbit to the equator", least=0.0, most=180.0
     )
     raan_deg: float = param(30.0, "paper", "right ascension of the ascending node")
-    argument_of_perigee_deg: float = param(30.0, "paper", "from the ascending node")
+    argument_of_perigee_deg: float = param(
+        30.0, "paper", "argument of perigee, from the ascending node"
+    )
     true_anomaly_deg: float = param(
-        0.0, "chosen: z > 0 for 2499 s", "where on the orbit a run starts, from the perigee"
+        0.0, "chosen: z > 0 for 2499 s", "true anomaly at the start of a run"
     )
     step_s: float = param(
-        1.0, "paper", "interval of the measurements and of the filters' steps", above=0.0
+        1.0, "paper", "interval between measurements, and step of the filters", above=0.0
     )
-    steps: int = param(600, "paper", "in a run", least=1, most=MOST_STEPS)
-    runs: int = param(100, "paper", "of a Monte Carlo", least=1)
+    steps: int = param(600, "paper", "steps in a run", least=1, most=MOST_STEPS)
+    runs: int = param(100, "paper", "runs of the Monte Carlo simulation", least=1)
     camera_deg: float = param(
-        0.005, "paper", "accuracy of the Earth's edges, where angles are measured"
+        0.005, "paper", "accuracy of the directions to the Earth's edges, if angles are measured"
     )
     star_arcsec: float = param(
-        3.0, "paper", "accuracy of the directions to stars, where angles are measured"
+        3.0, "paper", "accuracy of the directions to the stars, if angles are measured"
     )
     separation_deg: float = param(
-        90.0, "chosen", "angle between the two stars, where angles are measured"
+        90.0, "chosen", "angle between the two stars, if angles are measured"
     )
     accuracy_sigmas: float = param(
-        3.0, "inferred", "how many standard deviations these accuracies are"
+        3.0, "inferred", "number of standard deviations in these accuracies"
     )
     sigma_km: float = param(
         0.2,
         FIT,
-        "deviation of a measured position's noise, each axis; of which, says noise_level",
+        "standard deviation of the position noise on each axis, with the meaning of noise_level",
         above=0.0,
     )
     noise_level: str = param(
         "increments",
         "inferred: the paper's R",
-        "what sigma_km, or camera_deg and star_arcsec, are the deviation of: the colored noise "
-        "V itself (stationary), or the white increments that drive it",
+        "what sigma_km, or camera_deg and star_arcsec, describe: the colored noise V itself "
+        "(stationary), or the white increments that drive it",
         one_of=("stationary", "increments"),
     )
     prior_position_km: float = param(
-        0.15, FIT, "standard deviation of the estimate at the start, on each axis", least=0.0
+        0.15, FIT, "standard deviation of the initial estimate on each axis", least=0.0
     )
     prior_velocity_m_per_s: float = param(
-        0.035, FIT, "standard deviation of the estimate at the start, on each axis", least=0.0
+        0.035, FIT, "standard deviation of the initial estimate on each axis", least=0.0
     )
     noise_position_km: float = param(
-        7.5e-3, FIT, "process noise of one step, standard deviation on each axis", least=0.0
+        7.5e-3, FIT, "standard deviation of the process noise of one step on each axis", least=0.0
     )
     noise_velocity_km_per_s: float = param(
-        1e-8, FIT, "process noise of one step, standard deviation on each axis", least=0.0
+        1e-8, FIT, "standard deviation of the process noise of one step on each axis", least=0.0
     )
     phi: float = param(
         0.0,
         "paper: 0, 0.8, 1",
-        "color of the noise, V' = phi V + increment; 1: a random walk",
+        "coefficient of the colored noise, V' = phi V + increment; 1: a random walk",
         least=-1.0,
         most=1.0,
     )
     measured: str = param(
         "positions",
         "inferred",
-        "positions, made of the angles, or the angles",
+        "what the filters are given: positions that are computed from the angles, or the angles",
         one_of=("positions", "angles"),
     )
     first_noise: str | None = param(
         None,
         "chosen",
-        "covariance of the first noise: that of the increments (R), of the stationary noise, or "
-        "zero; left out: as noise_level",
+        "covariance of the first noise sample: that of the increments (R), of the stationary "
+        "noise, or zero; if omitted, as noise_level says",
         one_of=("R", "stationary", "zero", None),
     )
     alpha: float = param(1.0, "chosen: no negative weight", "spread of the sigma points")
     beta: float = param(
         0.0,
         "chosen",
-        "weight of the sigma points' center in the covariance; 2 is best for Gaussians",
+        "enters the covariance weight of the central sigma point; 2 is optimal for Gaussians",
     )
-    kappa: float = param(0.0, "chosen", "second parameter of the sigma points' spread")
+    kappa: float = param(0.0, "chosen", "second parameter of the spread of the sigma points")
 
     def check(self) -> None:
-        """Orbits above the Earth, noise that there is, sigma points that can be."""
+        """Check that the orbit is above the Earth, and that noise and sigma points exist."""
         if (a := self.semi_major_axis_km) <= (
             least := orbit.EARTH.radius_km / (1.0 - self.eccentricity)
         ):
@@ -157,8 +159,8 @@ class Config(Timed):
         for name, other in (("noise_level", "'increments'"), ("first_noise", "R or zero")):
             if getattr(self, name) == "stationary" and abs(self.phi) == 1.0:
                 why = (
-                    f"where phi is {self.phi:g}: a random walk has no stationary deviation, only "
-                    "its increments have one"
+                    f"for phi = {self.phi:g}: a random walk has no stationary standard deviation, "
+                    "only its increments have one"
                 )
                 raise ValueError(f"{name}: expected {other} {why}")
         unscented(6, self.alpha, self.beta, self.kappa)
@@ -170,10 +172,10 @@ class Config(Timed):
         """Parameters without effect in this configuration, and why."""
         if self.measured == "angles":
             return {
-                "sigma_km": "where angles are measured (camera_deg and star_arcsec are their noise)"
+                "sigma_km": "if angles are measured (camera_deg and star_arcsec are their noise)"
             }
         names = ("camera_deg", "star_arcsec", "separation_deg", "accuracy_sigmas")
-        return dict.fromkeys(names, "where positions are measured (sigma_km is their noise)")
+        return dict.fromkeys(names, "if positions are measured (sigma_km is their noise)")
 
     @property
     def times(self) -> Array:
@@ -187,13 +189,13 @@ class Config(Timed):
 
     @property
     def increment(self) -> float:
-        """Deviation of the noise increments, in those that are given."""
+        """Standard deviation of the noise increments over that of `sigma`."""
         return float(np.sqrt(1.0 - self.phi**2)) if self.noise_level == "stationary" else 1.0
 
     @property
     def sigma(self) -> Array:
-        """Deviations ``(3,)``, as given, of what is measured: km, or rad of the angles to the stars
-        and of the Earth's diameter."""
+        """Standard deviations ``(3,)`` of the measurements, as given: km, or rad of the two angles
+        to the stars and of the Earth's diameter."""
         if self.measured == "positions":
             return np.full(3, self.sigma_km)
         camera = np.radians(self.camera_deg)
@@ -219,17 +221,17 @@ class Config(Timed):
 
     @property
     def sqrt_Q(self) -> Array:
-        """Root of the process noise of one step, ``(6, 6)`` km, km/s."""
+        """Square root of the process noise covariance of one step, ``(6, 6)`` km, km/s."""
         return np.diag(np.repeat([self.noise_position_km, self.noise_velocity_km_per_s], 3))
 
     @property
     def sqrt_P0(self) -> Array:
-        """Root of the prior's covariance, ``(6, 6)`` km, km/s."""
+        """Square root of the prior's covariance, ``(6, 6)`` km, km/s."""
         return np.diag(np.repeat([self.prior_position_km, 1e-3 * self.prior_velocity_m_per_s], 3))
 
     @property
     def rule(self) -> Rule:
-        """Sigma points of the state."""
+        """Rule of the state's sigma points."""
         return unscented(6, self.alpha, self.beta, self.kappa)
 
     @property
@@ -264,17 +266,17 @@ B = replace(
 )
 STRESS = replace(P, steps=200, runs=200, noise_position_km=0.2, noise_velocity_km_per_s=1e-6)
 PRESETS = {"P": P, "D": D, "B": B, "stress": STRESS}
-"""Fitted at the end of the runs; a poor prior; fitted over the time; strong process noise."""
+"""Fitted to the final errors; a poor prior; fitted to the time averages; strong process noise."""
 MISSION = {"noise_level": "stationary"}
-"""What a mission begins with instead: how large the noise is then does not depend on its color."""
+"""What a mission starts from instead: the size of the noise then does not depend on its color."""
 
 
-# -- what happens ----------------------------------------------------------------------------------
+# -- simulation ------------------------------------------------------------------------------------
 class Scenario(NamedTuple):
     """Simulated runs, time-major.
 
     ``truth (T, runs, 6)`` km, km/s; ``z (T, runs, 3)`` km, pseudo-positions; ``noise (T, runs,
-    3)``, the colored noise V in the units of what was measured; ``angles (T, runs, 3)`` rad where
+    3)``, the colored noise V in the units of the measurements; ``angles (T, runs, 3)`` rad if
     angles were measured, else None.
     """
 
@@ -286,8 +288,8 @@ class Scenario(NamedTuple):
     angles: Array | None = None
 
     def epochs(self, filter: str = "") -> Epochs:
-        """What a filter of `filters` is given: positions or angles; those that take the noise for
-        white, not the first sample."""
+        """What a filter of `filters` is given: positions or angles. Filters that assume white noise
+        are not given the first sample."""
         z = self.z
         truth = self.truth
         first = not filter.startswith("srukf")
@@ -307,7 +309,7 @@ def simulate(config: Config, rngs: Sequence[np.random.Generator]) -> Scenario:
     """One run for each generator: orbit with process noise, colored noise (Eqs. 1, 2), an initial
     estimate drawn from the prior.
 
-    Where angles are measured, the noise lives on the three of them, and the pseudo-positions are
+    If angles are measured, the noise is added to the three angles, and the pseudo-positions are
     computed from them.
     """
     c = config
@@ -334,7 +336,7 @@ def simulate(config: Config, rngs: Sequence[np.random.Generator]) -> Scenario:
 
 # -- the filters -----------------------------------------------------------------------------------
 def orbital(config: Config) -> Motion:
-    """What filters believe of the orbit."""
+    """The orbit model of the filters."""
 
     def f(x: Array, _epoch: object) -> Array:
         return orbit.step(x, config.step_s)
@@ -343,14 +345,14 @@ def orbital(config: Config) -> Motion:
 
 
 def white(config: Config, R: Any) -> Filter:
-    """SRUKF that takes the noise for white, of covariance ``R (3, 3)`` or a function of state and
+    """SRUKF, which assumes white noise of covariance ``R``: ``(3, 3)``, or a function of state and
     epoch."""
     return sigma_point(orbital(config), Sensor(H, R), rule=config.rule)
 
 
 def assuming(config: Config, R: Any, Phi: Array | None = None) -> Filter:
-    """CSRUKF in one transform that assumes increments of covariance ``R``, and a coefficient, for
-    pseudo-positions."""
+    """CSRUKF in one transform, for pseudo-positions, with an assumed coefficient and increments of
+    covariance ``R``."""
     sensor = Sensor(H, np.eye(3))  # the first sample is not used
     return colored(
         orbital(config),
@@ -363,17 +365,17 @@ def assuming(config: Config, R: Any, Phi: Array | None = None) -> Filter:
 
 
 def filters(config: Config) -> dict[str, Filter]:
-    """The filters, by the names that figures and tables use; openloop: no measurement at all.
+    """The filters, by the names that figures and tables use; openloop: uses no measurement.
 
-    Of positions: srukf: white noise assumed. csrukf: the paper's structure, corrected. csrukf+z0:
-    uses the first sample, in one transform. augmented: the exact reference. srukf-reff: white noise
-    of the same spectrum at zero frequency, where there is one, else srukf-inflated: of half the
-    walk's final variance.
+    With positions: srukf: assumes white noise. csrukf: the paper's structure, corrected. csrukf+z0:
+    uses the first sample, in one transform. augmented: the exact reference. srukf-reff: assumes
+    white noise of the same spectral density at zero frequency. For a random walk, which has none,
+    srukf-inflated: assumes white noise of half the final variance of the walk.
 
-    Where angles are measured: srukf-isotropic, csrukf-isotropic: on pseudo-positions, all
-    components taken for equally good. csrukf-jacobian: with the covariance that the angles give
-    them. angles: on the angles themselves; their noise is whitened if it has a color. angles+z0:
-    uses the first sample too, the exact reference.
+    With angles: srukf-isotropic, csrukf-isotropic: use pseudo-positions and assume the same noise
+    on all components. csrukf-jacobian: uses the covariance that follows from the angles. angles:
+    uses the angles themselves, and whitens their noise if it is colored. angles+z0: uses the first
+    sample too; the exact reference.
     """
     c = config
     motion = orbital(config)
@@ -416,13 +418,13 @@ def filters(config: Config) -> dict[str, Filter]:
     }
 
 
-# -- how they are judged ---------------------------------------------------------------------------
+# -- evaluation ------------------------------------------------------------------------------------
 GROUPS = (Group("position", "km", slice(0, 3)), Group("velocity", "m/s", slice(3, 6), 1e3))
 JUDGED = {group.name: group.unit for group in GROUPS}
 
 
 def trial(config: Config, rngs: Sequence[np.random.Generator]) -> Trial:
-    """One run with each generator, for missions, campaigns and the study."""
+    """One run for each generator, for missions, campaigns and the study."""
     sim = simulate(config, rngs)
     exact = {"positions": "csrukf+z0", "angles": "angles+z0"}[config.measured]
     return Trial(

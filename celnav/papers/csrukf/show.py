@@ -1,4 +1,4 @@
-"""[Sun2015] shown: figures and tables as the paper numbers them, those beyond it, recordings."""
+"""Figures and tables with the numbers of [Sun2015], further ones, and recordings."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ LINES = {"srukf": SRUKF, "csrukf": CSRUKF}
 WHITE = {
     "srukf": SRUKF._replace(width=2.2),
     "csrukf": CSRUKF._replace(style="--"),
-    "lagged": Line("CSRUKF lagged (has seen the next sample)", colors.TRUTH, width=0.7),
+    "lagged": Line("CSRUKF as printed (uses the next sample)", colors.TRUTH, width=0.7),
 }
 AXES = ("x", "y", "z", "v_x", "v_y", "v_z")
 TIME = "time (s)"
@@ -110,21 +110,21 @@ def geometry(r: Results) -> Figure:
         xlabel="x (km)",
         ylabel="y (km)",
         zlabel="z (km)",
-        title="Figure 1: measured angles",
+        title="Figure 1: the measured angles",
         aspect="equal",
     )
     ax.view_init(45, 100)
     ax.legend(loc="upper left", fontsize=7)
     fig.set_layout_engine(
         "constrained", rect=(0.0, 0.05, 1.0, 0.95)
-    )  # it knows nothing of the axes' labels in space
+    )  # the layout ignores axis labels in 3-D
     return fig
 
 
 def component(
     r: Results, part: str, i: int, lines: dict[str, Line], shown: str = "", **look: Any
 ) -> list[Item]:
-    """Errors of one of the six components, of positions without sign as the paper has them; 3 sigma
+    """Errors of one of the six components, for positions without sign as in the paper, and 3 sigma
     of the filter ``shown``."""
     at: Any = (BOTH[i // 3], i % 3)
     items = [
@@ -136,17 +136,17 @@ def component(
 
 
 def printed(table: dict[str, list[float]], i: int) -> Item:
-    """The RMSE of a component that the paper prints, of both filters."""
+    """The printed RMSE of a component, for both filters."""
     return level(
         *(row[i] for row in table.values()),
-        label="the paper's RMSE, of each filter",
+        label="printed RMSE of both filters",
         color=colors.PAPER,
         style="--",
     )
 
 
 def white(i: int, r: Results) -> Figure:
-    """An error under white noise."""
+    """Error of a component under white noise."""
     title = f"Figure {i + 2}: ${AXES[i]}$, $\\Phi = 0$"
     items = [*component(r, "0", i, WHITE, "csrukf"), printed(TABLE_1, i)]
     top = {"ylim": (0.0 if i < 3 else -0.15, 0.2 if i < 3 else 0.15)}
@@ -154,7 +154,7 @@ def white(i: int, r: Results) -> Figure:
 
 
 def walk(i: int, r: Results) -> Figure:
-    """An error under random-walk noise."""
+    """Error of a component under random-walk noise."""
     four = component(r, "I", i, LINES, "srukf", runs=4, spread=True)
     loop = component(r, "I", i, {"openloop": OPEN})
     right = [*component(r, "I", i, {"csrukf": CSRUKF}, "csrukf", runs=4, spread=True), *loop]
@@ -164,11 +164,11 @@ def walk(i: int, r: Results) -> Figure:
         TIME,
         QUANTITIES[i],
     )
-    return panels([left, Panel("CSRUKF against open loop", right, TIME)], size=(7.0, 3.8))
+    return panels([left, Panel("CSRUKF and open loop", right, TIME)], size=(7.0, 3.8))
 
 
 def consistent(r: Results) -> Figure:
-    """NEES and NIS averaged over the runs with their 95 % bands."""
+    """NEES and NIS averaged over the runs, with their 95 % ranges."""
     nees = [
         Panel(
             f"$\\Phi = {n}$",
@@ -186,12 +186,12 @@ def consistent(r: Results) -> Figure:
 
 
 def length(std: Array) -> Array:
-    """Of the position's deviations ``(..., 6)``."""
+    """3-D length of the position part of standard deviations ``(..., 6)``."""
     return np.asarray(np.linalg.norm(std[..., :3], axis=-1))
 
 
 def against_theory(r: Results) -> Figure:
-    """RMSE of the Monte Carlo against exact linear theory."""
+    """RMSE of the runs and exact linear theory."""
     row = []
     for name, phi in PHIS.items():
         items = [rmse(r, name, filter, line, "position") for filter, line in LINES.items()]
@@ -213,8 +213,8 @@ def against_theory(r: Results) -> Figure:
 
 
 def over_phi(r: Results) -> Figure:
-    """Final position error over Phi, for the fitted prior and a poor one, by linear theory and what
-    is held fixed."""
+    """Final position error over Phi by linear theory, for the fitted prior and a poor one, by the
+    quantity that is held fixed."""
     lines = {
         "srukf": (SRUKF, "o"),
         "csrukf": (CSRUKF, "s"),
@@ -233,7 +233,7 @@ def over_phi(r: Results) -> Figure:
                 curve(range(len(phis)), y, lines[name][0], marker=lines[name][1], markersize=4)
                 for name, y in found.items()
             ]
-            y = f"{held or 'increments'} held\nfinal 3-D position error (km)" * (not rows[-1])
+            y = f"fixed {held or 'increments'}\nfinal 3-D position error (km)" * (not rows[-1])
             rows[-1].append(
                 Panel("" if held else title, items, "φ of $\\Phi = \\varphi I$ (-)", y, "y", ticks)
             )
@@ -241,7 +241,7 @@ def over_phi(r: Results) -> Figure:
 
 
 def long_arcs(r: Results) -> Figure:
-    """Long arcs from a poor prior, SRUKF against the bound."""
+    """Long arcs from a poor prior: SRUKF and the bound."""
     items = []
     for i, (name, style) in enumerate((("I", "-"), ("0.8 I", "--"))):
         for key, color, label in (
@@ -258,17 +258,21 @@ def long_arcs(r: Results) -> Figure:
             )
     return panels(
         Panel(
-            "prior 100 km, 100 m/s, first sample used", items, TIME, "3-D position error (km)", "xy"
+            "prior of 100 km and 100 m/s, first sample used",
+            items,
+            TIME,
+            "3-D position error (km)",
+            "xy",
         ),
         size=(5.5, 3.6),
     )
 
 
 def assumed(r: Results) -> Figure:
-    """A wrong coefficient in the filter: error and consistency."""
+    """Error and consistency of a filter with a wrong coefficient."""
     phis = (0.8, 0.9, 0.95, 0.99, 1.0)
     error = list[Item]()
-    nees = [level(6.0, label="consistent")]
+    nees = [level(6.0, label="consistent: 6")]
     flown = {
         "I": (SRUKF.color, ("phi 0.95", "phi 0.99", "csrukf")),
         "0.8": (CSRUKF.color, ("csrukf", "phi 0.9", "phi 1")),
@@ -285,16 +289,16 @@ def assumed(r: Results) -> Figure:
                 curve(place, values, **look, label=label),
                 curve(place[true], values[true], **look, markersize=9, fillstyle="none"),
             ]
-    x = "φ assumed by the filter (circle: the true one)"
+    x = "assumed φ (circle: true φ)"
     more = {"xticks": range(5), "xticklabels": [f"{phi:g}" for phi in phis]}
     row = ((error, "final 3-D position RMSE (km)"), (nees, "time-mean NEES (-)"))
     return panels([Panel("", items, x, y, "y", more) for items, y in row], size=(7.0, 3.3))
 
 
 def forms(r: Results) -> Figure:
-    """Runs that each form of the covariance loses, and what rounding does to the others, by how
-    precise a measurement is."""
-    lines = {  # several lie upon each other: the lower ones are wider
+    """Share of failed runs for each form of the covariance, and the rounding error of the others,
+    by the precision of the measurement."""
+    lines = {  # several coincide, so the lower ones are wider
         "plain": Line(FORMS["plain"], colors.COMPARISON, width=4.0),
         "symmetrized": Line(FORMS["symmetrized"], colors.TRUTH, width=2.2),
         "Joseph": Line(FORMS["Joseph"], colors.OPEN_LOOP, width=4.0),
@@ -303,8 +307,8 @@ def forms(r: Results) -> Figure:
     }
     rows = list[list[Panel]]()
     for what, y, log in (
-        ("lost", "share of runs lost (-)", "x"),
-        ("apart", "largest error by rounding (deviations)", "xy"),
+        ("lost", "share of failed runs (-)", "x"),
+        ("apart", "largest rounding error (σ)", "xy"),
     ):
         rows.append([])
         for precision in ("double", "single"):
@@ -314,52 +318,55 @@ def forms(r: Results) -> Figure:
                 values = np.where((values > 0.0) | (log == "x"), values, np.nan)
                 items.append(curve(10.0**RATIOS, values, line))
             title = f"{precision} precision" * (what == "lost")
-            x = "deviation of the prior over that of a measurement"
+            x = "σ of the prior over σ of a measurement"
             rows[-1].append(Panel(title, items, x, y * (precision == "double"), log))
     return panels(*rows, size=(7.0, 5.0), sharex="col")
 
 
 FIGURES = {
     "figure_01": (
-        "Fig. 1: geometry of the measurement: two stars, the Earth's limb, and the three angles.",
+        "Fig. 1: geometry of the measurement, with two stars, the Earth's limb and three angles.",
         geometry,
     ),
     **{
         f"figure_{i + 2:02d}": (
-            f"Fig. {i + 2}: error of {AXES[i]}, white noise: both filters are one filter.",
+            f"Fig. {i + 2}: error of {AXES[i]} in white noise. Both filters estimate the same.",
             partial(white, i),
         )
         for i in range(6)
     },
     **{
         f"figure_{i + 8:02d}": (
-            f"Fig. {i + 8}: error of {AXES[i]}, random walk: SRUKF follows the noise, CSRUKF is "
-            "the open loop.",
+            f"Fig. {i + 8}: error of {AXES[i]} under a random walk. SRUKF follows the noise, "
+            "CSRUKF follows the open loop.",
             partial(walk, i),
         )
         for i in range(6)
     },
     "figure_14": (
-        "Beyond the paper: consistency, NEES and NIS averaged over the runs with their 95 % bands.",
+        "Beyond the paper: NEES and NIS averaged over the runs, with their 95 % ranges.",
         consistent,
     ),
     "figure_15": (
-        "Beyond the paper: RMSE of the runs against linear theory, for CSRUKF the Cramér-Rao "
-        "bound.",
+        "Beyond the paper: RMSE of the runs and linear theory, which is the Cramér–Rao bound for "
+        "CSRUKF.",
         against_theory,
     ),
     "figure_16": (
-        "Beyond the paper: final position error over Φ, for the fitted prior and a poor one "
-        "(linear theory).",
+        "Beyond the paper: final position error over Φ by linear theory, for the fitted prior and "
+        "a poor one.",
         over_phi,
     ),
     "figure_17": (
-        "Beyond the paper: long arcs from a poor prior, SRUKF against the bound.",
+        "Beyond the paper: SRUKF and the bound on long arcs from a poor prior.",
         long_arcs,
     ),
-    "figure_18": ("Beyond the paper: a wrong coefficient in the filter.", assumed),
+    "figure_18": (
+        "Beyond the paper: error and consistency of a filter with a wrong coefficient.",
+        assumed,
+    ),
     "figure_19": (
-        "Beyond the paper: the covariance in five forms and two precisions, twenty steps from a "
+        "Beyond the paper: five forms of the covariance in two precisions, over 20 steps from a "
         "prior of 10 km.",
         forms,
     ),
@@ -386,25 +393,26 @@ TABLES = {
 
 # -- recordings ------------------------------------------------------------------------------------
 CASES = {
-    "0.8": "SRUKF looks well but its covariance is far too small; CSRUKF is consistent and a third "
-    "better in position.",
-    "0": "White noise: both filters are the same filter; 3σ holds.",
-    "I": "SRUKF follows the wandering noise. CSRUKF stays near the truth because it ignores the "
-    "sensors, as the open loop does.",
-    "D/I": "With a poor prior the paper's filter is worse than SRUKF: differences throw the first "
-    "sample's position away.",
+    "0.8": "SRUKF looks good, but its covariance is far too small. CSRUKF is consistent, and its "
+    "position error is a third smaller.",
+    "0": "In white noise both filters give the same estimate, and errors stay within 3σ.",
+    "I": "SRUKF follows the random walk of the noise. CSRUKF stays near the truth because it "
+    "ignores the sensors, as the open loop does.",
+    "D/I": "From a poor prior the paper's filter is worse than SRUKF: differences discard the "
+    "position in the first sample.",
 }
 RECORDINGS = ["csrukf_P_08.rrd", "csrukf_P_0.rrd", "csrukf_P_I.rrd", "csrukf_D_I.rrd"]
 NOTES = """
-One satellite, two stars and the Earth's limb give a pseudo-position each second; its noise is \
+Two stars and the Earth's limb give a pseudo-position of the satellite each second. Its noise is \
 colored, V' = Φ V + ζ.
-Left above: the directions i1, i2 of the stars, their angles A1, A2 to the position vector, and \
-the sight lines to the limb, A3
-apart. Estimates and truth differ by less than a line's width; hence the view of errors below."""
+Top left: the directions i1, i2 of the stars, their angles A1, A2 to the position vector, and the \
+sight lines to the limb, with the angle A3
+between them. Estimates and truth differ by less than the width of a line, so the errors have \
+their own view below."""
 
 
 def record(results: Results, outputs: Outputs) -> list[str]:
-    """Write the recordings among ``outputs``: the first run of four cases in full; returns their
+    """Write the recordings to ``outputs``, the first run of four cases in full, and return their
     names. Needs rerun."""
     return showcase.write(
         {name: _case(results, case) for case, name in zip(CASES, RECORDINGS, strict=True)}, outputs

@@ -1,5 +1,5 @@
-"""[Sun2015] judged: the runs, what the paper states and prints, what is wrong in it, and what we
-found beside it."""
+"""The study of [Sun2015]: the runs, and the numbers that decide what the paper states, what is
+wrong in it, and what we found."""
 
 from __future__ import annotations
 
@@ -96,32 +96,32 @@ HELD = {
     "stationary covariance": lambda phi: 1.0 - phi**2,
     "spectral density": lambda phi: (1.0 - phi) ** 2,
 }
-"""What may stay the same instead of the increments while phi grows, and the part of their
-covariance that this leaves."""
+"""What may be held fixed instead of the increments while phi grows, and the factor by which that
+scales the covariance of the increments."""
 LEDGER = Path(__file__).with_name("ledger.toml")
 TABLE_1, TABLE_2, TABLE_3 = (read_printed(LEDGER)[f"table-{n}-levels"] for n in (1, 2, 3))
 """RMSE of x, y, z (km) and vx, vy, vz (m/s), as printed."""
 
 
-# -- what is flown ---------------------------------------------------------------------------------
+# -- runs ------------------------------------------------------------------------------------------
 @dataclass(frozen=True, eq=False, repr=False)
 class Other(Decorrelated):
-    """The paper's filter with another decorrelated system than the right one."""
+    """The paper's filter with a decorrelated system other than the correct one."""
 
     _: KW_ONLY
     star: Decorrelation
 
     def system(self, mean: Array, epoch: Epoch, used: Array) -> Decorrelation:  # noqa: ARG002
-        """What it was made with."""
+        """The decorrelated system that it was made with."""
         return self.star
 
 
 def variants(config: Config) -> dict[str, Filter]:
     """Filters that are compared with those of `filters`.
 
-    lagged: csrukf's estimate of the epoch before, which has seen one sample more. printed roots: Q*
+    lagged: csrukf's estimate of the epoch before, which has used one sample more. printed roots: Q*
     and R* themselves in the QR of Eqs. 27, 32. without J: whitened, not decorrelated. phi ...:
-    csrukf that assumes that coefficient.
+    csrukf with that assumed coefficient.
     """
     csrukf: Any = filters(config)["csrukf"]
     star = decorrelation(H, config.sqrt_Q, np.sqrt(config.R))
@@ -155,18 +155,18 @@ def with_variants(config: Config, rngs: Rngs) -> Trial:
 
 
 def walk(config: Config, rngs: Rngs) -> dict[str, Array]:
-    """The colored noise itself, as a filter's error that follows it: ``noise/error (T, runs,
-    6)``."""
+    """The colored noise itself, as the error of a filter that follows the noise: ``noise/error (T,
+    runs, 6)``."""
     noise = simulate(config, rngs).noise
     return {"noise/error": np.concatenate([noise, 0.0 * noise], -1)}
 
 
-# -- what needs no runs ----------------------------------------------------------------------------
+# -- results without runs --------------------------------------------------------------------------
 def expected(config: Config, phis: Sequence[float], held: str = "") -> dict[str, Array]:
-    """Exact deviations ``(T, phis, 6)`` km, m/s along the nominal orbit, by filter; SRUKF takes R
-    for the covariance of its noise.
+    """Exact standard deviations ``(T, phis, 6)`` km, m/s along the nominal orbit, by filter; SRUKF
+    assumes white noise of covariance R.
 
-    The first noise has covariance R; but with something ``held`` it is stationary.
+    The first noise sample has covariance R. With something ``held`` fixed it is stationary.
     """
     phi = np.asarray(phis)[:, None, None]
     F = orbit.transition(config.nominal()[:-1], config.step_s)
@@ -188,8 +188,8 @@ def expected(config: Config, phis: Sequence[float], held: str = "") -> dict[str,
 
 
 def theory(long_steps: int, config: Config, _: Rngs) -> dict[str, Array]:
-    """`expected` of P and D, with each thing `HELD`, and of a long arc from a poor prior without
-    process noise, Phi = I, 0.8 I."""
+    """`expected` for P and D, also with each quantity of `HELD` fixed, and for a long arc from a
+    poor prior without process noise, with Phi = I and 0.8 I."""
     poor = replace(
         D,
         prior_position_km=100.0,
@@ -215,10 +215,12 @@ def settings(count: int, config: Config, rngs: Rngs) -> dict[str, Array]:
     Sigma0, each ``(count,)``.
 
     Drawn log-uniformly: sigma 0.03 to 3 km, the prior 0.1 to 10 sigma and 3 mm/s to 0.3 m/s,
-    process noise 1e-4 to 0.1 sigma and 1e-6 to 1e-4 m/s, Sigma0 0.1 to 10 R: priors with which
-    Table 1 can come out at all. growth: SRUKF's from 0.8 I to I. gain: of any filter over SRUKF at
-    0.8 I, by the bound of all measurements: that of their differences, which CSRUKF reaches, is
-    none for SRUKF. misfit: largest factor between a setting's 24 errors and the printed ones.
+    process noise 1e-4 to 0.1 sigma and 1e-6 to 1e-4 m/s, Sigma0 0.1 to 10 R. Table 1 is
+    possible with priors in these ranges.
+
+    growth: of the SRUKF's error from 0.8 I to I. gain: the SRUKF's error at 0.8 I over the bound of
+    all measurements. The bound of their differences, which CSRUKF reaches, does not bound SRUKF.
+    misfit: largest factor between the 24 errors of a parameter set and the printed ones.
     """
     ends = ((-1.5, 0.5), (-1.0, 1.0), (-5.5, -3.5), (-4.0, -1.0), (-9.0, -7.0), (-0.5, 0.5))
     sigma, p_r, p_v, q_r, q_v, s0 = (10.0 ** rngs[0].uniform(*end, count) for end in ends)
@@ -251,9 +253,9 @@ def settings(count: int, config: Config, rngs: Rngs) -> dict[str, Array]:
 def geometry(config: Config, _: Rngs) -> dict[str, Array]:
     """Eqs. 40 to 42 over one revolution of the printed orbit, from angles without noise.
 
-    radius: by Eq. 41 as printed, over the right one. wrong: error (km) of the position by the
-    printed root at each epoch. corrected: the largest once the hemisphere is known. later: error of
-    the printed root 300 s past the equator.
+    radius: by Eq. 41 as printed, over the true radius. wrong: position error (km) of the printed
+    root at each epoch. corrected: the same if the hemisphere is given. later: position error of the
+    printed root 300 s past the equator.
     """
     period = 2.0 * np.pi * np.sqrt(config.semi_major_axis_km**3 / orbit.EARTH.mu)
     separation = config.separation
@@ -274,8 +276,8 @@ def geometry(config: Config, _: Rngs) -> dict[str, Array]:
 
 
 def redrawn(_: Config, rngs: Rngs) -> dict[str, Array]:
-    """One linear step with the points of the prediction used again (Eqs. 29-32), and with new ones,
-    against the Kalman filter."""
+    """One linear step in which the points of the prediction are used again (Eqs. 29-32), or drawn
+    anew: differences from the Kalman filter."""
     F = np.eye(6) + 0.1 * rngs[0].standard_normal((6, 6))
     z = rngs[0].standard_normal(3)
     eye = np.eye(6)
@@ -300,12 +302,12 @@ def redrawn(_: Config, rngs: Rngs) -> dict[str, Array]:
 
 
 def linear(_: Config, rngs: Rngs) -> dict[str, Array]:
-    """A random linear system of colored noise: what is claimed of the whitened one, and estimates
-    against exact conditioning.
+    """A random linear system with colored noise: is the decorrelation complete, and are the
+    estimates those of exact conditioning?
 
-    cross: of process and differenced noise after the decorrelation, as part of what it was.
-    corrected, first sample lost: differences in mean and deviation from the filter that carries the
-    noise in its state, in deviations, over 40 epochs.
+    cross: covariance of process and differenced noise after the decorrelation, over its size
+    before. corrected, first sample lost: differences of mean and standard deviation from the filter
+    that carries the noise in its state, in standard deviations, over 40 epochs.
     """
     (rng,) = rngs
     n = 6
@@ -339,8 +341,8 @@ def linear(_: Config, rngs: Rngs) -> dict[str, Array]:
 
 
 def parts(effort: float = 1.0) -> dict[str, Part]:
-    """All that is computed; the long arc, the random settings and the flights of `compared` grow
-    with the effort, and flights from one coefficient to the next are shorter below `BRIEF`."""
+    """All that is computed. The long arc, the random parameter sets and the runs of `compared` grow
+    with the effort. The sweep over coefficients has shorter runs at an effort below `BRIEF`."""
 
     filter_runs = partial(monte_carlo, with_variants, cov=True)
 
@@ -402,6 +404,7 @@ def parts(effort: float = 1.0) -> dict[str, Part]:
 ALL = slice(1, None)
 LATE = slice(STRESS.steps // 2, None)
 FITTED = "reproduced with fitted parameters"
+SETTINGS = {"0.8, many": "Φ = 0.8 I", "I": "Φ = I", "D/I": "Φ = I, poor prior"}
 
 
 def length(printed: Sequence[float], group: str) -> float:
@@ -410,17 +413,17 @@ def length(printed: Sequence[float], group: str) -> float:
 
 
 def better(case: str, position: float, velocity: float) -> list[Decided]:
-    """CSRUKF over SRUKF, at the end and averaged."""
+    """RMSE of CSRUKF over that of SRUKF, at the end and averaged."""
     numbers = []
     for group, most in zip(BOTH, (position, velocity), strict=True):
         for at, when in ((-1, "at the end"), (ALL, "averaged")):
-            label = f"{group}, {case}, {when}"
+            label = f"{group}, {SETTINGS[case]}, {when}"
             numbers.append(over(label, case, "csrukf", "srukf", (None, most), group, at=at))
     return numbers
 
 
 def changes(r: Results) -> Tiers:
-    """By how much more SRUKF grows from 0.8 I to I than CSRUKF does, and by the printed numbers."""
+    """Growth of the SRUKF's error from 0.8 I to I over that of the CSRUKF's, ours and printed."""
     numbers = []
     cases = (("I", "srukf"), ("0.8", "srukf"), ("0.8", "csrukf"), ("I", "csrukf"))
     for group in BOTH:
@@ -439,12 +442,12 @@ def changes(r: Results) -> Tiers:
 
 
 def stepwise(r: Results) -> list[Number]:
-    """Every step up in phi, for both filters, priors and groups, on the same noise, the least
-    first."""
+    """Growth of the RMSE in every step up in phi, for both filters, priors and groups, with the
+    same random numbers; the smallest first."""
     numbers = []
-    parts = ("sweep/P", "sweep/D")
+    parts = {"sweep/P": "fitted prior", "sweep/D": "poor prior"}
     for f, part, group, (a, b) in product(("srukf", "csrukf"), parts, BOTH, pairwise(STEPS)):
-        label = f"{f}, {group}, {part}, {a:g} to {b:g}"
+        label = f"{f.upper()}, {group}, {parts[part]}, φ from {a:g} to {b:g}"
         step = (f"{part}/{b:g}", f), (f"{part}/{a:g}", f)
         numbers.append(ratio(label, *step, group, (1.0, None))(r))
     return sorted(numbers, key=lambda number: number.value)
@@ -455,18 +458,18 @@ STRESSED = [(FORM_PARTS[0], "single"), *product(FORM_PARTS[1:4], ("double", "sin
 
 
 def of_forms(r: Results, what: str, where: Sequence[tuple[str, str]], *forms: str) -> Array:
-    """What is known of each run and case, ``(runs, cases)``; of several forms the largest."""
+    """A result of `compared` for each run and case ``(runs, cases)``, the largest of the forms."""
     return np.concatenate(
         [np.max([r.get(part, f"{f}, {p}/{what}") for f in forms], 0) for part, p in where]
     ).T
 
 
 def stable(r: Results) -> Tiers:
-    """Whether covariances fail, or err more, where the printed root does not: in double precision,
-    or only under stress.
+    """Whether the covariance form fails more often, or has larger errors, than the printed root: in
+    double precision, or only under stress.
 
-    The covariance form is P - K S K', plain or symmetrized, whichever does worse in a run. Under
-    stress all cases count alike.
+    The covariance form is P - K S K', plain or symmetrized, whichever is worse in a run. Under
+    stress all cases have the same weight.
     """
 
     lost = partial(of_forms, r, "lost")
@@ -480,7 +483,7 @@ def stable(r: Results) -> Tiers:
 
     gap = more(PAPER)
     if (gap > 0.0).any():
-        worst = "share of runs lost more, in the worst case"
+        worst = "excess share of failed runs, in the worst case"
         first = estimate(worst, lambda x: x.mean(0).max(), [gap], (1e-9, None))
     else:
         first = estimate(
@@ -491,22 +494,20 @@ def stable(r: Results) -> Tiers:
         )
     single, double = ([(part, p) for part in FORM_PARTS[:4]] for p in ("single", "double"))
     said = "in single precision, share"
-    off = f"{said} of the runs of one QR whose state is off by a deviation or more"
+    off = f"{said} of the runs of one QR with a state that is off by 1 σ or more"
     others = [
-        *(share(f"{said} lost by {FORMS[f]}", lost(single, f)) for f in FORMS),
+        *(share(f"{said} of runs that fail, {FORMS[f]}", lost(single, f)) for f in FORMS),
         share(off, of_forms(r, "apart", single, "array") >= 1.0),
-        Number("lost in double precision by any form", lost(double, *FORMS).sum()),
-        Number(
-            "largest difference of two forms, deviations", of_forms(r, "apart", PAPER, *FORMS).max()
-        ),
+        Number("runs that fail in double precision, any form", lost(double, *FORMS).sum()),
+        Number("largest difference of two forms (σ)", of_forms(r, "apart", PAPER, *FORMS).max()),
     ]
-    under = share("under stress, share of runs lost more", more(STRESSED), (0.05, None))
+    under = share("under stress, excess share of failed runs", more(STRESSED), (0.05, None))
     return {"reproduced": [first], "in part": [under], "not reproduced": others}
 
 
 def held_fixed(r: Results) -> list[Number]:
-    """Factors by which steps up in phi change an RMSE, over both priors, position and velocity, at
-    the end and averaged."""
+    """Extreme factors by which a step up in phi changes the RMSE, over both priors, position and
+    velocity, at the end and averaged."""
 
     def step(extreme: Any, held: str, name: str, most: float | None = 1.0) -> Number:
         steps = []
@@ -515,8 +516,8 @@ def held_fixed(r: Results) -> list[Number]:
             square = square.reshape(-1, len(COLORS), 2, 3).sum(-1)
             for rms in (square[-1], square[1:].mean(0)):
                 steps.append(np.sqrt(rms[1:] / rms[:-1]))
-        size = {np.min: "least", np.max: "largest"}[extreme]
-        label = f"{size} step of {name.upper()}, {held} held"
+        size = {np.min: "smallest", np.max: "largest"}[extreme]
+        label = f"{size} factor of a step, {name.upper()}, fixed {held}"
         return Number(label, float(extreme(steps)), (None, most))
 
     covariance, density = HELD
@@ -530,20 +531,31 @@ def held_fixed(r: Results) -> list[Number]:
 
 
 def converges(case: str, prior: str) -> list[Decided]:
-    """Against the start, and against the open loop: an interval that contains 1 shows no
-    convergence."""
+    """Final error over the initial error, and over that of the open loop. An interval that contains
+    1 shows no convergence."""
     start = over(
-        f"the end over the start, {prior}", case, "csrukf", "csrukf", (None, 1.0), to=0, strict=True
+        f"final over initial error, {prior}",
+        case,
+        "csrukf",
+        "csrukf",
+        (None, 1.0),
+        to=0,
+        strict=True,
     )
     loop = over(
-        f"the end over the open loop, {prior}", case, "csrukf", "openloop", (None, 1.0), strict=True
+        f"final error over the open loop's, {prior}",
+        case,
+        "csrukf",
+        "openloop",
+        (None, 1.0),
+        strict=True,
     )
     return [start, loop]
 
 
 def over_theory(case: str) -> Decided:
     """Final 3-D position RMSE of CSRUKF, of many runs, over the posterior Cramer-Rao bound of all
-    measurements: the first sample, of which CSRUKF uses the differences only, is among them."""
+    measurements. CSRUKF uses their differences only, the bound also the first sample itself."""
 
     def number(r: Results) -> Number:
         bound = np.square(r.get("theory", "P/csrukf+z0")[-1, SWEEP.index(PHIS[case]), :3]).sum()
@@ -554,21 +566,24 @@ def over_theory(case: str) -> Decided:
 
 
 def long_arc(r: Results) -> list[Number]:
-    """SRUKF over the bound of all measurements after 3000 s, 3-D, from a poor prior. The bound of
-    their differences would be none for SRUKF, which uses the samples themselves."""
+    """RMSE of SRUKF over the bound of all measurements after 3000 s, 3-D, from a poor prior. The
+    bound of their differences does not bound SRUKF, which uses the samples themselves."""
     srukf = r.get("theory", "long/srukf")[3000, :, :3]
     bound = r.get("theory", "long/csrukf+z0")[3000, :, :3]
     walk, colored = np.linalg.norm(srukf, axis=-1) / np.linalg.norm(bound, axis=-1)
-    return [Number("Φ = I", walk, (1.5, 2.5)), Number("Φ = 0.8 I", colored, (1.0, 1.05))]
+    return [
+        Number("RMSE over the bound, Φ = I", walk, (1.5, 2.5)),
+        Number("RMSE over the bound, Φ = 0.8 I", colored, (1.0, 1.05)),
+    ]
 
 
 def growth(a: Sequence[float], b: Sequence[float]) -> float:
-    """Largest factor between positions of two printed rows."""
+    """Largest factor between the position entries of two printed rows."""
     return float(np.divide(b[:3], a[:3]).max())
 
 
 def right(wrong: Array) -> float:
-    """The share of errors (km) that are below 1 m."""
+    """Share of the errors (km) that are below 1 m."""
     return float((wrong < 1e-3).mean())
 
 
@@ -626,13 +641,13 @@ DECISIONS: dict[str, Decision] = {
     "little-change": all_of(
         *(
             constant(
-                f"{g}, the paper's own",
+                f"growth in {g}, printed",
                 length(TABLE_2["CSRUKF"], g) / length(TABLE_1["CSRUKF"], g),
                 (None, 3.2),
             )
             for g in BOTH
         ),
-        *(ratio(g, ("I", "csrukf"), ("0", "csrukf"), g, (None, 3.2)) for g in BOTH),
+        *(ratio(f"growth in {g}", ("I", "csrukf"), ("0", "csrukf"), g, (None, 3.2)) for g in BOTH),
     ),
     "larger-phi-worse": stepwise,
     "srukf-changes-more": changes,
@@ -643,49 +658,74 @@ DECISIONS: dict[str, Decision] = {
     "table-3-levels": lambda r: {
         **entries(CELLS, BOTH, "reproduced", 100, 3)(r),
         "not reproduced": [
-            of("settings", "misfit", "the same, of the best of the settings", reduce=np.min)(r)
+            of("settings", "misfit", "largest factor, best random parameters", reduce=np.min)(r)
         ],
     },
     "square-roots-stabilize": stable,
     "geometry-fixes-position": tiers(
         reproduced=[
-            of("geometry", "wrong", "share of a revolution right to 1 m", (1.0, None), right)
+            of(
+                "geometry",
+                "wrong",
+                "share of a revolution with errors below 1 m",
+                (1.0, None),
+                right,
+            )
         ],
         in_part=[
             of(
                 "geometry",
                 "wrong",
-                "the same of the paper's own 600 s",
+                "share of the paper's own 600 s with errors below 1 m",
                 (1.0, None),
                 lambda x: right(x[: P.steps + 1]),
             ),
-            of("geometry", "corrected", "once the hemisphere is known, km", (None, 1e-3)),
-            of("geometry", "wrong", "largest error, km"),
+            of(
+                "geometry",
+                "corrected",
+                "largest error if the hemisphere is given (km)",
+                (None, 1e-3),
+            ),
+            of("geometry", "wrong", "largest error (km)"),
         ],
     ),
     "whitened-and-optimal": tiers(
         reproduced=[
-            of("redrawn", "reused", "printed step against the Kalman filter", (None, 1e-9)),
-            of("linear", "first sample lost", "without the first sample, deviations", (None, 1e-9)),
+            of(
+                "redrawn",
+                "reused",
+                "printed step less the Kalman filter (σ of the prior)",
+                (None, 1e-9),
+            ),
+            of(
+                "linear",
+                "first sample lost",
+                "without the first sample, less the exact solution (σ)",
+                (None, 1e-9),
+            ),
         ],
         in_part=[
-            of("linear", "cross", "cross-covariance of the whitened noises", (None, 1e-9)),
+            of("linear", "cross", "part of the cross-covariance that remains", (None, 1e-9)),
             of(
                 "linear",
                 "corrected",
-                "corrected, against exact conditioning, deviations",
+                "corrected filter less the exact solution (σ)",
                 (None, 1e-9),
             ),
         ],
     ),
-    "erratum-radius": of("geometry", "radius", "printed over right", (0.39, 0.41)),
-    "erratum-hemisphere": of("geometry", "later", "km, 300 s past the equator", (3900.0, 4100.0)),
+    "erratum-radius": of("geometry", "radius", "printed over correct radius", (0.39, 0.41)),
+    "erratum-hemisphere": of(
+        "geometry", "later", "position error 300 s past the equator (km)", (3900.0, 4100.0)
+    ),
     "erratum-shapes": constant("columns of H less rows of Φ", len(H.T) - len(P.Phi), (1, None)),
-    "erratum-moments": of("linear", "cross", "cross-covariance by the right ones", (None, 1e-9)),
+    "erratum-moments": of(
+        "linear", "cross", "part of the cross-covariance that remains, corrected", (None, 1e-9)
+    ),
     "erratum-9-roots-nees": all_of(
         consistency("final NEES, Φ = 0, in km", ("0", "printed roots"), (1e3, None)),
         over(
-            "velocity RMSE, over the right one",
+            "velocity RMSE over the corrected filter's",
             "0",
             "printed roots",
             "csrukf",
@@ -694,63 +734,89 @@ DECISIONS: dict[str, Decision] = {
         ),
     ),
     "erratum-11-redraw": all_of(
-        of("redrawn", "reused", "one linear step against the Kalman filter", (0.01, None)),
-        of("redrawn", "redrawn", "with new points", (None, 1e-12)),
+        of(
+            "redrawn",
+            "reused",
+            "one linear step less the Kalman filter (σ of the prior)",
+            (0.01, None),
+        ),
+        of("redrawn", "redrawn", "the same with new points", (None, 1e-12)),
     ),
     "erratum-19-growth": constant(
         "largest growth of an axis", growth(TABLE_1["CSRUKF"], TABLE_2["CSRUKF"]), (3.0, None)
     ),
     "erratum-20-contradiction": constant(
-        "largest ratio of SRUKF", growth(TABLE_2["SRUKF"], TABLE_3["I"]["SRUKF"]), (3.0, None)
+        "largest ratio of the SRUKF's entries",
+        growth(TABLE_2["SRUKF"], TABLE_3["I"]["SRUKF"]),
+        (3.0, None),
     ),
     "erratum-21-growth": all_of(
         of("settings", "growth", "least growth of SRUKF over random settings", (5.0, None), np.min),
         of("settings", "gain", "largest gain of any filter at 0.8 I", (None, 5.0)),
     ),
     "remark-first-sample": over(
-        "with z_0 over without, poor prior, Φ = I",
+        "RMSE with z_0 over RMSE without, poor prior, Φ = I",
         "D/I",
         "csrukf+z0",
         "csrukf",
         (None, 0.6),
     ),
     "remark-angle-space": over(
-        "angles whitened, over positions",
+        "RMSE with whitened angles over that with whitened positions",
         "sensor/D/I",
         "angles",
         ISOTROPIC,
         (None, 0.95),
     ),
-    "openloop-final": over("3-D position", "I", "csrukf", "openloop", (0.98, 1.02)),
+    "openloop-final": over(
+        "3-D position RMSE over the open loop's", "I", "csrukf", "openloop", (0.98, 1.02)
+    ),
     "consistent": all_of(
         *(consistency(f"Φ = {n}", (f"{n}, many", "csrukf"), (5.0, 7.1)) for n in PHIS)
     ),
     "at-the-bound": all_of(*map(over_theory, PHIS)),
     "cheap-remedy": all_of(
-        over("3-D position", "0.8", "srukf-reff", "csrukf", (0.9, 1.1)),
-        consistency("final NEES", ("0.8", "srukf-reff"), (4.8, 7.1)),
-        over("3-D position, Φ = I", "I", "srukf-inflated", "csrukf", (5.0, None)),
+        over(
+            "3-D position RMSE over the CSRUKF's, Φ = 0.8 I",
+            "0.8",
+            "srukf-reff",
+            "csrukf",
+            (0.9, 1.1),
+        ),
+        consistency("final NEES, Φ = 0.8 I", ("0.8", "srukf-reff"), (4.8, 7.1)),
+        over(
+            "3-D position RMSE over the CSRUKF's, Φ = I",
+            "I",
+            "srukf-inflated",
+            "csrukf",
+            (5.0, None),
+        ),
         consistency("final NEES, Φ = I", ("I", "srukf-inflated"), (200.0, None)),
     ),
     "larger-phi-convention": held_fixed,
     "poor-prior": all_of(
-        over("without z_0", "D/I", "csrukf", "srukf", (1.3, None)),
-        over("with z_0", "D/I", "csrukf+z0", "srukf", (None, 0.85)),
+        over("RMSE over the SRUKF's, without z_0", "D/I", "csrukf", "srukf", (1.3, None)),
+        over("RMSE over the SRUKF's, with z_0", "D/I", "csrukf+z0", "srukf", (None, 0.85)),
     ),
     "wrong-coefficient": all_of(
-        consistency(
-            "time-mean NEES, true I, assumed 0.95", ("I", "phi 0.95"), (50.0, None), at=ALL
-        ),
-        consistency("true 0.8, assumed I", ("0.8", "phi 1"), (4.9, 7.3), at=ALL),
+        consistency("mean NEES, true φ = 1, assumed 0.95", ("I", "phi 0.95"), (50.0, None), at=ALL),
+        consistency("mean NEES, true φ = 0.8, assumed 1", ("0.8", "phi 1"), (4.9, 7.3), at=ALL),
         over(
-            "what that costs in position",
+            "position RMSE over that with the true φ",
             "0.8",
             "phi 1",
             "csrukf",
             (2.0, 4.0),
         ),
     ),
-    "correlation-matters": over("Φ = I", "stress/I", "without J", "csrukf", (1.2, None), at=LATE),
+    "correlation-matters": over(
+        "position RMSE over that with J, Φ = I",
+        "stress/I",
+        "without J",
+        "csrukf",
+        (1.2, None),
+        at=LATE,
+    ),
     "long-arc": long_arc,
     "nis-csrukf": all_of(
         *(consistency(f"Φ = {n}", (n, "csrukf"), (2.8, 3.2), at=ALL, what="nis") for n in PHIS)
@@ -765,7 +831,7 @@ STUDY = Study(
     parts,
     ROWS,
     figure="figure_08",
-    says="Differencing whitens colored measurement noise. The square-root UKF made of it is as "
-    "good as the ordinary one where noise is white, and converges where that one diverges.",
+    says="Differencing whitens colored measurement noise. A square-root UKF that uses differences "
+    "is as good as the ordinary one in white noise, and converges where the ordinary one diverges.",
     found=ANSWER,
 )

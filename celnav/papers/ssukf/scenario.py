@@ -1,5 +1,5 @@
-"""[Wu2012]: a satellite whose gyros and star sensor give its attitude. The equations of the text at
-hand are lost."""
+"""[Wu2012]: the attitude of a satellite from gyros and a star sensor. The text at hand has lost its
+equations."""
 
 from __future__ import annotations
 
@@ -64,10 +64,10 @@ RADIUS_KM = 6378.137 + 800.0
 # -- parameters ------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Config(Timed):
-    """Everything that a run depends on; angles in degrees, as the paper prints them."""
+    """All parameters of a run; angles in degrees, as the paper prints them."""
 
     orbit_rate_rad_per_s: float = param(
-        1e-3, "paper", "of the circular orbit; gravity turns the body with it"
+        1e-3, "paper", "rate of the circular orbit, also for the gravity gradient"
     )
     attitude_deg: tuple[float, float, float] = param(
         (1.0, 2.0, 10.0), "paper", "true roll, pitch and yaw at the start"
@@ -78,55 +78,63 @@ class Config(Timed):
     inertia: tuple[tuple[float, float, float], ...] = param(
         ((52.0, 1.2, -0.8), (1.2, 47.0, 0.6), (-0.8, 0.6, 61.0)),
         "chosen: lost",
-        "inertia, body axes, kg m^2",
+        "inertia matrix, body axes, kg m^2",
     )
     wheels: tuple[float, float, float] = param(
         (0.0, -2.0, 0.0), "chosen", "angular momentum of the wheels, body axes, N m s"
     )
     torque: tuple[float, float, float] = param(
-        (1e-6, -1e-6, 0.5e-6), "chosen", "constant disturbance, body axes, N m"
+        (1e-6, -1e-6, 0.5e-6), "chosen", "constant disturbance torque, body axes, N m"
     )
     gyro_hz: float = param(
-        100.0, "paper", "samples of the gyro; a whole number for each star sample", above=0.0
+        100.0,
+        "paper",
+        "sampling rate of the gyro; a whole number of samples for each star sample",
+        above=0.0,
     )
-    star_hz: float = param(4.0, "paper", "samples of the star sensor", above=0.0)
+    star_hz: float = param(4.0, "paper", "sampling rate of the star sensor", above=0.0)
     gyro_deg_per_h: float = param(
         0.5,
         "paper: of a sample, inferred",
-        "white noise of a sample, deviation, each axis",
+        "standard deviation of the white noise of one gyro sample on each axis",
         least=0.0,
     )
     drift_deg_per_h: float = param(
-        0.02, "paper: inferred", "stationary deviation of the gyro's drift, each axis", least=0.0
+        0.02,
+        "paper: inferred",
+        "stationary standard deviation of the gyro's drift on each axis",
+        least=0.0,
     )
     tau_s: float = param(3600.0, "chosen", "correlation time of the drift", above=0.0)
     bias_deg_per_h: tuple[float, float, float] = param(
-        (1.0, 1.0, 1.0), "paper", "true drift at the start, each axis"
+        (1.0, 1.0, 1.0), "paper", "true drift at the start on each axis"
     )
     star_arcsec: float = param(
-        20.0, "paper", "noise of the star sensor, standard deviation on each axis", above=0.0
+        20.0, "paper", "standard deviation of the star sensor's noise on each axis", above=0.0
     )
     prior_deg: tuple[float, float, float] = param(
-        (1.0, 2.0, 10.0), "chosen", "initial deviations, roll, pitch, yaw", above=0.0
+        (1.0, 2.0, 10.0), "chosen", "initial standard deviations of roll, pitch and yaw", above=0.0
     )
     prior_drift_deg_per_h: float = param(
-        1.0, "chosen", "standard deviation of the drift at the start, on each axis", above=0.0
+        1.0, "chosen", "initial standard deviation of the drift on each axis", above=0.0
     )
     alpha: float = param(0.1, "chosen: small", "spread of the sigma points", above=0.0)
-    kappa: float = param(0.0, "paper", "second parameter of the sigma points' spread")
+    kappa: float = param(0.0, "paper", "second parameter of the spread of the sigma points")
     beta: float = param(
         2.0,
         "chosen",
-        "weight of the sigma points' center in the covariance; 2 is best for Gaussians",
+        "enters the covariance weight of the central sigma point; 2 is optimal for Gaussians",
     )
-    duration_s: float = param(600.0, "chosen", "of a run", above=0.0)
-    runs: int = param(200, "chosen", "of a Monte Carlo", least=1)
+    duration_s: float = param(600.0, "chosen", "duration of a run", above=0.0)
+    runs: int = param(200, "chosen", "runs of the Monte Carlo simulation", least=1)
     preintegrated: bool = param(
-        True, "chosen", "whether gyro samples between two star samples make one time update"
+        True,
+        "chosen",
+        "whether the gyro samples between two star samples are combined in one time update",
     )
 
     def check(self) -> None:
-        """Whole numbers of samples, not too many of them, and a body that can be."""
+        """Check the ratio of the rates, the number of samples, and the inertia."""
         each = self.gyro_hz / self.star_hz
         if abs(each - self.ratio) > 1e-9:
             raise ValueError(
@@ -163,7 +171,7 @@ class Config(Timed):
 
     @property
     def gyro(self) -> Gyro:
-        """White noise of a sample and stationary drift, as densities."""
+        """White noise of a sample and stationary drift, converted to noise densities."""
         sigma_v = self.gyro_deg_per_h * DEG_PER_H * float(np.sqrt(1.0 / self.gyro_hz))
         return Gyro(
             sigma_v, self.drift_deg_per_h * DEG_PER_H * float(np.sqrt(2.0 / self.tau_s)), self.tau_s
@@ -171,12 +179,12 @@ class Config(Timed):
 
     @property
     def sigma_n(self) -> float:
-        """Deviation of the star sensor on each axis, rad."""
+        """Standard deviation of the star sensor's noise on each axis, rad."""
         return self.star_arcsec * ARCSEC
 
     @property
     def sigma0(self) -> Array:
-        """Deviations ``(6,)`` of the prior: rotation (rad) and drift (rad/s)."""
+        """Standard deviations ``(6,)`` of the prior: rotation (rad) and drift (rad/s)."""
         return np.concatenate(
             [np.radians(self.prior_deg), np.full(3, self.prior_drift_deg_per_h * DEG_PER_H)]
         )
@@ -187,18 +195,18 @@ FULL_RATE = replace(STANDARD, preintegrated=False)
 PRESETS = {"standard": STANDARD, "100 Hz": FULL_RATE}
 
 
-# -- what happens ----------------------------------------------------------------------------------
+# -- simulation ------------------------------------------------------------------------------------
 class Scenario(NamedTuple):
     """Simulated runs, time-major.
 
     Attributes
     ----------
     truth: ``(T, runs, 7)`` at the star epochs: quaternion and drift (rad/s).
-    gyro: ``(time updates, runs, 3)`` rad/s, samples of the gyro or what they are integrated to from
-        star to star.
+    gyro: ``(time updates, runs, 3)`` rad/s, samples of the gyro, or samples integrated between star
+        samples.
     stars: ``(T, runs, 4)``, of random sign; nan at the start.
     prior: with the paper's initial error.
-    drawn: with one that is drawn from the prior, as consistency asks for.
+    drawn: with an initial error drawn from the prior, as consistency requires.
     """
 
     config: Config
@@ -209,8 +217,8 @@ class Scenario(NamedTuple):
     drawn: Gaussian
 
     def epochs(self, _filter: str = "") -> Iterator[Epoch]:
-        """Epochs of the filters: a time update for each row of ``gyro``, a star sample after every
-        so many of them."""
+        """Epochs of the filters: a time update for each row of ``gyro``, and a star sample after
+        every `Config.updates` of them."""
         c = self.config
         nothing = np.full_like(self.stars[0], np.nan)
         yield Epoch(0, 0.0, 0.0, None, nothing, self.truth[0])
@@ -233,7 +241,7 @@ def simulate(config: Config, rngs: Sequence[np.random.Generator]) -> Scenario:
         )
         drift = c.gyro.drift(np.asarray(c.bias_deg_per_h) * DEG_PER_H, walk, dt)
         gyro = c.gyro.measure(q, drift, white, dt)
-        # About a drift of zero: with a drift of 1 deg/h the order of such small turns matters less
+        # Integrated for a drift of zero: with 1 deg/h the order of such small turns matters less
         # than 1e-12 rad.
         if c.preintegrated:
             gyro = preintegrate(
@@ -243,7 +251,7 @@ def simulate(config: Config, rngs: Sequence[np.random.Generator]) -> Scenario:
 
     few = [
         sampled(rngs[k : k + 50]) for k in range(0, len(rngs), 50)
-    ]  # more at the gyro's rate take gigabytes
+    ]  # more runs at the gyro's rate take gigabytes
     (initial,), gyro, drift, star, sign = (
         np.concatenate(part, 1) for part in zip(*few, strict=True)
     )
@@ -264,15 +272,15 @@ def simulate(config: Config, rngs: Sequence[np.random.Generator]) -> Scenario:
 
 
 def displaced(truth: Array, error: Array) -> Array:
-    """States ``(..., 7)`` that have to be turned and moved by ``error (..., 6)`` to be the
-    truth."""
+    """States ``(..., 7)`` that become the truth if they are turned and moved by ``error (...,
+    6)``."""
     turned = attitude.multiply(attitude.inverse(attitude.exp(error[..., :3])), truth[..., :4])
     return np.concatenate([turned, truth[..., 4:] - error[..., 3:]], -1)
 
 
 @lru_cache(4)
 def path(config: Config) -> Array:
-    """True attitudes ``(samples + 1, 4)`` at the gyro's rate, the same in every run."""
+    """True attitudes ``(samples + 1, 4)`` at the gyro's rate, equal in all runs."""
     start = np.append(
         attitude.from_euler(np.radians(config.attitude_deg)), np.radians(config.rate_deg_per_s)
     )
@@ -284,8 +292,8 @@ def path(config: Config) -> Array:
 
 # -- the filters -----------------------------------------------------------------------------------
 def spread(dimension: int, config: Config, *, c: float | None = None) -> Rule:
-    """Scaled unscented rule; ``c``: with the spread ``alpha^2 (L + kappa)`` given, the same for
-    every dimension."""
+    """Scaled unscented rule; ``c``: a given spread ``alpha^2 (L + kappa)``, the same for every
+    dimension."""
     kappa = config.kappa if c is None else c / config.alpha**2 - dimension
     return unscented(dimension, config.alpha, config.beta, kappa)
 
@@ -296,8 +304,8 @@ def state_space(*, transported: bool = False, a: float = 1.0, b: float = 4.0) ->
 
 
 def dynamics(gyro: Gyro) -> Model:
-    """Model function; the first noise that goes through the points, if any, begins with that of
-    gyro and drift (6)."""
+    """Model function. The first augmented noise, if any, starts with the six components of gyro and
+    drift."""
 
     def f(x: Array, epoch: Epoch, *noise: Array) -> Array:
         if not noise:
@@ -310,13 +318,13 @@ def dynamics(gyro: Gyro) -> Model:
 
 
 def star(x: Array, _epoch: Any, *noise: Array) -> Array:
-    """Measured quaternion; the last three noise components turn it, about body axes."""
+    """Measured quaternion; the last three noise components turn it about body axes."""
     q = x[..., :4]
     return attitude.multiply(attitude.exp(noise[-1]), q) if noise else q
 
 
 def noise_root(gyro: Gyro, dt: float) -> Array:
-    """Root ``(6, 6)`` of the noise of a gyro sample and of the drift over ``dt`` seconds."""
+    """Square root ``(6, 6)`` of the noise covariance of gyro sample and drift over ``dt`` s."""
     return np.diag(np.repeat([gyro.rate_std(dt), gyro.drift_std(dt)], 3))
 
 
@@ -328,20 +336,22 @@ def filters(
     form: str = "covariance",
     vector: Sensor | None = None,
 ) -> dict[str, Sequential]:
-    """The paper's filters and those it is compared with, by name; warns if points of the prior wrap
-    at 180 deg.
+    """The paper's filters and others for comparison, by name; warns if points of the prior wrap at
+    180 deg.
 
-    aukf: process and measurement noise through the points of both parts (15 dimensions, 31 points).
-    aukf-1: the same, drawn once for both parts, which keeps what noise they have in common. ssukf:
-    each noise where it acts (12 and 9 dimensions, 25 and 19 points). pa, ma: only process noise,
-    only measurement noise [Merwe2004]. additive: neither (6 dimensions, 13 points). usque: half of
-    the process noise before the prediction, half after it. mekf: linearized, in the Gibbs vector.
+    aukf: augmented with process and measurement noise in both parts (15 dimensions, 31 points).
+    aukf-1: the same with points drawn once for both parts, which keeps their common noise. ssukf:
+    augmented with each noise where it acts (12 and 9 dimensions, 25 and 19 points). pa, ma: with
+    process noise only, with measurement noise only [Merwe2004]. additive: with neither (6
+    dimensions, 13 points). usque: half of the process noise before the prediction, half after it.
+    mekf: linearized, in the Gibbs vector.
 
     ``c``: one spread for all rules instead of ``alpha^2 (L + kappa)``. ``transported``: the
-    covariance follows the reference after an update. ``vector``: a sensor instead of that of stars.
+    covariance is transported to the new reference after an update. ``vector``: a sensor instead of
+    the star sensor.
     """
     reach = np.degrees(np.abs(spread(15, config, c=c).nodes).max() * config.sigma0[:3].max())
-    if reach > 180.0:  # points would be shorter rotations
+    if reach > 180.0:  # longer rotations would be read as shorter ones
         text = (
             f"sigma points reach {reach:.0f} deg from the mean, and wrap at 180: take a smaller "
             "spread (alpha, kappa)"
@@ -384,15 +394,15 @@ SIDES = {
     "ma": ("", "v"),
     "additive": ("", ""),
 }
-"""Filter -> noises that go through the points of the prediction and of the update; the others are
-added."""
+"""Filter -> noises that augment the prediction and the update (w: process, v: measurement); the
+others are added."""
 
 
 def augmentations(
     motion: Motion, sensor: Sensor, W: Array, V: Array, **options: Any
 ) -> dict[str, Sequential]:
-    """The filters of `SIDES`, from models that add their noise; ``W``, ``V``: roots of what goes
-    through the points instead."""
+    """The filters of `SIDES` from models that add their noise; ``W``, ``V``: square roots of the
+    augmented process and measurement noise."""
     roots = {"wv": (W, V), "w": (W,), "v": (V,)}
     motions = {"": motion} | {
         key: replace(motion, Q=None, sqrt_Q=None, augment=roots[key]) for key in roots
@@ -411,7 +421,7 @@ class Halved(Sequential):
     """Half of the process noise before and half after the propagation [Crassidis2003]."""
 
     def predict(self, state: State, epoch: Epoch) -> State:
-        """State at the end of the interval."""
+        """The state at the end of the interval."""
         columns = self.motion.noise
         belief = state.belief
         if not np.any(epoch.dt) or not isinstance(columns, np.ndarray):
@@ -420,7 +430,7 @@ class Halved(Sequential):
         return super().predict(state._replace(belief=noisier), epoch)
 
 
-# -- how they are judged ---------------------------------------------------------------------------
+# -- evaluation ------------------------------------------------------------------------------------
 GROUPS = (
     Group("attitude", "arcsec", slice(0, 3), 1.0 / ARCSEC),
     Group("drift", "deg/h", slice(3, 6), 1.0 / DEG_PER_H),
@@ -431,8 +441,8 @@ JUDGED = {group.name: group.unit for group in GROUPS}
 def trial(
     config: Config, rngs: Sequence[np.random.Generator], *, drawn: bool = True, **options: Any
 ) -> Trial:
-    """One run with each generator; the initial errors are drawn from the prior, or those of the
-    paper; options of `filters`."""
+    """One run for each generator. Initial errors are ``drawn`` from the prior, or those of the
+    paper; ``options``: see `filters`."""
     sim = simulate(config, rngs)
     return Trial(
         GROUPS,
@@ -445,12 +455,11 @@ def trial(
 
 
 def errors(truth: Array, mean: Array) -> Array:
-    """Rotation vector (rad, body axes) and drift (rad/s) of estimates, less those of the truth,
-    ``(..., 6)``."""
+    """Errors ``(..., 6)`` of estimates: rotation vector (rad, body axes) and drift (rad/s)."""
     turned = attitude.log(attitude.multiply(mean[..., :4], attitude.inverse(truth[..., :4])))
     return np.concatenate([turned, mean[..., 4:] - truth[..., 4:]], -1)
 
 
 def compare(truth: Array, belief: Belief) -> tuple[Array, Array]:
-    """Errors of a belief ``(runs, 6)`` and the root of what it takes for their covariance."""
+    """Errors of a belief ``(runs, 6)`` and the square root of its covariance."""
     return errors(truth, belief.mean), belief.sqrt_cov

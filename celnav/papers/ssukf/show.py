@@ -1,4 +1,4 @@
-"""[Wu2012] shown: figures and Table 1 as the paper numbers them, those beyond it, the recording."""
+"""Figures and Table 1 with the numbers of [Wu2012], further figures, and the recording."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ FORMS = {
     "switched": Line("total form", colors.COMPARISON, width=3.0),
     "local": Line("local form", colors.ESTIMATE, "--"),
 }
-EXACT = Line("exact deviation", colors.BOUND, width=4.0)
+EXACT = Line("exact σ", colors.BOUND, width=4.0)
 SIZE = "RMSE (arcsec)"
 
 
@@ -51,8 +51,8 @@ def euler(results: Results, filter: str) -> Array:
 
 
 def angle(axis: int, results: Results) -> Figure:
-    """An Euler angle's error: of the first run, as the paper draws it; RMSE over time, and over
-    operations."""
+    """Error of an Euler angle: the first run, as in the paper; the RMSE over time; and the RMSE
+    over operations."""
     names = ("aukf", "ssukf")
     t = results.times("runs")[1:]
     exact = results.get("facts", "exact")[1:, 0]
@@ -80,13 +80,13 @@ def angle(axis: int, results: Results) -> Figure:
             ),
             Panel(
                 f"{errors['aukf'].shape[1]} runs",
-                [*sizes, level(10.0, 5.0, 2.0, label="10, 5, 2")],
+                [*sizes, level(10.0, 5.0, 2.0, label="10, 5, 2 arcsec")],
                 "time (s)",
                 SIZE,
                 "xy",
             ),
             Panel(
-                "the same over operations",
+                "RMSE over operations",
                 [curve(spent[name], size[name], LINES[name]) for name in names],
                 f"operations of one run at 100 Hz, {ROOTS[0]} roots",
                 SIZE,
@@ -98,7 +98,7 @@ def angle(axis: int, results: Results) -> Figure:
 
 
 def accuracy(results: Results) -> Figure:
-    """What the model allows, and what is reached: attitude and drift."""
+    """RMSE of attitude and drift, and their exact standard deviation."""
     t = results.times("runs")[1:]
     exact = results.get("facts", "exact")[1:]
     limits = results.get("facts", "limits")[-1]
@@ -111,7 +111,7 @@ def accuracy(results: Results) -> Figure:
         return [
             curve(t, exact[: len(t), i], EXACT),
             *reached,
-            level(limits[i], label="limit (Riccati)"),
+            level(limits[i], label="steady σ (Riccati)"),
         ]
 
     return panels(
@@ -130,7 +130,7 @@ def accuracy(results: Results) -> Figure:
 
 
 def consistent(results: Results) -> Figure:
-    """NEES and NIS of the SSUKF in two forms, initial errors drawn from the prior."""
+    """NEES and NIS of the SSUKF in two forms, with initial errors drawn from the prior."""
     both = {name: FORMS[name] for name in ("switched", "local")}
     return panels(
         [
@@ -147,7 +147,7 @@ def consistent(results: Results) -> Figure:
 
 
 def one_vector(results: Results) -> Figure:
-    """One measured vector separates the filters; dotted: the covariance follows the reference."""
+    """Filters with one measured vector; dotted: with a transported covariance."""
 
     def item(name: str, degrees: float) -> Item:
         base, _, moved = name.partition(" ")
@@ -163,7 +163,7 @@ def one_vector(results: Results) -> Figure:
                 f"prior {d:g}° on each axis",
                 [item(name, d) for name in FIELD],
                 "time (s)",
-                "attitude, RMS (deg)",
+                "attitude RMSE (deg)",
                 "xy",
             )
             for d in FIELD_DEG
@@ -173,7 +173,7 @@ def one_vector(results: Results) -> Figure:
 
 
 def differences(results: Results) -> Figure:
-    """How far apart filters are that are the same: SSUKF and MEKF from AUKF."""
+    """Differences between filters that should agree: SSUKF and MEKF from AUKF."""
     t = results.times("runs")[1:]
     error = {
         name: results.error("runs", name, "attitude")[1:] for name in ("aukf", "ssukf", "mekf")
@@ -181,7 +181,7 @@ def differences(results: Results) -> Figure:
     apart = {
         LINES[name].label: np.abs(error[name] - error["aukf"]).max(2) for name in ("ssukf", "mekf")
     }
-    looks = Line("largest of the runs", colors.ESTIMATE), Line("median", colors.SIGMA)
+    looks = Line("largest of all runs", colors.ESTIMATE), Line("median", colors.SIGMA)
     return panels(
         [
             Panel(
@@ -199,21 +199,22 @@ def differences(results: Results) -> Figure:
 
 
 def spinning(results: Results) -> Figure:
-    """The total attitude as the state, in a spin past 360 deg, with and without the switch."""
+    """The total attitude as the state in a spin past 360 deg, with and without the switch."""
     t = results.times("crossing")
     errors = {name: results.error("crossing", name, "attitude") for name in FORMS}
     items = [
         curve(t, np.linalg.norm(errors[name], axis=-1).max(1), line) for name, line in FORMS.items()
     ]
     return panels(
-        Panel("", items, "time (s); 360° at 10 s", "largest error of the runs (arcsec)", "y"),
+        Panel("", items, "time (s); 360° at 10 s", "largest error of all runs (arcsec)", "y"),
         size=(6.5, 3.4),
     )
 
 
 def table(results: Results) -> Rows:
-    """Points, and operations point by point, from star sample to star sample; with roots of all
-    that is augmented (whole), or of the state alone (block)."""
+    """Sigma points, and operations of code that takes one point after the other, from star sample
+    to star sample; with the root of the whole augmented covariance (whole), or of the state's alone
+    (block)."""
     rows: Rows = []
     for per in (1, STANDARD.ratio):
         for name in TIMED:
@@ -236,37 +237,40 @@ def table(results: Results) -> Rows:
 FIGURES = {
     **{
         f"figure_{i + 1:02d}": (
-            f"Fig. {i + 1}: error of {axis}: AUKF and SSUKF lie on each other; right, over counted "
+            f"Fig. {i + 1}: error of {axis}. AUKF and SSUKF coincide; on the right, over counted "
             "operations.",
             partial(angle, i),
         )
         for i, axis in enumerate(AXES)
     },
-    "figure_04": ("Beyond the paper: what the model allows, and what is reached.", accuracy),
+    "figure_04": (
+        "Beyond the paper: RMSE of the filters and the exact standard deviation.",
+        accuracy,
+    ),
     "figure_05": (
-        "Beyond the paper: consistency, initial errors drawn from the prior.",
+        "Beyond the paper: NEES and NIS, with initial errors drawn from the prior.",
         consistent,
     ),
     "figure_06": (
-        "Beyond the paper: one measured vector; dotted, the covariance follows the reference.",
+        "Beyond the paper: filters with one measured vector; dotted: with transported covariance.",
         one_vector,
     ),
-    "figure_07": ("Beyond the paper: how far apart filters are that are the same.", differences),
+    "figure_07": ("Beyond the paper: differences between filters that should agree.", differences),
     "figure_08": (
-        "Beyond the paper: the total attitude as the state, in a spin past 360°.",
+        "Beyond the paper: the total attitude as the state in a spin past 360°.",
         spinning,
     ),
 }
 TABLES = {
     "table_1": (
-        "Table 1: cost from star sample to star sample; the paper's numbers are lost: about 1/3 "
-        "less.",
+        "Table 1: cost from star sample to star sample. The paper's numbers are lost; its text "
+        "says about 1/3 less.",
         table,
     )
 }
 
 
-# -- the recording: the first run, satellite and sensors as they turn, errors enlarged -------------
+# -- the recording: the first run, with the turning satellite and enlarged errors ------------------
 RECORDINGS = ["ssukf.rrd"]
 ARM_KM = 1500.0
 EXAGGERATION = 1000.0
@@ -280,7 +284,7 @@ SPACES = (
     ),
     showcase.SceneView(
         "body",
-        f"axes: truth, and estimates with errors x{EXAGGERATION:g}",
+        f"axes of the truth, and of estimates with errors x {EXAGGERATION:g}",
         (3.0, -2.0, 2.0),
         up=(0.0, 0.0, -1.0),
     ),
@@ -289,14 +293,14 @@ NOTES = f"""# Wu et al. (2012): state-switching UKF for attitude
 
 {STUDY.says}
 
-A satellite turns freely at 800 km. Gyros and a star sensor give attitude; axes red, green, blue: \
-roll, pitch, yaw. The first star
-sample takes an error of degrees to 20 arcsec: what follows is shown under a microscope.
+A satellite turns freely at a height of 800 km. Gyros and a star sensor give its attitude. Red, \
+green and blue axes: roll, pitch and yaw.
+The first star sample reduces an error of degrees to 20 arcsec. Later errors are shown enlarged.
 """
 
 
 def record(results: Results, outputs: Outputs) -> list[str]:
-    """Write the recording among ``outputs``; returns its name. Needs rerun."""
+    """Write the recording to ``outputs`` and return its name. Needs rerun."""
     lines = {name: LINES[name] for name in ("ssukf", "aukf", "mekf")}
     found, truth, _ = estimates_of(results, "runs", lines)
     t = results.times("runs")
@@ -318,7 +322,7 @@ def record(results: Results, outputs: Outputs) -> list[str]:
         counter="star_epoch",
         parameters=vars(c),
         scene=lambda out: scene(out, c.orbit_rate_rad_per_s * t, truth[:, :4], errors),
-        legend={colors.MEASUREMENT: "nadir", colors.STAR: "sight lines of the star sensor"},
+        legend={colors.MEASUREMENT: "nadir", colors.STAR: "lines of sight of the star sensor"},
         facts={
             "paper": "ssukf",
             "seed": results.seed,
@@ -332,8 +336,8 @@ def record(results: Results, outputs: Outputs) -> list[str]:
 def scene(
     out: Recorder, angles: Array, truth: Array, errors: Mapping[str, tuple[Array, str]]
 ) -> None:
-    """The satellite at ``angles (T,)`` along its orbit, its attitudes ``(T, 4)``, and their errors
-    ``(T, 3)`` with their colors."""
+    """Draw the satellite at ``angles (T,)`` along its orbit with attitudes ``truth (T, 4)``, and
+    the estimates by their errors ``(T, 3)`` and colors."""
     turn = np.linspace(0.0, 2.0 * np.pi, 181)
     place, orbit = (
         RADIUS_KM * np.stack([np.sin(at), 0.0 * at, -np.cos(at)], -1) for at in (angles, turn)

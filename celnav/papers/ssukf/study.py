@@ -1,5 +1,5 @@
-"""[Wu2012] judged: the runs, what the paper states and prints, what is wrong in it, and what we
-found beside it."""
+"""The study of [Wu2012]: the runs, and the numbers that decide what the paper states, what is wrong
+in it, and what we found."""
 
 from __future__ import annotations
 
@@ -108,14 +108,14 @@ __all__ = [
 ]
 
 UNITS = np.repeat([ARCSEC, DEG_PER_H], 3)
-"""What errors of rotation vector and drift are divided by, ``(6,)``: arcsec and deg/h."""
+"""Units of errors of rotation vector and drift, ``(6,)``: arcsec and deg/h."""
 AXES = ("roll", "pitch", "yaw")
 FORMS = ("local", "switched", "unswitched")
 TIMED = (*SIDES, "mekf")
 SPREADS = {"c = 15": 15.0, "c = 7": 7.0, "c = 0.15": 0.15, "the paper's scaling": None}
 PRINTED_SPREAD = 15.0 - 6.0 + STANDARD.alpha**2 * (6.0 + STANDARD.kappa)
-"""``c = L + lambda`` with the printed ``lambda = alpha^2 (n + kappa) - n``, which should have L
-where it has n."""
+"""``c = L + lambda`` with the printed ``lambda = alpha^2 (n + kappa) - n``; L is correct instead of
+n."""
 AVERAGED_DEG = (1.0, 10.0, 30.0, 60.0, 20.0 / 3600.0)
 FIELD_DEG = (10.0, 30.0, 60.0)
 FIELD = ("mekf", "mekf transported", "usque", "usque transported", "ssukf", "aukf")
@@ -130,11 +130,12 @@ COARSE = replace(
     beta=0.0,
     rate_deg_per_s=(10.0, 10.0, 50.0),
 )
-"""Chosen: a gyro ten thousand times as rough, stars to 2 deg, a fast turn."""
+"""Chosen: a gyro with 10,000 times the noise, a star sensor with 2 deg of noise, and a fast
+turn."""
 ABOUT = 8.0
 HEADS = {"one head": (0.0,), "90° apart": (45.0, -45.0)}
-"""Chosen: noise about a head's line of sight over that across it; where heads look, degrees from x
-to y."""
+"""Chosen: noise about a head's line of sight over that across it; directions of the heads, degrees
+from x to y."""
 RATES_DEG_PER_S = (float(np.linalg.norm(STANDARD.rate_deg_per_s)), 1.0)
 ROOTS = ("whole", "block")
 VECTOR = replace(
@@ -148,7 +149,8 @@ VECTOR = replace(
     alpha=1.0,
     duration_s=100.0,
 )
-"""One vector instead of the attitude, to 0.2 deg; it and a gyro of the same density at 1 Hz."""
+"""One vector instead of the attitude, with 0.2 deg of noise, and a gyro of the same noise density;
+both at 1 Hz."""
 
 
 # -- runs of the paper's scenario ------------------------------------------------------------------
@@ -160,7 +162,7 @@ def run_filters(
 
 
 def isotropic(mean: Array, degrees: float) -> Gaussian:
-    """A prior of one deviation on all axes of the attitude."""
+    """A prior with the same standard deviation on all axes of the attitude."""
     return Gaussian(
         mean, np.diag(np.concatenate([np.full(3, np.radians(degrees)), STANDARD.sigma0[3:]]) ** 2)
     )
@@ -169,8 +171,8 @@ def isotropic(mean: Array, degrees: float) -> Gaussian:
 def starts(
     degrees: Sequence[float], names: Sequence[str], axis: Array | None, config: Config, rngs: Rngs
 ) -> dict[str, Array]:
-    """Filters from priors of the deviations given; the true error is that of the paper, or of that
-    size about an ``axis``."""
+    """Filters from priors with the given standard deviations. The true error is that of the paper,
+    or has that size about an ``axis``."""
     sim = simulate(config, rngs)
     found = {}
     for d in degrees:
@@ -204,8 +206,8 @@ def apart(a: Array, b: Array) -> Array:
 
 
 def changes(config: Config, rngs: Rngs) -> dict[str, Array]:
-    """Differences ``(2, runs)``, see `apart`: of the SSUKF at 100 and at 4 Hz, of the AUKF with
-    either lambda."""
+    """Differences ``(2, runs)``, see `apart`: between the SSUKF at 100 and at 4 Hz, and between the
+    AUKF with the printed and the correct lambda."""
     full, sim = (
         simulate(replace(config, preintegrated=whether), deepcopy(rngs))
         for whether in (False, True)
@@ -218,8 +220,8 @@ def changes(config: Config, rngs: Rngs) -> dict[str, Array]:
 
 def identities(config: Config, rngs: Rngs) -> dict[str, Array]:
     """AUKF and SSUKF in square-root form at the gyro's full rate, by `SPREADS`: largest differences
-    ``(1, runs)`` of means, covariances and gains after any step, in the deviations that the filter
-    reports."""
+    ``(1, runs)`` of means, covariances and gains after any step, in standard deviations of the
+    filter."""
     sim = simulate(config, rngs)
     out = dict[str, Array]()
 
@@ -249,22 +251,21 @@ def identities(config: Config, rngs: Rngs) -> dict[str, Array]:
     return out
 
 
-# -- the total attitude in modified Rodrigues parameters: the paper's words taken literally --------
+# -- the total attitude in modified Rodrigues parameters: the paper's words, literally -------------
 def to_tangent(q: Array) -> Array:
-    """From deviations of total parameters and drift to those of rotation vector and drift, ``(...,
-    6, 6)``."""
+    """Matrix ``(..., 6, 6)`` from small deviations of total parameters and drift to those of
+    rotation vector and drift."""
     return block(
         [[4.0 * attitude.transport(q[..., :3] / (1.0 + q[..., 3:]), 1.0, 1.0), 0], [0, np.eye(3)]]
     )
 
 
 def total_attitude() -> Space:
-    """Space of attitudes whose tangents are differences of modified Rodrigues parameters of the
-    attitudes themselves.
+    """Space of attitudes with differences of their modified Rodrigues parameters as tangents.
 
-    The sign of the point decides between its two sets of parameters: a model that hands on
-    `positive` quaternions switches to the shadow set in time, and the covariance follows by itself,
-    since every other point is taken on the side of the center.
+    The sign of the quaternion decides between its two sets of parameters. A model that returns
+    `positive` quaternions switches to the shadow set in time. The covariance follows by itself,
+    because every other point is given the sign of the center.
     """
 
     def parameters(q: Array) -> Array:
@@ -282,8 +283,8 @@ def total_attitude() -> Space:
 
 
 def total_filter(config: Config, *, switched: bool = True, form: str = "covariance") -> Sequential:
-    """SSUKF on the total attitude. Without the switch to the shadow set (``switched``) it meets its
-    singularity."""
+    """SSUKF on the total attitude. Without the switch to the shadow set (``switched``) it reaches
+    the singularity."""
     local = filters(config, form=form)["ssukf"]
     sky = total_attitude()
 
@@ -303,8 +304,8 @@ def forms(
     rngs: Rngs,
 ) -> dict[str, Array]:
     """The SSUKF in `FORMS`, local and on the total attitude with and without the switch, from drawn
-    initial errors. Beside errors, NEES and NIS: what the norm of a quaternion lacks to 1, and the
-    condition of the attitude's covariance in its parameters."""
+    initial errors: errors, NEES, NIS, the difference of the quaternion's norm from 1, and the
+    condition number of the attitude's covariance in its parameters."""
     sim = made(config, rngs)
     out = {"times": config.times}
     for name in names:
@@ -327,7 +328,9 @@ def forms(
                 f"{name}/nis": track.nis,
                 f"{name}/error": error / UNITS,
             }
-        known = np.where(np.isfinite(root), root, 0.0)[..., :3, :3]  # a lost run has no condition
+        known = np.where(np.isfinite(root), root, 0.0)[
+            ..., :3, :3
+        ]  # a failed run has no condition number
         out |= {
             f"{name}/norm": np.abs(np.linalg.norm(q, axis=-1) - 1.0),
             f"{name}/condition": np.linalg.cond(known) ** 2,
@@ -336,8 +339,8 @@ def forms(
 
 
 def turning(config: Config, rngs: Rngs) -> scenario.Scenario:
-    """The satellite turns by 1 deg/s about an axis, from 350 deg, and is known at first as well as
-    one star sample tells."""
+    """The satellite turns by 1 deg/s about an axis, from 350 deg. The prior has the accuracy of one
+    star sample."""
     c = config
     T = len(config.times)
     q = attitude.exp(np.radians(350.0 + c.times)[:, None, None] * np.array([0.6, 0.0, 0.8]))
@@ -352,18 +355,18 @@ def turning(config: Config, rngs: Rngs) -> scenario.Scenario:
     )
 
 
-# -- one unit vector, of a magnetic field, in place of the attitude: it separates the filters ------
+# -- one unit vector, a magnetic field, in place of the attitude: here the filters differ ----------
 def field(u: float) -> Array:
-    """Direction ``(3,)`` of a dipole's field, taken as inertial, ``u`` rad along an orbit that is
-    inclined by 60 deg."""
+    """Direction ``(3,)`` of an inertial dipole field, ``u`` rad along an orbit with an inclination
+    of 60 deg."""
     up = np.stack([np.cos(u), np.sin(u) * 0.5, np.sin(u) * np.sqrt(0.75)])
     direction = 3.0 * up * up[2] - np.array([0.0, 0.0, 1.0])
     return np.asanyarray(direction / np.sqrt(np.square(direction).sum()))
 
 
 def vector(config: Config, rngs: Rngs, **options: Any) -> dict[str, Array]:
-    """The filters of `FIELD` from priors of `FIELD_DEG`; "transported": the covariance follows the
-    reference after an update."""
+    """The filters of `FIELD` from priors of `FIELD_DEG`; "transported": the covariance is
+    transported to the new reference after an update."""
     sim = simulate(config, rngs)
     rate = config.orbit_rate_rad_per_s
 
@@ -378,7 +381,7 @@ def vector(config: Config, rngs: Rngs, **options: Any) -> dict[str, Array]:
     plain, moved = (filters(config, vector=sensor, transported=t, **options) for t in (False, True))
     noise = attitude.log(
         attitude.multiply(sim.stars, attitude.inverse(sim.truth[..., :4]))
-    )  # that of the stars
+    )  # noise of the star sensor
     seen = np.array([h(epoch.truth, epoch) for epoch in sim.epochs()]) + noise
     error = errors(sim.drawn.mean, sim.truth[0])
     sim = sim._replace(stars=seen)
@@ -435,10 +438,10 @@ def multiplied(_config: Any, rngs: Rngs, runs: int = 6000, steps: int = 60) -> d
     }
 
 
-# -- heads of the star sensor, each of which knows least about its own line of sight ---------------
+# -- heads of the star sensor, each of which is noisiest about its own line of sight ---------------
 def heads(config: Config, rngs: Rngs) -> dict[str, Array]:
-    """The MEKF with the heads of `HEADS`, whose lines of sight lie in the plane of x and y, alike
-    on both sides of x."""
+    """The MEKF with the heads of `HEADS`, with lines of sight in the plane of x and y, symmetric
+    about x."""
     sim = simulate(config, rngs)
     mekf = filters(config)["mekf"]
     noise = normals(rngs, *[(len(config.times), 3)] * 2)
@@ -473,14 +476,17 @@ def heads(config: Config, rngs: Rngs) -> dict[str, Array]:
     )
 
 
-# -- what needs no runs, or one --------------------------------------------------------------------
+# -- results without runs, or with one -------------------------------------------------------------
 def averages(config: Config) -> dict[str, Array]:
-    """Means of the quaternions of the SSUKF's own points, 25 and 19, at the deviations of
-    `AVERAGED_DEG`, each ``(5,)``, the worse of both. norm: by how much that by components departs
-    from 1; turned: how far (deg) it is from the mean of Rodrigues parameters, the median of 100
-    ways to change signs; aligned, eigen: how far (rad) that by components, or of rotation vectors,
-    is if none is changed, and the eigenvector that knows no signs [Markley2007]; four: the
-    condition of the components' covariance."""
+    """Means of the quaternions of the SSUKF's 25 and 19 points at the standard deviations of
+    `AVERAGED_DEG`, each ``(5,)``, the worse of the two.
+
+    norm: difference of the componentwise mean's norm from 1. turned: its distance (deg) from the
+    mean of Rodrigues parameters, the median over 100 random choices of signs. aligned: the same
+    (rad) with unchanged signs, or of the mean of rotation vectors if that is larger. eigen:
+    distance (rad) of the eigenvector mean, which ignores signs [Markley2007]. four: condition
+    number of the components' covariance.
+    """
     rng = np.random.default_rng(0)
     rows = []
     for degrees in AVERAGED_DEG:
@@ -513,8 +519,9 @@ def averages(config: Config) -> dict[str, Array]:
 
 
 def by_components(config: Config, rngs: Rngs) -> dict[str, Array]:
-    """The SSUKF, and with means of quaternions by components, normalized: their signs alike
-    (aligned), or as they come; the latter also with the wider points of c = 15."""
+    """The SSUKF, and the same with normalized componentwise means of quaternions: with equal signs
+    (aligned), with random signs (signs), and with random signs and the wider points of c = 15
+    (wide)."""
     sim = simulate(config, rngs)
     rng = np.random.default_rng(0)
 
@@ -546,10 +553,10 @@ def by_components(config: Config, rngs: Rngs) -> dict[str, Array]:
     )
 
 
-# -- operations of point-by-point code, counted on a tape: nothing is known beforehand -------------
+# -- operations of code that takes one point after the other, counted on a tape --------------------
 def counted(function: Callable[..., Any], *shapes: tuple[int, ...]) -> Array:
-    """Operations of a function of arrays of such shapes ``(2,)``: as one each, and with 20 for what
-    is no sum and no product."""
+    """Operations ``(2,)`` of a function of arrays with these shapes: each counted once, and with
+    divisions, roots and tangents counted 20 times."""
     tape = Tape(rolled=False)
     given = [TracedArray(shape[::-1]).T for shape in shapes]
     for x in given:
@@ -569,9 +576,9 @@ def counted(function: Callable[..., Any], *shapes: tuple[int, ...]) -> Array:
 
 
 def operations(config: Config, _rngs: Rngs) -> dict[str, Array]:
-    """What `counted` gives of an iteration, by filter, predictions to an update, and roots: of all
-    that is augmented (whole), or of the state alone (block), without the sums that add Q and R; and
-    of ways to propagate an attitude, see `propagations`."""
+    """`counted` for an iteration, by filter, predictions per update, and factored covariance: the
+    whole augmented one (whole), or the state's alone (block). Sums that add Q and R are not
+    counted. Also operations of ways to propagate an attitude, see `propagations`."""
     f = scenario.dynamics(config.gyro)
     space = scenario.state_space()
     sky = attitude.attitude()
@@ -628,13 +635,13 @@ SLOPES = {
     2: ((0.5,), (0.0, 1.0)),
     4: ((0.5, 0.5, 1.0), (1.0 / 6.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0)),
 }
-"""Runge-Kutta methods by order: how far along the slope before each slope is taken, and the weights
-of all."""
+"""Runge-Kutta methods by order: fractions of a step at which the further slopes are evaluated, and
+the weights of all slopes."""
 
 
 def integrated(order: int, p: Array, turn: Array) -> Array:
     """Modified Rodrigues parameters ``(..., 3)`` after a step in which the body turns by ``turn``
-    rad, by an order of `SLOPES`."""
+    rad, with the method of `SLOPES` of this order."""
 
     def slope(p: Array) -> Array:
         half = 0.5 * turn
@@ -651,10 +658,12 @@ def integrated(order: int, p: Array, turn: Array) -> Array:
 
 
 def propagations(dt: float) -> dict[str, Array]:
-    """One gyro step of an attitude. accuracy ``(rates, orders)``: largest error (rad) of
-    `integrated` over attitudes up to half a turn, at `RATES_DEG_PER_S`. steps ``(5, 2)``:
-    operations of the product of quaternions; of that with the parameters of a point made a
-    quaternion and back; of `integrated`, orders 1, 2 and 4."""
+    """One gyro step of an attitude.
+
+    accuracy ``(rates, orders)``: largest error (rad) of `integrated` over attitudes up to half a
+    turn, at `RATES_DEG_PER_S`. steps ``(5, 2)``: operations of the quaternion product; of the same
+    with a conversion from parameters and back; of `integrated` with orders 1, 2 and 4.
+    """
     to = partial(attitude.from_rodrigues, a=1.0, b=1.0)
     back = partial(attitude.to_rodrigues, a=1.0, b=1.0)
     axes, p = (
@@ -680,15 +689,16 @@ def propagations(dt: float) -> dict[str, Array]:
 
 
 def facts(config: Config, _: Rngs) -> dict[str, Array]:
-    """exact: posterior deviations ``(T, 2)`` of angle (arcsec) and drift (deg/h) on an axis, widest
-    prior. limits ``(3, 2)``: those that settle, if the drift has a tau of 10 h, if 0.5 deg /
-    sqrt(h) and 0.02 deg/h in an hour are meant, and as we read it."""
+    """exact: posterior standard deviations ``(T, 2)`` of angle (arcsec) and drift (deg/h) on the
+    axis with the widest prior. limits ``(3, 2)``: their steady values if the drift has a time
+    constant of 10 h; if 0.5 deg / sqrt(h) and 0.02 deg/h in an hour are meant; and as we read the
+    paper."""
     c = config
     dt = config.step_s
     unit = UNITS[[0, 3]]
     limits = []
     drift = config.drift_deg_per_h * DEG_PER_H
-    # or the solver loses the drift beside the angle
+    # without this scale the solver loses the drift, which is small beside the angle
     scale = np.array([1.0, 0.01]) * c.sigma_n
     H = np.eye(1, 2)
     slow = Gyro(c.gyro.sigma_v, drift * float(np.sqrt(2.0 / 36000.0)), 36000.0)
@@ -711,8 +721,8 @@ def facts(config: Config, _: Rngs) -> dict[str, Array]:
 
 
 def costs(_config: Config, _rngs: Rngs) -> dict[str, Array]:
-    """Points through f and h ``(2,)`` from star sample to star sample, by filter and rates, counted
-    in a run by numpy."""
+    """Evaluations of f and h ``(2,)`` from star sample to star sample, by filter and rates, counted
+    in a run with numpy."""
     out = dict[str, Array]()
     seen = Counter[str]()
     token = WATCH.set(lambda model, values: seen.update({model: len(values)}))
@@ -728,8 +738,8 @@ def costs(_config: Config, _rngs: Rngs) -> dict[str, Array]:
 
 
 def parts(effort: float = 1.0, duration_s: float | None = None) -> dict[str, Part]:
-    """All that is computed; ``duration_s``: of the runs of the paper's scenario, shorter at an
-    effort below `BRIEF` if left out."""
+    """All that is computed. ``duration_s``: of the runs of the paper's scenario; by default shorter
+    at an effort below `BRIEF`."""
     brief = effort < BRIEF
     runs_s = heads_s = duration_s or STANDARD.duration_s
     if brief and duration_s is None:
@@ -769,9 +779,10 @@ def parts(effort: float = 1.0, duration_s: float | None = None) -> dict[str, Par
 NEES = chi_square_band(6, 200)
 NIS = chi_square_band(3, 200)
 REGULAR = float(np.finfo(float).eps ** -0.5)
-"""95 % bands of 200 runs; up to REGULAR a covariance has a root that keeps half of the digits."""
+"""95 % ranges of 200 runs; up to the condition number REGULAR a covariance has a root that keeps
+half of the digits."""
 COUNTS = [(roots, dear) for dear in (0, 1) for roots in ROOTS]
-"""Which roots are factored, and whether one that is no sum or product counts 20 times."""
+"""Which covariance is factored, and whether divisions and roots are counted 20 times."""
 AUKF = ("runs", "aukf")
 SSUKF = ("runs", "ssukf")
 MEKF = ("runs", "mekf")
@@ -783,15 +794,19 @@ def points(r: Results, name: str, per: int = 1) -> float:
 
 
 def saved(per: int) -> Decided:
-    """Part of the AUKF's points that the SSUKF saves, from star sample to star sample."""
+    """Share of the AUKF's sigma points that the SSUKF saves, from star sample to star sample."""
     return lambda r: Number(
-        f"part of the points saved, {per}:1", 1.0 - points(r, "ssukf", per) / points(r, "aukf", per)
+        f"share of sigma points saved at {per}:1 predictions to updates",
+        1.0 - points(r, "ssukf", per) / points(r, "aukf", per),
     )
 
 
 def fewer(per: int, roots: str, dear: int, *, bar: bool = True) -> Decided:
-    """Part of the AUKF's operations that the SSUKF saves, in 0.333 ± 0.05 if there is a ``bar``."""
-    label = f"part of the operations saved, {per}:1, {roots} roots{', the dear ones as 20' * dear}"
+    """Share of the AUKF's operations that the SSUKF saves; the ``bar`` is 0.333 ± 0.05."""
+    label = (
+        f"share of operations saved at {per}:1 predictions to updates, {roots} roots"
+        f"{', divisions and roots counted 20 times' * dear}"
+    )
 
     def number(r: Results) -> Number:
         a, b = (
@@ -803,9 +818,11 @@ def fewer(per: int, roots: str, dear: int, *, bar: bool = True) -> Decided:
 
 
 def cheaper(way: int, beside: str) -> Decided:
-    """Operations of a step with quaternions over those of the cheapest integration, at the paper's
-    rate, that errs by no more than a thousandth of the star sensor's noise in a second, or of the
-    drift that settles; nan if none does."""
+    """Operations of a step with quaternions over those of the cheapest accurate integration.
+
+    At the paper's rate its error per second is at most 1/1000 of the star sensor's noise, or of the
+    steady drift error; nan if no method is as accurate.
+    """
 
     def number(r: Results) -> Number:
         rate = (
@@ -814,8 +831,8 @@ def cheaper(way: int, beside: str) -> Decided:
         most = 1e-3 * rate * FULL_RATE.step_s
         steps = r.get("operations", "steps")[:, 0]
         label = (
-            f"{('alone', 'with conversions')[way]}, over the cheapest that errs by {most:.1e} "
-            "rad at most"
+            f"operations {('alone', 'with conversions')[way]}, over the cheapest method within "
+            f"{most:.1e} rad a step"
         )
         least = min(steps[2:][r.get("operations", "accuracy")[0] <= most], default=np.nan)
         return Number(label, float(steps[way] / least), (None, 1.0 - 1e-9))
@@ -824,7 +841,7 @@ def cheaper(way: int, beside: str) -> Decided:
 
 
 def weak_axis(name: str, accept: Any) -> Decided:
-    """RMSE of the worst axis over that of the best one, with heads as in `HEADS`."""
+    """RMSE of the worst axis over that of the best axis, with heads as in `HEADS`."""
 
     def worst(squares: Array) -> float:
         return float(np.sqrt(squares.mean(0).max() / squares.mean(0).min()))
@@ -835,7 +852,7 @@ def weak_axis(name: str, accept: Any) -> Decided:
 
 
 def multiplying(label: str, other: str, most: float | None = None) -> Decided:
-    """RMSE of the AUKF over that of another filter, where noise is multiplied."""
+    """RMSE of the AUKF over that of another filter, with multiplicative noise."""
     return lambda r: estimate(
         label, quotient, [r.get("multiplied", name) for name in ("aukf", other)], (None, most)
     )
@@ -844,8 +861,8 @@ def multiplying(label: str, other: str, most: float | None = None) -> Decided:
 def sooner(
     filter: tuple[str, str], axis: int, level: float, label: str, accept: Any, **more: Any
 ) -> Decided:
-    """When an angle settles below a level (arcsec), in the first three minutes: by their end it is
-    below all levels judged."""
+    """Time when an angle settles below a level (arcsec). The first three minutes suffice: at their
+    end it is below all levels."""
     return settling(
         label,
         filter,
@@ -859,29 +876,29 @@ def sooner(
 
 
 def sound(part: str, form: str) -> list[Decided]:
-    """Norms, covariance and consistency of a form."""
+    """Norm, condition number and consistency of a form."""
     label = f"{form}, {part}"
     return [
-        of(part, f"{form}/norm", f"norm less 1, {label}", (None, 1e-12)),
-        of(part, f"{form}/condition", f"condition, {label}", (None, REGULAR)),
+        of(part, f"{form}/norm", f"difference of the norm from 1, {label}", (None, 1e-12)),
+        of(part, f"{form}/condition", f"condition number, {label}", (None, REGULAR)),
         consistency(f"NEES, {label}", (part, form), NEES, at="all"),
         consistency(f"NIS, {label}", (part, form), NIS, at="all", what="nis"),
     ]
 
 
 def unswitched(r: Results) -> Number:
-    """Largest attitude error past 360 deg without the switch, over that with it; a lost run errs by
-    half a turn."""
+    """Largest attitude error past 360 deg without the switch over that with it; a failed run counts
+    as half a turn."""
     sizes = (
         np.linalg.norm(r.error("crossing", form, "attitude")[36:], axis=-1)
         for form in ("unswitched", "switched")
     )
     a, b = (float(np.nan_to_num(size, nan=180.0 * 3600.0).max()) for size in sizes)
-    return Number("unswitched over switched", a / b, (None, 1.05))
+    return Number("largest error without the switch over that with it", a / b, (None, 1.05))
 
 
 def at_the_bound(r: Results) -> list[Number]:
-    """RMSE of the SSUKF's attitude over the exact deviation."""
+    """RMSE of the SSUKF's attitude over the exact standard deviation."""
     over = {
         k: r.squares("drawn", "local", "attitude", k).mean(-1)
         / r.value("facts", "exact", k, 0) ** 2
@@ -916,7 +933,7 @@ DECISIONS: dict[str, Decision] = {
         of(
             "rates",
             "ssukf",
-            "arcsec between 100 Hz and integrated samples",
+            "difference between 100 Hz and integrated samples (arcsec)",
             reduce=lambda x: x[0].max(),
         ),
     ),
@@ -924,7 +941,7 @@ DECISIONS: dict[str, Decision] = {
         reproduced=[fewer(25, *case) for case in COUNTS],
         in_part=[
             some(
-                "of eight counts in 0.333 ± 0.05",
+                "how many of eight counts are within 0.333 ± 0.05",
                 1,
                 [fewer(per, *case) for per in (1, 25) for case in COUNTS],
             ),
@@ -935,7 +952,7 @@ DECISIONS: dict[str, Decision] = {
     ),
     "small-errors-fast": all_of(
         *(
-            sooner(f, i, 20.0, f"{AXES[i]}, {f[1].upper()}, s", (None, 1.0))
+            sooner(f, i, 20.0, f"time of {AXES[i]}, {f[1].upper()} (s)", (None, 1.0))
             for f in (AUKF, SSUKF)
             for i in range(2)
         )
@@ -943,7 +960,7 @@ DECISIONS: dict[str, Decision] = {
     "large-error-faster": all_of(
         *(
             sooner(
-                AUKF, 2, level, f"earlier below {level:g} arcsec by s", (0.25, None), sooner=SSUKF
+                AUKF, 2, level, f"earlier below {level:g} arcsec by (s)", (0.25, None), sooner=SSUKF
             )
             for level in (20.0, 10.0, 5.0)
         ),
@@ -951,14 +968,25 @@ DECISIONS: dict[str, Decision] = {
     ),
     "numbers-of-points": all_of(
         *(
-            of("costs", f"{name}, 1:1", f"{'fh'[i]}, {name.upper()}", (count, count), itemgetter(i))
+            of(
+                "costs",
+                f"{name}, 1:1",
+                f"evaluations of {'fh'[i]}, {name.upper()}",
+                (count, count),
+                itemgetter(i),
+            )
             for name, counts in (("aukf", (31, 31)), ("ssukf", (25, 19)))
             for i, count in enumerate(counts)
         )
     ),
     "measurement-noise-idle": all_of(
         *(
-            of("identities", f"{what}, {label}", f"{what}, {label}", (None, 1e-9 if c else None))
+            of(
+                "identities",
+                f"{what}, {label}",
+                f"difference of {what} (σ), {label}",
+                (None, 1e-9 if c else None),
+            )
             for label, c in SPREADS.items()
             for what in ("mean", "cov", "gain")
         )
@@ -966,7 +994,7 @@ DECISIONS: dict[str, Decision] = {
     "augmentation-more-accurate": tiers(
         reproduced=[
             ratio(
-                f"over {name.upper()}, last third",
+                f"RMSE over that of {name.upper()}, last third",
                 ("augmented", "aukf"),
                 ("augmented", name),
                 "attitude",
@@ -977,19 +1005,23 @@ DECISIONS: dict[str, Decision] = {
             for name in ("additive", "mekf")
         ],
         in_part=[
-            multiplying("over the additive UKF, noise in an exponential", "additive", 1.0),
-            multiplying("over an EKF there", "ekf"),
+            multiplying("RMSE over the additive UKF's, noise in an exponential", "additive", 1.0),
+            multiplying("RMSE over an EKF's, noise in an exponential", "ekf"),
         ],
     ),
     "component-mean-fails": all_of(
         *(
-            of("facts", what, f"{what}, {d:g} deg", (1e-12, None), itemgetter(i))
+            of("facts", what, f"{what}, σ = {d:.3g} deg", (1e-12, None), itemgetter(i))
             for what in ("norm", "turned")
             for i, d in enumerate(AVERAGED_DEG)
         )
     ),
     "mrp-switch-cures": tiers(
-        reproduced=[*SWITCHED, unswitched, of("facts", "four", "condition of four components")],
+        reproduced=[
+            *SWITCHED,
+            unswitched,
+            of("facts", "four", "condition number of four components"),
+        ],
         in_part=SWITCHED,
     ),
     "quaternions-cheaper-to-propagate": tiers(
@@ -1000,7 +1032,7 @@ DECISIONS: dict[str, Decision] = {
                 of(
                     "operations",
                     "accuracy",
-                    f"rad of Euler's step at {rate:.2g} deg/s",
+                    f"error of one Euler step at {rate:.2g} deg/s (rad)",
                     reduce=itemgetter((i, 0)),
                 )
                 for i, rate in enumerate(RATES_DEG_PER_S)
@@ -1008,11 +1040,15 @@ DECISIONS: dict[str, Decision] = {
         ],
     ),
     "erratum-lambda": all_of(
-        constant("spread c over right", PRINTED_SPREAD / (15.0 * STANDARD.alpha**2), (2.0, None)),
+        constant(
+            "printed spread c over the correct one",
+            PRINTED_SPREAD / (15.0 * STANDARD.alpha**2),
+            (2.0, None),
+        ),
         of(
             "rates",
             "as printed",
-            "largest change of the AUKF, arcsec",
+            "largest change of the AUKF (arcsec)",
             (None, 1e-6),
             lambda x: order(float(x[0].max())),
         ),
@@ -1021,19 +1057,19 @@ DECISIONS: dict[str, Decision] = {
         of(
             "facts",
             "limits",
-            "largest to smallest that settles",
+            "largest over smallest steady error",
             (10.0, None),
             lambda x: x[:, 0].max() / x[:, 0].min(),
         ),
         *(
-            of("facts", "limits", f"{name}, arcsec", reduce=itemgetter((i, 0)))
-            for i, name in enumerate(("least", "most"))
+            of("facts", "limits", f"{name} steady error (arcsec)", reduce=itemgetter((i, 0)))
+            for i, name in enumerate(("least", "largest"))
         ),
     ),
     "remark-large-error": all_of(
         *(
             ratio(
-                f"179° over 10°, {name.upper()}",
+                f"RMSE from 179° over that from 10°, {name.upper()}",
                 ("turns", f"{name}, 179"),
                 ("turns", f"{name}, 10"),
                 "attitude",
@@ -1042,15 +1078,21 @@ DECISIONS: dict[str, Decision] = {
             )
             for name in ("ssukf", "mekf")
         ),
-        rmse("SSUKF from 179°, arcsec", ("turns", "ssukf, 179"), "attitude", at=1, each=True),
+        rmse(
+            "RMSE of the SSUKF from 179° (arcsec)",
+            ("turns", "ssukf, 179"),
+            "attitude",
+            at=1,
+            each=True,
+        ),
     ),
     "ordinary-cheaper": lambda r: Number(
-        "to SSUKF", points(r, "additive") / points(r, "ssukf"), (None, 0.6)
+        "sigma points over the SSUKF's", points(r, "additive") / points(r, "ssukf"), (None, 0.6)
     ),
     "one-sided": all_of(
         *(
             ratio(
-                f"{name.upper()} to SSUKF, {part}",
+                f"RMSE of {name.upper()} over the SSUKF's, {part}",
                 (part, name),
                 (part, "ssukf"),
                 "attitude",
@@ -1061,7 +1103,7 @@ DECISIONS: dict[str, Decision] = {
             for name in ("pa", "ma", "additive")
         ),
         *(
-            multiplying(f"to {name.upper()}, noise in an exponential", name)
+            multiplying(f"RMSE over that of {name.upper()}, noise in an exponential", name)
             for name in ("pa", "ma")
         ),
     ),
@@ -1081,8 +1123,8 @@ DECISIONS: dict[str, Decision] = {
                 ("signs", (None, None)),
             )
         ),
-        of("facts", "aligned", "rad between means", (None, 1e-9)),
-        of("facts", "eigen", "rad, eigenvector, 60°"),
+        of("facts", "aligned", "difference of means with equal signs (rad)", (None, 1e-9)),
+        of("facts", "eigen", "error of the eigenvector mean, σ = 60° (rad)"),
     ),
     "two-heads": all_of(weak_axis("90° apart", (None, 1.5)), weak_axis("one head", (3.0, None))),
     "at-the-bound": at_the_bound,
@@ -1115,14 +1157,14 @@ DECISIONS: dict[str, Decision] = {
     ),
     "overconfident-prior": all_of(
         ratio(
-            "over 10°",
+            "RMSE from 20 arcsec over that from 10°",
             ("priors", "ssukf, 0.00555556"),
             ("priors", "ssukf, 10"),
             "attitude",
             (20.0, None),
         ),
         ratio(
-            "180° over 1°",
+            "RMSE from 180° over that from 1°",
             ("priors", "ssukf, 180"),
             ("priors", "ssukf, 1"),
             "attitude",
@@ -1130,10 +1172,10 @@ DECISIONS: dict[str, Decision] = {
         ),
     ),
     "steady-attitude-ssukf": rmse(
-        "arcsec", SSUKF, "attitude", (0.93, 1.18), at="last third", each=True
+        "RMSE (arcsec)", SSUKF, "attitude", (0.93, 1.18), at="last third", each=True
     ),
     "steady-drift-ssukf": rmse(
-        "deg/h", SSUKF, "drift", (0.0062, 0.0079), at="last third", each=True
+        "RMSE (deg/h)", SSUKF, "drift", (0.0062, 0.0079), at="last third", each=True
     ),
 }
 
@@ -1145,8 +1187,8 @@ STUDY = Study(
     parts,
     ROWS,
     figure="figure_03",
-    says="Appending only the noise that acts makes a UKF as accurate as the fully augmented one, "
-    "in a third less time, and faster to converge.",
+    says="A UKF that is augmented only with the noise that acts is as accurate as the fully "
+    "augmented UKF, takes a third less time, and converges faster.",
     windows=lambda _config, times: {
         "all": slice(1, None),
         "last third": slice(2 * len(times) // 3, None),
