@@ -1,13 +1,14 @@
-"""The papers: one module each, all with the same names; and the one list of all studies, and how
-one is loaded.
+"""The papers, one module each, all with the same names; the list of all studies, and functions that
+load one.
 
 ``CITATION``, ``TITLE``, ``Config``, ``PRESETS``, ``simulate``, ``filters``: the scenario.
-``trial`` and ``JUDGED``, what it judges and in which units: see `celnav.study.trial`. ``STUDY``:
-what is computed and said, see `celnav.study.study`. ``FIGURES``, ``TABLES``: file stem -> caption
-and function of the results; ``RECORDINGS`` and ``record``. ``INPUTS``, if there: names of the
-folders that ``STUDY.parts`` takes, which are also options of ``celnav reproduce``. ``MISSION``, if
-there: parameters that a mission has by default, whatever the preset. Studies on real data
-(`celnav.real`) and a user's file (`celnav.papers.own`) have the same shape.
+``trial``, and ``JUDGED``, its groups with their units: see `celnav.study.trial`. ``STUDY``: runs,
+rows and findings, see `celnav.study.study`. ``FIGURES``, ``TABLES``: file stem -> caption and
+function of the results. ``RECORDINGS``, ``record``: names of recordings, and the function that
+writes them. ``INPUTS`` (optional): names of the folders that ``STUDY.parts`` takes, which are also
+options of ``celnav reproduce``. ``MISSION`` (optional): default parameters of a mission for all
+presets. Studies on real data (`celnav.real`) and a user's file (`celnav.papers.own`) have the same
+names.
 """
 
 from __future__ import annotations
@@ -32,11 +33,11 @@ REAL = {
     "broad": "trials of BROAD (MATLAB files)",
     "ins": "a car's inertial unit and RTK fixes (imu*.csv, imu*.tag, gnss*.pos)",
 }
-"""Study on real data, which is also the name of its module and input -> what the folder holds."""
+"""Studies on real data: name of study, module and input -> contents of its folder."""
 
 
 def is_file(study: str) -> bool:
-    """Whether this is a user's file, not an identifier."""
+    """Whether a study is a user's file, not an identifier."""
     return study.endswith(".py")
 
 
@@ -44,8 +45,8 @@ def load(study: str, *, mission: bool = False) -> ModuleType:
     """The module of a paper, of a study on real data, or of a user's study, FILE.py
     (`celnav.papers.own.load`).
 
-    ``mission``: whether missions are to be made of it, which need presets: no study on real data
-        has them.
+    ``mission``: whether the module is loaded for missions. They need presets, which studies on real
+        data do not have.
 
     Raises
     ------
@@ -65,8 +66,7 @@ def load(study: str, *, mission: bool = False) -> ModuleType:
 
 
 def citation(key: str) -> str:
-    """The BibTeX entry of a source that docstrings cite, of all that are in
-    ``data/references.bib``.
+    """The BibTeX entry of a source that docstrings cite, from ``data/references.bib``.
 
     >>> print(celnav.papers.citation("Sun2015"))
 

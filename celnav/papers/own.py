@@ -1,11 +1,11 @@
-"""A user's study: a file of the shape of a paper's module (see `celnav.papers`), wherever it
-lies.
+"""A user's study: a file with the same names as a paper's module (see `celnav.papers`), in any
+folder.
 
-``celnav new study.py`` writes one. It needs ``TITLE`` and ``STUDY``, and to be run by missions
-``PRESETS`` and ``filters``; the rest may be left out. Its module is called
-``celnav.papers.own.<path>_<hash>``, in hexadecimal digits, so that other processes which are given
-a part of it find the file, and refuse it if it has changed since. What it imports may lie beside
-it.
+``celnav new study.py`` writes one. The file needs ``TITLE`` and ``STUDY``; for missions it also
+needs ``PRESETS`` and ``filters``. Everything else is optional. Its module is called
+``celnav.papers.own.<path>_<hash>``, in hexadecimal digits. By this name other processes find the
+file for a part of the study, and refuse it if it has changed since. Modules that it imports may lie
+in the same folder.
 """
 
 from __future__ import annotations
@@ -39,25 +39,25 @@ __path__: list[str] = []  # a package, whose modules `_Finder` finds
 
 
 def name_of(paper: str) -> str:
-    """What folders and pages call it: the file's name without its end."""
+    """Name of a study in folders and pages: for a file, its name without the extension."""
     return re.sub(r"[^\w.-]+", "-", Path(paper).stem) if is_file(paper) else paper
 
 
 def identity(paper: str) -> str:
-    """What determines its results: of a file its contents, not its place."""
+    """What identifies a study's results: for a file its name and contents, not its folder."""
     return f"{Path(paper).name}, {source(Path(paper))}" if is_file(paper) else paper
 
 
 def load(paper: str | Path, *, mission: bool = False) -> ModuleType:
-    """The module of a file, checked: one error lists all that is missing or of another kind.
+    """The checked module of a file. One error lists everything that is missing or has a wrong type.
 
-    ``mission``: whether missions and lists of parameters are to be made of it.
+    ``mission``: whether it is loaded for missions or lists of parameters.
 
     Raises
     ------
-    InputError: naming the file, and the line of what cannot be run; or everything that is missing,
-        what was expected and what came.
-    OSError: if it cannot be read.
+    InputError: naming the file and the line of an error in its code; or everything that is missing
+        or wrong, with what was expected and what came.
+    OSError: if the file cannot be read.
     """
     path = Path(paper).resolve()
     try:
@@ -93,13 +93,14 @@ def load(paper: str | Path, *, mission: bool = False) -> ModuleType:
 
 
 def _nothing(results: Any, outputs: Any) -> list[str]:  # noqa: ARG001
-    """No recordings."""
+    """Write no recordings."""
     return []
 
 
 # -- files and their modules ---------------------------------------------------------------------
 def source(path: Path) -> str:
-    """Hash of a file and of the modules beside it that it imports, without comments and layout."""
+    """Hash of a file and of the modules in its folder that it imports, without comments and
+    layout."""
     beside = tuple(
         sorted(
             (p.name, p.stat().st_mtime_ns, p.stat().st_size)
@@ -112,7 +113,7 @@ def source(path: Path) -> str:
 @cache
 def _source(path: Path, _beside: Any) -> str:
     digest, files = sha256(), [path]
-    for file in files:  # which grows
+    for file in files:  # the list grows in the loop
         tree = ast.parse(file.read_bytes(), str(file))
         digest.update(f"{file.name} {ast.dump(tree)} ".encode())
         imported: list[str] = []
@@ -127,7 +128,7 @@ def _source(path: Path, _beside: Any) -> str:
 
 
 class _Loader(SourceFileLoader):
-    """Takes no bytecode, which goes by the second of the last change."""
+    """Uses no bytecode cache, which would miss a second change within one second."""
 
     def path_stats(self, path: str) -> Any:  # noqa: ARG002
         raise OSError
@@ -143,7 +144,7 @@ class _Finder:
         path = Path(bytes.fromhex(code).decode())
         if source(path) != expected:
             raise ImportError(
-                f"{path}: has changed since the work was begun; use the same command again"
+                f"{path}: changed while the work was running; run the same command again"
             )
         if str(path.parent) not in sys.path:
             sys.path.append(str(path.parent))
@@ -154,10 +155,10 @@ sys.meta_path.append(_Finder)
 
 
 def place(error: BaseException, *paths: Path) -> tuple[str, int, str] | None:
-    """Where in a user's file, or in one beside it, an error came about: file, line and what it
-    says; None if in none.
+    """Place of an error in a user's file or in a file of the same folder: file name, line number
+    and the line's text. None if the error occurred elsewhere.
 
-    paths: of files that are no modules yet.
+    paths: of files that are not loaded as modules yet.
     """
     if isinstance(error, SyntaxError) and paths and error.filename:
         return Path(error.filename).name, error.lineno or 0, (error.text or "").strip()
@@ -171,7 +172,7 @@ def place(error: BaseException, *paths: Path) -> tuple[str, int, str] | None:
 
 
 def explain_error(error: BaseException, *paths: Path) -> str:
-    """An error with its `place`; empty if it has none."""
+    """The message of an error with its `place`; empty if it has none."""
     location = place(error, *paths)
     if location is None:
         return ""
@@ -180,14 +181,14 @@ def explain_error(error: BaseException, *paths: Path) -> str:
     return f"{file}, line {line}: {type(error).__name__}: {message}\n    {text}"
 
 
-# -- what is expected of one ---------------------------------------------------------------------
+# -- what a study must contain -------------------------------------------------------------------
 FILE = re.compile(r"[\w.-]+")
 DRAWN = '{"figure_01": ("What it shows.", function of the results)}, names of files'
 Check = Callable[[Any], bool]
 
 
 def _is_drawn(value: Any) -> bool:
-    """Captions and functions of the results, by names of files."""
+    """Whether a value has captions and functions of the results, by names of files."""
     return isinstance(value, dict) and all(
         isinstance(stem, str)
         and FILE.fullmatch(stem)
@@ -215,7 +216,7 @@ def _are_presets(value: Any) -> bool:
 
 
 def _takes(count: int) -> Check:
-    """Whether something is a function of so many arguments."""
+    """A check that a value can be called with ``count`` arguments."""
     return lambda value: callable(value) and accepts(value, count)
 
 
@@ -257,11 +258,11 @@ EXPECTED: dict[str, tuple[Check, str, str]] = {
         "",
     ),
 }
-"""Name -> whether a value is right, what is expected, and what needs it."""
+"""By name: check of the value, description of what is expected, and what requires the name."""
 
 
 def _wrong(module: ModuleType, mission: bool) -> Iterator[str]:
-    """What is missing or of another kind, a line each."""
+    """Names that are missing or have a wrong value, one line each."""
     values = vars(module)
     needed = {"always"}
     needed |= {"mission"} if mission else set()
@@ -290,13 +291,13 @@ def _wrong_study(study: Study, figures: Mapping[str, Any], mission: bool) -> Ite
     parts: Mapping[str, Any] = {}
     try:
         parts = study.parts(1.0)
-    except Exception as error:  # whatever a person's function does
+    except Exception as error:  # a user's function may raise anything
         got = explain_error(error) or f"{type(error).__name__}: {error}"
         yield f"parts: expected a function (effort) that gives parts, got an error: {got}"
     else:
         if not isinstance(parts, Mapping) or not parts or not _all([*parts.values()], Part):
             example = '{"usual": celnav.study.Part(work, config, runs=100)}'
-            yield f"parts: expected {example} of them, got {parts!r:.60}"
+            yield f"parts: expected {example}, got {parts!r:.60}"
             parts = {}
     for name, part in parts.items():
         yield from (f"parts {name!r}: {line}" for line in _wrong_part(part))
@@ -319,22 +320,22 @@ def _wrong_study(study: Study, figures: Mapping[str, Any], mission: bool) -> Ite
             yield f"{where}: expected a figure of {drawn}, got {row.figure!r}"
         if row.needs and parts and row.needs not in parts:
             listed = f"one of the parts ({', '.join(parts)})"
-            yield f"{where}: expected it to need {listed}, got {row.needs!r}"
+            yield f"{where}: expected needs to be {listed}, got {row.needs!r}"
 
 
 def _wrong_part(part: Part) -> Iterator[str]:
     if not _takes(2)(part.work):
         got = describe(part.work)
-        yield f"expected a work (config, rngs) that gives arrays by name, got {got}"
+        yield f"expected a function work (config, rngs) that gives arrays by name, got {got}"
         return
     try:
         ForkingPickler.dumps(part)
     except Exception as error:
-        expected = "what other processes can be given, functions of the file itself"
+        expected = "functions of the file itself, which can be sent to other processes"
         yield f"expected {expected}, got {error}"
 
 
 def _all(values: Any, of: type) -> bool:
-    """Whether these are several things of a kind."""
+    """Whether a value is a sequence of objects of one type."""
     several = isinstance(values, Sequence) and not isinstance(values, str)
     return several and all(isinstance(value, of) for value in values)

@@ -1,13 +1,13 @@
-"""Studies on real data: one module each, of the shape of a paper's (see `celnav.papers`); nothing
-there was stated by anybody.
+"""Studies on real data: one module each, with the names of a paper's module (see `celnav.papers`).
+They judge no statements of others.
 
-``CITATION``: where the data come from. ``TITLE``, ``STUDY``, ``FIGURES``, ``TABLES``,
-``RECORDINGS`` and ``record`` are as a paper's; ``INPUTS`` is the study's own name: ``STUDY.parts``
-takes the folder of its data under it, and reads it or leaves that to its parts; then ``FILES`` are
-the patterns of files without which the folder is refused.
-The ledger has findings, with intervals by blocks of time (`celnav.study.ledger.estimate`,
-``block=``), and checks; filters run once, and arrays are ``(T, 1, ...)``. The data are nobody's
-here: without a folder a study is not done, and its rows are not on the page.
+``CITATION``: the source of the data. ``TITLE``, ``STUDY``, ``FIGURES``, ``TABLES``, ``RECORDINGS``
+and ``record`` are as in a paper's module. ``INPUTS`` has the name of the study, under which
+``STUDY.parts`` takes the folder of its data. ``FILES`` are the patterns of files without which the
+folder is refused. The ledger has checks, and findings with intervals from blocks of time
+(`celnav.study.ledger.estimate`, ``block=``). Filters run once, and arrays are ``(T, 1, ...)``. The
+data are not part of the package: without a folder a study does not run, and its rows are not on the
+page.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ STUDIES = REAL
 
 
 def found(folder: str | Path, patterns: Sequence[str]) -> list[Path]:
-    """The first file of a folder by each pattern, such as ``["*.pos.gz"]``.
+    """The first file of a folder that matches each pattern, such as ``["*.pos.gz"]``.
 
     Raises
     ------
-    FileNotFoundError: naming the folder, and the pattern of which there is none.
+    FileNotFoundError: naming the folder and the pattern without a file.
     """
     where = Path(folder)
     each = [sorted(where.glob(pattern)) if where.is_dir() else [] for pattern in patterns]

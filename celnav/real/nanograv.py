@@ -1,22 +1,20 @@
-"""The Earth's place by arrival times of millisecond pulsars, 2004 to 2020 [Agazie2023], and
-ephemerides that were wrong about it.
+"""Position of the Earth from arrival times of millisecond pulsars, 2004 to 2020 [Agazie2023], with
+ephemerides that had errors.
 
-Written down before a result of the years flown was seen:
+These rules were written before any result of the test years was seen:
 
-- Timing models are fitted on the years before 2017, and the rest is flown; nothing is fitted again.
-  A pulsar takes part that was
-  observed for three years before, on 30 days or more.
-- Level and color of the noise of weekly fixes are those of 2015 and 2016, with models fitted before
-  2015.
-- A week has a fix if six pulsars or more were heard in it; or four of the solitary ones where they
-  are flown alone, since the
-  orbits of the others were fitted on all years.
-- Filters start 10 km and 0.1 m/s off on each axis, know the Sun's error to 100 km, and are judged
-  after their first year.
+- Timing models are fitted to the years before 2017; the filters run over the later years without a
+  new fit. A pulsar is used if it was observed for three years before 2017, on at least 30 days.
+- Size and correlation of the noise of weekly fixes come from 2015 and 2016, with models fitted
+  before 2015.
+- A week has a fix if at least six pulsars were observed. With solitary pulsars alone, four suffice;
+  they are tested separately because the orbits of the others were fitted to all years.
+- Filters start with errors of 10 km and 0.1 m/s on each axis and a prior σ of 100 km for the Sun's
+  error. They are judged after their first year.
 
-DE440 counts as the truth. Older ephemerides are what filters are given wrong: their barycenter lies
-117 km off, since DE440 counts what is beyond Neptune [Park2021]. About the Sun the Earth's orbit
-differs by 0.2 km in DE421, by 1.1 km in DE405.
+DE440 is treated as the truth. The filters are given older ephemerides as wrong ones. Their
+barycenter is displaced by 117 km, because DE440 includes bodies beyond Neptune [Park2021]. Relative
+to the Sun the Earth's orbit differs by 0.2 km in DE421 and by 1.1 km in DE405.
 """
 
 from __future__ import annotations
@@ -65,7 +63,7 @@ if TYPE_CHECKING:
     from celnav.files import Outputs
     from celnav.show.recording import Recorder
 
-TITLE = "The Earth's place by millisecond pulsars"
+TITLE = "Position of the Earth from millisecond pulsars"
 CITATION = citation("Agazie2023")
 INPUTS = ("nanograv",)
 Arrays = dict[str, Array]
@@ -88,17 +86,18 @@ SOLITARY = (
     "J2124-3358",
     "J2322+2057",
 )
-"""Without a companion whose orbit takes less than centuries."""
+"""Pulsars without a companion, or with one whose orbital period is centuries."""
 GROUPS = (Group("position", "km", slice(0, 3)),)
 STARTED, SUN_KM, DRIFT_KM = np.repeat([10.0, 1e-4], 3), 100.0, 1.0
-"""Deviations of the start, km and km/s; of the Sun's error, and of its growth in a year."""
+"""Standard deviations of the initial state (km, km/s), of the Sun's error and of its growth per
+year (km)."""
 FILTERS = ("ekf", "tkf", "tdkf", "tstdkf", "aug")
 
 
 # -- flights ---------------------------------------------------------------------------------------
 class Flight(NamedTuple):
-    """The Earth around the Sun, among pulsars timed with DE440, by an older ephemeris, or by DE440
-    ("").
+    """The Earth around the Sun, with pulsars timed with DE440. old: ephemeris of the filters, DE440
+    if empty.
     """
 
     folder: Path
@@ -106,8 +105,8 @@ class Flight(NamedTuple):
 
 
 def tuned(folder: Path) -> tuple[float, float]:
-    """Level and color of the noise of fixes, in claimed deviations, in the years before those that
-    are flown.
+    """Size (in predicted σ) and weekly correlation of the noise of fixes, in the two years before
+    the test years.
     """
     before = clocks(folder, TUNED, FLOWN)
     y = weekly(before, [c.early for c in before], TUNED, FLOWN).y
@@ -115,10 +114,13 @@ def tuned(folder: Path) -> tuple[float, float]:
 
 
 def trial(c: Flight, _rngs: Rngs) -> Trial:
-    """The filters of [Xu2023] on weekly fixes: the Earth about the Sun for a satellite about the
-    Earth, the Sun's place for the Earth's. "drift" lets the Sun's error grow evenly, and "clocks"
-    has arrivals in place of fixes, so that it knows that a timing model's error stays. The
-    barycentric place is judged, orbit and Sun's error together."""
+    """The filters of [Xu2023] on weekly fixes.
+
+    The Earth's orbit about the Sun replaces the satellite's orbit about the Earth, and the Sun's
+    ephemeris error that of the Earth. "drift" models a Sun's error that grows linearly. "clocks"
+    also uses arrival times instead of fixes, and so models that the error of a timing model
+    persists. The barycentric position is judged: orbit plus Sun's error.
+    """
     heard, years = clocks(c.folder, FLOWN, END), differences()
     seen = weekly(heard, [k.early for k in heard], FLOWN, END)
     day, t = seen.day, DAY_S * (seen.day - seen.day[0])
@@ -131,7 +133,10 @@ def trial(c: Flight, _rngs: Rngs) -> Trial:
     early = [k.early + k.seen(earth(k.arrivals.day + 0.5), False) for k in heard]
 
     level, F = tuned(c.folder)
-    rates, past = np.repeat([1e-10, 1e-17], 3), day - 6.0 * YEAR  # km/s, km/s^2: as good as none
+    rates, past = (
+        np.repeat([1e-10, 1e-17], 3),
+        day - 6.0 * YEAR,
+    )  # km/s, km/s^2: negligible process noise
     noise = ar1_noise(
         F * np.eye(3),
         np.zeros((6, 6)),
@@ -179,7 +184,7 @@ def trial(c: Flight, _rngs: Rngs) -> Trial:
 
 
 def fly_all(c: Flight, rngs: Rngs) -> Arrays:
-    """Errors, deviations, NEES of the filters, ``(T, 1, ...)``."""
+    """Errors, standard deviations and NEES of the filters, ``(T, 1, ...)``."""
     flown = trial(c, rngs)
     free = Gaussian(np.zeros((1, 6)), np.diag(np.repeat([SUN_KM, DRIFT_KM], 3) ** 2))
     whole = Gaussian(
@@ -191,7 +196,7 @@ def fly_all(c: Flight, rngs: Rngs) -> Arrays:
 
 
 def fixes(folder: Path, _rngs: Rngs) -> Arrays:
-    """Weekly fixes of the years flown: with all pulsars, and with solitary ones alone."""
+    """Weekly fixes in the test years, with all pulsars and with solitary pulsars alone."""
     out: Arrays = {}
     for name, least in {"all": 6, "solitary": 4}.items():
         heard = [
@@ -212,9 +217,13 @@ PERIODS = np.unique(
 
 
 def window(folder: Path, _rngs: Rngs) -> Arrays:
-    """What is left to see, without noise, of an Earth that is elsewhere since always: ``share`` in
-    claimed deviations, by period of a swing; of errors of old ephemerides ``shown (T, 1, 3)`` km by
-    fixes, and what the errors of Earth and Sun are."""
+    """Visible part of an error of the Earth's position that exists in all years, without noise.
+
+    Returns
+    -------
+    share: by period of an oscillation (years), visible fraction of it, in predicted σ. For errors
+    of old ephemerides: ``shown (T, 1, 3)`` km in the fixes, and the errors of Earth and Sun.
+    """
     heard = clocks(folder, FLOWN, END)
     out: Arrays = {"periods": PERIODS}
 
@@ -242,22 +251,22 @@ def window(folder: Path, _rngs: Rngs) -> Arrays:
 SHOWN = ("tkf", "tstdkf", "drift")
 FLIGHTS = {"DE440": "", "DE405": "de405", "DE421": "de421"}
 BLOCK, LONG = 8, 26
-"""Weeks that are drawn together: of fixes, of which neighbors are nearly independent, and of
+"""Block lengths of the bootstrap in weeks: for fixes, which are nearly independent, and for
 filters.
 """
 
 
 ADDED = (
-    "2026-11-23: added when the first results did not tell the drift of the Sun's error from the "
-    "memory of the clocks."
+    "2026-11-23: added because the first results did not separate the drift of the Sun's error "
+    "from the memory of the timing models' errors."
 )
 
 
 def parts(_effort: float = 1.0, nanograv: Path | None = None) -> dict[str, Part]:
-    """All that is computed; ``nanograv``: folder of the arrival times."""
+    """All parts of the study; ``nanograv``: folder of the arrival times."""
     if nanograv is None:
         return {}
-    read(nanograv)  # what is no such folder is refused before anything is computed
+    read(nanograv)  # raises for a wrong folder before anything is computed
     flown = {name: Part(fly_all, Flight(nanograv, old), cost=4.0) for name, old in FLIGHTS.items()}
     return {
         "fixes": Part(fixes, nanograv, cost=4.0),
@@ -267,7 +276,7 @@ def parts(_effort: float = 1.0, nanograv: Path | None = None) -> dict[str, Part]
 
 
 def squares(r: Results, part: str, name: str) -> Array:
-    """Squared lengths ``(T,)`` of errors, of filters after their first year."""
+    """Squared norms ``(T,)`` of errors; for filters after their first year."""
     square = np.square(r.get(part, f"{name}/error")).sum((1, 2))
     return np.asarray(
         square if part in ("fixes", "window") else square[r.times(part) > YEAR * DAY_S]
@@ -275,13 +284,13 @@ def squares(r: Results, part: str, name: str) -> Array:
 
 
 def rms(part: str, name: str, low: float | None, most: float | None) -> Decided:
-    """RMS length of an error, km."""
+    """RMS norm of an error, km."""
     about, block = f"{part}, {name}: RMS error (km)", BLOCK if part == "fixes" else LONG
     return lambda r: estimate(about, metrics.rms, [squares(r, part, name)], (low, most), block)
 
 
 def median(r: Results) -> Number:
-    """Median length of the errors of fixes, km."""
+    """Median norm of the errors of fixes, km."""
     return estimate(
         "median error (km)",
         lambda a: float(np.sqrt(np.median(a))),
@@ -291,21 +300,21 @@ def median(r: Results) -> Number:
 
 
 def ratio(part: str, a: str, b: str, low: float | None, most: float | None) -> Decided:
-    """RMS error of a filter over that of another."""
-    about = f"{part}: RMS of {a} / {b}"
+    """RMS error of filter ``a`` over that of ``b``."""
+    about = f"{part}: RMS error, {a} over {b}"
     return lambda r: estimate(
         about, metrics.ratio, [squares(r, part, a), squares(r, part, b)], (low, most), LONG
     )
 
 
 def claimed(part: str, a: str, b: str, low: float | None, most: float | None) -> Decided:
-    """NEES of a filter over that of another."""
+    """Mean NEES of filter ``a`` over that of ``b``."""
 
     def number(r: Results) -> Number:
         late = r.times(part) > YEAR * DAY_S
         nees = [r.get(part, f"{name}/nees")[late, 0] for name in (a, b)]
         return estimate(
-            f"{part}: NEES of {a} / {b}",
+            f"{part}: NEES, {a} over {b}",
             lambda x, y: float(x.mean() / y.mean()),
             nees,
             (low, most),
@@ -316,7 +325,7 @@ def claimed(part: str, a: str, b: str, low: float | None, most: float | None) ->
 
 
 def consistency(part: str, name: str, low: float | None, most: float | None) -> Decided:
-    """Mean NEES of three components over three."""
+    """Mean NEES of three components, divided by three."""
 
     def number(r: Results) -> Number:
         nees = r.get(part, f"{name}/nees")[:, 0] / 3.0
@@ -333,18 +342,18 @@ def consistency(part: str, name: str, low: float | None, most: float | None) -> 
 
 
 def length(errors: Array) -> float:
-    """RMS length of errors ``(T, 1, 3)``."""
+    """RMS norm of errors ``(T, 1, 3)``."""
     return float(np.sqrt(np.square(errors).sum((1, 2)).mean()))
 
 
 def size(name: str, label: str, low: float | None, most: float | None) -> Decided:
-    """RMS length of an array of the window, km: no sampling error."""
+    """RMS norm of an array of the part "window", km, without sampling error."""
     return of("window", name, f"{label} (km)", (low, most), length)
 
 
 def share(period: float, low: float | None, most: float | None) -> Decided:
-    """What is left of a swing of a period."""
-    label = f"share of a swing of {period:g} years"
+    """Visible fraction of an oscillation with a period."""
+    label = f"visible fraction, period {period:g} years"
     return lambda r: Number(
         label,
         float(np.interp(period, r.get("window", "periods"), r.get("window", "share"))),
@@ -355,49 +364,51 @@ def share(period: float, low: float | None, most: float | None) -> Decided:
 ROWS = (
     finding(
         "nanograv-fixes",
-        "A week of arrival times places the Earth to better than 20 km, as four pulsars in a week "
-        "[Deng2013].",
+        "One week of arrival times gives the Earth's position to better than 20 km, the accuracy "
+        "of [Deng2013] with four pulsars in a week.",
         all_of(rms("fixes", "all", None, 20.0), median),
         figure="figure_01",
-        why="20 km is what was found with data of a decade before, for an X-ray telescope on its "
-        "way to Mars.",
-        found="The fixes err {0} km RMS, {1} in the median, with timing models that are up to "
-        "three and a half years old.",
+        why="RMS error below 20 km. [Deng2013] found 20 km with data of the decade before, for an "
+        "X-ray telescope on the way to Mars.",
+        found="The RMS error of the fixes is {0} km, and the median error {1} km. The timing "
+        "models are up to three and a half years old.",
     ),
     finding(
         "nanograv-honest",
-        "Fixes are as good as they claim.",
+        "The errors of the fixes agree with their predicted covariance.",
         consistency("fixes", "all", 0.5, 1.5),
         figure="figure_01",
         expected="undecided",
-        why="NEES over its dimension is 1 if claims are right; between a half and one and a half "
-        "they are to a quarter.",
-        found="Mean NEES / 3 {0}.",
+        why="NEES / 3 is 1 if the covariance is correct. Between 0.5 and 1.5 the predicted σ is "
+        "correct to about a quarter.",
+        found="The mean NEES / 3 is {0}.",
     ),
     finding(
         "nanograv-solitary",
-        "Pulsars without companion, of which nothing was fitted in the years flown, do as well.",
+        "Pulsars without a companion give fixes of the same quality. Nothing of their models was "
+        "fitted in the test years.",
         all_of(rms("fixes", "solitary", None, 20.0), consistency("fixes", "solitary", 0.5, 1.5)),
         expected="undecided",
-        why="As above.",
-        found="They err {0} km, NEES / 3 is {1}.",
+        why="as for all pulsars: RMS error below 20 km, NEES / 3 between 0.5 and 1.5",
+        found="The RMS error is {0} km, and NEES / 3 is {1}.",
     ),
     finding(
         "nanograv-swallowed",
-        "An old ephemeris is wrong by 100 km, of which its own timing models leave less than 1 km.",
+        "An old ephemeris has an error of 100 km. Timing models fitted with it hide all but 1 km.",
         all_of(
             size("de405/earth", "error of DE405", 100.0, None),
-            size("de405/earth shown", "DE405, left to see", None, 1.0),
+            size("de405/earth shown", "visible error of DE405", None, 1.0),
             size("de421/earth", "error of DE421", 100.0, None),
-            size("de421/earth shown", "DE421, left to see", None, 1.0),
+            size("de421/earth shown", "visible error of DE421", None, 1.0),
         ),
         figure="figure_02",
-        why="1 % of the error.",
-        found="DE405 errs {0} km and shows {1}, DE421 {2} and {3}.",
+        why="the visible part is below 1 % of 100 km",
+        found="The error of DE405 is {0} km, of which {1} km are visible. For DE421 it is {2} km, "
+        "of which {3} km are visible.",
     ),
     finding(
         "nanograv-window",
-        "Timing models hide swings of a year and of decades, and no others.",
+        "Timing models hide oscillations with periods of a year and of decades, and no others.",
         all_of(
             share(1.0, None, 0.1),
             share(40.0, None, 0.1),
@@ -405,53 +416,52 @@ ROWS = (
             share(3.0, 0.5, None),
         ),
         figure="figure_02",
-        why="Hidden is less than a tenth; seen is more than a half. Above 1 the models carry on a "
-        "wrong trend.",
-        found="Left are {0} of a swing of a year, {1} of 40 years, {2} of half a year, {3} of "
-        "three.",
+        why="hidden means a visible fraction below 0.1, visible means above 0.5. A fraction above "
+        "1 means that the models extrapolate a wrong trend.",
+        found="The visible fraction is {0} for a period of 1 year, {1} for 40 years, {2} for half "
+        "a year, and {3} for 3 years.",
     ),
     finding(
         "nanograv-ignored",
-        "An ephemeris error that timing models did not learn makes an EKF useless that does not "
-        "know of it.",
+        "An EKF that does not model the ephemeris error fails if the timing models were fitted "
+        "with another ephemeris.",
         all_of(
             ratio("DE405", "ekf", "tkf", 2.0, None),
             *(rms("DE405", name, None, None) for name in ("ekf", *SHOWN)),
         ),
         figure="figure_03",
-        why="Twice the error of a filter that does.",
-        found="It errs {0} times what a two-stage filter errs: {1} km, and {2}; strong tracking "
-        "{3}, growing evenly {4}.",
+        why="its error is at least twice that of a two-stage filter, which models the error",
+        found="Its RMS error is {1} km, {0} times that of a two-stage filter ({2} km). With strong "
+        "tracking the error is {3} km, and with a linearly growing Sun's error {4} km.",
     ),
     finding(
         "nanograv-tracking",
-        "Strong tracking is better than a plain second stage, as [Xu2023] has it.",
+        "Strong tracking is more accurate than an ordinary second stage, as [Xu2023] states.",
         all_of(
             ratio("DE405", "tstdkf", "tkf", None, 1.0), ratio("DE421", "tstdkf", "tkf", None, 1.0)
         ),
         figure="figure_03",
         expected="undecided",
-        why="What the paper says of every setting with colored noise.",
-        found="Its error is {0} and {1} times as large.",
+        why="a smaller error, as the paper states for every setting with colored noise",
+        found="Its error is {0} (DE405) and {1} (DE421) times that of the ordinary filter.",
     ),
     finding(
         "nanograv-claims",
-        "Filters that take fixes of different weeks for independent are overconfident; one that "
-        "knows "
-        "that those of timing models stay is consistent.",
+        "Filters that treat fixes of different weeks as independent are overconfident. A filter "
+        "that models the persistent errors of timing models is consistent.",
         all_of(
             consistency("DE440", "ekf", 2.0, None),
             *(consistency(by, "clocks", None, 1.5) for by in ("DE440", "DE405")),
         ),
         figure="figure_03",
         expected="undecided",
-        why="Twice the claimed variance, and no more than one and a half times.",
-        found="NEES / 3 of the EKF is {0} where its ephemeris is right, that of the other {1}, "
-        "and {2} with DE405.",
+        why="NEES / 3 is at least 2 for the EKF, and at most 1.5 for the filter with the memory",
+        found="NEES / 3 of the EKF is {0} with the correct ephemeris. For the other filter it is "
+        "{1}, and {2} with DE405.",
     ),
     finding(
         "nanograv-drift",
-        "A filter that lets the Sun's error grow evenly beats two stages, boosted or not.",
+        "A filter whose Sun's error grows linearly is more accurate than TKF and TSTDKF.",
         all_of(
             *(
                 ratio(by, "drift", name, None, 1.0)
@@ -459,23 +469,26 @@ ROWS = (
                 for name in ("tkf", "tstdkf")
             )
         ),
-        why="Better than each.",
+        why="a smaller error than each of them",
         figure="figure_03",
         revised=ADDED,
-        found="Its error is {0} and {1} of theirs with DE405, {2} and {3} with DE421.",
+        found="With DE405 its error is {0} (TKF) and {1} (TSTDKF) times theirs, with DE421 {2} and "
+        "{3} times.",
     ),
     finding(
         "nanograv-memory",
-        "Arrivals in place of fixes make that filter no better, but several times more honest.",
+        "Arrival times instead of fixes do not make that filter more accurate, but several times "
+        "less overconfident.",
         all_of(
             ratio("DE405", "clocks", "drift", 0.5, 2.0),
             *(claimed(by, "drift", "clocks", 2.0, None) for by in FLIGHTS),
         ),
-        why="The same to a factor of two; twice the ratio of errors to claims, in squares.",
+        why="the errors agree within a factor of 2; the NEES with fixes is at least twice that "
+        "with arrival times",
         figure="figure_03",
         revised=ADDED,
-        found="Its error is {0} as large; NEES with fixes is {1}, {2} and {3} times as large, by "
-        "DE440, DE405 and DE421.",
+        found="With arrival times the error is {0} times that with fixes. The NEES with fixes is "
+        "{1}, {2} and {3} times that with arrival times (DE440, DE405, DE421).",
     ),
 )
 
@@ -485,31 +498,31 @@ STUDY = Study(
     trial,
     parts,
     ROWS,
-    says="NANOGrav's millisecond pulsars, timed until 2017, tell where the Earth was in the years "
-    "after. What can they see of it, "
-    "and what do the filters of the pulsar paper make of ephemerides that were really wrong?",
+    says="NANOGrav's millisecond pulsars, timed until 2017, give the Earth's position in the years "
+    "after. How accurate is it? How do the filters of [Xu2023] cope with ephemerides that had real "
+    "errors?",
     found=(
         Sentence(
-            "Weekly fixes err {nanograv-fixes[0]:.2f} km RMS, {nanograv-fixes[1]:.2f} in the "
-            "median.",
+            "Weekly fixes have an RMS error of {nanograv-fixes[0]:.2f} km and a median error of "
+            "{nanograv-fixes[1]:.2f} km.",
             {"nanograv-fixes": "shown"},
         ),
         Sentence(
-            "DE405 and DE421 are wrong by {nanograv-swallowed[0]:.0f} km, but timing models made "
-            "with them hide all but "
-            "{nanograv-swallowed[1]:.1f} and {nanograv-swallowed[3]:.1f} km.",
+            "DE405 and DE421 have errors of {nanograv-swallowed[0]:.0f} km. Timing models fitted "
+            "with them hide all but {nanograv-swallowed[1]:.1f} and "
+            "{nanograv-swallowed[3]:.1f} km.",
             {"nanograv-swallowed": "shown"},
         ),
         Sentence(
-            "Where they were made with another, an EKF errs by {nanograv-ignored[1]:.0f} km, two "
-            "stages by "
-            "{nanograv-ignored[2]:.1f}, strong tracking by {nanograv-ignored[3]:.1f}, a filter "
-            "that lets the error grow by "
-            "{nanograv-ignored[4]:.1f}.",
+            "With timing models from another ephemeris the error is {nanograv-ignored[1]:.0f} km "
+            "(EKF), {nanograv-ignored[2]:.1f} km (two stages) and {nanograv-ignored[3]:.1f} km "
+            "(strong tracking). It is {nanograv-ignored[4]:.1f} km if the filter lets the "
+            "ephemeris error grow linearly.",
             {"nanograv-ignored": "shown"},
         ),
         Sentence(
-            "Least overconfident of them is the one that remembers its clocks.",
+            "A filter that models the persistent errors of the timing models is the least "
+            "overconfident.",
             {"nanograv-memory": "shown"},
         ),
     ),
@@ -525,13 +538,13 @@ LINES = {
     "tdkf": Line("TDKF", colors.FAINT, "--", 0.9),
     "tstdkf": Line("TSTDKF", colors.ESTIMATE),
     "aug": Line("augmented", colors.REFERENCE),
-    "drift": Line("Sun's error grows evenly", colors.MEASUREMENT, width=1.9),
-    "clocks": Line("so, and knows its clocks", colors.TRUTH, width=1.9),
+    "drift": Line("Sun's error grows linearly", colors.MEASUREMENT, width=1.9),
+    "clocks": Line("the same, with arrival times", colors.TRUTH, width=1.9),
 }
 
 
 def weeks(r: Results) -> Figure:
-    """Fixes with what they claim."""
+    """Weekly fixes with their predicted standard deviation."""
     t, error, std = (
         2017.0 + (r.get("fixes", "all/day") - FLOWN) / YEAR,
         r.get("fixes", "all/error")[:, 0],
@@ -543,20 +556,20 @@ def weeks(r: Results) -> Figure:
         for i, (name, c) in enumerate(zip(AXES, SHADES, strict=True))
     ]
     below = [
-        curve(t, std, Line("claimed", colors.SIGMA)),
-        curve(t, np.linalg.norm(error, axis=1), color="black", label="length", **dots),
+        curve(t, std, Line("predicted σ", colors.SIGMA)),
+        curve(t, np.linalg.norm(error, axis=1), color="black", label="error", **dots),
     ]
     more = {"ylim": (-1.0, 1.0)}
     return panels(
-        Panel("Weekly fixes of the Earth, less DE440", above, "year", "error (km)", more=more),
-        Panel("Their length, and what they claim", below, "year", "km", "y"),
+        Panel("Weekly fixes of the Earth minus DE440", above, "year", "error (km)", more=more),
+        Panel("Norm of the error, and predicted σ", below, "year", "km", "y"),
         size=(8.0, 5.6),
         sharex=True,
     )
 
 
 def hidden(r: Results) -> Figure:
-    """What is left of a swing, and of the errors of old ephemerides."""
+    """Visible fraction of an oscillation, and of the errors of old ephemerides."""
     swing = [
         curve(r.get("window", "periods"), r.get("window", "share"), color=colors.COMPARISON),
         level(1.0),
@@ -567,22 +580,22 @@ def hidden(r: Results) -> Figure:
     )
     error = bars(
         ("DE405", "DE421"),
-        {"how wrong it is": (off, colors.PAPER), "left to see": (left, colors.COMPARISON)},
+        {"error": (off, colors.PAPER), "visible part": (left, colors.COMPARISON)},
     )
     return panels(
         [
             Panel(
-                "What timing models leave of a swing",
+                "An oscillation after timing models are fitted",
                 swing,
                 "period (years)",
-                "share that is seen",
+                "visible fraction (-)",
                 "xy",
             ),
             Panel(
-                "The Earth's place, 2017 to 2020",
+                "Error of the Earth's position, 2017 to 2020",
                 [error],
                 "",
-                "RMS (km)",
+                "RMS error (km)",
                 "y",
                 {"ylim": (0.05, 500.0)},
             ),
@@ -592,7 +605,7 @@ def hidden(r: Results) -> Figure:
 
 
 def flights(r: Results) -> Figure:
-    """Errors of the filters, by ephemeris."""
+    """Errors of the filters for each ephemeris."""
     row = []
     for part in FLIGHTS:
         t = r.times(part) / DAY_S / YEAR
@@ -612,7 +625,7 @@ def flights(r: Results) -> Figure:
 
 
 def table(r: Results) -> Rows:
-    """Filters by ephemeris."""
+    """RMS errors and NEES of the filters for each ephemeris."""
     rows: Rows = []
     for part, name in product(FLIGHTS if FLIGHTS.keys() <= r.data.keys() else (), LINES):
         error, nees = rms(part, name, None, None)(r), consistency(part, name, None, None)(r)
@@ -628,21 +641,27 @@ def table(r: Results) -> Rows:
 
 
 FIGURES = {
-    "figure_01": ("Weekly fixes of the Earth by pulsars alone.", weeks),
+    "figure_01": (
+        "Errors of weekly fixes of the Earth from pulsars alone, with their predicted σ.",
+        weeks,
+    ),
     "figure_02": (
-        "What timing models hide: a swing of the Earth by its period, and the errors of old "
-        "ephemerides.",
+        "What fitted timing models hide: visible fraction of an oscillation of the Earth by its "
+        "period, and errors of old ephemerides.",
         hidden,
     ),
-    "figure_03": ("Errors of the filters with a right ephemeris and with two wrong ones.", flights),
+    "figure_03": (
+        "Position errors of the filters with DE440, DE405 and DE421 as ephemeris.",
+        flights,
+    ),
 }
-TABLES = {"table_1": ("Filters and ephemerides, after the first year.", table)}
+TABLES = {"table_1": ("RMS error and NEES by ephemeris and filter, after the first year.", table)}
 RECORDINGS = ["nanograv.rrd"]
 
 
 def record(r: Results, outputs: Outputs) -> list[str]:
-    """The pulsars around the barycenter, the Earth on its way, and its fixes ten million times as
-    far from it as they are.
+    """The pulsars around the barycenter, the Earth on its orbit, and its fixes with errors enlarged
+    ten million times.
     """
     folder: Path = r.parts["fixes"].config
     stars = np.stack([c.arrivals.n for c in clocks(folder, FLOWN, END)])
@@ -657,11 +676,12 @@ def record(r: Results, outputs: Outputs) -> list[str]:
 
     plots = {
         axis: Plot(
-            f"fix {axis}, error in km", {"fix": Curve(error[:, i], colors.ESTIMATE, "weekly fix")}
+            f"error of the fix, {axis} (km)",
+            {"fix": Curve(error[:, i], colors.ESTIMATE, "weekly fix")},
         )
         for i, axis in enumerate("xyz")
     }
-    notes = "# The Earth by millisecond pulsars\nRays point to the pulsars; units are AU."
+    notes = "# The Earth's position from millisecond pulsars\nRays point to the pulsars. Unit: AU."
     sky = SceneView("sky", "Earth and pulsars", (2.5, -2.5, 1.8), growing=("sky/earth",))
     show = Showcase(
         "nanograv",
@@ -669,7 +689,10 @@ def record(r: Results, outputs: Outputs) -> list[str]:
         DAY_S * (day - day[0]),
         scene=scene,
         spaces=[sky],
-        legend={colors.ESTIMATE: "weekly fixes, errors times 10 million", colors.STAR: "pulsars"},
+        legend={
+            colors.ESTIMATE: "weekly fixes, errors enlarged 10 million times",
+            colors.STAR: "pulsars",
+        },
         plots={"fix": plots},
     )
     return write({"nanograv.rrd": show}, outputs)

@@ -1,20 +1,20 @@
-"""X-ray photons of a pulsar and the satellite that caught them: where it was along the line of
-sight, by its photons alone.
+"""Position of a satellite along the line of sight to a pulsar, from its X-ray photons alone.
 
-RXTE and PSR B1509-58, an hour of 15 January 2011 [Luo2021]. The time of a photon is carried to the
-barycenter by the delay of `celnav.models.pulsar.Timing` (Roemer, parallax, Shapiro), with TT made
-TDB (Einstein), for a place where the satellite may have been: none (its own clock), the Earth's
-center, its orbit. Which folds best is told by the H-test [DeJager1989].
+RXTE and PSR B1509-58, an hour of 15 January 2011 [Luo2021]. The time of a photon is transformed to
+the barycenter with the delay of `celnav.models.pulsar.Timing` (Roemer, parallax, Shapiro) and from
+TT to TDB (Einstein). Three positions of the satellite are compared: none (its own clock), the
+Earth's center, and its orbit. The H-test tells which folds best [DeJager1989].
 
-Written down before a result was seen: the hour is cut into pieces of two minutes. A light curve, of
-as many harmonics as the H-test takes, is made of every other piece, with the satellite where it
-was; by it the pieces between are shifted, for largest likelihood, from where they fold at the
-Earth's center. Then the other way round. A shift claims what Fisher's information of the light
-curve says of so many photons, and what the light curve itself may be off. No orbit is used for a
-shift. Channels 5 to 49 are taken.
+These rules were written before any result was seen. The hour is divided into pieces of two minutes.
+Every other piece contributes to a light curve, with the satellite on its orbit and as many
+harmonics as the H-test selects. The pieces between are then shifted relative to the Earth's center,
+by maximum likelihood with that light curve. The two sets of pieces then exchange their roles. The
+predicted variance of a shift follows from the Fisher information of the light curve and the number
+of photons, with the uncertainty of the light curve itself. No orbit is used for a shift. Channels 5
+to 49 are used.
 
-The timing model is that of a .par file: direction, spin and its derivatives. Pulsars with
-companions are left out.
+The timing model comes from a .par file: direction, spin and its derivatives. Pulsars with
+companions are not supported.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from celnav.files import Outputs
     from celnav.show.recording import Recorder
 
-TITLE = "A satellite by the photons of a pulsar"
+TITLE = "Position of a satellite from the photons of a pulsar"
 CITATION = citation("Luo2021")
 INPUTS = ("rxte",)
 Arrays = dict[str, Array]
@@ -60,8 +60,8 @@ ORDERS = np.arange(1, MOST_HARMONICS + 1)
 
 
 def harmonics(cycles: Array, block: Array) -> Array:
-    """Sums over the photons of each block, ``(blocks, 1 + 2 k)``: how many, cosines and sines of
-    all harmonics.
+    """Sums over the photons of each block, ``(blocks, 1 + 2 k)``: their number, then cosines and
+    sines of all harmonics.
     """
     angle = 2.0 * np.pi * np.outer(cycles % 1.0, ORDERS)
     values = np.concatenate([np.ones((len(angle), 1)), np.cos(angle), np.sin(angle)], 1)
@@ -69,7 +69,7 @@ def harmonics(cycles: Array, block: Array) -> Array:
 
 
 def power(sums: Array) -> Array:
-    """``Z^2_m - 4 m + 4 (..., k)`` of summed `harmonics`, of which the H-test takes the largest
+    """``Z^2_m - 4 m + 4 (..., k)`` of summed `harmonics`; the H-test uses the largest
     [DeJager1989].
     """
     squares = np.square(sums[..., 1:]).reshape(*sums.shape[:-1], 2, MOST_HARMONICS).sum(-2)
@@ -77,19 +77,19 @@ def power(sums: Array) -> Array:
 
 
 def h_test(blocks: Array) -> float:
-    """Of blocks of `harmonics`."""
+    """H of blocks of `harmonics`."""
     return float(power(blocks.sum(0)).max())
 
 
 class Light(NamedTuple):
-    """A light curve, mean 1: complex coefficients ``(m,)``; how many photons made it."""
+    """A light curve with mean 1: complex coefficients ``(m,)``; number of photons."""
 
     coefficients: Array
     photons: float
 
     @classmethod
     def of(cls, sums: Array) -> Light:
-        """Of summed `harmonics`, as many as the H-test takes."""
+        """Light curve from summed `harmonics`, as many as the H-test selects."""
         m = int(power(sums).argmax()) + 1
         return cls(
             (sums[1 : m + 1] - 1j * sums[1 + MOST_HARMONICS : 1 + MOST_HARMONICS + m]) / sums[0],
@@ -97,7 +97,7 @@ class Light(NamedTuple):
         )
 
     def __call__(self, phase: Array, slope: bool = False) -> Array:
-        """Its values, not below a thousandth, or its derivative."""
+        """Values, at least 0.001, or the derivative."""
         k = 2.0j * np.pi * np.arange(1, len(self.coefficients) + 1)
         waves = np.exp(phase[..., None] * k) * self.coefficients
         return np.asarray(
@@ -108,7 +108,7 @@ class Light(NamedTuple):
 
     @property
     def information(self) -> float:
-        """Fisher's, of one photon about the phase (1 / cycles^2)."""
+        """Fisher information of one photon about the phase (1 / cycles^2)."""
         phase = np.arange(1024) / 1024.0
         return float((np.square(self(phase, slope=True)) / self(phase)).mean())
 
@@ -117,8 +117,8 @@ SHIFTS = np.arange(-0.5, 0.5, 1.0 / 512.0)
 
 
 def shifted(light: Light, phase: Array) -> tuple[float, Array]:
-    """Shift (cycles) of largest likelihood, by a parabola between `SHIFTS`; log-likelihoods of all
-    of them, less the largest.
+    """Maximum-likelihood shift (cycles), interpolated between `SHIFTS` by a parabola; their
+    log-likelihoods minus the largest.
     """
     table = np.log(light(np.arange(4096) / 4096.0))
     logs = np.array(
@@ -134,8 +134,8 @@ def shifted(light: Light, phase: Array) -> tuple[float, Array]:
 
 # -- what is computed ------------------------------------------------------------------------------
 def folded(folder: Path, _rngs: Rngs) -> Arrays:
-    """`harmonics` of short blocks for each of `PLACES`, and for parts of the way from the Earth's
-    center to the orbit.
+    """`harmonics` of short blocks for each of `PLACES`, and for fractions of the way from the
+    Earth's center to the orbit.
     """
     p = read(folder)
     block = np.unique((p.t // SHORT_S).astype(int), return_inverse=True)[1]
@@ -154,17 +154,17 @@ def folded(folder: Path, _rngs: Rngs) -> Arrays:
 
 
 def placed(folder: Path, _rngs: Rngs) -> Arrays:
-    """Each piece placed by the light curve of the others: middle (s), place, truth, claimed
-    deviation (km), ``(T,)``, and by how much the truth's log-likelihood is below the largest."""
+    """Position from each piece with the light curve of the other set: middle (s), position, truth
+    and predicted σ (km), ``(T,)``; and the largest log-likelihood minus that of the truth."""
     p = read(folder)
     piece = (p.t // PIECE_S).astype(int)
     center, orbit, km = p.cycles(0.0), p.cycles(1.0), LIGHT_KM_S * p.spin.pulsar.period_s
     sums = harmonics(orbit, piece)
     lights = [
         Light.of(sums[1 - i :: 2].sum(0)) for i in range(2)
-    ]  # that of the odd pieces for the even ones, and back
+    ]  # from the odd pieces for the even ones, and from the even pieces for the odd ones
     rows = []
-    for k in range(int(p.t[-1] // PIECE_S)):  # the whole ones
+    for k in range(int(p.t[-1] // PIECE_S)):  # complete pieces
         there, light = piece == k, lights[k % 2]
         if there.sum() < 100:  # a gap
             continue
@@ -180,20 +180,20 @@ def placed(folder: Path, _rngs: Rngs) -> Arrays:
 
 # -- what is found ---------------------------------------------------------------------------------
 BLOCK, PIECES = 4, 3
-"""Short blocks, and pieces, that are drawn together."""
+"""Block lengths of the bootstrap: of short blocks, and of pieces."""
 
 
 def parts(_effort: float = 1.0, rxte: Path | None = None) -> dict[str, Part]:
-    """All that is computed; ``rxte``: folder of photons, orbit and timing model."""
+    """All parts of the study; ``rxte``: folder of photons, orbit and timing model."""
     if rxte is None:
         return {}
-    read(rxte)  # what is no such folder is refused before anything is computed
+    read(rxte)  # raises for a wrong folder before anything is computed
     return {"folded": Part(folded, rxte, cost=5.0), "placed": Part(placed, rxte, cost=3.0)}
 
 
 def sharper(one: str, other: str) -> Decided:
-    """How much more the H-test finds with one of `PLACES` than with another."""
-    label = f"H, {one} less {other}"
+    """H with one of `PLACES` minus H with another."""
+    label = f"H, {one} minus {other}"
 
     def number(r: Results) -> Number:
         return estimate(
@@ -208,7 +208,7 @@ def sharper(one: str, other: str) -> Decided:
 
 
 def best(scales: Array) -> float:
-    """The part of the way to the orbit at which photons ``(blocks, scales, ...)`` fold best."""
+    """Fraction of the way to the orbit at which photons ``(blocks, scales, ...)`` fold best."""
     return float(PARTS[power(scales.sum(0)).max(-1).argmax()])
 
 
@@ -222,12 +222,12 @@ def place(
 
 
 def inside(below: float) -> Any:
-    """Share of the pieces in which the truth is as likely as that."""
+    """Fraction of the pieces whose truth lies within the likelihood interval."""
     return lambda logs: float((2.0 * logs <= below).mean())
 
 
 def rms(*arrays: Array) -> float:
-    """Root mean square of the first less the second, over the third."""
+    """Root mean square of the first minus the second, over the third."""
     a, b, *by = (*arrays, 1.0)
     return float(np.sqrt(np.square((a - b) / by[0]).mean()))
 
@@ -235,19 +235,19 @@ def rms(*arrays: Array) -> float:
 ROWS = (
     finding(
         "rxte-sharper",
-        "Photons fold better at the Earth's center than by the satellite's clock, and best where "
-        "it was.",
+        "Photons fold better at the Earth's center than with the satellite's clock alone. They "
+        "fold best at its true position.",
         all_of(sharper("Earth's center", "own clock"), sharper("orbit", "Earth's center")),
         figure="figure_01",
         expected="undecided",
-        why="More is better.",
-        found="H grows by {0} with the Earth's place, by {1} more with the orbit.",
+        why="H increases in both steps",
+        found="H increases by {0} with the Earth's position, and by another {1} with the orbit.",
     ),
     finding(
         "rxte-scale",
-        "The photons know how large the orbit is.",
+        "The photons show the size of the orbit.",
         lambda r: estimate(
-            "part of the orbit that folds best",
+            "fraction of the orbit that folds best",
             best,
             [r.get("folded", "scales")],
             (0.5, 1.5),
@@ -255,38 +255,40 @@ ROWS = (
         ),
         figure="figure_02",
         expected="undecided",
-        why="Nearer to the orbit than to the Earth's center, or to twice the orbit.",
-        found="Best is {0} of it.",
+        why="the best fraction is nearer to the orbit (1) than to the Earth's center (0) or to "
+        "twice the orbit (2)",
+        found="The photons fold best at {0} times the orbit.",
     ),
     finding(
         "rxte-place",
-        "Two minutes of photons place the satellite along the line of sight to less than the "
-        "radius of the Earth.",
+        "Two minutes of photons give the satellite's position along the line of sight to better "
+        "than the radius of the Earth.",
         place("RMS error (km)", rms, None, 6378.0, "place", "truth"),
         figure="figure_03",
-        why="Less would not tell one side of the Earth from the other.",
-        found="The error is {0} km RMS.",
+        why="RMS error below 6378 km; a larger one would not separate the two sides of the Earth",
+        found="The RMS error is {0} km.",
     ),
     finding(
         "rxte-claims",
-        "Places are as good as Fisher's information claims.",
-        place("RMS error / claimed", rms, 0.7, 1.4, "place", "truth", "std"),
+        "The errors of the positions agree with the prediction from the Fisher information.",
+        place("RMS of error over predicted σ", rms, 0.7, 1.4, "place", "truth", "std"),
         figure="figure_03",
         expected="undecided",
-        why="Half to twice the claimed variance.",
-        found="Errors are {0} times what is claimed.",
+        why="half to twice the predicted variance",
+        found="The errors are {0} times their predicted σ.",
     ),
     finding(
         "rxte-likelihood",
-        "Intervals of the likelihood hold the truth as often as they should.",
+        "Likelihood intervals contain the truth with their nominal frequency.",
         all_of(
-            place("inside 68 %", inside(1.0), 0.5, 0.85, "below"),
-            place("inside 95 %", inside(3.84), 0.85, 1.0, "below"),
+            place("truth inside the 68 % interval", inside(1.0), 0.5, 0.85, "below"),
+            place("truth inside the 95 % interval", inside(3.84), 0.85, 1.0, "below"),
         ),
         figure="figure_03",
         expected="undecided",
-        why="Two binomial deviations of thirty pieces.",
-        found="Inside are {0} and {1} of the pieces.",
+        why="within two binomial standard deviations for thirty pieces",
+        found="The 68 % and 95 % intervals contain the truth in fractions {0} and {1} of the "
+        "pieces.",
     ),
 )
 
@@ -296,17 +298,18 @@ STUDY = Study(
     None,
     parts,
     ROWS,
-    says="RXTE counted photons of a young pulsar for an hour. Do they show where the satellite "
-    "was, and how well do they know it?",
+    says="RXTE counted photons of a young pulsar for an hour. Do they give the satellite's "
+    "position, and how accurately?",
     found=(
         Sentence(
-            "Two minutes of photons place it to {rxte-place[0]:.0f} km along the line of sight.",
+            "Two minutes of photons give its position along the line of sight with an RMS error "
+            "of {rxte-place[0]:.0f} km.",
             {"rxte-place": "shown"},
         ),
         Sentence(
-            "That this is as good as predicted ({rxte-claims[0]:.2f} times), and that the orbit "
-            "sharpens the pulse beyond the "
-            "Earth's place, the hour leaves undecided.",
+            "One hour does not decide whether the error agrees with its prediction "
+            "({rxte-claims[0]:.2f} times), or whether the orbit sharpens the pulse more than the "
+            "Earth's position alone.",
             {"rxte-claims": "undecided", "rxte-sharper": "undecided"},
         ),
     ),
@@ -319,7 +322,7 @@ LOOKS = dict(zip(PLACES, (colors.OPEN_LOOP, colors.COMPARISON, colors.TRUTH), st
 
 
 def pulse(r: Results) -> Figure:
-    """The light curve at the orbit, and what the harmonics have for each place."""
+    """Light curve with the orbit, and the H-test for each position."""
     phase, counts = r.get("folded", "phase"), r.get("folded", "counts")
     steps = np.append(counts, counts[0]) / counts.mean()
     light = [
@@ -334,10 +337,10 @@ def pulse(r: Results) -> Figure:
     return panels(
         [
             Panel(
-                "Folded where the satellite was",
+                "Folded at the true position",
                 light,
                 "phase (cycles)",
-                "photons, over their mean",
+                "photons over their mean (-)",
             ),
             Panel("The H-test", tests, "harmonics m", "Z² − 4 m + 4"),
         ],
@@ -346,7 +349,7 @@ def pulse(r: Results) -> Figure:
 
 
 def scaled(r: Results) -> Figure:
-    """H for a satellite at a part of its way from the Earth's center."""
+    """H for satellite positions on the way from the Earth's center to the orbit and beyond."""
     h = power(r.get("folded", "scales").sum(0)).max(-1)
     marks = [
         level(0.0, label="Earth's center", color=LOOKS["Earth's center"], upright=True),
@@ -354,14 +357,17 @@ def scaled(r: Results) -> Figure:
     ]
     return panels(
         Panel(
-            "What folds best", [curve(PARTS, h, color="black"), *marks], "part of the orbit", "H"
+            "H-test with a scaled orbit",
+            [curve(PARTS, h, color="black"), *marks],
+            "fraction of the orbit (-)",
+            "H",
         ),
         size=(6.0, 3.6),
     )
 
 
 def sighted(r: Results) -> Figure:
-    """Each piece's place along the line of sight, and the orbit's."""
+    """Position along the line of sight from each piece, and from the orbit."""
     t, at, true, std = (
         r.get("placed", name) / scale
         for name, scale in zip(("middle", "place", "truth", "std"), (60.0, *[1e3] * 3))
@@ -384,12 +390,12 @@ def sighted(r: Results) -> Figure:
 
 
 def table(r: Results) -> Rows:
-    """The pieces."""
+    """Positions of all pieces."""
     names = {
         "middle": "middle (s)",
-        "place": "place (km)",
+        "place": "position (km)",
         "truth": "truth (km)",
-        "std": "claimed (km)",
+        "std": "predicted σ (km)",
         "photons": "photons",
     }
     each = [r.get("placed", name).tolist() for name in names]
@@ -398,23 +404,23 @@ def table(r: Results) -> Rows:
 
 FIGURES = {
     "figure_01": (
-        "The pulse, and how well it folds by the satellite's clock, at the Earth's center and on "
+        "The pulse, and the H-test with the satellite's clock alone, at the Earth's center and on "
         "the orbit.",
         pulse,
     ),
-    "figure_02": ("The orbit, scaled: the photons fold best where the satellite was.", scaled),
+    "figure_02": ("H-test with a scaled orbit: photons fold best near the true orbit.", scaled),
     "figure_03": (
-        "Places along the line of sight, every two minutes, with what they claim.",
+        "Positions along the line of sight every two minutes, with their predicted σ.",
         sighted,
     ),
 }
-TABLES = {"table_1": ("Every piece.", table)}
+TABLES = {"table_1": ("Position from each piece of two minutes.", table)}
 RECORDINGS = ["rxte.rrd"]
 
 
 def record(r: Results, outputs: Outputs) -> list[str]:
-    """The orbit around the Earth, the direction of the pulsar, and the plane in which each piece
-    puts the satellite.
+    """The orbit around the Earth, the direction of the pulsar, and the position along it from each
+    piece.
     """
     p, t = read(r.parts["placed"].config), r.get("placed", "middle")
     n, at = (
@@ -434,18 +440,18 @@ def record(r: Results, outputs: Outputs) -> list[str]:
             at + off,
             colors.ESTIMATE,
             radius=4.0,
-            label="by two minutes of photons",
+            label="from two minutes of photons",
         )
 
     found, truth = (r.get("placed", what) / 1e3 for what in ("place", "truth"))
     curves = {
         "orbit": Curve(truth, colors.TRUTH, "orbit"),
-        "found": Curve(found, colors.ESTIMATE, "by photons", r.get("placed", "std") / 1e3, found),
+        "found": Curve(found, colors.ESTIMATE, "from photons", r.get("placed", "std") / 1e3, found),
     }
     plots = {"line": Plot("toward the pulsar, 1000 km from the Earth's center", curves)}
     notes = (
-        "# A satellite by the photons of a pulsar\nThe ray points to PSR B1509-58, in 1000 km. "
-        "Across it photons say nothing."
+        "# Position of a satellite from the photons of a pulsar\nThe ray points to PSR B1509-58. "
+        "Unit: 1000 km. Photons do not measure the position across the ray."
     )
     space = SceneView("sky", "RXTE and a pulsar", (-14.0, -22.0, 8.0), growing=("sky/orbit",))
     show = Showcase(

@@ -176,7 +176,7 @@ def test_processes_give_the_same_and_refuse_a_file_that_has_changed(folder):
     )
     del sys.modules[name]
     with pytest.raises(
-        ImportError, match="has changed since the work was begun; use the same command again"
+        ImportError, match="changed while the work was running; run the same command again"
     ):
         own.import_module(name)
 

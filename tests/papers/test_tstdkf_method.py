@@ -388,7 +388,7 @@ def test_a_measurement_missing_in_part_and_a_singular_coupling_are_refused():
     _, first = stage(0.5)
     epoch = at(0, np.array([[[np.nan, 1.0], [1.0, 1.0]]]))
     state, _ = first.predict(first.start(prior()), epoch)
-    with pytest.raises(ValueError, match=r"^z: expected a whole measurement"):
+    with pytest.raises(ValueError, match=r"^z: expected a complete measurement"):
         first.update(state, epoch)
     singular = -np.linalg.pinv(H @ G)
     bad = differenced(ar1_noise(np.zeros((M, M)), np.zeros((N, N)), singular, XI, E))

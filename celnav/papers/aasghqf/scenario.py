@@ -1,7 +1,7 @@
-"""[Liang2014]: an aircraft whose inertial system is badly misaligned, and is corrected by two star
-sensors and by SAR images.
+"""[Liang2014]: an aircraft whose inertial system has a large misalignment, and is corrected with
+two star sensors and SAR images.
 
-Eqs. 11-14, 16-18, sparse rules: `celnav.gaussian.sparse_grid`. Eqs. 15, 19, degrees of
+Eqs. 11-14, 16-18, sparse-grid rules: `celnav.gaussian.sparse_grid`. Eqs. 15, 19, degrees of
 observability and weights by a threshold: `celnav.analysis.observability`. Eqs. 20-28, errors of the
 inertial system, its state, star sensors: `celnav.models.misalignment`.
 """
@@ -71,41 +71,43 @@ TITLE = (
 CITATION = citation("Liang2014")
 PAPER_WEIGHTS = (1, 1, 2, 2, 2, 1, 1) + (2,) * 6  # of the sparse grid [Liang2014, Table 2]
 NONLINEAR_WEIGHTS = (1, 1, 1) + (2,) * 10
-"""By nonlinearity: 57 points, where the paper's weights have 75."""
+"""Weights by nonlinearity: 57 points; the paper's weights give 75."""
 MICRO_G = 1e-6 * earth.STANDARD_GRAVITY
 DEGREE = radians(1.0)
 BORESIGHTS = np.sqrt(0.5) * np.array([[0.0, 1.0, 1.0], [0.0, -1.0, 1.0]])
-"""Of the star sensors on body axes, and of the stars."""
-FORM = "covariance"  # of all filters here
+"""Boresights of the star sensors on body axes, and directions of the stars."""
+FORM = "covariance"  # form of all filters here
 UNSAID = "chosen: not printed"
 
 
 # -- parameters ------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Config(Timed):
-    """Everything that a run depends on."""
+    """All parameters of a run."""
 
-    longitude_deg: float = param(110.0, "paper", "of the start")
-    latitude_deg: float = param(40.0, "paper", "of the start")
+    longitude_deg: float = param(110.0, "paper", "initial longitude")
+    latitude_deg: float = param(40.0, "paper", "initial latitude")
     height_m: float = param(
-        20000.0, "chosen: a high-altitude vehicle", "above the ellipsoid, constant"
+        20000.0, "chosen: a high-altitude vehicle", "constant height above the ellipsoid"
     )
-    speed_m_per_s: float = param(200.0, "paper", "over the ground, at the start")
-    heading_deg: float = param(65.0, "paper", "from north to east, at the start")
-    acceleration_m_per_s2: float = param(0.5, "paper", "along the track (inferred), constant")
-    turn_rate_deg_per_s: float = param(0.1, "paper", "to the right (chosen), constant")
-    step_s: float = param(1.0, "chosen", "interval of the filters' steps", above=0.0)
-    steps: int = param(500, "paper", "in a run", least=1, most=MOST_STEPS)
-    runs: int = param(50, "paper", "of a Monte Carlo", least=1)
+    speed_m_per_s: float = param(200.0, "paper", "initial ground speed")
+    heading_deg: float = param(65.0, "paper", "initial heading, from north to east")
+    acceleration_m_per_s2: float = param(
+        0.5, "paper", "constant acceleration, along the track (inferred)"
+    )
+    turn_rate_deg_per_s: float = param(0.1, "paper", "constant turn rate, to the right (chosen)")
+    step_s: float = param(1.0, "chosen", "step of the filters", above=0.0)
+    steps: int = param(500, "paper", "number of steps of a run", least=1, most=MOST_STEPS)
+    runs: int = param(50, "paper", "number of Monte-Carlo runs", least=1)
     level: int = param(3, "paper", "accuracy level of the sparse grids", least=1)
     misalignment_deg: tuple[float, float, float] = param(
-        (10.0,) * 3, UNSAID, "at the start, standard deviations", above=0.0
+        (10.0,) * 3, UNSAID, "standard deviations of the initial misalignment", above=0.0
     )
     velocity_m_per_s: float = param(
-        1.0, UNSAID, "standard deviation of the velocity at the start, east and north", above=0.0
+        1.0, UNSAID, "standard deviation of the initial velocity error, east and north", above=0.0
     )
     position_m: float = param(
-        50.0, UNSAID, "standard deviation of the position at the start, east and north", above=0.0
+        50.0, UNSAID, "standard deviation of the initial position error, east and north", above=0.0
     )
     drift_deg_per_h: float = param(
         0.1, "paper", "standard deviation of each gyro's constant drift", above=0.0
@@ -113,18 +115,20 @@ class Config(Timed):
     bias_ug: float = param(
         200.0, "paper", "standard deviation of each accelerometer's constant bias", above=0.0
     )
-    angle_walk_deg_per_sqrt_h: float = param(0.01, UNSAID, "noise of the gyros", least=0.0)
+    angle_walk_deg_per_sqrt_h: float = param(
+        0.01, UNSAID, "angle random walk of the gyros", least=0.0
+    )
     velocity_walk_ug_per_sqrt_hz: float = param(
-        20.0, UNSAID, "noise of the accelerometers", least=0.0
+        20.0, UNSAID, "velocity random walk of the accelerometers", least=0.0
     )
     star_arcsec: float = param(
         20.0,
         "paper",
-        "noise of a star fix, standard deviation on each component of a direction",
+        "standard deviation of a star fix, each component of the direction",
         above=0.0,
     )
     sar_m: float = param(
-        18.0, "paper", "noise of a fix by radar, standard deviation east and north", above=0.0
+        18.0, "paper", "standard deviation of a radar (SAR) fix, east and north", above=0.0
     )
     star_interval: int = param(1, UNSAID, "steps from one star fix to the next", least=1)
     sar_interval: int = param(1, UNSAID, "steps from one radar fix to the next", least=1)
@@ -136,7 +140,7 @@ class Config(Timed):
 
     @cached_property
     def flight(self) -> earth.Flight:
-        """Truth at the epochs and in the middles between them, ``2 steps + 1`` epochs."""
+        """True flight at the epochs and half-way between them, ``2 steps + 1`` epochs."""
         return earth.turning_flight(
             0.5 * self.step_s * np.arange(2 * self.steps + 1),
             longitude=radians(self.longitude_deg),
@@ -149,16 +153,16 @@ class Config(Timed):
         )
 
     def meters(self, latitude: Any = None) -> Array:
-        """Meters per radian of longitude and latitude, ``(2,)``, at a latitude, rad, or at the
-        start."""
+        """Meters per radian of longitude and latitude, ``(2,)``, at a latitude (rad), by default
+        the initial one."""
         at = radians(self.latitude_deg) if latitude is None else latitude
         north, east = earth.radii(at, self.height_m)
         return np.array([east * np.cos(at), north])
 
     @property
     def units(self) -> tuple[Array, Array]:
-        """Those in which degrees of observability are nearest to Table 2: rad, m/s, m, deg/h, micro
-        g ``(13,)``; 1, m ``(8,)``."""
+        """Units of states and outputs that bring the degrees of observability nearest to Table 2:
+        rad, m/s, m, deg/h, micro g ``(13,)``; 1, m ``(8,)``."""
         rates = np.repeat([DEGREE / 3600.0, MICRO_G], 3)
         return np.r_[np.ones(5), 1.0 / self.meters(), rates], np.r_[np.ones(6), self.meters()]
 
@@ -171,7 +175,8 @@ class Config(Timed):
 
     @property
     def sqrt_Q(self) -> Array:
-        """Columns ``(13, 5)`` of the process noise of one step: misalignment and velocity walk."""
+        """Square root ``(13, 5)`` of the process noise covariance of one step: random walks of
+        misalignment and velocity."""
         angle = np.radians(self.angle_walk_deg_per_sqrt_h) / 60.0
         velocity = self.velocity_walk_ug_per_sqrt_hz * MICRO_G
         walk: Array = np.repeat([angle, velocity], [3, 2]) * np.sqrt(self.step_s)
@@ -193,17 +198,17 @@ PRESETS = {
         sar_interval=10,
     ),
 }
-"""Fitted so that the levels of Table 3 come out; fixes at every step; slow fixes; star noise
-misread as arc minutes, fitted too."""
+"""T3: fitted to the levels of Table 3. A: fixes at every step. A-slow: fewer fixes. T3-arcmin: star
+noise read as arc minutes, also fitted."""
 TURNING = replace(PRESETS["A-slow"], turn_rate_deg_per_s=2.0)
-"""Twenty times the paper's turn rate (chosen): in the middle of the flight the force becomes more
-horizontal than vertical."""
+"""Twenty times the paper's turn rate (chosen). In the middle of the flight the horizontal specific
+force exceeds the vertical one."""
 
 
-# -- what happens ----------------------------------------------------------------------------------
+# -- truth and measurements -----------------------------------------------------------------------
 class Inputs(NamedTuple):
-    """What filters know: the interval that ends here, C_b^n' ``(runs, 3, 3)``, directions on n
-    ``(2, 3)``, root of R ``(8, 8)``."""
+    """Inputs of the filters: navigation over the interval that ends here, C_b^n' ``(runs, 3, 3)``,
+    star directions on n ``(2, 3)``, square root of R ``(8, 8)``."""
 
     interval: Navigation
     attitude: Array
@@ -212,8 +217,8 @@ class Inputs(NamedTuple):
 
 
 class Scenario(NamedTuple):
-    """Simulated runs: ``truth (T, runs, 13)``, ``z (T, runs, 8)``: star residuals and position, nan
-    where there is no fix."""
+    """Simulated runs: ``truth (T, runs, 13)``; ``z (T, runs, 8)``, star residuals and position, nan
+    without a fix."""
 
     config: Config
     truth: Array
@@ -221,14 +226,14 @@ class Scenario(NamedTuple):
     prior: Gaussian
 
     def interval(self, k: int) -> Navigation:
-        """What the system knows in the middle of the interval that ends at an epoch, from its
-        errors an epoch before; at the first epoch, where there is no interval, at that epoch."""
+        """Navigation solution in the middle of the interval that ends at epoch ``k``, from the
+        system's errors one epoch before; at the first epoch, the solution at that epoch."""
         x = self.truth[max(k - 1, 0)]
         return misalignment.navigation(self.config.flight, max(2 * k - 1, 0), x[:, PHI], x[:, BIAS])
 
     def epochs(self) -> Iterator[Epoch]:
-        """Epochs with their `Inputs`: what the system knows follows from its errors, now and an
-        epoch before."""
+        """Epochs with their `Inputs`, which follow from the system's errors at this epoch and the
+        one before."""
         c = self.config
         flight = c.flight
         star = np.full(6, radians(c.star_arcsec / 3600.0))
@@ -248,10 +253,10 @@ def simulate(
     advance: Callable[[Array, Navigation, float], Array] = misalignment.advance,
     free: Sequence[int] = range(13),
 ) -> Scenario:
-    """One run for each generator: initial errors drawn from the prior, process and measurement
+    """One run for each generator, with initial errors from the prior, process and measurement
     noise.
 
-    advance: one step of the errors. free: states that have errors; the others stay zero.
+    advance: one step of the errors. free: indices of states with errors; the others stay zero.
     """
     T = config.steps + 1
     has_error = np.isin(range(13), free)
@@ -273,8 +278,8 @@ def simulate(
 
 # -- the filters -----------------------------------------------------------------------------------
 def dynamics(x: Array, epoch: Epoch) -> Array:
-    """One step of the error model; a point beyond 89 degrees of phi_x is lost (nan), and with it
-    its run."""
+    """One step of the error model. A sigma point with phi_x beyond 89 degrees becomes nan, and its
+    run fails."""
     y = misalignment.advance(x, epoch.u.interval, epoch.dt)
     if is_concretely_true(np.abs(x[..., 0]).max() >= misalignment.SINGULAR):
         y = np.where(np.abs(x[..., :1]) < misalignment.SINGULAR, y, np.nan)
@@ -283,23 +288,26 @@ def dynamics(x: Array, epoch: Epoch) -> Array:
 
 def measurement(x: Array, epoch: Epoch) -> Array:
     """Two star residuals and the position, ``(..., 8)`` [Liang2014, Eqs. 26-28]."""
-    out = np.empty_like(x, shape=(*x.shape[:-1], 8))  # in the order of x in memory
+    out = np.empty_like(x, shape=(*x.shape[:-1], 8))  # with the memory layout of x
     out[..., :6] = misalignment.star_residuals(x, epoch.u.attitude, epoch.u.stars)
     out[..., 6:] = x[..., POSITION]
     return out
 
 
 def model(config: Config) -> tuple[Motion, Sensor]:
-    """What filters believe."""
+    """Motion and sensor of the filters."""
     sensor = Sensor(measurement, sqrt_R=lambda _, epoch: epoch.u.sqrt_R)
     return Motion(dynamics, sqrt_Q=config.sqrt_Q), sensor
 
 
 @cache
 def rules(level: int = 3) -> dict[str, Any]:
-    """Rules of 13 dimensions. ukf: kappa = 3 - n. sghqf: isotropic sparse grid. aasghqf: Table 2's
-    weights. nonlinear: weights 1 for the misalignment only. delayed: orders 1, 3, 3. ghqf3, ghqf5:
-    tensor rules marginalized over the ten linear states."""
+    """Rules in 13 dimensions.
+
+    ukf: kappa = 3 - n. sghqf: isotropic sparse grid. aasghqf: weights of Table 2. nonlinear: weight
+    1 for the misalignment only. delayed: 1, 3 and 3 points by level. ghqf3, ghqf5: tensor rules,
+    marginalized over the ten linear states.
+    """
     return {
         "ukf": unscented(13, kappa=-10.0),
         "sghqf": smolyak(13, level),
@@ -315,8 +323,8 @@ def rules(level: int = 3) -> dict[str, Any]:
 
 
 def quadrature_filter(rule: Any, config: Config) -> Filter:
-    """A filter by any rule. Where negative weights lose definiteness, a run is done again with the
-    positive rule "ghqf3"."""
+    """A filter with any rule. If negative weights make a covariance indefinite, the step is
+    repeated with the positive rule "ghqf3"."""
     by_rule = partial(sigma_point, *model(config), form=FORM)
     if not isinstance(rule, Rule) or (rule.wc >= 0.0).all():
         return by_rule(rule=rule)
@@ -324,8 +332,8 @@ def quadrature_filter(rule: Any, config: Config) -> Filter:
 
 
 def filters(config: Config) -> dict[str, Filter]:
-    """The filters by name: one for each of `rules`; triad-ekf: the first star fix is linearized
-    about the attitude that it gives by itself (Wahba's problem)."""
+    """The filters by name: one for each of the `rules`, and triad-ekf, which linearizes the first
+    star fix about the attitude from the fix itself (Wahba's problem)."""
     plain = ekf(*model(config), form=FORM)
     wahba = Iterated(**vars(plain), iterations=1, first=wahba_start)
 
@@ -339,8 +347,8 @@ def filters(config: Config) -> dict[str, Filter]:
 
 
 def wahba_start(belief: Belief, z: Array, epoch: Epoch) -> Array:
-    """The mean, with the misalignment that both star vectors give; beyond 90 deg of phi_x on
-    another branch of the angles."""
+    """The prior mean, with the misalignment from both star vectors. Beyond 90 deg of phi_x the
+    angles are on another branch."""
     at = np.array(np.broadcast_to(belief.mean, (*z.shape[:-1], 13)))
     at[..., PHI] = misalignment.wahba_misalignment(z[..., :6], epoch.u.attitude, epoch.u.stars)
     return at
@@ -349,17 +357,17 @@ def wahba_start(belief: Belief, z: Array, epoch: Epoch) -> Array:
 # -- weights that change along the flight ----------------------------------------------------------
 Choose = Callable[[Any, Epoch, Array | None], Array]
 BITS = 1 << np.arange(13)
-"""Weights as a number: the bit of each state of weight 1."""
+"""Weights encoded as a number: one bit for each state with weight 1."""
 
 
 def ones(chosen: Array | None) -> Array:
-    """States of weight 1 ``(..., 13)`` of weights as numbers; at first none."""
+    """Mask ``(..., 13)`` of the states with weight 1; all False before the first choice."""
     return np.asarray(np.asarray(0 if chosen is None else chosen)[..., None] & BITS) > 0
 
 
 def observability(x: Array, epoch: Epoch, units: tuple[Array, Array], order: int = 3) -> Array:
-    """Observability matrix ``(..., 8 (order + 1), 13)`` at states ``(..., 13)``, in units of states
-    and outputs."""
+    """Observability matrix ``(..., 8 (order + 1), 13)`` at states ``(..., 13)``; ``units``: of
+    states and outputs."""
     states, outputs = units
     F = (
         jacobian(lambda x: misalignment.derivative(x, epoch.u.interval), x)
@@ -371,11 +379,11 @@ def observability(x: Array, epoch: Epoch, units: tuple[Array, Array], order: int
 
 
 def by_observability(config: Config, threshold: float = 5.0, *, weigh: bool = False) -> Choose:
-    """Weights by Eqs. 15 and 19 at the estimate, over the degree of the east velocity; ``weigh``:
-    by the belief's covariance.
+    """Weights by Eqs. 15 and 19 at the estimate, with degrees relative to that of the east
+    velocity. weigh: whether singular vectors are weighted by the filter's covariance.
 
-    Where no state is above the threshold, the weights stay: all 2 would be the isotropic rule,
-    which it begins with.
+    If no state is above the threshold, the weights do not change: all weights 2 would be the
+    isotropic rule, with which the filter starts.
     """
 
     def choose(belief: Any, epoch: Epoch, chosen: Array | None) -> Array:
@@ -388,8 +396,8 @@ def by_observability(config: Config, threshold: float = 5.0, *, weigh: bool = Fa
 
 
 def by_nonlinearity(threshold: float = 0.1) -> Choose:
-    """Weight 1 where the star residuals bend by more than so many deviations of their noise, or a
-    step by so many of the belief."""
+    """Weight 1 for states whose nonlinearity exceeds the threshold, in the star residuals (in σ of
+    their noise) or in one step of the dynamics (in σ of the belief)."""
 
     def choose(belief: Any, epoch: Epoch, chosen: Array | None) -> Array:
         x = belief.mean
@@ -406,13 +414,13 @@ def by_nonlinearity(threshold: float = 0.1) -> Choose:
 
 @cache
 def weighted(number: int, level: int = 3) -> Rule:
-    """The rule whose states of weight 1 are the bits of a number; with none it is of level 2, that
-    of the UKF."""
+    """The rule whose states with weight 1 are the bits of a number. Without any it has level 2, the
+    level of the UKF."""
     return smolyak(13, level, np.where(number & BITS, 1, 2).tolist()) if number else smolyak(13, 2)
 
 
 def adaptive(choose: Choose, config: Config) -> Switching:
-    """A filter whose weights are chosen before each step, run by run."""
+    """A filter that chooses its weights before each step, separately for each run."""
     return Switching(
         cache(lambda number: quadrature_filter(weighted(number, config.level), config)), choose
     )
@@ -420,16 +428,16 @@ def adaptive(choose: Choose, config: Config) -> Switching:
 
 # -- the star sensors' mounting --------------------------------------------------------------------
 def mounted(sim: Scenario, errors: Array) -> Scenario:
-    """The runs with mounting errors ``(runs, 2, 3)`` rad unknown to filters
-    [Liang2014, Eqs. 26-28]: stars are on boresights."""
+    """The runs with mounting errors ``(runs, 2, 3)`` rad that the filters do not model
+    [Liang2014, Eqs. 26-28]; the stars are on the boresights."""
     stars = np.tile(BORESIGHTS, (len(errors), 1))
     turned = Rotation.from_rotvec(errors.reshape(-1, 3)).apply(stars) - stars
     return sim._replace(z=sim.z + np.pad(turned.reshape(-1, 6), ((0, 0), (0, 2))))
 
 
 def mounting_filter(config: Config, sigma: float, runs: int = 1) -> tuple[Filter, Gaussian]:
-    """A filter of 19 states, the last six mounting errors of deviation ``sigma`` rad, and its
-    prior."""
+    """A filter with 19 states, of which the last six are mounting errors with standard deviation
+    ``sigma`` rad, and its prior."""
 
     def h(x: Array, epoch: Epoch) -> Array:
         z = measurement(x[..., :13], epoch)
@@ -448,22 +456,22 @@ def mounting_filter(config: Config, sigma: float, runs: int = 1) -> tuple[Filter
     return filter, Gaussian(np.zeros((runs, 19)), np.diag(std**2))
 
 
-# -- six states, for which a tensor rule can be run ------------------------------------------------
+# -- six states, for which a tensor rule is feasible -----------------------------------------------
 SIX = [0, 1, 2, 5, 6, 9]
-"""Misalignment and position; the drift of the vertical gyro (chosen) is the sixth, with which a
-tensor rule has 729 points."""
+"""Misalignment, position, and the drift of the vertical gyro (chosen). A tensor rule of these six
+states has 729 points."""
 
 
 def euler(x: Array, nav: Navigation, dt: float) -> Array:
-    """One step of the error model without velocity errors, so that positions do not move by half a
-    step of acceleration."""
+    """One Euler step of the error model without velocity errors, so that the position does not
+    change by half a step of acceleration."""
     return x + dt * misalignment.derivative(x, nav)
 
 
 @cache
 def six_rules() -> dict[str, Rule]:
-    """Rules of six dimensions, as those of 13: UKF with kappa = 3 - n, isotropic sparse grid,
-    tensor rule of three points each."""
+    """Rules in six dimensions, like those in 13: UKF with kappa = 3 - n, isotropic sparse grid,
+    tensor rule with three points per dimension."""
     return {
         "six/ukf": unscented(6, kappa=-3.0),
         "six/sghqf": smolyak(6, 3),
@@ -472,8 +480,8 @@ def six_rules() -> dict[str, Rule]:
 
 
 def six_states(config: Config, rngs: Rngs) -> tuple[Scenario, dict[str, Any], Gaussian]:
-    """The flight with errors of the states `SIX` only; filters of these states, ekf, ukf, sghqf and
-    ghqf, and their prior."""
+    """The flight with errors of the states `SIX` only; filters with these states (ekf, ukf, sghqf,
+    ghqf), and their prior."""
     sim = simulate(config, rngs, euler, SIX)
 
     def widened(x: Array) -> Array:
@@ -500,7 +508,7 @@ def six_states(config: Config, rngs: Rngs) -> tuple[Scenario, dict[str, Any], Ga
 
 # -- how they are judged ---------------------------------------------------------------------------
 def groups(config: Config, angle: float = DEGREE / 60.0, unit: str = "arcmin") -> tuple[Group, ...]:
-    """What is judged; the misalignment in a unit of so many radians."""
+    """Groups of states that are judged; ``angle``: unit of the misalignment in radians."""
     return (
         Group("misalignment", unit, PHI, 1.0 / angle),
         Group("velocity", "m/s", VELOCITY),
@@ -514,18 +522,18 @@ JUDGED = {group.name: group.unit for group in groups(A)}
 
 
 def trial(config: Config, rngs: Rngs) -> Trial:
-    """One run with each generator, for missions, campaigns and the study."""
+    """One run for each generator, for missions, campaigns and the study."""
     return trial_of(simulate(config, rngs))
 
 
 def trial_of(sim: Scenario, *unit: Any) -> Trial:
-    """The trial of runs that are simulated already; ``unit`` of the misalignment: see `groups`."""
+    """The trial of simulated runs; ``unit``: of the misalignment, see `groups`."""
     return Trial(
         groups(sim.config, *unit),
         filters(sim.config),
         sim.prior,
         lambda _name: sim.epochs(),
-        # Of more states the first 13, whose root begins a lower root of all.
+        # The first 13 states. Their square root is the leading block of the lower triangular one.
         lambda truth, belief: (belief.mean[..., :13] - truth, belief.sqrt_cov[..., :13, :13]),
         "ekf",
     )

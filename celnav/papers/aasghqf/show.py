@@ -1,4 +1,4 @@
-"""[Liang2014] shown: figures and tables as the paper numbers them, those beyond it, recordings."""
+"""Figures, tables and recordings of [Liang2014] with the paper's numbers, and figures beyond it."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ LINES = {
     "ukf": Line("UKF, 27", colors.COMPARISON),
     "aasghqf": Line("AASGHQF, 75", colors.OPEN_LOOP, width=2.2),
     "nonlinear": Line("by nonlinearity, 57", colors.TRUTH, "--", 2.0),
-    "triad-ekf": Line("EKF started by Wahba", "#000000"),
+    "triad-ekf": Line("EKF from Wahba's solution", "#000000"),
     "ckf": Line("CKF, 26", "#999999"),
     "ekf": Line("EKF", "#D55E00"),
     "delayed": Line("delayed, 339", "#56B4E9", "--"),
@@ -60,7 +60,7 @@ PAPER_LINES = {f: LINES[f] for f in ("ukf", "aasghqf", "sghqf")}
 
 # -- figures ---------------------------------------------------------------------------------------
 def points(weights: tuple[int, int], _: Results) -> Figure:
-    """The points of a rule in two dimensions: area by the weight's magnitude, color by its sign."""
+    """Points of a rule in two dimensions: area shows the weight's magnitude, color its sign."""
     rule = smolyak(2, 3, weights)
 
     def dots(ax: Axes) -> None:
@@ -83,8 +83,8 @@ def points(weights: tuple[int, int], _: Results) -> Figure:
 
 
 def one_run(group: str, results: Results) -> Figure:
-    """Errors of one run, as the paper has them over the flight; the scale is that of its end.
-    Beside it the start, and A-slow."""
+    """Errors of one run: T3 over the flight, as in the paper, with the scale of its end; T3 in the
+    first minute; A-slow over the flight."""
     judged = results.group(group)
     states = study.SEVEN[judged.part]
 
@@ -112,13 +112,13 @@ def one_run(group: str, results: Results) -> Figure:
 
 
 def angles(results: Results, part: str, lines: Mapping[str, Line]) -> list[Item]:
-    """RMSE of the misalignment over the runs."""
+    """RMSE of the misalignment over the runs, by filter."""
     return [rmse(results, part, f, line, "misalignment") for f, line in lines.items()]
 
 
 def over_time(results: Results) -> Figure:
-    """RMSE of the misalignment over the runs, with the closed solution that starts an EKF, and
-    consistency."""
+    """RMSE of the misalignment over the runs, with an EKF from Wahba's closed solution, and
+    NEES."""
     lines = {f: LINES[f] for f in study.FLOWN}
     parts = study.SHOWN
     accuracy = {p: angles(results, p, lines) for p in parts}
@@ -140,11 +140,11 @@ def over_time(results: Results) -> Figure:
 
 
 def first_fix(results: Results) -> Figure:
-    """Why filters differ: what rules make of the first star fix, against exact moments."""
+    """The first star fix with each rule, compared with exact moments: why the filters differ."""
     titles = {
-        "least": "least variance, over the right one",
-        "mean": "mean residuals, relative error",
-        "cov": "their covariance, relative error",
+        "least": "smallest variance over the correct one",
+        "mean": "mean of the residuals, relative error",
+        "cov": "covariance of the residuals, relative error",
     }
     x = "misalignment, 1σ of each angle (deg)"
     return panels(
@@ -166,8 +166,8 @@ def first_fix(results: Results) -> Figure:
 
 
 def along(results: Results) -> Figure:
-    """Degrees of the misalignment on both flights, and points and errors of filters whose weights
-    are chosen on line."""
+    """Degrees of observability of the misalignment on both flights; points and errors of filters
+    that choose their weights online."""
     slow = "A-slow, on line"
     shades = ("#000000", "#56B4E9", "#8C6BB1")
     t = results.times(slow)
@@ -183,11 +183,19 @@ def along(results: Results) -> Figure:
     return panels(
         [
             *(
-                Panel(title, items, "time (s)", "degree (-)", more={"ylim": (0.0, 20.0)})
-                for title, items in zip(("the paper's flight", "turning at 2 deg/s"), degrees)
+                Panel(
+                    title,
+                    items,
+                    "time (s)",
+                    "degree of observability (-)",
+                    more={"ylim": (0.0, 20.0)},
+                )
+                for title, items in zip(
+                    ("the paper's flight", "flight turning at 2 deg/s"), degrees
+                )
             ),
             Panel(
-                "points, mean of the runs",
+                "A-slow: points, mean of the runs",
                 [
                     curve(t, results.get(slow, f"{f}/points").mean(1), line)
                     for f, line in lines.items()
@@ -196,7 +204,7 @@ def along(results: Results) -> Figure:
                 "points (-)",
             ),
             Panel(
-                "A-slow",
+                "A-slow: errors",
                 angles(results, "A-slow", PAPER_LINES) + angles(results, slow, lines),
                 "time (s)",
                 "misalignment, RMSE (deg)",
@@ -208,27 +216,17 @@ def along(results: Results) -> Figure:
 
 
 FIGURES = {
-    "figure_01": ("Fig. 1: points of the isotropic rule, n = 2, level 3.", partial(points, (1, 1))),
-    "figure_02": ("Fig. 2: points of the rule with weights 2, 1.", partial(points, (2, 1))),
+    "figure_01": ("Fig. 1: points of the isotropic grid, n = 2, level 3.", partial(points, (1, 1))),
+    "figure_02": ("Fig. 2: points of the grid with weights (2, 1).", partial(points, (2, 1))),
     "figure_03": (
-        "Fig. 3: misalignment errors of one run, presets A-slow and T3.",
+        "Fig. 3: misalignment errors of one run (T3: flight, first minute; A-slow); ±3σ of SGHQF.",
         partial(one_run, "misalignment"),
     ),
-    "figure_04": ("Fig. 4: velocity errors of one run.", partial(one_run, "velocity")),
-    "figure_05": ("Fig. 5: position errors of one run.", partial(one_run, "position")),
-    "figure_06": (
-        "Beyond the paper: RMSE of the misalignment, and consistency over time.",
-        over_time,
-    ),
-    "figure_07": (
-        "Beyond the paper: the first star fix by rule, over the size of the misalignment.",
-        first_fix,
-    ),
-    "figure_08": (
-        "Beyond the paper: degrees of observability along the flight, and weights that change with "
-        "them.",
-        along,
-    ),
+    "figure_04": ("Fig. 4: velocity errors, as in Fig. 3.", partial(one_run, "velocity")),
+    "figure_05": ("Fig. 5: position errors, as in Fig. 3.", partial(one_run, "position")),
+    "figure_06": ("Beyond the paper: misalignment RMSE, and NEES (consistent: 13).", over_time),
+    "figure_07": ("Beyond the paper: the first star fix, by rule and misalignment.", first_fix),
+    "figure_08": ("Beyond the paper: degrees of observability; weights chosen online.", along),
 }
 
 
@@ -243,10 +241,7 @@ COLUMNS = (
     "latitude_m",
 )
 TABLES = {
-    "table_1": (
-        "Table 1: points of the sparse grids, n = 1 to 6, level 3.",
-        study.table_1,
-    ),
+    "table_1": ("Table 1: points of the sparse grids, n = 1 to 6, level 3.", study.table_1),
     "table_2": (
         "Table 2: degree of observability and weight of each state.",
         lambda r: [
@@ -264,7 +259,7 @@ TABLES = {
         ],
     ),
     "table_3": (
-        "Table 3: RMSE over the runs, averaged over the epochs, of the first seven states.",
+        "Table 3: RMSE of the first seven states over the runs, averaged over the epochs.",
         lambda r: [
             {"filter": f, "source": source, **dict(zip(COLUMNS, map(float, values)))}
             for f, printed in TABLE_3.items()
@@ -281,7 +276,7 @@ TABLES = {
         ],
     ),
     "table_4": (
-        "Table 4: points, and arithmetic operations of a cycle (of SGHQF at least).",
+        "Table 4: points, and arithmetic operations per cycle (for SGHQF a lower bound).",
         lambda r: [
             {
                 "filter": f,
@@ -302,13 +297,13 @@ RECORDINGS = list(CASES.values())
 AXES = {"misalignment": "xyz", "velocity": ("east", "north"), "position": ("longitude", "latitude")}
 NOTES = """# Liang et al. (2014), preset {}
 
-**The UKF's first star fix leaves it overconfident, and it takes minutes to forget; 57 points are \
-as good as 417.**
+**The first star fix makes the UKF overconfident for minutes. AASGHQF, with 75 points, is less \
+accurate than SGHQF, with 417, in one angle.**
 
-An aircraft turns; its inertial system starts with a large misalignment and drifts away while \
-star sensors and SAR fixes let filters
-estimate its error. Left above: the flight, and the sigma points of the misalignment about the \
-truth."""
+An aircraft turns. Its inertial system starts with a large misalignment and drifts away. Filters \
+estimate its errors from star sensors
+and SAR fixes. Top left: the flight, and the sigma points of the misalignment about the truth. \
+The statements above hold over all runs."""
 
 
 def record(results: Results, outputs: Outputs) -> list[str]:
@@ -317,7 +312,7 @@ def record(results: Results, outputs: Outputs) -> list[str]:
 
 
 def showcase(results: Results, part: str) -> Showcase:
-    """The first run of a part, flown again in full, among the others."""
+    """The first run of a part, run again in full; the other runs give the statistics."""
     c = results.parts[part].config
     estimates, truth, z = estimates_of(
         results, part, {f: LINES[f] for f in ("sghqf", "ukf", "aasghqf")}
@@ -378,10 +373,10 @@ def showcase(results: Results, part: str) -> Showcase:
         scene=scene,
         spaces=spaces,
         legend={
-            colors.MEASUREMENT: "fixes by radar, stars where the system expects them",
-            colors.STAR: "stars where they are",
+            colors.MEASUREMENT: "radar fixes, star directions that the system expects",
+            colors.STAR: "true star directions",
             colors.SIGMA: "inertial system",
-            colors.NEGATIVE: "points of negative weight",
+            colors.NEGATIVE: "points with negative weight",
         },
         bars={"degree of observability by state": results.get("observability", "every")[0, 0]},
         parameters=vars(c),

@@ -2,9 +2,9 @@
 and an ephemeris error.
 
 `scenario`: parameters with their source, truth and timings, filters. `method`: differencing and
-strong tracking. `ledger.toml`: what the paper states and what we find. `study`: what is flown, and
-the numbers that decide each row of the ledger. `show`: figures, tables, recordings. Their names are
-found here as well: ``celnav.papers.tstdkf.STUDY``.
+strong tracking. `ledger.toml`: the paper's statements and our findings. `study`: the runs, and the
+numbers that decide each row of the ledger. `show`: figures, tables, recordings. Their names are
+also available here: ``celnav.papers.tstdkf.STUDY``.
 """
 
 from celnav.lazy import modules

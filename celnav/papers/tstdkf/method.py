@@ -1,20 +1,20 @@
-"""What the paper adds to two stages: a first stage on differenced measurements, and factors that
-boost the gain of the second.
+"""The paper's additions to a two-stage filter: a first stage on differenced measurements, and
+factors that boost the gain of the second stage.
 
-Differencing (Eqs. 21-56) is for AR(1) noise of measurement and process that are correlated::
+Differencing (Eqs. 21-56) handles correlated AR(1) noises of measurement and process::
 
     V_k = F V_k-1 + xi_k,   Q_k = L Q_k-1 + e_k,
     x_k = f(x_k-1) + G_k (J V_k + Q_k),   z_k = h(x_k) + V_k
 
-The colored part of the last measurement's noise is taken off this one, ``Z' = z_k - F (z_k-1 -
-h(x_k-1))``, with the last *estimate* in place of the state; what then correlates process and
-measurement goes into the prediction, ``x + Omega (Z' - h(x))``, and the estimate's correlations
-with V and Q are carried along. Exact for ``F = L = 0``, whatever J. With ``F`` the error of the
-last estimate is overlooked: the filter is then overconfident, the more the nearer ``F`` is to 1.
+The predictable part of the noise is subtracted from each measurement, ``Z' = z_k - F (z_k-1 -
+h(x_k-1))``, with the last *estimate* instead of the state. The remaining correlation of process and
+measurement noise enters the prediction, ``x + Omega (Z' - h(x))``. The filter also propagates the
+correlations of its estimate with V and Q. It is exact for ``F = L = 0`` and any J. For ``F > 0`` it
+neglects the error of the last estimate, and becomes more overconfident as ``F`` approaches 1.
 
-Strong tracking (Eqs. 57-61) keeps an average of squared residuals over the last ``tau``
-measurements and compares it with what it should be. Component i of the residual acts on component i
-of the bias; nothing else connects the two.
+Strong tracking (Eqs. 57-61) averages the squared residuals over the last ``tau`` measurements and
+compares the average with the predicted variance. Component i of the residual boosts component i of
+the bias.
 """
 
 from __future__ import annotations
@@ -48,9 +48,12 @@ __all__ = ["LARGEST", "Differenced", "StrongTracking", "strong_tracking"]
 
 
 class DifferencedState(NamedTuple):
-    """Belief about x in covariance form; covariance ``cross (..., n, q + m)`` of its error with Q
-    and V; ``V (..., m)``, the last measurement's noise as estimated, None before the first; its
-    Jacobian ``H (..., m, n)``; and what `Differenced.move` gave."""
+    """State of `Differenced`.
+
+    belief: mean and covariance of x. cross: ``(..., n, q + m)``, covariance of its error with Q and
+    V. V: ``(..., m)``, estimated noise of the last measurement, None before the first. H: ``(...,
+    m, n)``, Jacobian of the last measurement. moved: result of `Differenced.move`.
+    """
 
     belief: Covariance
     cross: Array
@@ -61,13 +64,13 @@ class DifferencedState(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Differenced:
-    """The stage, for `celnav.filters.two_stage.TwoStage`. Each epoch moves and is measured in full,
-    or not at all.
+    """The first stage, for `celnav.filters.two_stage.TwoStage`. Each epoch needs a prediction and a
+    complete measurement.
 
-    move: ``(mean, epoch) ->`` state ``(..., n)`` after the interval, its Jacobian ``Phi``, effect
-    ``G (..., n, q)`` of the noise. h, slope: ``(mean, epoch) ->`` measurement ``(..., m)`` and its
-    Jacobian ``(..., m, n)``. noise: see `ar1_noise`. ValueError for a measurement that is missing
-    in part, or where ``I + H G J`` is singular (determinant below 1e-12).
+    move: ``(mean, epoch) ->`` state ``(..., n)`` after the interval, its Jacobian ``Phi``, and the
+    noise input matrix ``G (..., n, q)``. h, slope: ``(mean, epoch) ->`` measurement ``(..., m)``
+    and its Jacobian ``(..., m, n)``. noise: see `ar1_noise`. ValueError for an incomplete
+    measurement, or if ``I + H G J`` is singular (determinant below 1e-12).
     """
 
     move: Callable[[Array, Epoch], tuple[Array, Array, Array]]
@@ -91,7 +94,7 @@ class Differenced:
     def predict(
         self, state: DifferencedState, epoch: Epoch
     ) -> tuple[DifferencedState, Array | None]:
-        """State that knows what the model says of the interval, and the transition matrix."""
+        """State with the model's prediction for the interval, and the transition matrix."""
         n = state.belief.mean.shape[-1]
         q = self.noise.L.shape[-1]
         found = check_return("move", self.move(state.belief.mean, epoch), "state, Phi, G")
@@ -105,7 +108,7 @@ class Differenced:
     def update(
         self, state: DifferencedState, epoch: Epoch
     ) -> tuple[DifferencedState, Stage | None, Info]:
-        """State at the end of the interval given its measurement, and what was done."""
+        """State at the end of the interval given its measurement, the stage, and information."""
         assert state.moved is not None
         x, Phi, G = state.moved
         F, L, J, Xi, E, V, Q = self.noise
@@ -116,15 +119,15 @@ class Differenced:
         together(prior=x.shape[:-1], z=z.shape[:-1])
         if is_concretely_true(np.isnan(z).any()):
             raise ValueError(
-                "z: expected a whole measurement at every epoch: what was missed cannot be "
-                "differenced"
+                "z: expected a complete measurement at every epoch, because the next one is "
+                "differenced with it; got nan"
             )
-        if first:  # nothing to difference with: all of V is new
+        if first:  # there is no earlier measurement: V has its stationary covariance
             F = np.zeros_like(F)
             Xi = V
         y = z - self._seen(x, epoch) - (0.0 if state.V is None else matvec(F, state.V))
 
-        # What correlates process and measurement goes into the prediction, by Omega.
+        # Omega moves the correlation of process and measurement noise into the prediction.
         H = numbers("slope", unmasked("slope", self.slope(x, epoch)), (..., m, n))
         coupled = np.eye(m) + H @ G @ J
         if not coupled.dtype.hasobject and np.abs(np.linalg.det(coupled)).min() < 1e-12:
@@ -134,8 +137,8 @@ class Differenced:
         Phi1 = Phi - Omega @ (H @ Phi)
         G1 = G - Omega @ (H @ G)
 
-        # The joint of (x, Q, V): x = Phi1 x + G1 (J F V + L Q + e), Q = L Q + e, and V waits for
-        # xi, which is measured with H x.
+        # Joint covariance of (x, Q, V): x = Phi1 x + G1 (J F V + L Q + e), Q = L Q + e. V does not
+        # change before the update, because its increment xi is measured together with H x.
         moves = side_by_side([Phi1, G1 @ side_by_side([L, J @ F])])
         marginals = block([[Q, 0], [0, V]])
         ahead = moves @ block([[state.belief.cov, state.cross], [state.cross.mT, marginals]])
@@ -158,8 +161,8 @@ class Differenced:
         assert info.sqrt_S is not None
         assert info.gain is not None
 
-        # Kept is what concerns x; Q and V have their stationary marginals again. V = F V + xi, and
-        # xi is what H x leaves over of z.
+        # Only x is updated; Q and V get their stationary covariances again. V = F V + xi, and xi is
+        # the measurement minus H x.
         belief = Covariance(both.mean[..., :n], both[1][..., :n, :n])
         cross = both[1][..., :n, n:]
         cross = side_by_side([cross[..., :q], cross[..., q:] @ F - belief.cov @ H.mT])
@@ -184,12 +187,12 @@ class Differenced:
 
 
 LARGEST = 1e6
-"""Factors lie between 1 and this; what is not a number counts as 1."""
+"""Factors lie between 1 and this limit; nan counts as 1."""
 
 
 class Window(NamedTuple):
-    """Memory: how many residuals were seen, mean of their squares ``(..., m)``, and the factors
-    last used."""
+    """Memory of the factors: number of residuals, mean of their squares ``(..., m)``, and the last
+    factors."""
 
     length: float
     squares: Array
@@ -198,10 +201,10 @@ class Window(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class StrongTracking:
-    """What `strong_tracking` makes. Its numbers are rows, matrices that runs may have of their own.
+    """Fading factors made by `strong_tracking`. The parameters are rows that may differ by run.
 
     rho: ``(..., 1, m)``. tau: ``(..., 1, 1)``.
-    least: ``(..., 1, m)``, what a factor is where the ratio is 0.
+    least: ``(..., 1, m)``, factor at a ratio of 0.
     """
 
     rho: Array
@@ -227,12 +230,12 @@ class StrongTracking:
 def strong_tracking(
     rho: ArrayLike, tau: ArrayLike, *, proportional: ArrayLike = False
 ) -> StrongTracking:
-    """A boost for `celnav.filters.two_stage.two_stage`: factors ``1 + rho (ratio - 1)``, of squared
-    residuals over variances.
+    """A boost for `celnav.filters.two_stage.two_stage`: factors ``1 + rho (ratio - 1)``, where the
+    ratio is that of averaged squared residuals to predicted variances.
 
     rho: ``(..., m)``, not negative; 0 switches a component off. tau: ``(..., 1)``, length of the
-    window in measurements. proportional: where factors are ``rho ratio`` instead, closest to the
-    prose: near ``rho`` even while the filter is consistent.
+    window in measurements. proportional: whether the factors are ``rho ratio`` instead. This form
+    is closest to the paper's prose; its factors are near ``rho`` even for a consistent filter.
 
     >>> boost = strong_tracking([8.0, 15.0, 9.0], 100.0)
     >>> filter = celnav.two_stage(motion, sensor, Gamma, bias, boost=boost)

@@ -1,13 +1,14 @@
-"""[Xu2023]: a satellite of the Earth that times three pulsars, with colored noise and an error of
-the Earth's ephemeris.
+"""[Xu2023]: a satellite of the Earth times three pulsars; the noise is colored, and the Earth's
+ephemeris has an error.
 
-The display equations of the text at hand are lost. Inferred are Eq. 2, delay of a pulse
+Our copy of the paper lacks the display equations. We infer Eq. 2, delay of a pulse
 (`celnav.models.pulsar.Timing`); 3-4, orbit (`celnav.models.orbit`); 17, 69, 70, ephemeris error
-(`Config.bias`); 19, deviation of a timing (`Pulsar.timing_std`); 21-56 and 57-61, differencing and
-strong tracking (`celnav.papers.tstdkf.method`), on two stages (`celnav.filters.two_stage`).
+(`Config.bias`); 19, standard deviation of a timing (`Pulsar.timing_std`); 21-56 and 57-61,
+differencing and strong tracking (`celnav.papers.tstdkf.method`), on two stages
+(`celnav.filters.two_stage`).
 
-Several configurations may be flown together, as *cases* along an axis before the runs', on the same
-random numbers, orbit, times.
+Several configurations can run together as *cases*. They have an axis before the runs' axis, and
+share random numbers, orbit and times.
 """
 
 from __future__ import annotations
@@ -76,9 +77,10 @@ YEAR_S = 365.25 * 86400.0
 DAY_S = 86400.0
 KAPPA = 4.8
 GRAVITY = {"earth": EARTH, "mars": Earth(GM["mars"], 3396.0, 1.9566e-3)}
-"""Of bodies that a satellite may orbit; Mars: radius and J2 of the field GMM-3."""
+"""Gravity of the bodies that a satellite may orbit; Mars: radius and J2 of the field GMM-3."""
 TUNED = (
-    "chosen: with the other tuned one, so that setting 1 gives the paper's percentages of position"
+    "chosen: fitted with the other fitted one so that setting 1 gives the paper's percentages in "
+    "position"
 )
 
 
@@ -90,11 +92,11 @@ class Setting(Parameters):
     F: float = param(
         0.5,
         "chosen",
-        "color of the measurement noise, V' = F V + increment, which is as large as pulsars are "
-        "timed",
+        "AR(1) coefficient of the measurement noise, V' = F V + increment; the increment has the "
+        "timing's standard deviation",
     )
-    L: float = param(0.5, "chosen", "color of the process noise, likewise")
-    kappa: float = param(KAPPA, TUNED, "how strongly the increments of both are correlated")
+    L: float = param(0.5, "chosen", "AR(1) coefficient of the process noise")
+    kappa: float = param(KAPPA, TUNED, "coupling of the increments of both noises")
 
 
 SETTINGS = {
@@ -104,79 +106,88 @@ SETTINGS = {
     4: Setting(0.0, 0.5, 0.0),
     5: Setting(0.0, 0.0, 0.0),
 }
-"""Table 4, as inferred: everything, ..., all noise white."""
+"""Table 4, as inferred: from all effects (setting 1) to all noise white (setting 5)."""
 
 
 @dataclass(frozen=True)
 class Config(Timed):
-    """Everything that a run depends on."""
+    """All parameters of a run."""
 
     start_utc: str = param("2015-10-17T04:00:00", "paper", "date and time of the start, UTC")
     step_s: float = param(
-        300.0, "paper", "interval of the measurements, over which pulses are timed", above=0.0
+        300.0, "paper", "interval between timings, and observation time of each", above=0.0
     )
     days: float = param(30.0, "paper", "length of a run, days", above=0.0)
-    runs: int = param(50, "paper", "of a Monte Carlo", least=1)
+    runs: int = param(50, "paper", "number of Monte-Carlo runs", least=1)
     pulsars: tuple[str, ...] = param(
-        ("B0531+21", "B1821-24", "B1937+21"), "paper", "names of the three that are timed"
+        ("B0531+21", "B1821-24", "B1937+21"), "paper", "names of the three pulsars"
     )
     center: str = param("earth", "paper", "body that the satellite orbits", one_of=tuple(GRAVITY))
     elements: tuple[float, ...] = param(
         (7136.635, 1.809e-3, 65.0, 30.0, 30.0, 0.0),
         "chosen: common in this literature",
-        "of the orbit: semi-major axis (km), eccentricity, inclination, node, perigee and true "
+        "orbital elements: semi-major axis (km), eccentricity, inclination, node, perigee and true "
         "anomaly (deg)",
     )
     error_km: tuple[float, ...] = param(
-        (1.0,) * 3, "paper", "of the position at the start, each axis, and in the prior", above=0.0
+        (1.0,) * 3, "paper", "initial position error, each axis, and its σ in the prior", above=0.0
     )
     error_m_per_s: tuple[float, ...] = param(
-        (0.02,) * 3, "paper", "the same of the velocity", above=0.0
+        (0.02,) * 3, "paper", "initial velocity error, each axis, and its σ in the prior", above=0.0
     )
     rate_noise_km_per_s: float = param(
-        1e-8, "paper: unit inferred", "process noise of the position's rate, each axis", above=0.0
+        1e-8,
+        "paper: unit inferred",
+        "σ of the process noise, position's rate, each axis",
+        above=0.0,
     )
     acceleration_noise_km_per_s2: float = param(
-        1e-10, "paper: unit inferred", "the same of the velocity's rate", above=0.0
+        1e-10,
+        "paper: unit inferred",
+        "σ of the process noise, velocity's rate, each axis",
+        above=0.0,
     )
     setting: Setting = SETTINGS[1]
     amplitude_km: tuple[float, ...] = param(
-        (0.09, 0.12, 0.075), TUNED, "of the error of the Earth's ephemeris, each axis"
+        (0.09, 0.12, 0.075), TUNED, "amplitude of the Earth's ephemeris error, each axis"
     )
     phase: tuple[float, ...] = param(
-        (0.0, 0.5 * np.pi, 0.25 * np.pi), "chosen", "of that error's year, each axis, rad"
+        (0.0, 0.5 * np.pi, 0.25 * np.pi), "chosen", "phase of the ephemeris error, each axis, rad"
     )
     trend: str = param(
         "sine",
         "inferred: Eqs 17, 69, 70",
-        "how it goes on: a year's sine, growing, a triangle; constant, drawn from its prior; "
-        "or none until half time, then its prior's deviation",
+        "ephemeris error over time: a sine with a period of a year, growing, a triangle; constant, "
+        "drawn from its prior; or a step at half time from 0 to the σ of its prior",
         one_of=("sine", "growing", "triangle", "constant", "step"),
     )
     initial: str = param(
         "paper",
         "inferred",
-        "initial errors: those above, or drawn from the prior",
+        "initial errors: the values above, or drawn from the prior",
         one_of=("paper", "drawn"),
     )
-    pulled: bool = param(False, "inferred", "whether Sun and Moon pull at the satellite")
+    pulled: bool = param(False, "inferred", "whether the Sun and Moon attract the satellite")
     bias_prior_km: float = param(
-        0.3, "chosen", "deviation of that error at the start, each axis, in the filters", above=0.0
+        0.3, "chosen", "σ of the initial ephemeris error in the filters, each axis", above=0.0
     )
     walk_km: float = param(
         5e-5,
         "chosen",
-        "deviation of the steps of that error in the exact filter, each axis",
+        "σ of the random-walk steps of the ephemeris error in AUG and AUG9, each axis",
         least=0.0,
     )
     rho: tuple[float, ...] = param(
-        (8.0, 15.0, 9.0), "paper", "how strongly the fading factors answer, each pulsar"
+        (8.0, 15.0, 9.0),
+        "paper",
+        "how strongly the fading factors respond to the residual of each pulsar",
     )
-    tau: float = param(100.0, "paper", "window of the fading factors, in measurements")
+    tau: float = param(100.0, "paper", "window of the fading factors, number of measurements")
     factor: str = param(
         "excess",
-        "chosen: form C, after setting 5; B is the other",
-        "fading factors of what residuals exceed, or in proportion",
+        "chosen: form C, after seeing setting 5; form B is the alternative",
+        "fading factors from the excess of the residuals (form C), or proportional to the "
+        "residuals (form B)",
         one_of=("excess", "proportional"),
     )
 
@@ -188,12 +199,12 @@ class Config(Timed):
 
     @property
     def times(self) -> Array:
-        """Seconds since the start, ``(T,)``; nothing is measured at the first."""
+        """Seconds since the start, ``(T,)``; there is no measurement at the first epoch."""
         return self.step_s * np.arange(round(self.days * DAY_S / self.step_s) + 1)
 
     @property
     def dates(self) -> Tdb:
-        """The same as dates."""
+        """The epochs as dates."""
         return from_utc(self.start_utc).after(self.times)
 
     @property
@@ -205,28 +216,28 @@ class Config(Timed):
 
     @property
     def timing(self) -> Timing:
-        """The pulsars' delays."""
+        """Timing model of the three pulsars."""
         return Timing(pulsars(self.pulsars))
 
     @property
     def sigma_km(self) -> Array:
-        """Deviations ``(3,)`` of the timings after an interval, km [Xu2023, Eq. 19; inferred]."""
+        """Standard deviations ``(3,)`` of the timings, km [Xu2023, Eq. 19; inferred]."""
         return np.array([p.timing_std(self.step_s) for p in pulsars(self.pulsars)]) * LIGHT_KM_S
 
     @property
     def deviation(self) -> Array:
-        """Deviations of the prior, which are the initial errors, ``(6,)`` km and km/s."""
+        """Initial errors and standard deviations of the prior, ``(6,)`` km and km/s."""
         return np.concatenate([self.error_km, np.asarray(self.error_m_per_s) * 1e-3])
 
     @property
     def process_std(self) -> Array:
-        """Driving noise of the rates ``(6,)``, km/s and km/s^2."""
+        """Standard deviations of the driving noise of the rates ``(6,)``, km/s and km/s^2."""
         return np.repeat([self.rate_noise_km_per_s, self.acceleration_noise_km_per_s2], 3)
 
     @property
     def noise(self) -> Noise:
-        """Noises of the setting; ``J (6, 3)`` is two diagonal blocks, in deviations of the driving
-        noises."""
+        """Noises of the setting; ``J (6, 3)`` has two diagonal blocks, scaled by the standard
+        deviations of the driving noises."""
         s = self.setting
         std = self.process_std
         J = s.kappa * std[:, None] * np.vstack([np.diag(1.0 / self.sigma_km)] * 2)
@@ -235,8 +246,8 @@ class Config(Timed):
         )
 
     def bias(self, t: Array) -> Array:
-        """Error ``(..., 3)`` km of the ephemeris, ``t`` s after the start
-        [Xu2023, Eqs 17, 69, 70; inferred], if not constant."""
+        """Ephemeris error ``(..., 3)`` km, ``t`` s after the start
+        [Xu2023, Eqs 17, 69, 70; inferred]; not for the trend "constant"."""
         if self.trend == "step":
             return (
                 self.bias_prior_km
@@ -259,15 +270,15 @@ YEAR = replace(TABLE_5, days=365.0, runs=3, setting=Setting(kappa=4.5), walk_km=
 PRESETS = {"table5": TABLE_5, "white": WHITE, "year": YEAR}
 
 
-# -- what happens ----------------------------------------------------------------------------------
+# -- truth and measurements ------------------------------------------------------------------------
 Cases = Config | Sequence[Config]
-"""One configuration, or several that are flown together."""
+"""One configuration, or several that run together."""
 PULLING = ("sun", "moon")
 
 
 def stacked(cases: Cases, of: Callable[[Config], Any]) -> Array:
-    """A parameter: of one configuration as it is, of several ``(cases, 1, ...)``, which broadcasts
-    over the runs."""
+    """A parameter of one configuration as it is; of several configurations ``(cases, 1, ...)``,
+    which broadcasts over the runs."""
     return (
         np.asarray(of(cases))
         if isinstance(cases, Config)
@@ -276,19 +287,19 @@ def stacked(cases: Cases, of: Callable[[Config], Any]) -> Array:
 
 
 def one_of(cases: Cases) -> Config:
-    """That whose times, orbit and pulsars are those of all."""
+    """The first configuration, whose times, orbit and pulsars all cases share."""
     return cases if isinstance(cases, Config) else cases[0]
 
 
 def noises(cases: Cases) -> Noise:
-    """Noises, `stacked`."""
+    """Noises of the cases, see `stacked`."""
     return Noise(*(stacked(cases, attrgetter(f"noise.{name}")) for name in Noise._fields))
 
 
 def sky(config: Config) -> tuple[Array, Array, Array | None]:
-    """By DE421 where the central body and the Sun are at each epoch, ``(T, 3)`` km: what the
-    filters believe; and Sun and Moon from the center at the nodes of the step before each epoch,
-    ``(T, 2, N, 3)``, if they pull."""
+    """Positions of the central body and the Sun at each epoch by DE421, ``(T, 3)`` km, as the
+    filters assume them. If Sun and Moon attract the satellite, also their positions relative to the
+    center at the nodes of the step before each epoch, ``(T, 2, N, 3)`` km."""
     earth, sun = (de421().state(body, config.dates).position for body in (config.center, "sun"))
     if not config.pulled:
         return earth, sun, None
@@ -304,7 +315,7 @@ def sky(config: Config) -> tuple[Array, Array, Array | None]:
 
 
 def pull(bodies: Array | None) -> Extra | None:
-    """What Sun and Moon, at ``(2, N, 3)`` during a step, add to the acceleration."""
+    """Acceleration by Sun and Moon, which are at ``(2, N, 3)`` km during a step."""
     if bodies is None:
         return None
     both = [(at[:, None], GM[body]) for body, at in zip(PULLING, bodies, strict=True)]
@@ -314,8 +325,8 @@ def pull(bodies: Array | None) -> Extra | None:
 
 
 def nominal(config: Config) -> Flow:
-    """The undisturbed orbit ``(T, 6)``, and ``Phi`` and ``G`` of each step, ``(T - 1, 6, 6)``; not
-    to be written to."""
+    """The undisturbed orbit ``(T, 6)``, and ``Phi`` and ``G`` of each step, ``(T - 1, 6, 6)``. Do
+    not write to these arrays: they are cached."""
     return _coasted(tuple(config.orbit.tolist()), config.step_s, config.samples, config.center)
 
 
@@ -327,13 +338,13 @@ def _coasted(start: tuple[float, ...], step_s: float, steps: int, center: str) -
     x = carried(lambda x, epoch: advance(x, epoch.dt, gravity), prior, when)
     pieces = [
         flow(part, step_s, gravity)[1:] for part in np.array_split(x[:-1], 1 + steps // 4096)
-    ]  # that stay in the cache
+    ]  # pieces that fit the processor's cache
     return Flow(x, *map(np.concatenate, zip(*pieces, strict=True)))
 
 
 class Scenario(NamedTuple):
-    """Simulated runs, time-major, of one configuration or of several ``(cases, runs)``: ``truth (T,
-    ..., 6)`` km, km/s; ``bias (T, ..., 3)`` km; ``z (T, ..., m)`` km, of which the first is not
+    """Simulated runs, time first, of one configuration or of several ``(cases, runs)``: ``truth (T,
+    ..., 6)`` km, km/s; ``bias (T, ..., 3)`` km; ``z (T, ..., m)`` km, whose first epoch is not
     used; ``inputs``: arrays ``(T - 1, ...)`` for the models."""
 
     truth: Array
@@ -349,17 +360,17 @@ class Scenario(NamedTuple):
         return self.step_s * np.arange(len(self.truth))
 
     def some(self, runs: slice) -> Scenario:
-        """Some of the runs, of several cases."""
+        """A part of the runs, of all cases."""
         return self._part(slice(None), runs)
 
     def of(self, cases: list[int]) -> Scenario:
-        """Cases of these numbers."""
+        """The cases with these numbers."""
         return self._part(cases, slice(None))
 
     def _part(self, *at: Any) -> Scenario:
         mean = self.prior.mean
         cov = self.prior.cov
-        if cov.ndim > 2:  # not one of all runs
+        if cov.ndim > 2:  # each run has its own
             cov = np.broadcast_to(cov, (*mean.shape, mean.shape[-1]))[at]
         truth, bias, z = (part[:, *at] for part in (self.truth, self.bias, self.z))
         return self._replace(truth=truth, bias=bias, z=z, prior=Gaussian(mean[at], cov))
@@ -370,15 +381,15 @@ class Scenario(NamedTuple):
         return every
 
     def epochs(self) -> Epochs:
-        """The same; ``truth`` is state and bias ``(..., 9)``."""
+        """The epochs with the truth, state and bias ``(..., 9)``."""
         truth = side_by_side([self.truth, self.bias])
         every: Epochs = epochs(self.times, self.z, self.inputs, truth)[1:]
         return every
 
 
 def drawn(cases: Cases, rngs: Rngs) -> tuple[Array, Array, Array, Array]:
-    """AR(1) noises V ``(T, ..., runs, 3)`` km and Q ``(T, ..., runs, 6)``; drawn for each run
-    ``(runs, 6)``, and for its bias."""
+    """AR(1) noises V ``(T, ..., runs, 3)`` km and Q ``(T, ..., runs, 6)``; standard normal numbers
+    for the initial state ``(runs, 6)`` and for the bias ``(runs, 3)`` of each run."""
     c = one_of(cases)
     noise = noises(cases)
     xi, e, first, rest = normals(rngs, (c.samples + 1, 3), (c.samples + 1, 6), (9,), (9,))
@@ -408,8 +419,8 @@ def simulate(cases: Cases, rngs: Rngs) -> Scenario:
     bias = np.stack(
         [np.broadcast_to(error, (len(V), len(rngs), 3)) for error in errors], 1
     ).reshape(V.shape)
-    # The disturbance is mapped by the nominal orbit's G, from which that of a run differs by 1e-4
-    # of itself.
+    # The disturbance is mapped by G of the nominal orbit. The G of a run differs from it by 1e-4 of
+    # its size.
     pushes = Q[1:]
     pushes += matvec(noise.J, V[1:])
     pushes = (pushes.reshape(len(pushes), -1, 6) @ nominal(c).G.mT).reshape(pushes.shape)
@@ -434,7 +445,7 @@ def simulate(cases: Cases, rngs: Rngs) -> Scenario:
 
 
 def carried(f: Callable[[Array, Epoch], Array], prior: Gaussian, when: Epochs) -> Array:
-    """States ``(T, ..., 6)`` that follow from one another: the means of an open loop."""
+    """States ``(T, ..., 6)`` from repeated prediction: the means of a filter without sensors."""
     motion = Motion(f, np.zeros((6, 6)), jacobian=lambda _x, _epoch: np.eye(6))
     return run(ekf(motion, form="covariance"), prior, when, keep="mean").mean
 
@@ -456,9 +467,9 @@ def pushed(config: Config, pushes: Array, bodies: Array | None) -> Array:
 
 
 def linearized(cases: Sequence[Config], rngs: Rngs) -> Scenario:
-    """Runs of errors about the nominal orbit, for `LINEAR` models, whose filters have one
-    covariance for all runs. Cases differ in their ephemeris error alone; a constant one is 1 km
-    along an axis in each of the first runs, then along random directions."""
+    """Runs of the errors about the nominal orbit, for `LINEAR` models. Their filters have one
+    covariance for all runs. Cases differ only in their ephemeris error. A constant error is 1 km
+    along x, y and z in the first three runs, and along random directions in the others."""
     c = cases[0]
     V, Q, _, constant = drawn(cases[0], rngs)
     orbit, Phi, G = nominal(c)
@@ -485,10 +496,10 @@ def linearized(cases: Sequence[Config], rngs: Rngs) -> Scenario:
 
 # -- models ----------------------------------------------------------------------------------------
 class Models(NamedTuple):
-    """Orbit and timings (km, with the Earth where it is believed to be) as filters see them, of
-    ``(mean (..., 6 or more), epoch)``. ``Gamma (..., m, 3)``: slope with respect to the position,
-    and to an error of the Earth's. ``linear``: whether they are products with their derivatives,
-    the same for every mean."""
+    """Models of orbit and timings (km) in the filters, functions of ``(mean (..., 6 or more),
+    epoch)``, with the Earth at its position in the ephemeris. ``Gamma (..., m, 3)``: Jacobian of
+    the timings with respect to the satellite's position, and to the ephemeris error. ``linear``:
+    whether the functions are linear, with Jacobians that do not depend on the mean."""
 
     move: Callable[[Array, Epoch], Flow]
     measure: Callable[[Array, Epoch], Array]
@@ -500,8 +511,8 @@ class Models(NamedTuple):
         return block([[self.Gamma(mean, epoch), np.zeros((3, 3))]])
 
     def believed(self, kind: Any, function: Any, jacobian: Any, **noise: Any) -> Any:
-        """A `Motion` or `Sensor` of a function and its Jacobian, which is all of it where it is
-        linear."""
+        """A `Motion` or `Sensor` made of a function and its Jacobian, or of the Jacobian alone if
+        the model is linear."""
         return (
             kind(Linear(partial(jacobian, np.zeros(6))), **noise)
             if self.linear
@@ -510,16 +521,16 @@ class Models(NamedTuple):
 
 
 class Orbiting:
-    """Functions for `Models` of a configuration. ``pulled``: whether they know of Sun and Moon."""
+    """Functions for `Models` of a configuration. ``pulled``: whether they model Sun and Moon."""
 
     def __init__(self, config: Config, pulled: bool):
         self.timing, self.gravity, self.pulled = config.timing, GRAVITY[config.center], pulled
         self._last: tuple[Any, Any, Any] = (None, None, None)
 
     def move(self, mean: Array, epoch: Epoch) -> Flow:
-        """What follows, Jacobian and noise input, of one integration; the last is remembered."""
+        """Next state, its Jacobian and noise input, from one integration; the last is cached."""
         x = mean[..., :6]
-        if x.dtype.hasobject:  # recorded: what is computed twice is one there
+        if x.dtype.hasobject:  # recorded: the recorder merges equal computations
             return self._flow(x, epoch)
         known, at, found = self._last
         if at is not epoch or not np.array_equal(known, x):
@@ -535,12 +546,12 @@ class Orbiting:
         return self.timing.delay(epoch.u[0] + x[..., :3], epoch.u[1])
 
     def Gamma(self, x: Array, epoch: Epoch) -> Array:
-        """Their slope ``(..., m, 3)``."""
+        """Jacobian of the delays with respect to the position ``(..., m, 3)``."""
         return self.timing.gradient(epoch.u[0] + x[..., :3], epoch.u[1])
 
 
 def models(config: Config, pulled: bool = False) -> Models:
-    """The models of a configuration. ``pulled``: whether they know of Sun and Moon."""
+    """The models of a configuration. ``pulled``: whether they model Sun and Moon."""
     of = Orbiting(config, pulled)
     return Models(of.move, of.measure, of.Gamma)
 
@@ -557,15 +568,15 @@ LINEAR = Models(  # of errors about the nominal orbit; epoch.u is (Phi, G, Gamma
 def filters(
     cases: Cases, seen: Models | None = None, noise: Noise | None = None, *, on: ArrayLike = 1.0
 ) -> dict[str, Any]:
-    """The filters by name. ``seen``, ``noise``: other models and noises than those of the cases.
-    ``on``: factor of rho.
+    """The filters by name. ``seen``, ``noise``: models and noises that replace those of the cases.
+    ``on``: factor that multiplies rho.
 
-    ekf, tkf: ignorance and two stages, with the covariances of the driving noise, the paper's
-    (inferred) choice; the first stage of tkf is ekf. ekf-fair, tkf-fair: with those that the noises
-    really have. tdkf, tstdkf: two stages on differenced measurements, without and with strong
-    tracking. aug9: ekf with the bias appended, a walk. aug: all noises and the bias as states,
-    exact. Beliefs of ekf are about ``(r, v)``, of aug about ``(r, v, V, Q, b)``, of the others
-    about ``(r, v, b)``.
+    ekf: ignores the bias. tkf: estimates it in a second stage; its first stage is ekf. Both have
+    the covariances of the driving noise, the paper's choice (inferred). ekf-fair, tkf-fair: the
+    same with the stationary covariances of the noises. tdkf, tstdkf: two stages on differenced
+    measurements, without and with strong tracking. aug9: ekf with the bias appended as a random
+    walk. aug: all noises and the bias as states, exact. The state is ``(r, v)`` of ekf, ``(r, v, V,
+    Q, b)`` of aug, and ``(r, v, b)`` of the others.
     """
     seen = seen or models(one_of(cases))
     n = noise or noises(cases)
@@ -587,10 +598,10 @@ def filters(
     }
 
 
-# Matrices that runs may have of their own are arguments of a `partial`: the compiled engine finds
-# them there.
+# Matrices that may differ between runs are arguments of a `partial`, where the compiled engine
+# finds them.
 def kalman(seen: Models, Q: Array, R: Array) -> Sequential:
-    """An EKF that takes all noise for white, of covariances Q ``(..., 6, 6)`` of the rates and R
+    """An EKF that treats all noise as white, with covariances Q ``(..., 6, 6)`` of the rates and R
     ``(..., m, m)``."""
     functions = partial(_follows, seen), partial(_transition, seen)
     motion = seen.believed(Motion, *functions, sqrt_Q=partial(_driven, seen, np.linalg.cholesky(Q)))
@@ -610,9 +621,9 @@ def _driven(seen: Models, root: Array, x: Array, epoch: Epoch) -> Array:
 
 
 def augmented(seen: Models, n: Noise, bias: Gaussian, walk: Array) -> Appended:
-    """The exact filter: 18 states ``(x, V, Q, b)``, the bias a random walk, and no noise left in
-    the measurement. In square-root form: after an update V is known from the rest, so the
-    covariance is singular."""
+    """The exact filter: 18 states ``(x, V, Q, b)``, with a random-walk bias and no white noise in
+    the measurement. It has square-root form, because an update determines V from the other states,
+    which makes the covariance singular."""
     xi = np.sqrt(n.Xi)
     e = np.sqrt(n.E)
     eye = np.eye(3)
@@ -633,21 +644,22 @@ def augmented(seen: Models, n: Noise, bias: Gaussian, walk: Array) -> Appended:
 
 
 def nine_states(seen: Models, Q: Array, R: Array, bias: Gaussian, walk: Array) -> Appended:
-    """`kalman` with the bias appended, ``(x, b)``; ``walk (..., 3, 3)``: root of the covariance of
-    its steps."""
+    """`kalman` with the bias appended, ``(x, b)``; ``walk (..., 3, 3)``: square root of the
+    covariance of the bias's steps."""
     drives = block([[np.linalg.cholesky(Q), 0], [0, walk]])
     return appended(seen, bias.cov, np.eye(3), np.zeros((6, 3)), drives, "covariance", R=R)
 
 
 @dataclass(frozen=True, eq=False)
 class Appended:
-    """A filter of orbit and further states ``(q,)``; ``cov (..., q, q)``: of these at first."""
+    """A filter of the orbit and ``q`` further states with initial covariance ``cov (..., q,
+    q)``."""
 
     filter: Sequential
     cov: Array
 
     def start(self, prior: Gaussian) -> State:
-        """State before the first epoch; the prior is about the orbit."""
+        """State before the first epoch, from a prior of the orbit."""
         mean = side_by_side([prior.mean, np.zeros(self.cov.shape[-1])])
         return self.filter.start(Gaussian(mean, block([[prior.cov, 0], [0, self.cov]])))
 
@@ -659,9 +671,11 @@ class Appended:
 def appended(
     seen: Models, cov: Array, color: Array, into: Array, drives: Array, form: str, **R: Array
 ) -> Appended:
-    """An EKF of orbit and ``s (..., q)``, first a timing's noise if q > 3, last a bias: ``s' =
-    color s + w``, N(0, cov) at first, noise of the orbit ``into s + w``; ``drives (..., 6 + q,
-    r)``: root of the covariance of w. Others: as of `ekf`."""
+    """An EKF of the orbit and ``s (..., q)``: noises, the timings' first, if q > 3; the bias last.
+
+    ``s' = color s + w``, initially N(0, cov); the noise of the orbit is ``into s + w``. drives:
+    ``(..., 6 + q, r)``, square root of the covariance of w. R: see `ekf`.
+    """
     slope = partial(_slope_with, seen, cov.shape[-1] - 3)
     motion = seen.believed(
         Motion,
@@ -690,7 +704,7 @@ def _driven_with(seen: Models, drives: Array, x: Array, epoch: Epoch) -> Array:
 
 
 def _slope_with(seen: Models, noises: int, x: Array, epoch: Epoch) -> Array:
-    """Slope of a timing; ``noises``: how many states stand between orbit and bias, V first."""
+    """Jacobian of the timings; ``noises``: number of states between orbit and bias, V first."""
     return block([[seen.H(x, epoch), np.eye(3, noises), seen.Gamma(x, epoch)]])
 
 
@@ -704,9 +718,11 @@ JUDGED = {group.name: group.unit for group in GROUPS}
 
 
 def trial(config: Config, rngs: Rngs) -> Trial:
-    """One run with each generator, for missions, campaigns and the study. The orbit is judged,
-    which all filters estimate. There is a bound where initial errors and a constant ephemeris error
-    are drawn from their priors, as the exact filter believes."""
+    """One run for each generator, for missions, campaigns and the study.
+
+    The orbit is judged, because all filters estimate it. There is a bound if the initial errors and
+    a constant ephemeris error are drawn from their priors, as the exact filter assumes.
+    """
     sim = simulate(config, rngs)
     known = filters(config)
     reference = "aug" if config.initial == "drawn" and config.trend == "constant" else ""

@@ -1,4 +1,4 @@
-"""[Xu2023] shown: figures and tables as the paper numbers them, those beyond it, recordings."""
+"""Figures, tables and recordings of [Xu2023], with the paper's numbers, and figures beyond it."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ SWEPT = (colors.ESTIMATE, colors.PAPER, colors.ESTIMATE, colors.PAPER, colors.RE
 
 # -- figures ---------------------------------------------------------------------------------------
 def orbital(results: Results, part: str, filter: str, group: str, line: Line | None = None) -> Item:
-    """RMSE over the runs and an orbit, in which it swings."""
+    """RMSE over the runs and over one orbit, since it oscillates with the orbit."""
     square = np.square(results.error(part, filter, group)[..., 0]).mean(1)
     width = min(20, len(square))
     name = filter.split("/")[-1]
@@ -83,7 +83,7 @@ def orbital(results: Results, part: str, filter: str, group: str, line: Line | N
 
 
 def principle(results: Results) -> Figure:
-    """What a timing measures, in the plane of Earth and pulsar."""
+    """Geometry of a timing, in the plane of Earth and pulsar."""
     c = results.parts["month"].config
     fig, ax = figure(6.2, 4.2)
     earth, sun = (part[0] for part in s.sky(c)[:2])
@@ -124,7 +124,7 @@ def principle(results: Results) -> Figure:
     ax.set(
         xlim=(-0.45, satellite[0] + 0.7),
         ylim=(-0.45, max(at[1], satellite[1]) + 0.2),
-        title="Figure 1 (not to scale)",
+        title="Figure 1: geometry of a timing (not to scale)",
     )
     ax.set_axis_off()
     return fig
@@ -158,9 +158,11 @@ def ignorant(number: int, group: str, unit: str, results: Results) -> Figure:
     shown = {
         ("month", "5/ekf"): Line("EKF, ephemeris error", colors.COMPARISON),
         ("variants", f"white, ephemeris error × {LARGER:.3g}/ekf"): Line(
-            f"error {LARGER:.3g} times as large", colors.PAPER
+            f"EKF, error {LARGER:.3g} times as large", colors.PAPER
         ),
-        ("variants", "white, no ephemeris error/ekf"): Line("no ephemeris error", colors.TRUTH),
+        ("variants", "white, no ephemeris error/ekf"): Line(
+            "EKF, no ephemeris error", colors.TRUTH
+        ),
         ("month", "5/tkf"): Line("TKF, ephemeris error", colors.ESTIMATE),
     }
     items = [orbital(results, *flown, group, line) for flown, line in shown.items()]
@@ -171,19 +173,19 @@ def ignorant(number: int, group: str, unit: str, results: Results) -> Figure:
                 "month",
                 "5/ekf",
                 "bias",
-                Line("size of the ephemeris error", colors.SIGMA, ":"),
+                Line("norm of the ephemeris error", colors.SIGMA, ":"),
             )
         )
-    title = f"Figure {number}: what an ephemeris error does (white noise)"
+    title = f"Figure {number}: effect of an ephemeris error (white noise)"
     return panels(Panel(title, items, DAYS, f"{group} RMSE ({unit})", "y"), size=(7.5, 3.6))
 
 
 def three_trends(results: Results) -> Figure:
-    """The ephemeris error."""
+    """The ephemeris error over a year, three trends."""
     c = results.parts["year"].config
     t = np.arange(0.0, 366.0 * DAY_S, 0.5 * DAY_S)
     heads = zip(
-        ("Figure 5, Eq. 17", "of Figure 10, Eq. 69", "of Figure 10, Eq. 70"), TRENDS, strict=True
+        ("Figure 5, Eq. 17", "for Figure 10, Eq. 69", "for Figure 10, Eq. 70"), TRENDS, strict=True
     )
     lines = (
         (f"{head}: {name}", components(t / DAY_S, replace(c, trend=name).bias(t), AXES, SHADES))
@@ -194,8 +196,8 @@ def three_trends(results: Results) -> Figure:
 
 
 def model_error(results: Results) -> Figure:
-    """What the ephemeris error makes of the timings in a year, from the Earth's center: an orbit
-    changes nothing of it."""
+    """Effect of the ephemeris error on the timings over a year, at the Earth's center. A
+    satellite's orbit does not change it noticeably."""
     c = results.parts["month"].config
     t = np.arange(0.0, 366.0 * DAY_S, 0.5 * DAY_S)
     earth, sun = (
@@ -205,13 +207,13 @@ def model_error(results: Results) -> Figure:
         t / DAY_S, (c.timing.gradient(earth, sun) @ c.bias(t)[..., None])[..., 0], c.pulsars, SHADES
     )
     return panels(
-        Panel("Figure 6: model error of the timings", items, DAYS, "c B = Γ δr (km)"),
+        Panel("Figure 6: error of the timing model", items, DAYS, "c B = Γ δr (km)"),
         size=(6.5, 3.4),
     )
 
 
 def third_bodies(results: Results) -> Figure:
-    """Acceleration by Sun, Moon and planets on a day, and of each body its largest of the month."""
+    """Acceleration by Sun, Moon and planets in a day, and the largest of each body in a month."""
     c = results.parts["pulls"].config
     each = accelerations(c)
     day = slice(0, round(DAY_S / c.step_s) + 1)
@@ -234,27 +236,30 @@ def third_bodies(results: Results) -> Figure:
         linestyle="",
     )
     return panels(
-        [*row, Panel("each body, at most", [largest], "acceleration (km/s²)", log="x")],
+        [
+            *row,
+            Panel("largest of each body in a month", [largest], "acceleration (km/s²)", log="x"),
+        ],
         size=(11.0, 3.2),
     )
 
 
 def spectrum(results: Results) -> Figure:
-    """Two groups of lines."""
+    """Spectrum of the third-body acceleration: groups of lines at multiples of the orbital rate."""
     power = results.get("pulls", "power")[1:]
     cycles = results.get("pulls", "cycles")[1:]
     items = components(cycles, power / power.max(), AXES, SHADES, linewidth=0.7)
     title = "Figure 8: spectrum of the acceleration"
     more = {"xlim": (0.0, 60.0)}
     return panels(
-        Panel(title, items, "frequency (cycles/day)", "power, to the largest (-)", "y", more),
+        Panel(title, items, "frequency (cycles/day)", "power over its maximum (-)", "y", more),
         size=(6.5, 3.6),
     )
 
 
 def one_month(results: Results) -> Figure:
-    """Setting 1: position, velocity and bias. The true bias is no draw from its prior: its error
-    has no bound."""
+    """Setting 1: position, velocity and bias. The true bias is not drawn from its prior, so there
+    is no bound for the bias error."""
     t = results.times("month") / DAY_S
     told = results.get("covariances", "told/aug")
     row = list[Panel]()
@@ -270,7 +275,7 @@ def one_month(results: Results) -> Figure:
         if group != "bias":
             P = told[:, 3 * i : 3 * i + 3, 3 * i : 3 * i + 3]
             n = results.error("month", "1/aug", group).shape[1]
-            # mean square of n runs
+            # 95 % range of the mean square of n runs
             size = P.trace(axis1=1, axis2=2)
             far = 1.96 * np.sqrt(2.0 / n * np.square(P).sum((1, 2)))
             low, high = (scale * np.sqrt(np.maximum(size + d, 0.1 * size)) for d in (-far, far))
@@ -281,7 +286,7 @@ def one_month(results: Results) -> Figure:
                     low=low,
                     high=high,
                     color=colors.SIGMA,
-                    label="runs at the bound, 95 %",
+                    label="optimal filter, 95 % range",
                 )
             ]
         row.append(
@@ -313,16 +318,19 @@ def one_year(results: Results) -> Figure:
 
 
 def in_settings(results: Results) -> Figure:
-    """Table 5 as bars."""
+    """Position RMSE of Table 5 as bars."""
     heights = {f: [rms(squares(results, "month", f"{i}/{f}")) for i in SETTINGS] for f in COMPARED}
     heights["fair"] = [rms(squares(results, "month", "fair/tkf")), *[np.nan] * 4]
     ticks = [f"{i}: F {c.F:g}, L {c.L:g}, κ {c.kappa:g}" for i, c in SETTINGS.items()]
     item = bars(ticks, {LINES[f].label: (values, LINES[f].color) for f, values in heights.items()})
-    return panels(Panel("Table 5 as bars", [item], "", "position RMSE (km)"), size=(9.5, 3.6))
+    return panels(
+        Panel("Table 5: position RMSE over the month", [item], "", "position RMSE (km)"),
+        size=(9.5, 3.6),
+    )
 
 
 def consistent(results: Results) -> Figure:
-    """NEES of errors and biases drawn from their priors."""
+    """NEES with initial errors and biases drawn from their priors."""
     t = results.times("consistency") / DAY_S
     row = list[Panel]()
     for case, title in (("1", "setting 1"), ("5", "white noise")):
@@ -331,12 +339,12 @@ def consistent(results: Results) -> Figure:
             curve(t, values / (9 if f == "aug" else 6), LINES[f]) for f, values in nees.items()
         ]
         items.append(level(1.0, label="consistent", color="black"))
-        row.append(Panel(title, items, DAYS, "" if row else "NEES to its dimension (-)", "y"))
+        row.append(Panel(title, items, DAYS, "" if row else "NEES / number of states (-)", "y"))
     return panels(row, size=(9.0, 3.6), sharey=True)
 
 
 def depends(results: Results) -> Figure:
-    """Setting 1 with one thing changed, and a coupling that is taken for another."""
+    """Setting 1 with one change, and filters that assume a wrong coupling."""
 
     def heights(
         part: str, names: Iterable[Any], at: str, filters: Iterable[str]
@@ -360,23 +368,22 @@ def depends(results: Results) -> Figure:
     said = "position RMSE (km)"
     row = (
         Panel("", left, said, log="x"),
-        Panel("", [right], "κ, and what filters take it for", said),
+        Panel("", [right], "true κ → assumed κ", said),
     )
     return panels(row, size=(11.0, 4.6))
 
 
 def trade_off(results: Results) -> Figure:
-    """A step of the ephemeris error: how soon it is followed and how noisy the estimate is before
-    it."""
+    """A step of the ephemeris error: delay in following it, and noise of the estimate before it."""
     keys = {
-        f"by {what}, form {f}": [x for x in study.SWEEP if x.startswith(f"{f}, {what}")]
+        f"{what} varied, form {f}": [x for x in study.SWEEP if x.startswith(f"{f}, {what}")]
         for what in "ρτ"
         for f in "CB"
     }
     left = list[Item]()
     after = results.at("sweep", "late")
     for (label, names), color in zip(
-        (keys | {"by walk, nine states": [*study.NINE][:-1]}).items(), SWEPT, strict=True
+        (keys | {"random walk varied, nine states": [*study.NINE][:-1]}).items(), SWEPT, strict=True
     ):
         days = [
             study.days(results.error("sweep", f"step/{name}", "bias")[after, :, 0].T)
@@ -398,7 +405,7 @@ def trade_off(results: Results) -> Figure:
             "",
             left,
             "days until half of the step is followed",
-            "bias RMSE of 5 days before it (km)",
+            "bias RMSE in the 5 days before it (km)",
         ),
         size=(6.5, 4.2),
     )
@@ -406,63 +413,75 @@ def trade_off(results: Results) -> Figure:
 
 FIGURES = {
     "figure_01": (
-        "Fig. 1: principle: what a timing measures, drawn from the vectors of the start (not to "
-        "scale).",
+        "Fig. 1: geometry of a timing, drawn from the vectors at the start (not to scale).",
         principle,
     ),
     "figure_02": (
-        "Fig. 2: position of the Earth, DE405 - DE421: not tens of kilometers but less than two.",
+        "Fig. 2: position of the Earth, DE405 - DE421. The difference is below 2 km, not tens of "
+        "kilometers.",
         lambda r: panels(
             difference(r, "Figure 2: Earth, DE405 − DE421", "de405/earth"), size=(6.5, 3.6)
         ),
     ),
     "figure_02b": (
-        "Beyond the paper: other ephemerides, the Sun, and the Earth seen from the Sun.",
+        "Beyond the paper: differences of other ephemerides from DE421, of the Sun, and of the "
+        "Earth relative to the Sun.",
         others,
     ),
     "figure_03": (
-        "Fig. 3: position RMSE of the EKF under an ephemeris error.",
+        "Fig. 3: position RMSE of the EKF and the TKF with an ephemeris error, white noise.",
         partial(ignorant, 3, "position", "km"),
     ),
     "figure_04": (
-        "Fig. 4: velocity RMSE of the EKF under an ephemeris error.",
+        "Fig. 4: velocity RMSE of the EKF and the TKF with an ephemeris error, white noise.",
         partial(ignorant, 4, "velocity", "m/s"),
     ),
     "figure_05": (
-        "Fig. 5: the ephemeris error, and the two other trends of Fig. 10.",
+        "Fig. 5: the simulated ephemeris error, and the two other trends of Fig. 10.",
         three_trends,
     ),
-    "figure_06": ("Fig. 6: what the ephemeris error makes of the timings.", model_error),
+    "figure_06": (
+        "Fig. 6: effect of the ephemeris error on the timings of the three pulsars.",
+        model_error,
+    ),
     "figure_07": (
-        "Fig. 7: acceleration by Sun, Moon and planets, and of each body its largest.",
+        "Fig. 7: acceleration of the satellite by Sun, Moon and planets in a day, and the largest "
+        "of each body in a month.",
         third_bodies,
     ),
-    "figure_08": ("Fig. 8: its spectrum: two groups of lines, not colored noise.", spectrum),
+    "figure_08": (
+        "Fig. 8: spectrum of the acceleration by Sun, Moon and planets. Five groups of lines are "
+        "drawn: near zero, at the orbital rate of 14.4 cycles/day, and at 28.8, 43.2 and 57.6 "
+        "cycles/day. This is not AR(1) noise.",
+        spectrum,
+    ),
     "figure_09": (
-        "Fig. 9: setting 1 over the month: position, velocity and bias; the exact filter, the fair "
-        "TKF.",
+        "Fig. 9: RMSE of position, velocity and bias in setting 1 over the month. Beyond the "
+        "paper: TDKF, the exact filter, and the TKF with stationary covariances.",
         one_month,
     ),
     "figure_10": (
-        "Fig. 10: a year of three trends: the bias as TKF, TSTDKF (forms B and C) and AUG see it.",
+        "Fig. 10: the bias over a year, three trends: truth, and estimates of TKF, TSTDKF (forms B "
+        "and C) and AUG in the first run.",
         one_year,
     ),
     "figure_11": (
-        "Beyond the paper: Table 5 as bars: position RMSE of the month in the five settings.",
+        "Beyond the paper: position RMSE of Table 5 as bars, for five settings of the noise.",
         in_settings,
     ),
     "figure_12": (
-        "Beyond the paper: consistency: NEES of errors and biases drawn from their priors.",
+        "Beyond the paper: NEES per state, with initial errors and biases drawn from their priors "
+        "(1 if consistent).",
         consistent,
     ),
     "figure_14": (
-        "Beyond the paper: a step of the ephemeris error: how soon it is followed, and at what "
-        "noise.",
+        "Beyond the paper: a step of the ephemeris error. Delay in following it against noise of "
+        "the estimate.",
         trade_off,
     ),
     "figure_13": (
-        "Beyond the paper: setting 1 with one thing changed, and a coupling that is taken for "
-        "another.",
+        "Beyond the paper: position RMSE in setting 1 with one change (left), and with a wrong "
+        "coupling in the filters (right).",
         depends,
     ),
 }
@@ -470,7 +489,7 @@ FIGURES = {
 
 # -- tables ----------------------------------------------------------------------------------------
 def parameters(_: Results) -> Rows:
-    """The other parameters, with their sources."""
+    """The other parameters with their sources."""
     names = (
         "step_s",
         "error_km",
@@ -500,27 +519,27 @@ def parameters(_: Results) -> Rows:
         )
 
     for name, x, told in (
-        ("area_cm2", AREA_CM2, "of the detector"),
-        ("background", BACKGROUND, "X-rays, photons / cm^2 / s"),
+        ("area_cm2", AREA_CM2, "area of the detector"),
+        ("background", BACKGROUND, "X-ray background, photons / cm^2 / s"),
     ):
         errs = (
-            f"; a tenth of it: timings to {timed(**{name: 0.1 * x})} m, ten times: "
-            f"{timed(**{name: 10.0 * x})} m"
+            f"; with a tenth of it σ of the timings is {timed(**{name: 0.1 * x})} m, with ten "
+            f"times {timed(**{name: 10.0 * x})} m"
         )
         rows.append(
             {
                 "parameter": name,
                 "value": f"{x:g}",
                 "meaning": told + errs,
-                "source": "chosen: usual",
+                "source": "chosen: typical value",
             }
         )
     return rows
 
 
 def compared(beyond: bool, results: Results) -> Rows:
-    """RMSE of the paper's filters, and by how much TSTDKF is below the others; ``beyond``: of
-    others, and in the second half."""
+    """RMSE of the paper's filters, and reductions of TSTDKF against the others. ``beyond``: RMSE of
+    the other filters, and reductions in the second half of the month."""
     rows: Rows = []
     for i, (g, unit) in product(SETTINGS, zip(BOTH, ("km", "m/s"), strict=True)):
         size, late = (
@@ -542,11 +561,11 @@ def compared(beyond: bool, results: Results) -> Rows:
 ELEMENTS = ("a (km)", "e (-)", "i (deg)", "Ω (deg)", "ω (deg)", "ν (deg)", "source")
 TABLES = {
     "table_1": (
-        "Table 1: elements of the orbit.",
+        "Table 1: orbital elements.",
         lambda _: [dict(zip(ELEMENTS, (*s.TABLE_5.elements, "chosen"), strict=True))],
     ),
     "table_2": (
-        "Table 2: parameters of the pulsars, and the deviation of a timing.",
+        "Table 2: parameters of the pulsars, and standard deviation of a timing.",
         lambda _: [
             {**vars(p), "deviation_km": float(d), "source": "paper: name; catalog: values"}
             for p, d in zip(pulsars(s.TABLE_5.pulsars), s.TABLE_5.sigma_km)
@@ -554,18 +573,20 @@ TABLES = {
     ),
     "table_3": ("Table 3: the other parameters.", parameters),
     "table_4": (
-        "Table 4: the five settings of the noise.",
+        "Table 4: AR(1) coefficients F and L and coupling κ in the five settings.",
         lambda _: [
-            {"setting": i, **vars(c), "source": "0: inferred; else chosen, tuned"}
+            {"setting": i, **vars(c), "source": "zeros inferred; others chosen or fitted"}
             for i, c in SETTINGS.items()
         ],
     ),
     "table_5": (
-        "Table 5: RMSE of the month in the five settings, and how far TSTDKF is below.",
+        "Table 5: RMSE over the month in the five settings, and by how much TSTDKF is below EKF "
+        "and TKF (negative: above).",
         partial(compared, False),
     ),
     "table_5b": (
-        "Beyond the paper: Table 5 for other filters, and for the second half of the month.",
+        "Beyond the paper: Table 5 for TDKF and the exact filter, and for the second half of the "
+        "month.",
         partial(compared, True),
     ),
 }
@@ -578,29 +599,31 @@ SHOWN = {
     "aug": 9,
     "tkf": 9,
     "ekf": 6,
-}  # filters, and how many components they estimate of orbit and bias
+}  # number of components of orbit and bias that each filter estimates
 ARROW_KM = 6000.0
 EARTH_KM = 6378.137
 AU_KM = 1.495978707e8
 EXAGGERATION = 1000.0
 SPACES = (
-    SceneView("world", f"about the Earth, km (errors x{EXAGGERATION:g})", (20e3, 15e3, 12e3)),
+    SceneView(
+        "world", f"about the Earth, km (errors enlarged {EXAGGERATION:g} times)", (20e3, 15e3, 12e3)
+    ),
     SceneView("sun", "around the Sun, AU", (0.5, -2.2, 1.6)),
 )
 MONTH = f"""# Xu et al. (2023): two stages and strong tracking for X-ray pulsars
 
-A satellite times three pulsars; the Earth's ephemeris is wrong by some hundred meters (bias), \
-the noise is colored and correlated.
-Lines: the last orbit and what the filters made of it, errors {EXAGGERATION:g} times as large. \
-Arrows: the pulls of Sun and Moon.
-Occultation by the Earth, exclusion near the Sun and one detector for three pulsars are left out, \
-as in the paper.
+A satellite times three pulsars. The Earth's ephemeris is wrong by some hundred meters (the bias). \
+The noise is colored and correlated.
+Lines: the last orbit, and its estimates with errors enlarged {EXAGGERATION:g} times. \
+Arrows: the accelerations by Sun and Moon.
+As in the paper, there is no occultation by the Earth, no exclusion near the Sun, and one detector \
+for each pulsar.
 """
 ONE_YEAR = """# A year of three trends
 
-The two-stage filter (TKF) takes the ephemeris error for constant and does not follow. Strong \
-tracking follows in form B, hardly in
-form C. The exact filter (AUG), told of a random walk, follows best.
+The two-stage filter (TKF) models the ephemeris error as constant and does not follow it. TSTDKF \
+follows it in part in form B, and hardly
+in form C. The exact filter (AUG) models it as a random walk and follows it best.
 """
 
 
@@ -612,7 +635,7 @@ def record(results: Results, outputs: Outputs) -> list[str]:
 
 
 def month(results: Results) -> Showcase:
-    """The first run of setting 1, about the Earth and around the Sun; deviations along the nominal
+    """The first run of setting 1, about the Earth and around the Sun; covariances along the nominal
     orbit."""
     c = results.parts["month"].config
     found = dict[str, Estimate]()
@@ -621,7 +644,7 @@ def month(results: Results) -> Showcase:
     t = c.times[1:]
     rows = slice(
         None, None, 9 if len(t) > 180 else 1
-    )  # an orbit has 20 steps: every tenth would show two of its places only
+    )  # an orbit has 20 steps: every tenth step would show only two places of it
     tracks = {"TRUTH": (colors.TRUTH, truth[:, :3])}
     for key, n in SHOWN.items():
         error = results.get("month", f"1/{key}/first")[..., :n] - truth[:, None, :n]
@@ -703,7 +726,7 @@ def month(results: Results) -> Showcase:
 
 
 def year(results: Results) -> Showcase:
-    """The first run of each trend: plots alone."""
+    """The first run of each trend, as plots."""
     rows = slice(None, None, 6 if len(results.times("year")) > 120 else 1)
     t = results.times("year")[rows]
     plots = dict[str, dict[str, Plot]]()

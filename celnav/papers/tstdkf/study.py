@@ -1,5 +1,5 @@
-"""[Xu2023] judged: the runs, what the paper states, what is wrong or lost in it, and what we found
-beside it."""
+"""The study of [Xu2023]: its runs, the paper's statements, its errors and lost parts, and our own
+findings."""
 
 from __future__ import annotations
 
@@ -91,14 +91,14 @@ LENGTHS = (
     Group("velocity", "m/s", slice(1, 2)),
     Group("bias", "km", slice(2, 3)),
 )
-"""What is kept of errors of position, velocity and ephemeris: their lengths."""
+"""Norms of the errors of position, velocity and ephemeris; nothing else of them is stored."""
 PER_UNIT = (1.0, 1e3, 1.0)
-"""Of these units in km and km/s."""
+"""Factors from km and km/s to these units."""
 EXACT_PART = np.r_[0:6, -3:0]
 TRENDS = ("sine", "growing", "triangle")
 LARGER = 20.0 / 3.0
 AMPLIFIED = tuple(LARGER * a for a in TABLE_5.amplitude_km)
-Changes = Mapping[str, Mapping[str, Any]]  # configurations by name: what of one is replaced
+Changes = Mapping[str, Mapping[str, Any]]  # by name: fields of a configuration to replace
 FIVE: Changes = {str(i): {"setting": setting} for i, setting in SETTINGS.items()}
 VARIANTS: Changes = {
     "as it is": {},
@@ -125,7 +125,7 @@ COUPLINGS = (
     (KAPPA, KAPPA),
     (KAPPA, -KAPPA),
 )
-"""Coupling of the noises, and what the filters take it for."""
+"""True coupling κ of the noises, and the coupling that the filters assume."""
 COUPLED, TAKEN = (
     {str(i): {"setting": Setting(kappa=pair[k])} for i, pair in enumerate(COUPLINGS)}
     for k in (0, 1)
@@ -139,14 +139,15 @@ MARS: dict[str, Any] = {
     "center": "mars",
     "elements": (3396.0 + 7136.635 - 6378.137, *TABLE_5.elements[1:]),
 }
-"""A satellite of Mars, as high above it as the Earth's."""
+"""A satellite of Mars, at the same height as that of the Earth."""
 DE423 = {"Mars": ("de423/mars",)}
 DE440 = {"DE440": ("de440/earth", "de440/sun"), "shifted": ("de440/earth",)}
-"""Ephemeris errors, see `reference`: with the barycenters reconciled, and as they are."""
+"""Ephemeris errors, see `reference`. DE440: without the distance between the two barycenters;
+shifted: with it."""
 COLORS = (0.3, 0.5, 0.8, 0.9)
 PRIORS = {0.03: 50, 0.3: 1600, 1.0: 50}
-"""Of the measurement noise; deviations (km) of the ephemeris error in the filters at the start, and
-runs of setting 1 with them."""
+"""AR(1) coefficients of the measurement noise; priors of the ephemeris error in the filters (km)
+and numbers of runs of setting 1 with them."""
 
 
 # -- filters on runs -------------------------------------------------------------------------------
@@ -163,20 +164,21 @@ SWEEP = FORMS | {
     f"{form}, ρ = {rho:g}": (*FORM[form], rho, rho, rho, TAU) for form in "CB" for rho in RHOS
 }
 SWEEP |= {f"{form}, τ = {tau:g}": (*FORM[form], *TABLE_5.rho, tau) for form in "CB" for tau in TAUS}
-"""Factors by name: whether of the innovations of the first stage (form A), whether in proportion (A
-and B), ρ by axis, τ."""
+"""Fading factors by name: whether from the innovations of the first stage (form A), whether
+proportional to squared residuals (A and B), ρ by axis, τ."""
 NINE = {**{f"aug9 {walk:g}": (walk, 0) for walk in WALKS}, "fair": (1e-4, 1)}
-"""Filters of nine states by name: steps of the bias (km), and which of `Noise.whites` they believe
-in."""
+"""Nine-state filters by name: σ of the bias's steps (km), and which of `Noise.whites` they
+assume."""
 LABELS = {
     "tstdkf": ("tdkf", "tstdkf"),
     "tdkf": FORMS,
     "sweep": SWEEP,
     "nine": NINE,
 }
-"""The filters side by side in a filter. EKF is the first stage of TKF, and runs alone."""
+"""Filters that run side by side within one filter. EKF is the first stage of TKF, and runs
+alone."""
 MOST_NUMBERS = 1 << 26
-"""Of the rows of machine code that are in memory at a time: half a gigabyte."""
+"""Largest count of numbers that machine code holds in memory at a time: half a gigabyte."""
 
 
 def run_filters(
@@ -188,10 +190,18 @@ def run_filters(
     every: int = 1,
     judged: bool = False,
 ) -> Found:
-    """Filters ``of`` these names (see `LABELS`) over cases of these: errors ``<case>/<filter>/error
-    (K, runs, 3)``, see `LENGTHS`, RMS over ``every`` epochs, and the estimate ``first (K, 1, 9)``
-    of the first run; FilterError if one is lost. judged: ``nees`` is kept too, for aug of the bias
-    too, and ``nis``."""
+    """Run the filters ``of`` (see `LABELS`) over the cases ``names``.
+
+    Returns
+    -------
+    ``<case>/<filter>/error (K, runs, 3)``: errors, see `LENGTHS`, RMS over ``every`` epochs;
+    ``<case>/<filter>/first (K, 1, 9)``: estimate of the first run. With ``judged`` also ``nees``
+    (for aug including the bias) and ``nis``.
+
+    Raises
+    ------
+    FilterError: if a run fails.
+    """
     out: Found = {"times": sim.step_s * np.arange(every, len(sim.truth), every)}
     for name in of:
         filter = known[name]
@@ -202,7 +212,7 @@ def run_filters(
             for key, values in followed(one, sim, every, judged, labels).items():
                 if not (sound := np.isfinite(values).reshape(len(values), -1).all(1)).all():
                     at = every * (1 + int(np.argmin(sound)))
-                    raise FilterError(f"{name}/{key}: lost a run at step {at}")
+                    raise FilterError(f"{name}/{key}: a run failed at step {at}")
                 for (i, label), (j, case) in product(enumerate(labels), enumerate(names)):
                     out[f"{case}/{label}/{key}"] = values[:, i, j]
     return out
@@ -211,8 +221,8 @@ def run_filters(
 def followed(
     filter: Any, sim: s.Scenario, every: int, judged: bool, labels: Sequence[str]
 ) -> Found:
-    """What `run_filters` gives of the filters in one, arrays ``(K, filters, cases, runs, ...)``,
-    with as many runs at a time as there is memory for."""
+    """Results of `run_filters` for one filter, arrays ``(K, filters, cases, runs, ...)``. It runs
+    as many runs at a time as fit in memory."""
     *cases, count = sim.truth.shape[1:-1]
     n = filter.start(sim.prior).belief.mean.shape[-1]
     row = 3 * n * (n + 1) if judged else n + 9
@@ -225,14 +235,14 @@ def followed(
         with repeated(len(starts)):
             track = run(filter, some.prior, some.measured(), keep="cov" if judged else "mean")
         pieces.append(errors(track, some, every, judged, labels))
-        del track  # before there is another one
+        del track  # frees its memory before the next one
     first = pieces[0].pop("first")
     out = {key: np.concatenate([piece[key] for piece in pieces], 3) for key in pieces[0]}
     return out | {"first": first}
 
 
 def errors(track: Any, sim: s.Scenario, every: int, judged: bool, labels: Sequence[str]) -> Found:
-    """The same of one track of some runs."""
+    """The results of one track with a part of the runs."""
     K = (len(sim.truth) - 1) // every
     T = K * every
     last = slice(every - 1, T, every)
@@ -265,8 +275,8 @@ def apart(
     taken: Changes | None = None,
     judged: bool = False,
 ) -> Found:
-    """Configurations that differ side by side; ``taken``: what the filters take them for, where
-    that is something else."""
+    """Run different configurations side by side; ``taken``: the configurations that the filters
+    assume, where they differ from the true ones."""
     cases, believed = (
         [replace(config, **by.get(name, own)) for name, own in changes.items()]
         for by in (changes, taken or {})
@@ -277,7 +287,7 @@ def apart(
 
 
 def five(config: Config, rngs: Rngs) -> Found:
-    """The five settings; in the first, EKF and TKF with the stationary covariances too."""
+    """The five settings; in setting 1 also EKF and TKF with the stationary covariances."""
     cases = [replace(config, **changes) for changes in FIVE.values()]
     sim = simulate(cases, rngs)
     first = sim.of([0])
@@ -293,8 +303,8 @@ def five(config: Config, rngs: Rngs) -> Found:
 
 
 def forces(config: Config, rngs: Rngs) -> Found:
-    """Sun and Moon pull; all other noise is white. Who models them, and who leaves them to AR(1)
-    noise like them."""
+    """Sun and Moon attract the satellite; all other noise is white. "modeled": a filter with their
+    forces; "colored": a filter that represents them by AR(1) noise of the same size."""
     c = replace(config, setting=SETTINGS[5], pulled=True)
     total = np.asarray(sum(pull for body, pull in accelerations(c).items() if body in s.PULLING))
     driven = c.process_std**2
@@ -311,12 +321,12 @@ def forces(config: Config, rngs: Rngs) -> Found:
     )
 
 
-# -- filters on errors that are linear about the nominal orbit: all runs share their covariances ---
+# -- filters on errors linearized about the nominal orbit: all runs share the covariances ----------
 @dataclass(frozen=True, eq=False)
 class Boosts:
-    """Factors of several kinds at once, along a first axis.
+    """Fading factors of several forms at once, along a first axis.
 
-    own: ``(..., 1, 1)``, whether of the innovations of the first stage.
+    own: ``(..., 1, 1)``, whether they come from the innovations of the first stage.
     """
 
     own: Array
@@ -330,7 +340,7 @@ class Boosts:
 
 
 def boosts(table: Mapping[str, tuple[float, ...]]) -> Boosts:
-    """All factors of a table."""
+    """All fading factors of a table, such as `SWEEP`."""
     own, form, rho, tau = np.split(np.array(list(table.values()))[:, None, None, :], [1, 2, 5], -1)
     return Boosts(own[..., None], strong_tracking(rho, tau, proportional=form))
 
@@ -338,8 +348,8 @@ def boosts(table: Mapping[str, tuple[float, ...]]) -> Boosts:
 def linear(
     names: Sequence[str], every: int, of: Sequence[str], config: Config, rngs: Rngs
 ) -> Found:
-    """`run_filters` along trends of the ephemeris error: the paper's, a step, or 1 km along each
-    axis and, in other runs, others."""
+    """`run_filters` with trends of the ephemeris error about the nominal orbit: the paper's trends,
+    a step, or a constant error of 1 km in several directions."""
     known = filters(config, s.LINEAR, on=BESIDE)
     walks, whose = np.array(list(NINE.values())).T[..., None, None, None, None]
     known |= {
@@ -356,12 +366,12 @@ def linear(
 
 
 Tracks = Mapping[str, tuple[Array, Array]]
-"""By name: error ``(T, 3)`` km of the central body's position, and acceleration ``(T, 3)`` km/s^2
-that the filters do not model."""
+"""Error ``(T, 3)`` km of the central body's position, and acceleration ``(T, 3)`` km/s^2 that the
+filters do not model, by name."""
 
 
 def response(config: Config, pull: Array) -> Array:
-    """What accelerations ``(T, cases, 3)`` km/s^2 do to the nominal orbit, ``(T, cases, 6)``."""
+    """Change of the nominal orbit ``(T, cases, 6)`` by accelerations ``(T, cases, 3)`` km/s^2."""
     _, Phi, G = s.nominal(config)
     x = np.zeros((*pull.shape[:2], 6))
     x[1:] = pull[1:] @ G[:, :, 3:].mT
@@ -373,7 +383,7 @@ def response(config: Config, pull: Array) -> Array:
 def displaced(
     tracks: Callable[[Config], Tracks], of: Sequence[str], config: Config, rngs: Rngs
 ) -> Found:
-    """`run_filters` by the hour about the nominal orbit, with errors that are given."""
+    """`run_filters` about the nominal orbit with given ephemeris errors, RMS by the hour."""
     cases = tracks(config)
     silent = replace(config, amplitude_km=(0.0,) * 3)
     sim = s.linearized([silent], rngs)
@@ -394,9 +404,13 @@ def displaced(
 
 
 def bodies(config: Config) -> Tracks:
-    """DE405 less DE421: of nothing; of the Earth's position, in the timing model and in the forces;
-    of its velocity, which displaces the middle of an observation from its end; of the positions of
-    Sun, Moon and the other planets, in the timing model (the Sun's) and in the forces."""
+    """Single errors, each the difference DE405 - DE421.
+
+    none: no error. position: of the Earth's position, in the timing model and in the forces.
+    velocity: of the Earth's velocity, which displaces the middle of an observation from its end.
+    others: of the positions of Sun, Moon and the other planets, in the timing model (Sun only) and
+    in the forces.
+    """
     error = {body: difference(f"de405/{body}", config) for body in BODIES}
     still = np.zeros(3)
     earth, sun, _ = sky(config)
@@ -420,13 +434,13 @@ def bodies(config: Config) -> Tracks:
 
 
 def reference(names: Mapping[str, Sequence[str]], config: Config) -> Tracks:
-    """Differences of ephemerides from DE421, by name: of the first, less those of the others."""
+    """Differences of ephemerides from DE421 by name: the first difference minus the others."""
     each = {name: [difference(one, config) for one in of] for name, of in names.items()}
     return {name: (d - sum(less), 0.0 * d) for name, (d, *less) in each.items()}
 
 
 def operations(config: Config, _rngs: Rngs) -> Found:
-    """Arithmetic operations of a step of one run about the nominal orbit, by filter."""
+    """Arithmetic operations of one step of one run about the nominal orbit, by filter."""
     known = filters(config, s.LINEAR)
     sim = s.linearized([config], [np.random.default_rng(0)])
     names = ("ekf", "tkf", "aug9", "tstdkf")
@@ -434,8 +448,8 @@ def operations(config: Config, _rngs: Rngs) -> Found:
 
 
 def nominal_covariances(cases: Sequence[Config], name: str) -> Array:
-    """Covariances ``(T, cases, 9, 9)`` of orbit and bias along the nominal orbit: for aug, the
-    posterior Cramer-Rao bound."""
+    """Covariances ``(T, cases, 9, 9)`` of orbit and bias along the nominal orbit. For aug this is
+    the posterior Cramer-Rao bound."""
     sim = s.linearized([cases[0]], [np.random.default_rng(0)])
     prior = Gaussian(np.zeros((len(cases), 1, 6)), np.diag(cases[0].deviation ** 2))
     cov = run(filters(cases, s.LINEAR)[name], prior, sim.epochs(), keep="cov").cov
@@ -443,9 +457,15 @@ def nominal_covariances(cases: Sequence[Config], name: str) -> Array:
 
 
 def covariances(config: Config, _: Rngs) -> Found:
-    """Covariances of aug in the settings, ``<setting>/aug``, or told the ephemeris error, and of
-    tstdkf; by color, without a bias, trace of the position's covariance of TDKF over the least
-    possible one; condition of aug9's, of unit variances."""
+    """Covariances along the nominal orbit.
+
+    Returns
+    -------
+    ``<setting>/aug``: of aug in each setting; ``told/aug``: of aug with a known ephemeris error;
+    ``1/tstdkf``. trace: by AR(1) coefficient, without a bias, trace of the position's covariance of
+    TDKF over the smallest possible trace. condition: condition number of aug9's covariance, scaled
+    to unit variances.
+    """
     flown = {**FIVE, "told": {"bias_prior_km": 1e-9, "walk_km": 0.0}}
     known = nominal_covariances([replace(config, **changes) for changes in flown.values()], "aug")
     short = replace(config, days=config.days / 3.0, bias_prior_km=1e-9, walk_km=0.0)
@@ -465,8 +485,8 @@ def covariances(config: Config, _: Rngs) -> Found:
 
 
 def alike(config: Config, rngs: Rngs) -> Found:
-    """All noise white: largest differences of both first stages and of TKF and TDKF, in deviations
-    and parts of covariances."""
+    """All noise white: largest differences between TKF and TDKF, of first stages and of both
+    stages: of means in standard deviations, and of covariances relative to the variances."""
     c = replace(config, setting=SETTINGS[5])
     sim = simulate(c, rngs)
     known = filters(c)
@@ -481,10 +501,10 @@ def alike(config: Config, rngs: Rngs) -> Found:
     return {"worst": worst}
 
 
-# -- what needs no Monte Carlo ---------------------------------------------------------------------
+# -- parts without Monte Carlo ---------------------------------------------------------------------
 def accelerations(config: Config, errors: Mapping[str, Array] | None = None) -> Found:
     """Acceleration ``(T, 3)`` km/s^2 of the satellite on its nominal orbit by each body, relative
-    to the Earth's; with ``errors (T, 3)`` km of the positions of some."""
+    to the acceleration of the Earth. errors: ``(T, 3)`` km, of the positions of some bodies."""
     place = s.nominal(config).state[:, :3]
     wrong = errors or {}
     at = {b: de421().state(b, config.dates).position + wrong.get(b, 0.0) for b in BODIES}
@@ -493,24 +513,30 @@ def accelerations(config: Config, errors: Mapping[str, Array] | None = None) -> 
 
 
 def correlation(values: Array) -> Array:
-    """Of each sample with the next, ``(..., 3)`` of sequences ``(T, ..., 3)``."""
+    """Correlation of each sample with the next, ``(..., 3)``, of sequences ``(T, ..., 3)``."""
     less = values - values.mean(0)
     return np.asarray((less[1:] * less[:-1]).sum(0) / np.square(less).sum(0))
 
 
 def power(values: Array) -> tuple[Array, Array]:
-    """Power by frequency (Hann window) of sequences ``(T, ...)``, and its flatness, geometric to
-    arithmetic mean: white, .56."""
+    """Power by frequency (Hann window) of sequences ``(T, ...)``, and spectral flatness: the ratio
+    of geometric to arithmetic mean, 0.56 for white noise."""
     window = np.hanning(len(values)).reshape(-1, *(1,) * (values.ndim - 1))
     power = np.square(np.abs(np.fft.rfft(window * (values - values.mean(0)), axis=0)))
     return power, np.exp(np.log(power).mean(0)) / power.mean(0)
 
 
 def pulls(config: Config, rngs: Rngs) -> Found:
-    """Of the sum of `accelerations` ``power``, by ``cycles`` a day, flatness and correlation, and
-    those of 500 white sequences. Of Shapiro delays by Earth, Moon and planets, which the timing
-    model omits: RMS about the mean over the timing's (``omitted``), correlation with the ``next``
-    and with the acceleration along the line of sight (``along``), for each pulsar."""
+    """Whether third bodies and omitted delays look like white noise.
+
+    Returns
+    -------
+    Of the sum of `accelerations`: ``power`` by ``cycles`` per day, ``flatness``, ``correlation`` of
+    successive samples; the last two also of 500 white sequences. Of the Shapiro delays by Earth,
+    Moon and planets, which the timing model omits, for each pulsar: ``omitted``, RMS about the mean
+    over the σ of a timing; ``next``, correlation of successive samples; ``along``, correlation with
+    the acceleration along the line of sight.
+    """
     total = np.asarray(sum(accelerations(config).values()))[:-1]  # a whole month of samples
     lines, flat = power(total)
     white = np.concatenate([rngs[0].standard_normal((len(total), 50)) for _ in range(10)], 1)
@@ -535,8 +561,9 @@ def pulls(config: Config, rngs: Rngs) -> Found:
 
 @cache
 def ephemerides() -> tuple[Tdb, Found]:
-    """``data/ephemeris_2015.npz``: 1753 instants, every 5 h of the year; "de405/earth" and the like
-    ``(T, 3)`` less DE421, km; and every eighth instant those of ``data/planets_2015.npz``."""
+    """The epochs of ``data/ephemeris_2015.npz``, 1753 in steps of 5 h over a year, and differences
+    from DE421 ``(T, 3)`` km by names such as "de405/earth". The differences of
+    ``data/planets_2015.npz`` are given at every eighth epoch."""
     stored, more = (read_npz(data(f"{name}_2015.npz")) for name in ("ephemeris", "planets"))
     dates = Tdb(float(stored["day"]), stored["rest"])
     apart = max(
@@ -545,7 +572,7 @@ def ephemerides() -> tuple[Tdb, Found]:
     )
     if apart > 1e-6:
         raise ValueError(
-            "ephemeris_2015.npz: expected the DE421 that is installed, got one that differs by "
+            "ephemeris_2015.npz: expected positions of the installed DE421, got a difference of "
             f"{apart:.3g} km"
         )
     pairs = [(name, body) for name in ("de405", "de406", "de423") for body in ("earth", "sun")]
@@ -554,8 +581,8 @@ def ephemerides() -> tuple[Tdb, Found]:
 
 
 def difference(name: str, config: Config) -> Array:
-    """One of `ephemerides` at the epochs of runs within that year, ``(T, 3)`` km: for Mercury to
-    some meters, for others to less than one."""
+    """One of the `ephemerides`, interpolated to the epochs of runs within that year, ``(T, 3)`` km.
+    The interpolation error is some meters for Mercury, and less than 1 m for the others."""
     dates, table = ephemerides()
     d = table[name]
     t = config.dates.since(Tdb(dates.day, np.asarray(dates.rest)[0]))
@@ -563,9 +590,9 @@ def difference(name: str, config: Config) -> Array:
 
 
 def sky_facts(config: Config, _: Rngs) -> Found:
-    """What `ephemerides` has; the Earth's ``speed`` (km/s); over a year the ``shapiro`` term's
-    error and the parts ``solar`` of the parallax term that count distances from the Sun (km, each
-    pulsar)."""
+    """The `ephemerides`; the Earth's ``speed`` (km/s); the largest values over a year, for each
+    pulsar, of the error of the Shapiro term (``shapiro``, km) and of the parallax terms that count
+    distances from the Sun (``solar``, km)."""
     dates = from_utc(config.start_utc).after(np.arange(0.0, s.YEAR_S, 10800.0))
     (earth, velocity), (sun, _still) = (de421().state(body, dates) for body in ("earth", "sun"))
     timing = config.timing
@@ -583,8 +610,8 @@ def sky_facts(config: Config, _: Rngs) -> Found:
 
 
 def parts(effort: float = 1.0) -> dict[str, Part]:
-    """All that is computed, the longest first; the effort, below 1, shortens the runs too, and the
-    year once more below `BRIEF`."""
+    """All parts of the study, the longest first. An effort below 1 also shortens the runs, and an
+    effort below `BRIEF` the year once more."""
 
     def days(config: Config, full: float) -> Config:
         return replace(config, days=min(full, max(0.5, round(full * effort * 288.0) / 288.0)))
@@ -636,7 +663,7 @@ def parts(effort: float = 1.0) -> dict[str, Part]:
 
 
 # -- numbers of the ledger -------------------------------------------------------------------------
-WINDOWS = {  # parts of the whole time, a month or a year, since the effort may shorten it
+WINDOWS = {  # as fractions of a run (a month or a year), which a small effort shortens
     "all": (0, 1),
     "late": (1 / 2, 1),
     "soon": (0, 1 / 10),
@@ -654,11 +681,11 @@ COMPARED = ("ekf", "tkf", "tdkf", "tstdkf", "aug")
 BOTH = ("position", "velocity")
 LEDGER = Path(__file__).with_name("ledger.toml")
 PRINTED = {group: read_printed(LEDGER)[f"setting-1-{group}"] for group in BOTH}
-"""% that TSTDKF is below EKF and TKF in setting 1."""
+"""Printed reduction (%) of the RMSE of TSTDKF against EKF and TKF in setting 1."""
 
 
 def windows(_: Config, times: Array) -> dict[str, slice]:
-    """`WINDOWS` as slices, of one epoch at least."""
+    """`WINDOWS` as slices, each with at least one epoch."""
     count = len(times)
     out = {}
     for name, (start, end) in WINDOWS.items():
@@ -668,7 +695,7 @@ def windows(_: Config, times: Array) -> dict[str, slice]:
 
 
 def squares(r: Results, part: str, filter: str, group: str = "position", at: When = "all") -> Array:
-    """Mean squares ``(runs,)`` over a window."""
+    """Mean squared error of each run over a window, ``(runs,)``."""
     return r.squares(part, filter, group, at)[:, 0]
 
 
@@ -678,7 +705,7 @@ over = partial(numbers.over, at="all")
 def together(
     label: str, a: str, b: str, accept: Bounds = (None, None), group: str = "bias"
 ) -> Decided:
-    """`yearly`, of the three trends taken together."""
+    """As `yearly`, with the squares of the three trends added."""
 
     def number(r: Results) -> Number:
         sums = [
@@ -691,41 +718,43 @@ def together(
 
 
 def until_tenth(*errors: Array) -> float:
-    """Days until the RMSE of an estimate stays below 0.1 km; of two, the first over the second."""
+    """Days until the RMSE of an estimate stays below 0.1 km; with two estimates, the ratio of the
+    first time to the second."""
     last = [1 + np.flatnonzero(np.square(e).mean(0) >= 0.01)[-1] for e in errors]
     return float(last[0] / last[1] if len(last) > 1 else last[0] * TABLE_5.step_s / DAY_S)
 
 
 def planet(body: str, accept: Bounds = (None, None), origin: str = "sun") -> Decided:
-    """Largest difference of DE421 and DE440 for a body, from the Sun or the barycenter, km."""
+    """Largest difference (km) of DE421 and DE440 for a body, relative to the Sun or barycenter."""
 
     def number(r: Results) -> Number:
         d = r.get("sky", f"de440/{body}")
         if origin == "sun":
             d = d - r.get("sky", "de440/sun")
-        return Number(f"{body}, {origin}, km", np.linalg.norm(d, axis=1).max(), accept)
+        label = f"{body.capitalize()} relative to the {origin}, largest difference, km"
+        return Number(label, np.linalg.norm(d, axis=1).max(), accept)
 
     return number
 
 
 def per_direction(r: Results) -> Tiers:
-    """Position RMSE of the second half per km of error of the Earth, for all directions."""
+    """Position RMSE of the second half per km of ephemeris error, for all directions."""
     each = np.sqrt(squares(r, "constant", "constant/ekf", at="late"))
     same = (1.0 / 3.2, 3.2)
     mean = estimate("mean over directions, km per km", np.mean, [each], same)
     return {
         "reproduced": [
             mean,
-            Number("least", each.min(), same),
-            Number("largest", each.max(), same),
+            Number("smallest over directions, km per km", each.min(), same),
+            Number("largest over directions, km per km", each.max(), same),
         ],
         "in part": [mean],
     }
 
 
 def slow(r: Results) -> list[Number]:
-    """Change of two differences of ephemerides, in parts of their norm; whether errors of an EKF
-    follow the ephemeris error."""
+    """Change of two differences of ephemerides, relative to their norm, and rank correlation of an
+    EKF's errors with the ephemeris error."""
     numbers = []
     for name in ("de423", "de405"):
         d = r.get("sky", f"{name}/earth")
@@ -733,8 +762,8 @@ def slow(r: Results) -> list[Number]:
         soon = np.linalg.norm(np.diff(d, axis=0), axis=1).max()
         year = max(np.linalg.norm(d - d[k], axis=1).max() for k in range(0, len(d), 5))
         numbers += [
-            Number(f"{name}, in 5 h", soon / size, (None, 0.01)),
-            Number(f"{name}, in the year", year / size, (0.5, None)),
+            Number(f"{name}, relative change in 5 h", soon / size, (None, 0.01)),
+            Number(f"{name}, relative change in a year", year / size, (0.5, None)),
         ]
     days = len(r.times("year")) // 24
     for trend in TRENDS:
@@ -748,23 +777,24 @@ def slow(r: Results) -> list[Number]:
         def follows(error: Array, ranks: Array = ranked(true[:, 0])) -> float:
             return float(np.corrcoef(ranks, ranked(error.mean(0)))[0, 1])
 
-        label = f"rank correlation of daily RMSE and error, {trend}"
+        label = f"rank correlation of daily position RMSE and ephemeris error, {trend}"
         numbers.append(estimate(label, follows, [error.T], (0.0, None)))
     return numbers
 
 
 def ranked(values: Array) -> Array:
-    """The place of each when they are sorted."""
+    """The rank of each value."""
     return values.argsort().argsort()
 
 
 def beyond_white(name: str) -> Decided:
-    """Correlation with the next, least of three sequences, against what 99 % of white ones
-    reach."""
+    """Smallest correlation of successive samples among three sequences, accepted above the 99 %
+    quantile of white sequences."""
 
     def number(r: Results) -> Number:
         bar = float(np.quantile(r.get("pulls", "white correlation"), 0.99))
-        return Number(name, r.get("pulls", name).min(), (bar, None))
+        label = "smallest correlation of successive samples"
+        return Number(label, r.get("pulls", name).min(), (bar, None))
 
     return number
 
@@ -779,7 +809,7 @@ def of_runs(
     at: When = "all",
     **more: Any,
 ) -> Decided:
-    """A statistic of the runs' mean squares, of flown filters and groups."""
+    """A statistic of the mean squares of the runs; ``flown``: filters and groups."""
     return lambda r: estimate(
         label, statistic, [squares(r, part, *one, at) for one in flown], accept, **more
     )
@@ -794,14 +824,14 @@ def of_hours(
     at: str,
     accept: Bounds = (None, None),
 ) -> Decided:
-    """A statistic of errors ``(runs, epochs)`` of filters."""
+    """A statistic of the errors ``(runs, epochs)`` of several filters."""
     return lambda r: estimate(
         label, statistic, [r.error(part, f, group)[r.at(part, at), :, 0].T for f in flown], accept
     )
 
 
 def below_both(*errors: Array) -> Any:
-    """Share of hours, of 12 epochs, in which the RMSE of the last is below that of two others."""
+    """Fraction of hours (12 epochs) in which the RMSE of the last is below that of two others."""
     *others, ours = (np.square(e[:, ::12]).mean(0) for e in errors)
     return (ours < np.minimum(*others)).mean()
 
@@ -809,8 +839,8 @@ def below_both(*errors: Array) -> Any:
 def yearly(
     label: str, a: str, b: str, accept: Bounds = (None, None), group: str = "bias", **more: Any
 ) -> list[Decided]:
-    """Of the three trends, after a month of the year: the error of a filter over that of
-    another."""
+    """For each of the three trends, after the first month: RMSE of filter ``a`` over that of
+    ``b``."""
     return [
         over(f"{label}, {t}", "year", f"{t}/{a}", f"{t}/{b}", accept, group, at="later", **more)
         for t in TRENDS
@@ -818,8 +848,8 @@ def yearly(
 
 
 def days(*errors: Array) -> float:
-    """For how many days the RMSE of an estimate, by the hour, exceeds half of the step; of two: how
-    many more for the second."""
+    """Days in which the hourly RMSE of an estimate exceeds half of the step; with two estimates,
+    the days of the second minus those of the first."""
     each = [
         float((np.square(error).mean(0) > 0.75 * TABLE_5.bias_prior_km**2).sum() / 24.0)
         for error in errors
@@ -828,41 +858,46 @@ def days(*errors: Array) -> float:
 
 
 def following(a: str, b: str, accept: Bounds = (None, None)) -> Decided:
-    """Days that another factor follows the step later."""
+    """Days by which filter ``b`` follows the step later than ``a``."""
     return of_hours(
-        f"days, {a} to {b}", days, "sweep", [f"step/{a}", f"step/{b}"], "bias", "late", accept
+        f"delay in following the step, {b} minus {a}, days",
+        days,
+        "sweep",
+        [f"step/{a}", f"step/{b}"],
+        "bias",
+        "late",
+        accept,
     )
 
 
 def before_step(a: str, b: str, accept: Bounds = (None, None), group: str = "bias") -> Decided:
-    """Error of the estimate in the five days before the step, of a factor or nine states over that
-    of another."""
-    label = f"{a} over {b}, {group} before the step"
+    """RMSE in the five days before the step, of filter ``a`` over that of ``b``."""
+    label = f"{group} RMSE before the step, {a} over {b}"
     return over(label, "sweep", f"step/{a}", f"step/{b}", accept, group, at="steady")
 
 
 def factors(
     a: tuple[str, str], b: tuple[str, str], accept: Bounds = (None, None), at: When = "all"
 ) -> Decided:
-    """Largest over smallest RMSE of the settings, of one filter and group over that of another."""
+    """Ratio of largest to smallest RMSE over the settings, of one filter and group over another."""
 
     def factor(*samples: Array) -> float:
         x = [rms(sample) for sample in samples]
         return max(x[:5]) / min(x[:5]) / max(x[5:]) * min(x[5:])
 
-    label = f"{' '.join(a)} over {' '.join(b)}, {at}"
+    label = f"largest over smallest RMSE, {' '.join(a)} over {' '.join(b)}, {at}"
     flown = [(f"{i}/{f}", group) for f, group in (a, b) for i in SETTINGS]
     return of_runs(label, factor, flown, accept, at=at)
 
 
 def below(a: Array, b: Array) -> float:
-    """By how many percent RMSE of the first is below that of the second."""
+    """Percent by which the RMSE of the first is below that of the second."""
     return 100.0 - 100.0 * quotient(a, b)
 
 
 def percentages(group: str, halfway: tuple[float, float]) -> Callable[[Results], Tiers]:
-    """Setting 1: our percentages, of many linear runs, against the printed ones of 50 runs and half
-    of the effect, and those of 50 runs."""
+    """Reductions in setting 1: of many linearized runs, against the printed ones (of 50 runs) and
+    against half of the effect; and of 50 nonlinear runs."""
 
     def gain(label: str, part: str, case: str, f: str, **more: Any) -> Decided:
         flown = [(f"{case}/tstdkf", group), (f"{case}/{f}", group)]
@@ -872,29 +907,30 @@ def percentages(group: str, halfway: tuple[float, float]) -> Callable[[Results],
     for f, printed, bar in zip(PAPER, PRINTED[group], halfway, strict=False):
         theirs: Any = {"printed": printed, "printed_runs": 50, "printed_count": 2}
         many.append(gain("", "many 0.3", "sine", f, accept=(bar, None), **theirs))
-    fifty = [gain("50 runs, not linear, ", "month", "1", f) for f in PAPER[:2]]
+    fifty = [gain("50 nonlinear runs, ", "month", "1", f) for f in PAPER[:2]]
     return tiers(reproduced_with_fitted_parameters=[*many, *fifty])
 
 
 def lead(group: str, f: str) -> Decided:
-    """By how many % points the gain of TSTDKF in setting 1 exceeds the largest of the others."""
+    """Percentage points by which the gain of TSTDKF in setting 1 exceeds that of other settings."""
 
     def exceeds(*x: Array) -> float:
         first, *others = map(below, x[:5], x[5:])
         return first - max(others)
 
     flown = [(f"{i}/{one}", group) for one in ("tstdkf", f) for i in SETTINGS]
-    return of_runs(f"{group}, below {f.upper()}", exceeds, flown, (0.0, None))
+    label = f"{group}, gain against {f.upper()}, setting 1 minus largest other, percentage points"
+    return of_runs(label, exceeds, flown, (0.0, None))
 
 
 def at_bound(r: Results) -> list[Number]:
-    """Position RMSE of the exact filter over its covariance on the nominal orbit, a mean over a
-    prior wider than the true bias."""
+    """Position RMSE of the exact filter over the RMSE that its covariance predicts on the nominal
+    orbit. The prior of the bias is wider than the true bias, so the ratio is below 1."""
     numbers = []
     for i in SETTINGS:
         size = r.get("covariances", f"{i}/aug")[:, :3, :3].trace(axis1=1, axis2=2).mean()
         samples = [squares(r, "month", f"{i}/aug") / size]
-        numbers.append(estimate(f"setting {i}", rms, samples, (0.85, 1.0)))
+        numbers.append(estimate(f"RMSE over bound, setting {i}", rms, samples, (0.85, 1.0)))
     return numbers
 
 
@@ -903,23 +939,23 @@ NEAR = (0.91, 1.10)
 judged = partial(consistency, at="all")
 BIAS = {}
 for m0, at in product(PRIORS, ("soon", "late")):
-    label = f"{at}, prior {m0:g} km"
+    label = f"bias RMSE, TSTDKF over TKF, {at}, prior {m0:g} km"
     pair = ("sine/tstdkf", "sine/tkf")
     BIAS[m0, at] = over(label, f"many {m0:g}", *pair, (None, 1.0), "bias", at=at)
-"""Setting 1: error of the estimate, TSTDKF over TKF, with a prior of so many km, in the first 3
-days or the second half."""
-CONSTANT = [together("constant over form C", "tkf", "C", (1.0, None))]
+"""Setting 1: RMSE of the bias estimate, TSTDKF over TKF, by prior (km), in the first 3 days (soon)
+or the second half (late)."""
+CONSTANT = [together("bias RMSE, constant bias over form C", "tkf", "C", (1.0, None))]
 
 
 def displacing(a: str, b: str, setting: int, accept: Bounds = (None, None)) -> Decided:
-    """The EKF's position error with one of `bodies` over that with another."""
-    label = f"{a} over {b}, setting {setting}"
+    """Position RMSE of the EKF with error ``a`` of `bodies` over that with ``b``."""
+    label = f"EKF position RMSE, error {a} over {b}, setting {setting}"
     part = f"bodies, {setting}"
     return over(label, part, f"{a}/ekf", f"{b}/ekf", accept, at="late")
 
 
 def in_order(part: str, case: str, accept: Bounds) -> list[Decided]:
-    """Position errors of TSTDKF over TKF and of TKF over EKF."""
+    """Position RMSE of TSTDKF over TKF and of TKF over EKF."""
     pairs = (("tstdkf", "tkf"), ("tkf", "ekf"))
     return [
         over(f"{case}, {a.upper()} over {b.upper()}", part, f"{case}/{a}", f"{case}/{b}", accept)
@@ -928,7 +964,7 @@ def in_order(part: str, case: str, accept: Bounds) -> list[Decided]:
 
 
 def per_km(label: str, part: str) -> Decided:
-    """Position error of an EKF per km of a constant error, a mean over directions."""
+    """Position RMSE of an EKF per km of a constant ephemeris error, mean over directions."""
     flown = [("constant/ekf", "position")]
     return of_runs(label, lambda x: np.sqrt(x).mean(), flown, (1 / 3.2, 3.2), part=part, at="late")
 
@@ -937,13 +973,16 @@ ERRONEOUS = ("velocity", "others")
 LARGER_THAN = [displacing("position", x, i, (1.0, None)) for i in (5, 1) for x in ERRONEOUS]
 WITHOUT = [displacing(x, "none", i, (0.95, 1.05)) for i in (5, 1) for x in ERRONEOUS]
 OTHERS = {
-    name: [per_km(f"{name}, km per km", part), *in_order(name, name, (None, 1.0))]
+    name: [
+        per_km(f"{name}, position RMSE per km of error", part),
+        *in_order(name, name, (None, 1.0)),
+    ]
     for name, part in (("Mars", "constant, Mars"), ("DE440", "constant"))
 }
 CHEAP = [
-    numbers.operations("operations, TKF over AUG9", "tkf", "aug9", (None, 1.0)),
+    numbers.operations("operations per step, TKF over AUG9", "tkf", "aug9", (None, 1.0)),
     of_hours(
-        "time, TKF over AUG9",
+        "time to a tenth of the prior, TKF over AUG9",
         until_tenth,
         "constant, nine",
         ["constant/tkf", "constant/aug9"],
@@ -971,39 +1010,39 @@ LINEAR_STUDY = {  # position RMSE (km) in the five settings by an independent li
 DECISIONS: dict[str, Decision] = {
     "earth-km-gives-km": per_direction,
     "augmentation-falls-short": tiers(
-        reproduced=[*CONSTANT, *yearly("walk over form C", "aug9", "C", (1.0, None))],
+        reproduced=[*CONSTANT, *yearly("bias RMSE, AUG9 over form C", "aug9", "C", (1.0, None))],
         in_part=CONSTANT,
         not_reproduced=[
-            *yearly("position", "aug9", "C", group="position"),
-            *yearly("position over form B", "aug9", "B", group="position"),
+            *yearly("position RMSE, AUG9 over form C", "aug9", "C", group="position"),
+            *yearly("position RMSE, AUG9 over form B", "aug9", "B", group="position"),
             *(
-                over(f"{g}, first month", "year", "sine/aug9", "sine/C", group=g, at="month")
+                over(f"{g} RMSE, first month", "year", "sine/aug9", "sine/C", group=g, at="month")
                 for g in ("bias", "position")
             ),
             before_step("fair", "C", group="position"),
-            of("covariances", "condition", "condition"),
-            numbers.operations("operations, AUG9 over TSTDKF", "aug9", "tstdkf"),
+            of("covariances", "condition", "condition number of the covariance"),
+            numbers.operations("operations per step, AUG9 over TSTDKF", "aug9", "tstdkf"),
         ],
     ),
     "de405-to-de421": all_of(
-        of("sky", "norm", "largest norm, km", (10.0, None)),
-        of("sky", "speed", "a second in the time tag, km"),
-        *(of("sky", "norm", what.__name__, reduce=what) for what in (np.min, np.mean)),
+        of("sky", "norm", "largest difference, km", (10.0, None)),
+        of("sky", "speed", "effect of 1 s in the time tag, km"),
+        *(of("sky", "norm", f"{n.__name__} difference, km", reduce=n) for n in (np.min, np.mean)),
     ),
     "ephemeris-error-slow": slow,
     "central-body-position-dominates": tiers(
         reproduced=[*LARGER_THAN, *WITHOUT],
-        in_part=[*LARGER_THAN, some("of velocity and others, white noise", 1, WITHOUT[:2])],
+        in_part=[*LARGER_THAN, some("how many of the two hold, white noise", 1, WITHOUT[:2])],
         not_reproduced=[
             *(displacing("position", "none", i) for i in (5, 1)),
-            lambda r: Number("change", order(max(abs(n(r).value - 1.0) for n in WITHOUT))),
+            lambda r: Number("largest change", order(max(abs(n(r).value - 1.0) for n in WITHOUT))),
         ],
     ),
     "other-body-or-ephemeris-alike": tiers(
         reproduced=[n for each in OTHERS.values() for n in each],
         in_part=[
             lambda r: Number(
-                "of the two",
+                "how many of the two cases hold",
                 sum(all(n(r).holds is True for n in each) for each in OTHERS.values()),
                 (1, None),
             )
@@ -1012,12 +1051,12 @@ DECISIONS: dict[str, Decision] = {
     ),
     "de421-planets": tiers(
         reproduced=PLANETS,
-        in_part=[some("of six", 4, PLANETS)],
+        in_part=[some("planets in their range, of six", 4, PLANETS)],
         not_reproduced=[planet("jupiter"), planet("saturn"), planet("sun", origin="barycenter")],
     ),
     "third-bodies-not-white": all_of(
         lambda r: Number(
-            "spectral flatness",
+            "largest spectral flatness",
             r.get("pulls", "flatness").max(),
             (None, float(np.quantile(r.get("pulls", "white flatness"), 0.01))),
         ),
@@ -1025,7 +1064,7 @@ DECISIONS: dict[str, Decision] = {
     ),
     "measurement-noise-colored": tiers(
         reproduced=[
-            of("pulls", "omitted", "to the noise of a timing", (0.1, None)),
+            of("pulls", "omitted", "RMS over σ of a timing, largest", (0.1, None)),
             beyond_white("next"),
         ],
         in_part=[beyond_white("next")],
@@ -1033,23 +1072,36 @@ DECISIONS: dict[str, Decision] = {
             of(
                 "pulls",
                 "along",
-                "correlation with the pull along the line of sight",
+                "correlation with the acceleration along the line of sight",
                 reduce=lambda x: x[np.abs(x).argmax()],
             )
         ],
     ),
     "tkf-converges-fast-and-cheap": tiers(
         reproduced=CHEAP,
-        in_part=[some("of the two", 1, CHEAP)],
+        in_part=[some("how many of the two hold", 1, CHEAP)],
         not_reproduced=[
-            numbers.operations("operations, TKF over EKF", "tkf", "ekf"),
-            of_hours("days", until_tenth, "constant, nine", ["constant/tkf"], "bias", "all"),
+            numbers.operations("operations per step, TKF over EKF", "tkf", "ekf"),
+            of_hours(
+                "days to a tenth of it",
+                until_tenth,
+                "constant, nine",
+                ["constant/tkf"],
+                "bias",
+                "all",
+            ),
         ],
     ),
     "reduces-to-ekf": lambda r: [
         Number(label, x, (None, 1e-6))
         for label, x in zip(
-            ("first stages", "their covariances", "both stages", "theirs"), r.get("alike", "worst")
+            (
+                "first stages, σ",
+                "their covariances",
+                "both stages, σ",
+                "covariances of both stages",
+            ),
+            r.get("alike", "worst"),
         )
     ],
     "rho-trades-speed-for-noise": all_of(
@@ -1065,13 +1117,13 @@ DECISIONS: dict[str, Decision] = {
     "month-errors-lower": tiers(
         reproduced_with_fitted_parameters=[
             *(
-                over(f"{g}, over {f.upper()}", "month", "1/tstdkf", f"1/{f}", (None, 1.0), g)
+                over(f"{g} over {f.upper()}", "month", "1/tstdkf", f"1/{f}", (None, 1.0), g)
                 for g in BOTH
                 for f in PAPER[:2]
             ),
             *(
                 of_hours(
-                    f"share of hours, {g}",
+                    f"fraction of hours, {g}",
                     below_both,
                     "month",
                     [f"1/{f}" for f in PAPER],
@@ -1089,32 +1141,37 @@ DECISIONS: dict[str, Decision] = {
         not_reproduced=[BIAS[m0, at] for m0 in (0.03, 1.0) for at in ("soon", "late")],
     ),
     "year-tracked": tiers(
-        reproduced=yearly("form C", "C", "ekf", (None, 0.5), strict=True),
-        in_part=yearly("form B", "B", "ekf", (None, 1.0), strict=True),
+        reproduced=yearly("bias left, form C", "C", "ekf", (None, 0.5), strict=True),
+        in_part=yearly("bias left, form B", "B", "ekf", (None, 1.0), strict=True),
         not_reproduced=[
             over(q, "year", "sine/B", "sine/ekf", group="bias", at=q) for q in QUARTERS
         ],
     ),
     "tkf-approaches-then-lost": all_of(
+        over("bias left, last day", "month", "1/tkf", "1/ekf", (None, 1.0), "bias", at="last day"),
         over(
-            "last day over the error", "month", "1/tkf", "1/ekf", (None, 1.0), "bias", at="last day"
-        ),
-        over(
-            "over day 3", "month", "1/tkf", "1/tkf", (None, 1.0), "bias", at="last day", to="day 3"
+            "bias, last day over day 3",
+            "month",
+            "1/tkf",
+            "1/tkf",
+            (None, 1.0),
+            "bias",
+            at="last day",
+            to="day 3",
         ),
         *(
-            over(f"{t}, {g}", "year", f"{t}/tkf", f"{t}/{b}", (1.0, None), g, at=at, to=to)
+            over(f"{t}, {say}", "year", f"{t}/tkf", f"{t}/{b}", (1.0, None), g, at=at, to=to)
             for t in TRENDS
-            for g, b, at, to in (
-                ("bias", "ekf", "later", "later"),
-                ("position", "tkf", "quarter 4", "month"),
+            for say, g, b, at, to in (
+                ("bias left", "bias", "ekf", "later", "later"),
+                ("growth of position RMSE", "position", "tkf", "quarter 4", "month"),
             )
         ),
     ),
     "best-in-all-settings": all_of(
         *(
             of_runs(
-                f"setting {i}, {g}",
+                f"setting {i}, {g} RMSE over the better of EKF and TKF",
                 lambda ours, *x: quotient(ours, min(x, key=rms)),
                 [(f"{i}/{f}", g) for f in ("tstdkf", *PAPER[:2])],
                 (None, 1.0 if i < 5 else 1.1),
@@ -1134,7 +1191,7 @@ DECISIONS: dict[str, Decision] = {
         *(factors((f, "position"), (f, "velocity"), at="after day 5") for f in PAPER),
         *(
             of_runs(
-                f"{f}, velocity to that of an orbit",
+                f"{f.upper()}, velocity over position times orbital rate",
                 lambda v, x: quotient(v, x) / (2e3 * np.pi / 6000.0),
                 [(f"5/{f}", g) for g in BOTH[::-1]],
             )
@@ -1146,7 +1203,7 @@ DECISIONS: dict[str, Decision] = {
     "setting-1-largest": all_of(*(lead(g, f) for g in BOTH for f in PAPER[:2])),
     "measurement-color-matters-more": all_of(
         *(
-            over(f"{f.upper()}, {g}", "month", f"3/{f}", f"4/{f}", (1.0, None), g)
+            over(f"{f.upper()}, {g}, 0.5", "month", f"3/{f}", f"4/{f}", (1.0, None), g)
             for f in PAPER
             for g in BOTH
         ),
@@ -1162,32 +1219,38 @@ DECISIONS: dict[str, Decision] = {
             for f in PAPER
         ),
     ),
-    "setting-5-alike": all_of(*(over(g, "month", "5/tstdkf", "5/tkf", NEAR, g) for g in BOTH)),
+    "setting-5-alike": all_of(
+        *(over(f"{g} RMSE", "month", "5/tstdkf", "5/tkf", NEAR, g) for g in BOTH)
+    ),
     "erratum-1-size": of(
-        "sky", "de405/earth", "largest on an axis, km", (1.6, 1.68), lambda d: np.abs(d).max()
+        "sky",
+        "de405/earth",
+        "largest difference on an axis, km",
+        (1.6, 1.68),
+        lambda d: np.abs(d).max(),
     ),
     "reconstruction-shapiro": all_of(
-        of("sky", "shapiro", "error near the Sun, B1821-24, km", (7.8, 8.1)),
-        of("sky", "shapiro", "B0531+21", (5.7, 6.0), lambda x: x[0]),
+        of("sky", "shapiro", "largest error, B1821-24, km", (7.8, 8.1)),
+        of("sky", "shapiro", "error, B0531+21, km", (5.7, 6.0), lambda x: x[0]),
         of("sky", "solar", "terms of b, km", (1e-4, 0.0013)),
     ),
     "reconstruction-differencing": lambda r: [
         *(
-            Number(f"trace over the least possible one, F = {F:g}", x, (None, 0.99))
+            Number(f"predicted over smallest possible variance, F = {F:g}", x, (None, 0.99))
             for F, x in zip(COLORS, r.get("covariances", "trace"))
         ),
         judged("NEES of TDKF, setting 1", ("consistency", "1/tdkf"), (12.0, None))(r),
     ],
     "reconstruction-factors": all_of(
         over(
-            "form B over TDKF, setting 5",
+            "position RMSE, form B over TDKF, setting 5",
             "variants",
             f"{WHITE_B}/tstdkf",
             f"{WHITE_B}/tdkf",
             (1.1, None),
         ),
         over(
-            "form A over B, sine, bias",
+            "bias RMSE, form A over B, sine",
             "year",
             "sine/A",
             "sine/B",
@@ -1197,52 +1260,67 @@ DECISIONS: dict[str, Decision] = {
         ),
     ),
     "remark-forces": over(
-        "AR(1) over modeled", "forces", "colored/tdkf", "modeled/tkf", (2.5, None), at="late"
+        "position RMSE, AR(1) over modeled",
+        "forces",
+        "colored/tdkf",
+        "modeled/tkf",
+        (2.5, None),
+        at="late",
     ),
-    "fair-baseline": over("position, setting 1", "month", "fair/tkf", "1/tstdkf", NEAR),
+    "fair-baseline": over("position RMSE, setting 1", "month", "fair/tkf", "1/tstdkf", NEAR),
     "exact-best": all_of(
-        over("over the fair TKF", "month", "1/aug", "fair/tkf", (None, 0.85)),
+        over(
+            "AUG over TKF with stationary covariances", "month", "1/aug", "fair/tkf", (None, 0.85)
+        ),
         *(
-            over(f"over TDKF, setting {i}", "month", f"{i}/aug", f"{i}/tdkf", (None, 1.01))
+            over(f"AUG over TDKF, setting {i}", "month", f"{i}/aug", f"{i}/tdkf", (None, 1.01))
             for i in SETTINGS
         ),
     ),
-    "white-late": over("position", "month", "5/tstdkf", "5/tkf", NEAR, at="late"),
+    "white-late": over("position RMSE", "month", "5/tstdkf", "5/tkf", NEAR, at="late"),
     "consistency": all_of(
-        judged("AUG", ("consistency", "1/aug"), (6.4, 12.6)),
-        judged("TDKF", ("consistency", "1/tdkf"), (12, None)),
-        judged("TKF", ("consistency", "1/tkf"), (60, None)),
-        judged("EKF", ("consistency", "1/ekf"), (600, None)),
-        judged("TSTDKF", ("consistency", "1/tstdkf"), (12, None)),
+        judged("NEES, AUG", ("consistency", "1/aug"), (6.4, 12.6)),
+        judged("NEES, TDKF", ("consistency", "1/tdkf"), (12, None)),
+        judged("NEES, TKF", ("consistency", "1/tkf"), (60, None)),
+        judged("NEES, EKF", ("consistency", "1/ekf"), (600, None)),
+        judged("NEES, TSTDKF", ("consistency", "1/tstdkf"), (12, None)),
     ),
     "form-b-tracks": all_of(
-        *yearly("position over TKF", "B", "tkf", (None, 0.62), "position"),
-        *yearly("AUG over B", "aug", "B", (None, 1.0)),
+        *yearly("position RMSE, form B over TKF", "B", "tkf", (None, 0.62), "position"),
+        *yearly("bias RMSE, AUG over form B", "aug", "B", (None, 1.0)),
     ),
     "fading": over(
-        "bias over AUG, sine", "year", "sine/B", "sine/aug", (1.5, None), "bias", at="quarter 4"
+        "bias RMSE, form B over AUG, sine",
+        "year",
+        "sine/B",
+        "sine/aug",
+        (1.5, None),
+        "bias",
+        at="quarter 4",
     ),
     "strong-color": all_of(
         *(
-            over(f"{a} over {b}, {c}", "ten days", f"{c}/{a}", f"{c}/{b}", accept)
+            over(f"{a.upper()} over {b.upper()}, {c}", "ten days", f"{c}/{a}", f"{c}/{b}", accept)
             for a, b, accept in (("aug", "tkf", (None, 0.95)), ("tstdkf", "aug", (1.3, None)))
             for c in STRONG
         )
     ),
-    "coupling-fragile": over("AUG over TKF", "ten days", "5/aug", "5/tkf", (1.2, None), at="late"),
+    "coupling-fragile": over(
+        "position RMSE, AUG over TKF", "ten days", "5/aug", "5/tkf", (1.2, None), at="late"
+    ),
     "walk-is-no-sinusoid": consistency(
         "NEES, last day", ("month", "1/aug"), (12.6, None), at="last day"
     ),
     "bound": at_bound,
     "nis-aug": all_of(
         *(
-            judged(f"setting {i}", ("consistency", f"{i}/aug"), (2.93, 3.07), what="nis")
+            judged(f"NIS, setting {i}", ("consistency", f"{i}/aug"), (2.93, 3.07), what="nis")
             for i in (1, 5)
         )
     ),
     "nees-white": all_of(
-        judged("AUG", ("consistency", "5/aug"), (6.4, 12.6)),
-        judged("TKF", ("consistency", "5/tkf"), (4.3, 8.4)),
+        judged("NEES, AUG", ("consistency", "5/aug"), (6.4, 12.6)),
+        judged("NEES, TKF", ("consistency", "5/tkf"), (4.3, 8.4)),
     ),
 }
 DECISIONS |= {
@@ -1257,8 +1335,8 @@ DECISIONS |= {
 
 
 def open_if_short(decide: Any, r: Results) -> Any:
-    """What decides a row, but undecided by what has sampling error where the runs were
-    shortened."""
+    """The decision of a row. If the runs are shortened, numbers with sampling error become
+    undecided."""
 
     def wide(found: Any) -> Any:
         if isinstance(found, Number):
@@ -1281,8 +1359,9 @@ STUDY = Study(
     ROWS,
     windows=windows,
     figure="figure_09",
-    says="A two-stage filter that differences colored timings and boosts its estimate of the "
-    "Earth's ephemeris error has half the position error of an EKF, and two thirds of a two-stage "
-    "filter's. It is best in five settings of the noise, and tracks that error for a year.",
+    says="A two-stage filter differences the colored timings and boosts its estimate of the "
+    "Earth's ephemeris error. Its position error is half that of an EKF, and two thirds that of an "
+    "ordinary two-stage filter. It is the best filter in five noise settings, and tracks the "
+    "ephemeris error for a year.",
     found=ANSWER,
 )

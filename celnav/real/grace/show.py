@@ -1,6 +1,5 @@
-"""What is shown of GRACE-A: errors beside what is claimed, correlations, sizes, a table, a
-recording.
-"""
+"""Figures, table and recording of GRACE-A: errors and their predicted σ, correlations, RMS
+errors."""
 
 from __future__ import annotations
 
@@ -39,16 +38,16 @@ if TYPE_CHECKING:
 __all__ = ["FIGURES", "RECORDINGS", "TABLES", "record"]
 
 LINES = {
-    "white": Line("fixes taken for white", colors.COMPARISON),
-    "colored": Line("told of the correlation", colors.ESTIMATE),
-    "robust": Line("so, with Student's t", colors.REFERENCE),
+    "white": Line("errors modeled as white", colors.COMPARISON),
+    "colored": Line("correlation modeled", colors.ESTIMATE),
+    "robust": Line("the same, with Student's t", colors.REFERENCE),
     "white, gated": Line("white, with a gate", colors.PAPER),
     "white, inflated": Line("white, R inflated", colors.MEASUREMENT),
     "white, by NIS": Line("white, R by NIS", colors.OPEN_LOOP),
     "white, by likelihood": Line("white, R and Q by likelihood", colors.SIGMA),
-    "screened": Line("colored, set without far fixes", colors.BOUND),
-    "normal": Line("colored, set by all as normal", colors.BODY),
-    "by correlation": Line("colored, set by correlation", colors.OPEN_LOOP),
+    "screened": Line("colored, Gaussian, no outliers", colors.BOUND),
+    "normal": Line("colored, Gaussian, all fixes", colors.BODY),
+    "by correlation": Line("colored, by correlation", colors.OPEN_LOOP),
     "augmented": Line("noise in the state", colors.FAINT),
     "without z_0": Line("without the first fix", colors.FAINT, "--"),
 }
@@ -56,7 +55,7 @@ BAND = 1.96
 
 
 def day(r: Results) -> Figure:
-    """Errors beside what is claimed, over the day."""
+    """Radial errors and predicted 95 % range over the day."""
     hours, limit = r.times(BEST) / 3600.0, 16.0
 
     def panel(name: str) -> list[Panel]:
@@ -90,7 +89,7 @@ def day(r: Results) -> Figure:
 
 
 def bursts(r: Results) -> Figure:
-    """Lengths of errors over the day, and around the largest of the fixes."""
+    """Norms of the errors over the day, and around the largest error of a fix."""
     hours, length = (
         r.times(BEST) / 3600.0,
         {name: np.sqrt(column(r, BEST, name, "error")) for name in ("fixes", *LINES)},
@@ -130,7 +129,7 @@ def bursts(r: Results) -> Figure:
 
 
 def autocorrelations(r: Results) -> Figure:
-    """Of the fixes' errors, and of whitened innovations."""
+    """Autocorrelation of the fixes' errors, and of whitened innovations."""
     lags, minutes = (
         np.unique(np.geomspace(1.0, min(600.0, 0.3 * len(r.times(BEST))), 60).astype(int)),
         STEP_S / 60.0,
@@ -145,7 +144,7 @@ def autocorrelations(r: Results) -> Figure:
         curve(minutes * lags, of_lags(r.get(BEST, "fixes")[:, i], lags), Line(name, shade))
         for i, (name, shade) in enumerate(SHADES.items())
     ]
-    found += [curve(minutes * lags, modeled, Line("as the filter has it", colors.ESTIMATE, "--"))]
+    found += [curve(minutes * lags, modeled, Line("model of the filter", colors.ESTIMATE, "--"))]
     near = np.arange(1, 31)
     left = [
         curve(STEP_S * near, of_lags(r.get(BEST, f"{name}/white"), near), LINES[name], marker=".")
@@ -153,8 +152,8 @@ def autocorrelations(r: Results) -> Figure:
     ]
     return panels(
         [
-            Panel("errors of the fixes", found, "minutes apart", "correlation", "x"),
-            Panel("whitened innovations", [*left, level(0.0)], "seconds apart", "correlation"),
+            Panel("errors of the fixes", found, "lag (min)", "correlation (-)", "x"),
+            Panel("whitened innovations", [*left, level(0.0)], "lag (s)", "correlation (-)"),
         ],
         size=(9.0, 3.4),
     )
@@ -164,12 +163,12 @@ SHADES = {"radial": colors.PAPER, "along the track": colors.COMPARISON, "across"
 
 
 def rmse(r: Results, part: str, name: str, what: str = "error") -> float:
-    """Of a filter or of the fixes, or RMS of what is claimed, m."""
+    """RMSE of a filter or of the fixes, or RMS of the predicted σ, m."""
     return float(np.sqrt(np.nanmean(column(r, part, name, what)[REVOLUTION:])))
 
 
 def sizes(r: Results) -> Figure:
-    """What filters err and claim, by filter and by degree."""
+    """RMSE and predicted σ by filter and by degree of gravity."""
     names = {f"{LINES[name].label}": (BEST, name) for name in NAMES if name != "without z_0"}
     degrees = {
         f"{n}, {LINES[name].label}": (f"degree {n}", name)
@@ -179,7 +178,7 @@ def sizes(r: Results) -> Figure:
 
     def panel(title: str, flown: dict[str, tuple[str, str]], log: str = "") -> Panel:
         each = [[rmse(r, *one, what) for one in flown.values()] for what in ("error", "std")]
-        heights = {"RMSE": (each[0], colors.COMPARISON), "claimed": (each[1], colors.ESTIMATE)}
+        heights = {"RMSE": (each[0], colors.COMPARISON), "predicted σ": (each[1], colors.ESTIMATE)}
         return Panel(
             title, [bars(list(flown), heights, across=True), *known], "position (m)", "", log
         )
@@ -192,9 +191,9 @@ def sizes(r: Results) -> Figure:
 
 
 def table_1(r: Results) -> Rows:
-    """Filters by degree."""
+    """RMSE, predicted σ, NEES and NIS by degree of gravity and filter."""
     rows: Rows = [{"gravity": "", "filter": "fixes", "RMSE (m)": rmse(r, BEST, "fixes")}]
-    rows[0] |= dict.fromkeys(("claimed (m)", "NEES/3", "NIS/3", "left out"), "")
+    rows[0] |= dict.fromkeys(("predicted σ (m)", "NEES/3", "NIS/3", "rejected"), "")
     for part, name in (
         (f"degree {n}", name)
         for n in DEGREES
@@ -208,10 +207,10 @@ def table_1(r: Results) -> Rows:
                 "gravity": part,
                 "filter": name,
                 "RMSE (m)": rmse(r, part, name),
-                "claimed (m)": rmse(r, part, name, "std"),
+                "predicted σ (m)": rmse(r, part, name, "std"),
                 "NEES/3": nees,
                 "NIS/3": nis,
-                "left out": r.value(part, f"{name}/rejected", 0),
+                "rejected": r.value(part, f"{name}/rejected", 0),
             }
         )
     return rows
@@ -219,27 +218,32 @@ def table_1(r: Results) -> Rows:
 
 FIGURES = {
     "figure_01": (
-        "Radial errors of a real satellite's estimated position, and the 95 % that is predicted.",
+        "Radial position errors of a real satellite, and their predicted 95 % range.",
         day,
     ),
     "figure_02": (
-        "Bursts of errors: a gate locks a filter out, and Student's t mistrusts the steps by which "
-        "they end.",
+        "Bursts of errors. With a gate, a filter rejects its fixes for long times. Student's t "
+        "also gives less weight to the steps that end a burst.",
         bursts,
     ),
     "figure_03": (
-        "Correlation of the fixes' errors, and of what is left of them in innovations.",
+        "Autocorrelation of the fixes' errors, and of the whitened innovations of two filters.",
         autocorrelations,
     ),
     "figure_04": (
-        "What filters err and what they claim, by filter and by degree of gravity.",
+        "RMSE and predicted σ, by filter and by degree of gravity.",
         sizes,
     ),
 }
-TABLES = {"table_1": ("Filters on 1 August after the first revolution.", table_1)}
+TABLES = {
+    "table_1": (
+        "RMSE, predicted σ, NEES and NIS of the filters on 1 August, after the first orbit.",
+        table_1,
+    )
+}
 RECORDINGS = ["grace.rrd"]
 LARGER, THIN = 1e5, 3
-"""Errors in the scene are drawn so many times as large; one epoch in so many is recorded."""
+"""Enlargement of the errors in the scene; every THIN-th epoch is recorded."""
 
 
 def record(results: Results, outputs: Outputs) -> list[str]:
@@ -287,7 +291,7 @@ def _shown(results: Results) -> Showcase:
         spaces=[
             SceneView(
                 "world",
-                f"orbit, 1000 km, errors {LARGER:,.0f} times as large",
+                f"orbit, 1000 km, errors enlarged {LARGER:,.0f} times",
                 (12.0, -16.0, 9.0),
                 growing=growing,
             )
@@ -298,11 +302,12 @@ def _shown(results: Results) -> Showcase:
     )
 
 
-NOTES = """# GRACE-A, 1 August 2008: real GPS fixes, and where the satellite was
+NOTES = """# GRACE-A, 1 August 2008: real GPS fixes and true positions
 
 **Errors of fixes are correlated in time. The blue filter treats them as white and leaves the band
-that it predicts; the orange one has their correlation and leaves its band in a few bursts only. The
-olive one gives surprising fixes less weight, also the steps by which a burst ends.**
+that it predicts. The orange one models their correlation and leaves its band only in a few bursts.
+The olive one gives surprising fixes less weight, including the steps that end a burst.**
 
-Fixes every 10 s without any model of the orbit; truth from the carrier's phase, good to 3 to 6 cm.
+The fixes come every 10 s and use no model of the orbit. The true positions come from carrier phases
+and have errors of 3 to 6 cm.
 """
