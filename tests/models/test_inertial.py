@@ -583,3 +583,37 @@ def test_of_several_headings_the_likelihood_picks_one():
     assert track.log_likelihood.argmax() == 0
     heading = at.to_euler(track.mean[-1, 0, :4])[2] - at.to_euler(truth[-1, 0, :4])[2]
     assert abs((heading + np.pi) % (2.0 * np.pi) - np.pi) < np.radians(3.0)
+
+
+def test_wheel_speeds_hold_the_position_along_the_track():
+    """Simulated: fixes for 20 s, then none for 10 s."""
+    t = np.arange(0.0, 30.0, 0.05)
+    zero, turn = 0.0 * t, 0.2 * np.cos(0.5 * t)
+    u = (
+        np.stack([zero, zero, turn], -1),
+        np.stack([np.sin(t), 15.0 * turn, zero - 9.81], -1),
+    )
+    system = inertial.strapdown(LATITUDE, HEIGHT, LOW_COST, {"wheel": 0.02})
+    sensors = system.gnss(LEVER, **GNSS), system.wheel_speed(0.05, lever=AXLE)
+    prior = system.prior(
+        inertial.level([0.0, 0.0, -9.81]),
+        0.5,
+        velocity=[13.0, 7.5, 0.0],
+        sigma_level=0.02,
+        sigma_heading=0.05,
+        sigma_velocity=0.3,
+        sigma_position=0.5,
+    )
+    truth, z = celnav.simulate(system.motion, sensors, prior, t, u=u, runs=100, seed=5)
+    fixes, wheels = (x.copy() for x in z)
+    fixes[np.arange(len(t)) % 4 > 0] = np.nan
+    fixes[t > 20.0] = np.nan
+    wheels[np.arange(len(t)) % 2 > 0] = np.nan
+    filter, error = celnav.ekf(system.motion, *sensors), {}
+    for name, rows in {"with": wheels, "without": np.full_like(wheels, np.nan)}.items():
+        track = celnav.run(filter, prior, t, (fixes, rows), u, keep="cov", every=20)
+        end, true = track.mean[-1], truth[::20][-1]
+        forward = at.rotate(at.inverse(system.space.part(true, "q")), np.r_[1.0, 0.0, 0.0])
+        apart = system.space.part(end, "p") - system.space.part(true, "p")
+        error[name] = np.sqrt(np.mean((apart * forward).sum(-1) ** 2))
+    assert error["with"] < 0.5 * error["without"], error

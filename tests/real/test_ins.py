@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import struct
 from functools import cache
 from pathlib import Path
@@ -143,6 +144,20 @@ def test_the_ledger_is_decided_by_what_the_parts_gave():
     assert verdicts["settings"] == "holds"
     assert verdicts["rest"] == "not shown"
     assert len(ins.table(results)) == len(ins.FLOWN)
+
+
+def test_the_program_for_files_in_the_documentation_runs(folder, capsys):
+    """On a made drive, whose unit is mounted a little askew and late."""
+    page = (Path(ins.__file__).parents[2] / "docs/howto/inertial.md").read_text(encoding="utf-8")
+    program = re.search(r"```py\n(.*?)```", page, re.DOTALL)[1]
+    for name, file in (("imu.csv.tag", "imu_1.csv.tag"), ("imu.csv", "imu_1.csv")):
+        program = program.replace(f'"{name}"', repr(str(folder / file)))
+    program = program.replace('"rover.pos"', repr(str(folder / "gnss_1.pos")))
+    exec(program, {})
+    ratio, lag = capsys.readouterr().out.splitlines()
+    # Its positions are exact, and half of the components; its velocities have (0.05 / 0.06)^2.
+    assert 0.2 < float(ratio) < 1.0
+    assert float(lag.split()[0].strip("[]")) == pytest.approx(ins.LATE_S, abs=0.02)
 
 
 @real_only
