@@ -24,6 +24,9 @@ from celnav.receiver.fixes import LEAST_ELEVATION, Noise, Seen, estimated, fixed
 from celnav.receiver.geodesy import ELLIPSOID, ecef2geodetic
 from celnav.receiver.rinex import OTHERS, SYSTEMS, Navigation, Observations
 from celnav.receiver.sky import (
+    BROADCAST_LEFT,
+    TYPICAL_IONOSPHERE,
+    TYPICAL_LEFT,
     Dilution,
     atmosphere_variance,
     dilution,
@@ -73,7 +76,8 @@ class Log:
         ``(T, 2)``, whether there was redundancy.
     noise: of ranges and of rates. jumps: ``(T,)`` m, what the receiver has set its clock by since
         the start, which was taken off ranges and fixes. dilution: of each epoch ``(T,)``.
-        ionosphere: whether the broadcast model's coefficients were there to correct it by.
+        ionosphere: whether the coefficients that correct it were broadcast or given; else they are
+        `celnav.receiver.sky.TYPICAL_IONOSPHERE`.
     clock: process noise of the receiver's clock as its fixes show it, and where it was set besides;
         None: too few fixes. acceleration: density (m^2/s^3) of the receiver's acceleration,
         likewise; None: too few rates.
@@ -430,15 +434,14 @@ def _sky(
     elevation, azimuth = look(q, position, _axes(position))
     above = np.maximum(elevation, LEAST_ELEVATION)
     delay = saastamoinen(latitude, np.clip(height, -1000.0, 11000.0), above)
-    ionosphere = None
-    if navigation.klobuchar is not None:
-        alpha, beta = navigation.klobuchar
-        at_l1 = klobuchar(
-            alpha, beta, times[:, None] + GPS_AHEAD_S, latitude, longitude, above, azimuth
-        )
-        ionosphere = (L1_HZ / hz) ** 2 * at_l1
-        delay = delay + ionosphere
-    return elevation, azimuth, delay, atmosphere_variance(above, ionosphere)
+    alpha, beta = navigation.klobuchar or TYPICAL_IONOSPHERE
+    left = BROADCAST_LEFT if navigation.klobuchar else TYPICAL_LEFT
+    at_l1 = klobuchar(
+        alpha, beta, times[:, None] + GPS_AHEAD_S, latitude, longitude, above, azimuth
+    )
+    ionosphere = (L1_HZ / hz) ** 2 * at_l1
+    variance = atmosphere_variance(above, left * ionosphere)
+    return elevation, azimuth, delay + ionosphere, variance
 
 
 def _orbit_variance(navigation: Navigation, rows: Array, names: list[str]) -> Array:

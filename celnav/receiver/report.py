@@ -300,7 +300,9 @@ def summary(result: Positioned) -> str:
     left_out = [f"{number} {reason}" for reason, number in log.left_out.items() if number]
     ionosphere = "by the broadcast coefficients"
     if not log.ionosphere:
-        ionosphere = "not corrected: no header has GPSA and GPSB"
+        ionosphere = (
+            "typical, not broadcast: no file has Klobuchar's coefficients, --ion gives them"
+        )
     lines = [
         _verdict(result),
         f"epochs       {len(log.times)}, {civil(log.times[0])} to {civil(log.times[-1])} BDT; "
@@ -350,11 +352,12 @@ def _verdict(result: Positioned) -> str:
     """The headline: whether positions are sound, and how many are not, since when and why."""
     total, times = result.reported.sum(), result.log.times[result.doubtful]
     counts = Counter(result.integrity[result.doubtful].tolist())
+    typical = "" if result.log.ionosphere else "; ionosphere: typical, not broadcast"
     if not times.size:
-        return f"SOUND        all {total} positions agree with the ranges of their epochs"
+        return f"SOUND        all {total} positions agree with the ranges of their epochs{typical}"
     reasons = "; ".join(f"{n} {word} ({DOUBTS[word]})" for word, n in counts.items())
     since = f"from {civil(times[0])} to {civil(times[-1])} BDT"
-    return f"NOT SOUND    {times.size} of {total} positions, {since}: {reasons}"
+    return f"NOT SOUND    {times.size} of {total} positions, {since}: {reasons}{typical}"
 
 
 def _clock(result: Positioned) -> str:

@@ -165,7 +165,7 @@ def pos(result: Positioned) -> str:
     )
     lines += [
         "% pos mode  : single",
-        f"% ionos opt : {'broadcast' if result.log.ionosphere else 'off'}",
+        f"% ionos opt : {'broadcast' if result.log.ionosphere else 'typical, not broadcast'}",
         "% tropo opt : saastamoinen",
         "% ephemeris : broadcast",
         f"% navi sys  : {systems}",
@@ -219,6 +219,7 @@ def geojson(result: Positioned) -> str:
         "filter": result.filter,
         "coordTimes": utc([row.time for row in rows]),
         "integrity": [row.integrity for row in rows],
+        "ionosphere": "broadcast" if result.log.ionosphere else "typical, not broadcast",
         "damaged": result.log.damaged,
     }
     feature = {"type": "Feature", "geometry": shape, "properties": about}
