@@ -20,6 +20,7 @@ from celnav.gaussian.checks import finite
 from celnav.gaussian.linalg import Array
 from celnav.models import pseudorange
 from celnav.models.gnss import GPS_AHEAD_S, L1_HZ, LIGHT
+from celnav.receiver.correlated import Correlation, correlation
 from celnav.receiver.fixes import LEAST_ELEVATION, Noise, Seen, estimated, fixed
 from celnav.receiver.geodesy import ELLIPSOID, ecef2geodetic
 from celnav.receiver.rinex import OTHERS, SYSTEMS, Navigation, Observations
@@ -74,7 +75,8 @@ class Log:
     excluded: ``(T, 2 S)``, the faulty ones. unusable: ``(T, 2)``, whether all ranges, all rates are
         left out, as they contradict each other and nothing tells which are faulty. tested:
         ``(T, 2)``, whether there was redundancy.
-    noise: of ranges and of rates. jumps: ``(T,)`` m, what the receiver has set its clock by since
+    noise: of ranges and of rates. correlation: of their errors, likewise.
+    jumps: ``(T,)`` m, what the receiver has set its clock by since
         the start, which was taken off ranges and fixes. dilution: of each epoch ``(T,)``.
         ionosphere: whether the coefficients that correct it were broadcast or given; else they are
         `celnav.receiver.sky.TYPICAL_IONOSPHERE`.
@@ -103,6 +105,7 @@ class Log:
     unusable: Array
     tested: Array
     noise: tuple[Noise, Noise]
+    correlation: tuple[Correlation, Correlation]
     jumps: Array
     dilution: Dilution
     ionosphere: bool
@@ -287,6 +290,10 @@ def prepare(
         (values[:, :3], values[:, 3:6], values[:, 6], values[:, 7])
         for values in (sound, fixes.variances)
     )
+    of_ranges, of_rates = (
+        correlation(times, residuals, kind.kept, redundancy)
+        for (residuals, redundancy), kind in zip(fixes.residuals, fixes.kinds, strict=True)
+    )
     shown = np.where(usable, 1.0, np.nan)
     log = Log(
         times,
@@ -305,6 +312,7 @@ def prepare(
         np.stack([kind.unusable for kind in fixes.kinds], -1),
         np.stack([kind.tested for kind in fixes.kinds], -1),
         noise,
+        (of_ranges, of_rates),
         jumps,
         dilution(seen.q, position, _axes(position), ranged, second),
         navigation.klobuchar is not None,

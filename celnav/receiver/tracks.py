@@ -63,6 +63,7 @@ DOUBTS = {
     "weak": "by its own deviation it may be off by more than 100 m",
     "apart": "the ranges contradict the track by more than both explain",
     "distrusted": "trust was lost before, and a filter coasts",
+    "drifting": "the fixes of the last epochs pull the track to one side",
     "displaced": "far from where the track was trusted, where no receiver can have got",
 }
 """Values of `celnav.receiver.report.Positioned.integrity` whose positions are marked, and why."""
