@@ -13,12 +13,13 @@ a window, follow with ``a = (e, m)``
     a- = Phi a,    a+ = A a- + B eps,    A = [[I - K H, 0], [-g E, (1 - g) I]],    B = [K; g G],
 
 where E picks the position, G gives the fix, and ``g`` is one over the window's length. So the
-covariance of a, with the filter's own process noise and its cross-covariance C_i with ``beta_i``, is
+covariance of a, with the filter's own process noise and its cross-covariance C_i with ``beta_i``,
+is
 
     cov+ = A cov- A' + B R B' + sum_i (A C_i- s_i B' + its transpose),    C_i+ = A C_i- + B s_i.
 
-It is Schmidt's covariance of considered states, as in `celnav.filters.adaptive.consider`, for a gain
-that stays the filter's.
+It is Schmidt's covariance of considered states, as in `celnav.filters.adaptive.consider`, for a
+gain that stays the filter's.
 """
 
 from __future__ import annotations

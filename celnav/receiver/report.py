@@ -165,8 +165,9 @@ class Positioned:
 
         "tested" (the ranges agree), "excluded" (they agree without those excluded), "contradiction"
         (they disagree, none is used), "no ranges", "untested" (no redundancy, or the test is off),
-        "implausible height" (`HEIGHTS_M`), "weak" (`BOUND` deviations of its distance from the fix
-        of the epoch, by both covariances, are more than `SOUND_M`); or that of `trust`, which comes first.
+        "implausible height" (`HEIGHTS_M`), "weak"
+        (`BOUND` deviations of its distance from the fix of the epoch, by both covariances, are more
+        than `SOUND_M`); or that of `trust`, which comes first.
         """
         log, there = self.log, np.isfinite(self.mean[:, :1])
         height = np.ravel(
@@ -181,7 +182,7 @@ class Positioned:
                 log.unusable[:, 0],
                 ~log.used.any(1),
                 (height < low) | ((height > high) & (height < orbit)),
-                BOUND * deviation > SOUND_M,
+                log.tested[:, 0] & (BOUND * deviation > SOUND_M),
                 log.excluded[:, : len(log.names)].any(1),
                 log.tested[:, 0],
             ],
@@ -330,7 +331,8 @@ def summary(result: Positioned) -> str:
         *(["motion       the receiver moved: no one position is right"] if log.moved else []),
         f"clock        {_clock(result)}",
         f"filter       {result.filter}; NIS {result.nis:.3f} a degree of freedom, 1 where noise "
-        f"and motion are as assumed and errors are new at each epoch; acceleration {result.acceleration:.3g} m^2/s^3",
+        f"and motion are as assumed and nothing lasts; acceleration "
+        f"{result.acceleration:.3g} m^2/s^3",
         f"mean         {' '.join(f'{v:.3f}' for v in result.place)} m; {latitude:.7f}°, "
         f"{longitude:.7f}°, {height:.2f} m",
         f"scatter      {_rms(positions - result.place):.3f} m in 3-D about its mean; "

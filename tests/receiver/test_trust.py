@@ -322,14 +322,14 @@ def test_a_slow_pull_is_found_before_it_is_25_m(speed, ranges):
         assert report.summary(found).startswith("NOT SOUND")
 
 
-def test_after_a_pull_the_track_is_sound_again_once_it_is_back(steady):
-    """Ranges creep away by 5 m and are right again from then on."""
-    log = crept(steady, 0.5, 30)
+def test_a_pull_that_ends_costs_trust_only_for_a_while(steady):
+    """Ranges creep away by 8 m and are right again from then on."""
+    log = crept(steady, 0.8, 30)
     code = np.where((np.arange(T) < 40)[:, None], log.code, steady.code)
     found = positioned(replace(log, code=code))
-    assert set(found.trust[:30]) == set(found.trust[-3:]) == {""}
-    assert "drifting" in found.trust[30:50]
-    assert error(found).max() < 10.0
+    assert set(found.trust[:30]) == set(found.trust[-40:]) == {""}
+    assert (found.trust[30:45] != "").any()
+    assert error(found).max() < 5.0
 
 
 def test_where_fixes_scatter_by_more_than_20_m_no_position_is_sound(steady):
