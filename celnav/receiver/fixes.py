@@ -93,7 +93,8 @@ class Fixed(NamedTuple):
     positions ``(T, 3, 3)``, nan where there is no fix; deviations ``sigma (T, 2 S)``.
 
     ``kinds``: of ranges and rates, what is left of them. ``misfit``: squared residuals of ranges
-    ``(T,)``, in deviations; nan without a fix.
+    ``(T,)``, in deviations; nan without a fix. ``residuals``: of ranges and rates ``(T, S)``, in
+    deviations, 0 where nothing is kept, and how many are redundant.
     """
 
     states: Array
@@ -102,6 +103,7 @@ class Fixed(NamedTuple):
     sigma: Array
     kinds: tuple[Monitored, Monitored]
     misfit: Array
+    residuals: tuple[tuple[Array, int], tuple[Array, int]]
 
     def measurements(self, what: str) -> Array:
         """Of ranges and rates ``(T, 2 S)``, whether they are "kept" or "excluded"."""
@@ -113,7 +115,7 @@ def fixed(seen: Seen, noise: tuple[Noise, Noise], false_alarm: float) -> Fixed:
     packed, order = _packed(seen)
     fits = _fits(packed, noise, false_alarm)
     sigma, (T, S) = seen.deviations(noise), seen.elevation.shape
-    kinds, shares, n = [], [], order.shape[-1]
+    kinds, shares, residuals, n = [], [], [], order.shape[-1]
     for fit in fits:
         kept, excluded = np.zeros((2, T, S), bool)
         np.put_along_axis(kept, order, fit.kind.kept[:, :n], -1)
@@ -122,6 +124,8 @@ def fixed(seen: Seen, noise: tuple[Noise, Noise], false_alarm: float) -> Fixed:
         left = np.zeros((T, S))
         np.put_along_axis(left, order, fit.left[:, :n], -1)
         shares.append(_white_share(left, kept, fit.x.shape[-1]))
+        redundancy = np.maximum(kept.sum(-1) - fit.x.shape[-1], 0)[np.isfinite(fit.x[:, 0])].sum()
+        residuals.append((np.where(kept, left, 0.0), int(redundancy)))
     ranges, rates = fits
     # Without the first system no offset from its clock is known.
     first = (ranges.kind.kept[:, :n] & (packed.system == 0)).any(-1, keepdims=True)
@@ -131,7 +135,15 @@ def fixed(seen: Seen, noise: tuple[Noise, Noise], false_alarm: float) -> Fixed:
         *(share * fit.cov.diagonal(0, -2, -1) for share, fit in zip(shares, fits, strict=True))
     )
     squares = np.where(np.isfinite(states[:, 6]), misfit(ranges.left, ranges.kind.kept), np.nan)
-    return Fixed(states, variances, ranges.cov[:, :3, :3], sigma, (kinds[0], kinds[1]), squares)
+    return Fixed(
+        states,
+        variances,
+        ranges.cov[:, :3, :3],
+        sigma,
+        (kinds[0], kinds[1]),
+        squares,
+        (residuals[0], residuals[1]),
+    )
 
 
 def _white_share(left: Array, kept: Array, unknowns: int) -> float:

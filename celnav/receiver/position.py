@@ -20,10 +20,14 @@ from celnav.gaussian.checks import finite
 from celnav.gaussian.linalg import Array
 from celnav.models import pseudorange
 from celnav.models.gnss import GPS_AHEAD_S, L1_HZ, LIGHT
+from celnav.receiver.correlated import Correlation, correlation
 from celnav.receiver.fixes import LEAST_ELEVATION, Noise, Seen, estimated, fixed
 from celnav.receiver.geodesy import ELLIPSOID, ecef2geodetic
 from celnav.receiver.rinex import OTHERS, SYSTEMS, Navigation, Observations
 from celnav.receiver.sky import (
+    BROADCAST_LEFT,
+    TYPICAL_IONOSPHERE,
+    TYPICAL_LEFT,
     Dilution,
     atmosphere_variance,
     dilution,
@@ -71,9 +75,11 @@ class Log:
     excluded: ``(T, 2 S)``, the faulty ones. unusable: ``(T, 2)``, whether all ranges, all rates are
         left out, as they contradict each other and nothing tells which are faulty. tested:
         ``(T, 2)``, whether there was redundancy.
-    noise: of ranges and of rates. jumps: ``(T,)`` m, what the receiver has set its clock by since
+    noise: of ranges and of rates. correlation: of their errors, likewise.
+    jumps: ``(T,)`` m, what the receiver has set its clock by since
         the start, which was taken off ranges and fixes. dilution: of each epoch ``(T,)``.
-        ionosphere: whether the broadcast model's coefficients were there to correct it by.
+        ionosphere: whether the coefficients that correct it were broadcast or given; else they are
+        `celnav.receiver.sky.TYPICAL_IONOSPHERE`.
     clock: process noise of the receiver's clock as its fixes show it, and where it was set besides;
         None: too few fixes. acceleration: density (m^2/s^3) of the receiver's acceleration,
         likewise; None: too few rates.
@@ -99,6 +105,7 @@ class Log:
     unusable: Array
     tested: Array
     noise: tuple[Noise, Noise]
+    correlation: tuple[Correlation, Correlation]
     jumps: Array
     dilution: Dilution
     ionosphere: bool
@@ -283,6 +290,10 @@ def prepare(
         (values[:, :3], values[:, 3:6], values[:, 6], values[:, 7])
         for values in (sound, fixes.variances)
     )
+    of_ranges, of_rates = (
+        correlation(times, residuals, kind.kept, redundancy)
+        for (residuals, redundancy), kind in zip(fixes.residuals, fixes.kinds, strict=True)
+    )
     shown = np.where(usable, 1.0, np.nan)
     log = Log(
         times,
@@ -301,6 +312,7 @@ def prepare(
         np.stack([kind.unusable for kind in fixes.kinds], -1),
         np.stack([kind.tested for kind in fixes.kinds], -1),
         noise,
+        (of_ranges, of_rates),
         jumps,
         dilution(seen.q, position, _axes(position), ranged, second),
         navigation.klobuchar is not None,
@@ -430,15 +442,14 @@ def _sky(
     elevation, azimuth = look(q, position, _axes(position))
     above = np.maximum(elevation, LEAST_ELEVATION)
     delay = saastamoinen(latitude, np.clip(height, -1000.0, 11000.0), above)
-    ionosphere = None
-    if navigation.klobuchar is not None:
-        alpha, beta = navigation.klobuchar
-        at_l1 = klobuchar(
-            alpha, beta, times[:, None] + GPS_AHEAD_S, latitude, longitude, above, azimuth
-        )
-        ionosphere = (L1_HZ / hz) ** 2 * at_l1
-        delay = delay + ionosphere
-    return elevation, azimuth, delay, atmosphere_variance(above, ionosphere)
+    alpha, beta = navigation.klobuchar or TYPICAL_IONOSPHERE
+    left = BROADCAST_LEFT if navigation.klobuchar else TYPICAL_LEFT
+    at_l1 = klobuchar(
+        alpha, beta, times[:, None] + GPS_AHEAD_S, latitude, longitude, above, azimuth
+    )
+    ionosphere = (L1_HZ / hz) ** 2 * at_l1
+    variance = atmosphere_variance(above, left * ionosphere)
+    return elevation, azimuth, delay + ionosphere, variance
 
 
 def _orbit_variance(navigation: Navigation, rows: Array, names: list[str]) -> Array:

@@ -45,6 +45,8 @@ KIND_COLORS = {
 }
 HEIGHTS_M = (-1e3, 5e4, 1.6e5)
 """Above the ellipsoid: receivers are between the first two, or in orbit above the third."""
+BOUND = 5.0
+"""Deviations that an error may have without a test that finds it."""
 STILL = 0.01
 """Density of the acceleration of a receiver at rest or nearly so, m^2/s^3."""
 MOST_LINES = 5
@@ -163,22 +165,24 @@ class Positioned:
 
         "tested" (the ranges agree), "excluded" (they agree without those excluded), "contradiction"
         (they disagree, none is used), "no ranges", "untested" (no redundancy, or the test is off),
-        "implausible height" (`HEIGHTS_M`), "weak" (deviations of more than a third of `SOUND_M`);
-        or that of `trust`, which comes first.
+        "implausible height" (`HEIGHTS_M`), "weak"
+        (`BOUND` deviations of its distance from the fix of the epoch, by both covariances, are more
+        than `SOUND_M`); or that of `trust`, which comes first.
         """
         log, there = self.log, np.isfinite(self.mean[:, :1])
         height = np.ravel(
             ecef2geodetic(*np.where(there, self.mean[:, :3], self.origin).T, ell=ELLIPSOID)[2]
         )
         low, high, orbit = HEIGHTS_M
-        deviation = np.sqrt(np.trace(self.cov, axis1=1, axis2=2))
+        both = np.where(there[..., None], self.cov + np.nan_to_num(log.fix_cov), 0.0)
+        deviation = np.sqrt(np.linalg.eigvalsh(both)[:, -1])
         return np.select(
             [
                 self.trust != "",
                 log.unusable[:, 0],
                 ~log.used.any(1),
                 (height < low) | ((height > high) & (height < orbit)),
-                3.0 * deviation > SOUND_M,
+                log.tested[:, 0] & (BOUND * deviation > SOUND_M),
                 log.excluded[:, : len(log.names)].any(1),
                 log.tested[:, 0],
             ],
@@ -300,7 +304,9 @@ def summary(result: Positioned) -> str:
     left_out = [f"{number} {reason}" for reason, number in log.left_out.items() if number]
     ionosphere = "by the broadcast coefficients"
     if not log.ionosphere:
-        ionosphere = "not corrected: no header has GPSA and GPSB"
+        ionosphere = (
+            "typical, not broadcast: no file has Klobuchar's coefficients, --ion gives them"
+        )
     lines = [
         _verdict(result),
         f"epochs       {len(log.times)}, {civil(log.times[0])} to {civil(log.times[-1])} BDT; "
@@ -321,10 +327,12 @@ def summary(result: Positioned) -> str:
         f"ionosphere   {ionosphere}",
         f"noise        ranges {_noise(log, 0, 'm')}; rates {_noise(log, 1, 'm/s')}",
         f"modeled      {_modeled(log)}",
+        f"lasting      {_lasting(log)}",
         *(["motion       the receiver moved: no one position is right"] if log.moved else []),
         f"clock        {_clock(result)}",
         f"filter       {result.filter}; NIS {result.nis:.3f} a degree of freedom, 1 where noise "
-        f"and motion are as assumed; acceleration {result.acceleration:.3g} m^2/s^3",
+        f"and motion are as assumed and nothing lasts; acceleration "
+        f"{result.acceleration:.3g} m^2/s^3",
         f"mean         {' '.join(f'{v:.3f}' for v in result.place)} m; {latitude:.7f}°, "
         f"{longitude:.7f}°, {height:.2f} m",
         f"scatter      {_rms(positions - result.place):.3f} m in 3-D about its mean; "
@@ -341,7 +349,7 @@ def summary(result: Positioned) -> str:
             f"of each epoch by itself {_rms(fixes - result.reference):.3f} m",
             f"claimed      (error / deviation)^2: east {ratio[0]:.2f}, north {ratio[1]:.2f}, up "
             f"{ratio[2]:.2f}; 1 where "
-            "deviations are right, which treat errors of atmosphere and orbits as independent",
+            "deviations are right; they lack what all satellites share, which no residual shows",
         ]
     return "\n".join(lines)
 
@@ -350,11 +358,12 @@ def _verdict(result: Positioned) -> str:
     """The headline: whether positions are sound, and how many are not, since when and why."""
     total, times = result.reported.sum(), result.log.times[result.doubtful]
     counts = Counter(result.integrity[result.doubtful].tolist())
+    typical = "" if result.log.ionosphere else "; ionosphere: typical, not broadcast"
     if not times.size:
-        return f"SOUND        all {total} positions agree with the ranges of their epochs"
+        return f"SOUND        all {total} positions agree with the ranges of their epochs{typical}"
     reasons = "; ".join(f"{n} {word} ({DOUBTS[word]})" for word, n in counts.items())
     since = f"from {civil(times[0])} to {civil(times[-1])} BDT"
-    return f"NOT SOUND    {times.size} of {total} positions, {since}: {reasons}"
+    return f"NOT SOUND    {times.size} of {total} positions, {since}: {reasons}{typical}"
 
 
 def _clock(result: Positioned) -> str:
@@ -439,6 +448,16 @@ def _modeled(log: Log) -> str:
         f"what atmosphere and orbits leave in ranges, {np.median(sizes):.2f} m (median), "
         f"{sizes.min():.2f} to {sizes.max():.2f} m"
     )
+
+
+def _lasting(log: Log) -> str:
+    """Which part of the errors is not new at each epoch, and how long it lasts."""
+    words = [
+        f"{kind.short:.0%} of the variance of {name} over {kind.time:.0f} s, {kind.long:.0%} for "
+        "as long as a satellite is seen"
+        for name, kind in zip(("ranges", "rates"), log.correlation, strict=True)
+    ]
+    return "; ".join(words)
 
 
 def figures(result: Positioned) -> dict[str, Figure]:

@@ -19,9 +19,18 @@ from celnav.models.pseudorange import undetermined
 
 GROUND_M = (6.3e6, 1e7)
 """From the middle of the Earth, where receivers are: near its surface or in a low orbit."""
-TROPOSPHERE_M, UNCORRECTED_M = 0.12, 5.0
-"""Standard deviations at the zenith, of a corrected troposphere and of an ionosphere that is not
-corrected.
+TROPOSPHERE_M = 0.12
+"""Standard deviation at the zenith of a corrected troposphere."""
+TYPICAL_IONOSPHERE = (
+    np.array([0.1118e-7, -0.7451e-8, -0.5961e-7, 0.1192e-6]),
+    np.array([0.1167e6, -0.2294e6, -0.1311e6, 0.1049e7]),
+)
+"""Klobuchar's coefficients alpha and beta where no message gives them: those that GPS sent on 1
+January 2004, at a middling solar activity. RTKLIB falls back on the same.
+"""
+BROADCAST_LEFT, TYPICAL_LEFT = 0.5, 1.0
+"""Standard deviation of what Klobuchar's model leaves, in units of the delay that it removes: half
+in the RMS with the coefficients of the day [Klobuchar1987], all with typical ones.
 """
 SINGULAR = 1e-6
 """Directions this close to each other, rad, or satellites this close to a cone, are no geometry."""
@@ -155,18 +164,14 @@ def obliquity(elevation: Array) -> Array:
     return np.asarray(1.0 + 16.0 * (0.53 - np.asarray(elevation) / np.pi) ** 3)
 
 
-def atmosphere_variance(elevation: Array, ionosphere: Array | None) -> Array:
-    """Variance (m^2) of what models leave of the atmosphere's delay at L1.
+def atmosphere_variance(elevation: Array, ionosphere: Array) -> Array:
+    """Variance (m^2) of what models leave of the atmosphere's delay.
 
-    Klobuchar's model removes half of the ionosphere's delay in the RMS [Klobuchar1987]: the other
-    half is as large as the model's ``ionosphere`` (m, of the satellites). None: nothing is removed
-    of some `UNCORRECTED_M` at the zenith. Of the troposphere `TROPOSPHERE_M` is left there
-    [DO-229D, A.4.2.5].
+    ``ionosphere``: standard deviation (m) of what is left of its delay. Of the troposphere
+    `TROPOSPHERE_M` is left at the zenith [DO-229D, A.4.2.5].
     """
-    E = np.asarray(elevation)
-    sigma = UNCORRECTED_M * obliquity(E) if ionosphere is None else 0.5 * ionosphere
-    wet = TROPOSPHERE_M * 1.001 / np.sqrt(0.002001 + np.sin(E) ** 2)
-    return np.asarray(np.square(sigma) + np.square(wet))
+    wet = TROPOSPHERE_M * 1.001 / np.sqrt(0.002001 + np.sin(elevation) ** 2)
+    return np.asarray(np.square(ionosphere) + np.square(wet))
 
 
 def saastamoinen(

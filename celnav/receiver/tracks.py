@@ -63,6 +63,7 @@ DOUBTS = {
     "weak": "by its own deviation it may be off by more than 100 m",
     "apart": "the ranges contradict the track by more than both explain",
     "distrusted": "trust was lost before, and a filter coasts",
+    "drifting": "the fixes of the last epochs pull the track to one side",
     "displaced": "far from where the track was trusted, where no receiver can have got",
 }
 """Values of `celnav.receiver.report.Positioned.integrity` whose positions are marked, and why."""
@@ -165,7 +166,7 @@ def pos(result: Positioned) -> str:
     )
     lines += [
         "% pos mode  : single",
-        f"% ionos opt : {'broadcast' if result.log.ionosphere else 'off'}",
+        f"% ionos opt : {'broadcast' if result.log.ionosphere else 'typical, not broadcast'}",
         "% tropo opt : saastamoinen",
         "% ephemeris : broadcast",
         f"% navi sys  : {systems}",
@@ -219,6 +220,7 @@ def geojson(result: Positioned) -> str:
         "filter": result.filter,
         "coordTimes": utc([row.time for row in rows]),
         "integrity": [row.integrity for row in rows],
+        "ionosphere": "broadcast" if result.log.ionosphere else "typical, not broadcast",
         "damaged": result.log.damaged,
     }
     feature = {"type": "Feature", "geometry": shape, "properties": about}

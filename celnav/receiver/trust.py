@@ -14,6 +14,15 @@ after `AGREEING` redundant epochs in a row whose ranges and rates agree among th
 starts anew from the last of their fixes. Where that is farther from the track that was trusted than
 both explain, a receiver cannot have got there, and every later position says so until it comes
 back.
+
+A pull that is too slow for one epoch shows in the mean distance over a window: with m the mean and
+``cov(m)`` its covariance for errors that last, see `celnav.receiver.correlated`, ``m' cov(m)^-1 m``
+is chi-square with three degrees, too. Where it is less probable than false alarms ranges and rates
+disagree, and the track drifts with the ranges; likewise after a new start that is farther from the
+track than both explain, but within `SOUND_M`. It is called so until the mean has agreed for a
+window, and until ranges have moved it back to within `SOUND_M` of where it was. False alarms of
+neighbors come together, as windows overlap. A pull of ranges and rates together is a motion, and no
+test of this kind can find it.
 """
 
 from __future__ import annotations
@@ -23,10 +32,12 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import chdtri
 
-from celnav.filters.records import FilterError
+from celnav.filters.records import FilterError, Info
 from celnav.filters.sequential import Sequential
 from celnav.gaussian.linalg import Array, Belief
 from celnav.models import pseudorange
+from celnav.receiver.correlated import WINDOW, Errors
+from celnav.receiver.filters import transition
 from celnav.receiver.position import Log
 
 AGREEING = 5
@@ -40,12 +51,14 @@ class Guarded(NamedTuple):
 
     Attributes
     ----------
-    mean: ``(T, 8 or 9)``. cov: ``(T, 3, 3)`` m^2 of positions. nis, dof: ``(T,)``.
+    mean: ``(T, 8 or 9)``. cov: ``(T, 3, 3)`` m^2 of positions, with errors that last. nis, dof:
+        ``(T,)``, as if all errors were new at each epoch.
     apart: ``(T,)``, squared distance of prediction and measurements in units of the largest that
-        noise explains; nan where there were none. trust: a word ``(T,)``: "" where the ranges were
+        noise explains; nan where there were none. drift: ``(T,)``, the same of the mean distance
+        over a window; nan until one is full. trust: a word ``(T,)``: "" where the ranges were
         used, "apart" where they and the track contradict each other, "distrusted" where they were
         not used as trust was lost before, "displaced" where they were used far from the track that
-        was trusted.
+        was trusted, "drifting" where they pull the track to one side.
     """
 
     mean: Array
@@ -53,6 +66,7 @@ class Guarded(NamedTuple):
     nis: Array
     dof: Array
     apart: Array
+    drift: Array
     trust: Array
 
 
@@ -65,19 +79,27 @@ def guarded(filter: Sequential, log: Log, false_alarm: float) -> Guarded:
     ------
     FilterError: if a state is not finite.
     """
-    T, S = len(log.times), len(log.names)
+    T, S, n = len(log.times), len(log.names), log.fixes.shape[1]
     limit = chdtri(np.maximum(np.arange(S + 1), 1), false_alarm)
     redundant = log.tested[:, 0] & np.isfinite(log.fixes[:, 0])
     # Rates that contradict each other nearly always are useless, not a sign of bad ranges.
     rates_fail = log.unusable[:, 1] & (log.unusable[:, 1].mean() < 0.5)
     sound = redundant & ~rates_fail
-    mean, cov = np.zeros(log.fixes.shape), np.zeros((T, 3, 3))
-    nis, dof, apart = np.zeros(T), np.zeros(T), np.full(T, np.nan)
+    mean, cov = np.zeros((T, n)), np.zeros((T, 3, 3))
+    shares, times = (
+        np.repeat([[kind.short, kind.long] for kind in log.correlation], S, 0).T,
+        np.repeat([[kind.time, np.inf] for kind in log.correlation], S, 0).T,
+    )
+    nis, dof, apart, drift = np.zeros(T), np.zeros(T), np.full(T, np.nan), np.full(T, np.nan)
     trust = np.full(T, "", dtype="<U10")
     state, home, start, since = filter.start(log.prior()), None, 0, 0
+    errors, pulled, drifting, alarm = Errors.at_start(state.belief, 2 * S), 0.0, False, -WINDOW
     lost, doubted, confirmed = False, False, False
     for k, epoch in enumerate(log.epochs()):
-        state = filter.predict(state, epoch)
+        before, state = state.belief.cov, filter.predict(state, epoch)
+        F = np.eye(n)
+        F[:8, :8] = transition(epoch.dt)
+        errors = errors.predict(F, before, state.belief.cov, np.exp(-epoch.dt / times))
         home = home and filter.predict(home, epoch)
         since = since if sound[k] else k + 1
         agreed = k - since >= AGREEING - 1 and log.times[k] - log.times[since] >= AGREEING - 1.0
@@ -87,9 +109,13 @@ def guarded(filter: Sequential, log: Log, false_alarm: float) -> Guarded:
         if lost and agreed:
             origin = home or state
             away = np.linalg.norm(log.fixes[k, :3] - origin.belief.mean[:3])
-            explained = _apart(log, k, origin.belief, True, limit) <= 1.0
-            home = origin if confirmed and away > SOUND_M and not explained else None
+            jumped = confirmed and _apart(log, k, origin.belief, True, limit) > 1.0
+            home = origin if jumped and away > SOUND_M else None
+            if jumped and not home:
+                alarm, drifting = k, True
+            pulled = pulled + drifting * (log.fixes[k, :3] - state.belief.mean[:3])
             state, start, lost, doubted = filter.start(log.prior(k)), k, False, False
+            errors = Errors.at_start(state.belief, 2 * S)
         elif redundant[k] and not lost:
             lost, doubted = not agrees, False
             if lost:
@@ -104,13 +130,51 @@ def guarded(filter: Sequential, log: Log, false_alarm: float) -> Guarded:
             trust[k] = "distrusted" if agrees or lost else "apart"
         if used and home and log.used[k].any():
             trust[k] = "displaced"
+        predicted = state.belief.mean
         state, (info,) = filter.update(state, epoch if used else epoch._replace(z=None))
-        mean[k], cov[k] = state.belief.mean, state.belief.cov[:3, :3]
+        compared = bool(redundant[k]) and used and k > start
+        errors = _updated(errors, log, k, predicted, state.belief, info, compared, shares)
+        if k - start >= WINDOW:
+            drift[k] = errors.squared_mean / limit[3]
+        alarm = k if drift[k] > 1.0 else alarm
+        pulled = drifting * (pulled + state.belief.mean[:3] - predicted[:3])
+        drifting = k - alarm < WINDOW or bool(np.linalg.norm(pulled) > SOUND_M)
+        if drifting and used and not trust[k] and log.used[k].any():
+            trust[k] = "drifting"
+        mean[k], cov[k] = state.belief.mean, errors.cov[:3, :3]
         if info.nis is not None and info.used is not None:
             nis[k], dof[k] = info.nis, info.used.sum()
         if not np.isfinite(mean[k]).all():
             raise FilterError(f"its state is not finite at step {k}, t = {epoch.t}")
-    return Guarded(mean, cov, nis, dof, apart, trust)
+    return Guarded(mean, cov, nis, dof, apart, drift, trust)
+
+
+def _updated(
+    errors: Errors,
+    log: Log,
+    k: int,
+    predicted: Array,
+    updated: Belief,
+    info: Info,
+    compared: bool,
+    shares: Array,
+) -> Errors:
+    """Errors after an update, and after the comparison of a fix with the prediction."""
+    sigma, S, n = log.sigma[k], len(log.names), len(predicted)
+    K, H = np.zeros((n, 2 * S)), pseudorange.jacobian(predicted, log.q[k], log.w[k], log.second)
+    R, G, distance = np.square(sigma), np.zeros((3, 2 * S)), None
+    if info.used is not None:
+        rows = np.flatnonzero(info.used)
+        # Of an optimal gain and the noise that hooks have left: K = P+ H' R^-1.
+        weights = H[rows].T / (R if info.R is None else info.R)[rows]
+        K[:, rows] = updated.cov @ weights
+        R = R if info.R is None else np.maximum(R, info.R)
+    if compared:
+        ranges = np.flatnonzero(log.used[k])
+        J = np.delete(H[ranges], [3, 4, 5, 7], -1) / sigma[ranges, None]
+        G[:, ranges] = np.linalg.pinv(J)[:3] / sigma[ranges]
+        distance = log.fixes[k, :3] - predicted[:3]
+    return errors.update(K, H, R, sigma * np.sqrt(shares), G, distance)
 
 
 def _apart(log: Log, k: int, belief: Belief, redundant: bool, limit: Array) -> float:

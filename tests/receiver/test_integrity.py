@@ -287,13 +287,6 @@ def test_deviations_hold_what_atmosphere_and_orbits_leave(noisy):
     np.testing.assert_allclose(
         np.square(log.sigma[:, :S])[log.used], (log.modeled + receiver)[log.used]
     )
-    uncorrected = positioning.prepare(obs, replace(nav, klobuchar=None))
-    E = uncorrected.elevation[uncorrected.used]
-    slant = 1.0 + 16.0 * (0.53 - E / np.pi) ** 3
-    troposphere = 0.12 * 1.001 / np.sqrt(0.002001 + np.sin(E) ** 2)
-    np.testing.assert_allclose(
-        uncorrected.modeled[uncorrected.used], (5.0 * slant) ** 2 + troposphere**2 + 1.0
-    )
 
 
 def test_a_receiver_that_is_noisy_is_no_fault(noisy):

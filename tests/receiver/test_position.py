@@ -5,6 +5,7 @@ in one line.
 from __future__ import annotations
 
 import csv
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,7 +20,9 @@ from celnav.models.gnss import LIGHT
 from celnav.receiver import filters as positioning_filters
 from celnav.receiver import position as positioning
 from celnav.receiver import report as positioning_report
+from celnav.receiver import tracks
 from celnav.receiver.rinex import Navigation
+from celnav.receiver.sky import TYPICAL_IONOSPHERE, klobuchar
 
 LONG = TOE + 1800.0 + 30.0 * np.arange(12)
 
@@ -229,9 +232,27 @@ def test_what_corrects_the_ionosphere_is_told(pair):
     assert "by the broadcast coefficients" in positioning_report.summary(
         positioning_report.position(with_it, "ls", None)
     )
-    assert "not corrected" in positioning_report.summary(
-        positioning_report.position(without, "ls", None)
-    )
+    typical = positioning_report.position(without, "ls", None)
+    headline, *rest = positioning_report.summary(typical).splitlines()
+    assert headline.endswith("ionosphere: typical, not broadcast")
+    assert any(line.startswith("ionosphere   typical, not broadcast") for line in rest)
+    assert "% ionos opt : typical, not broadcast" in tracks.pos(typical)
+    (feature,) = json.loads(tracks.geojson(typical))["features"]
+    assert feature["properties"]["ionosphere"] == "typical, not broadcast"
+
+
+def test_without_a_message_the_ionosphere_is_typical(pair):
+    """Klobuchar's delay of a day of middling activity, and as large a part of it may be left."""
+    nav, obs = pair
+    given = replace(nav, klobuchar=TYPICAL_IONOSPHERE)
+    with_it, without = (positioning.prepare(obs, n) for n in (given, replace(nav, klobuchar=None)))
+    np.testing.assert_array_equal(with_it.z, without.z)
+    zenith = klobuchar(*TYPICAL_IONOSPHERE, 50400.0, 0.7, 0.0, np.array(np.pi / 2), np.array(0.0))
+    assert 3.0 < zenith < 6.0
+    E = with_it.elevation[with_it.used]
+    troposphere = 0.12 * 1.001 / np.sqrt(0.002001 + np.sin(E) ** 2)
+    left = [np.sqrt(log.modeled[with_it.used] - troposphere**2 - 1.0) for log in (with_it, without)]
+    np.testing.assert_allclose(left[1], 2.0 * left[0], rtol=1e-6)
 
 
 def test_too_few_satellites_are_told_with_the_files(pair):

@@ -30,6 +30,7 @@ from celnav.models import pseudorange
 from celnav.models.gnss import B1I_HZ, LIGHT
 from celnav.receiver import position as positioning
 from celnav.receiver import report, tracks
+from celnav.receiver.correlated import WINDOW, Correlation
 from celnav.receiver.filters import CRYSTAL, filters, process_noise, transition
 from celnav.receiver.rinex import Navigation
 from celnav.receiver.trust import AGREEING, guarded
@@ -39,6 +40,7 @@ TIMES = TOE + 1800.0 + np.arange(T)
 SKY = above(constellation(), TIMES[[0, -1]])
 NAVIGATION = Navigation(Path("nav.rnx"), SKY, (np.array(ALPHA), np.array(BETA)))
 NOISE = 1.0
+WHITE = Correlation(0.0, 1.0, 0.0)
 PULL = np.array([4000.0, -3000.0, 2000.0])
 """From the receiver to where its ranges are pulled."""
 
@@ -256,7 +258,7 @@ def test_a_sound_epoch_is_called_apart_as_often_as_is_allowed(steady):
     chi-square with three degrees.
     """
     log = positioning.prepare(steady, NAVIGATION, sigma=(NOISE, 0.05))
-    S, rng, squares = len(log.names), np.random.default_rng(6), []
+    S, rng, squares, means = len(log.names), np.random.default_rng(6), [], []
     filter = filters(S, acceleration=0.5)["ekf"]
     L = np.linalg.cholesky(process_noise(1.0, 0.5, *CRYSTAL))
     for _ in range(30):
@@ -273,14 +275,92 @@ def test_a_sound_epoch_is_called_apart_as_often_as_is_allowed(steady):
             fixes[k, :3] += np.linalg.lstsq(G, left)[0][:3]
             fix_cov[k] = np.linalg.pinv(G.T @ G)[:3, :3]
             x = transition(1.0) @ x + L @ rng.normal(size=8)
-        drawn = replace(log, z=z, fixes=fixes, fix_cov=fix_cov, clock=None)
+        drawn = replace(
+            log, z=z, fixes=fixes, fix_cov=fix_cov, clock=None, correlation=(WHITE, WHITE)
+        )
         found = guarded(filter, drawn, 1e-6)
         assert set(found.trust) == {""}
         squares.append(found.apart[3:] * chi2.isf(1e-6, 3))
-    squares = np.concatenate(squares)
+        means.append(found.drift[WINDOW:] * chi2.isf(1e-6, 3))
+    means, squares = np.concatenate(means), np.concatenate(squares)
+    # Windows overlap: 30 receivers have some hundred independent means.
+    assert means.mean() == pytest.approx(3.0, abs=0.8)
+    assert (means > chi2.isf(0.1, 3)).mean() == pytest.approx(0.1, abs=0.07)
     assert squares.mean() == pytest.approx(3.0, abs=0.2)
     for p in (0.5, 0.1, 0.01):
         assert (squares > chi2.isf(p, 3)).mean() == pytest.approx(p, rel=0.25, abs=0.004)
+
+
+def crept(log, speed, first, ranges=True):
+    """The log with ranges alone, or rates alone, of a receiver that moves off at ``speed`` m/s."""
+    along = np.array([0.6, -0.5, 0.62]) / np.linalg.norm([0.6, -0.5, 0.62])
+    sources = pseudorange.sources(SKY, TIMES, np.broadcast_to(PLACE, (T, 3)))
+    seconds = np.maximum(TIMES - TIMES[first], 0.0)[:, None]
+    here, there = np.zeros((2, T, 8))
+    here[:, :3] = there[:, :3] = PLACE
+    there[:, :3] += speed * seconds * along
+    there[:, 3:6] = speed * (seconds > 0.0) * along
+    change = [pseudorange.measure(x, sources.q, sources.w) for x in (there, here)]
+    change, S = change[0] - change[1], log.code.shape[1]
+    if ranges:
+        return replace(log, code=log.code + change[:, :S])
+    return replace(log, doppler=log.doppler - B1I_HZ / LIGHT * change[:, S:])
+
+
+@pytest.mark.parametrize("ranges", [True, False])
+@pytest.mark.parametrize("speed", [0.2, 1.0, 3.0])
+def test_a_slow_pull_is_found_before_it_is_25_m(speed, ranges):
+    """Fixes scatter by 2 m, so no single epoch shows a pull of a few decimeters a second."""
+    first = 30
+    for seed in range(3):
+        log = crept(logged(3e4 + 30.0 * (TIMES - TIMES[0]), seed), speed, first, ranges)
+        found = positioned(log)
+        assert set(found.trust[: first + 1]) == {""}
+        assert error(found)[~found.doubtful].max() < 25.0
+        assert found.doubtful[-10:].all()
+        assert speed > 1.0 or "drifting" in found.trust
+        assert report.summary(found).startswith("NOT SOUND")
+
+
+def test_a_pull_that_ends_costs_trust_only_for_a_while(steady):
+    """Ranges creep away by 8 m and are right again from then on."""
+    log = crept(steady, 0.8, 30)
+    code = np.where((np.arange(T) < 40)[:, None], log.code, steady.code)
+    found = positioned(replace(log, code=code))
+    assert set(found.trust[:30]) == set(found.trust[-40:]) == {""}
+    assert (found.trust[30:45] != "").any()
+    assert error(found).max() < 5.0
+
+
+def test_where_fixes_scatter_by_more_than_20_m_no_position_is_sound(steady):
+    """The track is better, but nothing would show an error of 100 m."""
+    log = positioning.prepare(steady, NAVIGATION, sigma=(20.0, 0.05))
+    found = report.position(log, "student", PLACE)
+    scatter = np.sqrt(np.linalg.eigvalsh(log.fix_cov)[:, -1])
+    assert np.sqrt(np.linalg.eigvalsh(found.cov[-30:])[:, -1]).max() < scatter.min()
+    assert set(found.integrity[scatter > 20.0]) == {"weak"}
+    assert (scatter > 20.0).any()
+
+
+def test_errors_that_last_are_claimed():
+    """Constant errors of satellites do not average out, and the covariance says so."""
+    squares, white = [], []
+    for seed in range(8):
+        log = logged(3e4 + 30.0 * (TIMES - TIMES[0]), seed)
+        constant = 4.0 * np.random.default_rng(100 + seed).normal(size=log.code.shape[1])
+        prepared = positioning.prepare(replace(log, code=log.code + constant), NAVIGATION)
+        assert prepared.correlation[0].long > 0.5
+        found = report.position(prepared, "ekf", PLACE)
+        same = replace(prepared, correlation=(WHITE, WHITE))
+        for values, each in (
+            (squares, found),
+            (white, report.position(same, "ekf", PLACE)),
+        ):
+            values.append(np.square(each.local(each.mean[-1]) / each.local_std[-1]))
+        np.testing.assert_array_equal(found.mean, each.mean)
+    # Deviations are estimated of some five residuals that last, so the mean is above 1: 5/3.
+    assert 0.6 < np.mean(squares) < 3.0
+    assert np.mean(white) > 3.0 * np.mean(squares)
 
 
 def moving(path, velocity):
