@@ -5,7 +5,6 @@ noise.
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from celnav.filters.adaptive import (
     channel_parity,
@@ -20,7 +19,7 @@ from celnav.filters.joint import Hook
 from celnav.filters.model import Linear, Motion, Sensor
 from celnav.filters.records import Epoch
 from celnav.filters.sequential import Sequential, ekf, ukf
-from celnav.gaussian.linalg import Array
+from celnav.gaussian.linalg import Array, block
 from celnav.models import pseudorange
 from celnav.models.gnss import LIGHT
 
@@ -44,8 +43,7 @@ def transition(dt: float) -> Array:
     ``dt`` seconds.
     """
     F = np.eye(8)
-    F[:3, 3:6] = dt * np.eye(3)
-    F[6, 7] = dt
+    F[[0, 1, 2, 6], [3, 4, 5, 7]] = dt
     return F
 
 
@@ -55,9 +53,11 @@ def process_noise(dt: float, acceleration: float, white: float, walk: float) -> 
     ``acceleration``: density of the white acceleration, m^2/s^3. ``white``, ``walk``: of the clock,
         see `CRYSTAL`.
     """
-    Q, block = np.zeros((8, 8)), np.array([[dt**3 / 3.0, dt**2 / 2.0], [dt**2 / 2.0, dt]])
-    Q[:6, :6] = acceleration * np.kron(block, np.eye(3))
-    Q[6:, 6:] = walk * block
+    Q, density = np.zeros((8, 8)), np.array([acceleration] * 3 + [walk])
+    value, rate = np.array([0, 1, 2, 6]), np.array([3, 4, 5, 7])
+    Q[value, value] = dt**3 / 3.0 * density
+    Q[value, rate] = Q[rate, value] = dt**2 / 2.0 * density
+    Q[rate, rate] = dt * density
     Q[6, 6] += white * dt
     return Q
 
@@ -114,10 +114,10 @@ def filters(
     def root(_mean: Array, epoch: Epoch) -> Array:
         Q = process_noise(epoch.dt, acceleration, *clock)
         Q[6, 6] += epoch.u[3] ** 2
-        return np.linalg.cholesky(block_diag(Q, OFFSET_WALK * epoch.dt * offset))
+        return np.linalg.cholesky(block([[Q, 0], [0, OFFSET_WALK * epoch.dt * offset]]))
 
     offset = np.eye(0 if second is None else len(second))
-    motion = Motion(Linear(lambda epoch: block_diag(transition(epoch.dt), offset)), sqrt_Q=root)
+    motion = Motion(Linear(lambda epoch: block([[transition(epoch.dt), 0], [0, offset]])), sqrt_Q=root)
     sensor = Sensor(
         lambda x, epoch: pseudorange.measure(x, epoch.u[0], epoch.u[1], second),
         sqrt_R=_noise,

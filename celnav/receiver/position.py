@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -109,7 +110,7 @@ class Log:
     files: tuple[str, ...] = ()
     damaged: tuple[str, ...] = ()
 
-    @property
+    @cached_property
     def used(self) -> Array:
         """Which ranges there are, ``(T, S)``."""
         return np.isfinite(self.z[:, : len(self.names)])
@@ -119,7 +120,7 @@ class Log:
         """Letters of the systems."""
         return "".join(dict.fromkeys(name[0] for name in self.names))
 
-    @property
+    @cached_property
     def second(self) -> Array | None:
         """Offsets of clocks ``(k, S)`` as in `celnav.models.pseudorange`; None: there is one
         system.

@@ -488,16 +488,18 @@ def _sky(result: Positioned) -> Figure:
     for s, kind in enumerate(kinds(log.names)):
         seen = np.where(log.used[:, s], 90.0 - np.degrees(log.elevation[:, s]), np.nan)
         label = None if kind in shown else str(kind)
-        if np.isfinite(seen).any():
+        there = np.pad(np.isfinite(seen), 1)
+        if there.any():
             shown.add(kind)
-            polar.plot(
-                log.azimuth[:, s], seen, ".", markersize=1.5, color=KIND_COLORS[kind], label=label
-            )
-            last = int(np.flatnonzero(np.isfinite(seen))[-1])
+            # A line through neighboring epochs; a dot where an epoch has no neighbor.
+            lone = there[1:-1] & ~there[:-2] & ~there[2:]
+            look = dict[str, Any](linewidth=1.0, marker=".", markersize=1.5, markevery=lone)
+            polar.plot(log.azimuth[:, s], seen, color=KIND_COLORS[kind], label=label, **look)
+            last = int(np.flatnonzero(there)[-1]) - 1
             polar.annotate(log.names[s], (log.azimuth[last, s], seen[last]), fontsize=6)
     polar.set_rlim(0.0, 90.0)
     polar.set_title("sky: zenith in the middle, north up")
-    fig.legend(*polar.get_legend_handles_labels(), loc="outside lower left", markerscale=4, ncols=4)
+    fig.legend(*polar.get_legend_handles_labels(), loc="outside lower left", ncols=4)
     axes[1].step(
         result.minutes, log.used.sum(1), color=colors.COMPARISON, label="satellites", where="post"
     )
