@@ -31,7 +31,7 @@ ELLIPSOID = Ellipsoid(6378137.0, 6378137.0 * (1.0 - 1.0 / 298.257222101))  # of 
 
 
 def ecef2geodetic(
-    x: Any, y: Any, z: Any, ell: Ellipsoid = ELLIPSOID, deg: bool = True
+    x: Any, y: Any, z: Any, *, ell: Ellipsoid = ELLIPSOID, deg: bool = True
 ) -> tuple[Array, Array, Array]:
     """Latitude and longitude (degrees, or rad unless ``deg``) and height ``(...)`` m of Earth-fixed
     positions, whose components are ``x, y, z (...)`` m.
@@ -44,7 +44,7 @@ def ecef2geodetic(
 
 
 def geodetic2ecef(
-    lat: Any, lon: Any, alt: Any, ell: Ellipsoid = ELLIPSOID, deg: bool = True
+    lat: Any, lon: Any, alt: Any, *, ell: Ellipsoid = ELLIPSOID, deg: bool = True
 ) -> tuple[Array, Array, Array]:
     """Components ``x, y, z (...)`` m of Earth-fixed positions; the inverse of `ecef2geodetic`."""
     if deg:

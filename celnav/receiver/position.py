@@ -7,7 +7,7 @@ or three systems what the biases of the later ones are more (m), as in `celnav.m
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
 
@@ -146,14 +146,22 @@ class Log:
         squares = away * np.linalg.solve(self.fix_cov[there], away[..., None])[..., 0]
         return bool(there.any() and np.median(squares.sum(-1)) > MOVED)
 
-    def epochs(self) -> Iterator[Epoch]:
+    def epochs(self, compact: bool = False) -> Iterator[Epoch]:
         """Epochs for `filters`; ``u`` is ``(q, w, sigma, reset)`` at the epoch's time, ``reset``
-        (m) the step by which the clock was set.
+        (m) the step by which the clock was set, and with several systems the `second` after it.
+
+        ``compact``: with the satellites alone that are measured, for a filter of `COMPACT`.
         """
         intervals = np.diff(self.times, prepend=self.times[:1])
         reset = np.zeros(len(self.times)) if self.clock is None else self.clock.reset
+        S, measured = len(self.names), np.isfinite(self.z)
+        kept = measured[:, :S] | measured[:, S:] | (not compact)
         for k, (t, dt) in enumerate(zip(self.times.tolist(), intervals.tolist(), strict=True)):
-            yield Epoch(k, t, dt, (self.q[k], self.w[k], self.sigma[k], reset[k]), self.z[k])
+            s = np.flatnonzero(kept[k])
+            rows = np.concatenate([s, s + S])  # of ranges and of rates
+            offsets = () if self.second is None else (self.second[:, s],)
+            u = self.q[k, s], self.w[k, s], self.sigma[k, rows], reset[k], *offsets
+            yield Epoch(k, t, dt, u, self.z[k, rows])
 
     def prior(self, k: int = 0) -> Gaussian:
         """About the fix of an epoch, ``(8 + k,)``; without rates, moving on to the next."""
@@ -167,8 +175,9 @@ class Log:
 
     def part(self, which: slice) -> Log:
         """Some of the epochs."""
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
         arrays: dict[str, Any] = {
-            k: v[which] for k, v in vars(self).items() if isinstance(v, np.ndarray)
+            name: x[which] for name, x in values.items() if isinstance(x, np.ndarray)
         }
         clock = self.clock and self.clock._replace(reset=self.clock.reset[which])
         dilution = Dilution(*(values[which] for values in self.dilution))

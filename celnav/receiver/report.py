@@ -14,7 +14,7 @@ from celnav.files import Outputs
 from celnav.filters.records import FilterError
 from celnav.gaussian.linalg import Array
 from celnav.models.gnss import GEO_NUMBERS
-from celnav.receiver.filters import CLOCKS, OVEN, PHONE, filters
+from celnav.receiver.filters import CLOCKS, COMPACT, OVEN, PHONE, filters
 from celnav.receiver.geodesy import ELLIPSOID, ecef2geodetic
 from celnav.receiver.integrity import probability
 from celnav.receiver.position import Log
@@ -249,7 +249,8 @@ def position(
         on_earth("reference", reference)
     if filter not in ("ls", *named):
         raise ValueError(f"filter: expected one of ls, {', '.join(named)}, got {filter!r}")
-    track = guarded(named["ekf" if filter == "ls" else filter], log, probability(false_alarm))
+    used = "ekf" if filter == "ls" else filter
+    track = guarded(named[used], log, probability(false_alarm), used in COMPACT)
     mean, cov, nis, dof = track[:4]
     if filter == "ls":
         mean, cov, nis = log.fixes, log.fix_cov, log.misfit
@@ -264,8 +265,8 @@ def position(
         mean = np.where(there[:, None], mean, np.nan)
         cov = np.where(there[:, None, None], cov, np.nan)
     nis_per_degree = float(np.nansum(nis) / max(int(dof.sum()), 1))
-    used = mean, cov, reference, of, nis_per_degree, track.apart, track.trust, noise
-    return Positioned(log, filter, *used, acceleration)
+    found = mean, cov, reference, of, nis_per_degree, track.apart, track.trust, noise
+    return Positioned(log, filter, *found, acceleration)
 
 
 def clock_noise(log: Log, clock: str) -> ClockNoise:

@@ -56,10 +56,11 @@ class Guarded(NamedTuple):
     trust: Array
 
 
-def guarded(filter: Sequential, log: Log, false_alarm: float) -> Guarded:
+def guarded(filter: Sequential, log: Log, false_alarm: float, compact: bool = False) -> Guarded:
     """Run a filter that starts at the first fix over a log, as long as it deserves trust.
 
     ``false_alarm``: probability that an epoch without a fault is called apart; 0: nothing is.
+    ``compact``: see `Log.epochs`.
 
     Raises
     ------
@@ -76,7 +77,7 @@ def guarded(filter: Sequential, log: Log, false_alarm: float) -> Guarded:
     trust = np.full(T, "", dtype="<U10")
     state, home, start, since = filter.start(log.prior()), None, 0, 0
     lost, doubted, confirmed = False, False, False
-    for k, epoch in enumerate(log.epochs()):
+    for k, epoch in enumerate(log.epochs(compact)):
         state = filter.predict(state, epoch)
         home = home and filter.predict(home, epoch)
         since = since if sound[k] else k + 1
