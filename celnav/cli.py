@@ -39,7 +39,7 @@ BAD_INPUT = (
     PermissionError,
 )
 """What was given cannot be used, files and folders too: the exit status is 2."""
-PAPERS = ("papers", "jplephem", "erfa", "skyfield_data", "pymap3d", "threadpoolctl")
+PAPERS = ("papers", "jplephem", "erfa", "skyfield_data", "threadpoolctl")
 RESULTS = ("papers", "matplotlib", "PIL", "jinja2", "rich", "filelock", *PAPERS[1:])
 NEEDS = {
     "list": PAPERS,
@@ -48,7 +48,7 @@ NEEDS = {
     "run": (*RESULTS, "pyarrow"),
     "campaign": (*RESULTS, "pyarrow"),
     "view": ("record", "rerun", "PIL"),
-    "position": ("rinex", "pymap3d", "erfa"),
+    "position": ("rinex", "erfa"),
 }
 """Commands that need more than numpy and scipy: the extra that brings it, and packages without
 which they would end.

@@ -48,8 +48,8 @@ pulsar: Timing.delay Timing.shapiro Timing.shapiro_exact Timing.gradient
 gnss: satellites ahead_s eccentric_anomaly tilted turned spun
 pseudorange: sources emitted emitted_each measure jacobian undetermined
 linalg: block cholesky downdate present sigma_deviations matvec outer semidefinite_root side_by_side solve_lower is_concretely_true
-    solve_right tria whiten SquareRoot.lost Covariance.lost
-recorded: cholesky present semidefinite_root solve_lower tria
+    solve_positive solve_right tria whiten SquareRoot.lost Covariance.lost
+recorded: cholesky outer present semidefinite_root solve_lower tria
 belief: any_lost nees mask_failed
 trial: check_groups scales squares Noiseless.standard_normal
 """

@@ -27,6 +27,7 @@ from celnav.gaussian.linalg import (
     semidefinite_root,
     side_by_side,
     solve_lower,
+    solve_positive,
     solve_right,
     whiten,
 )
@@ -225,12 +226,12 @@ def _reweight(
     S0, cross = joint.covariances()
     S0 = np.where(used[..., None] & used[..., None, :], S0, 0.0)
     explained = np.where(used[..., None], joint.measurement.jacobian() @ cross, 0.0)
-    W = np.ones_like(R)
+    W, sigma, eye = np.ones_like(R), np.sqrt(R), np.eye(e.shape[-1])
     # Reweighting: v = e - H G S(W)^-1 e with R / W in S; then W = weight(|v| / sigma).
     for _ in range(rounds):
-        S = S0 + (R / W)[..., None] * np.eye(e.shape[-1])
-        fitted = matvec(explained, np.linalg.solve(S, e[..., None])[..., 0])
-        W = np.where(used, weight(np.abs(e - fitted) / np.sqrt(R)), 1.0)
+        S = S0 + (R / W)[..., None] * eye
+        fitted = matvec(explained, solve_positive(S, e))
+        W = np.where(used, weight(np.abs(e - fitted) / sigma), 1.0)
     return memory, joint.inflated(1.0 / np.sqrt(W))
 
 

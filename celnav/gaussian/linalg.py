@@ -58,7 +58,7 @@ def matvec(A: Array, x: Array) -> Array:
 
 def outer(A: Array) -> Array:
     """``A @ A.mT``, the covariance of the columns ``A (..., n, q)``; symmetric to rounding."""
-    return np.asanyarray(A @ A.mT)
+    return np.asanyarray(recorded.outer(A) if A.dtype.hasobject else A @ A.mT)
 
 
 def side_by_side(parts: Sequence[Array]) -> Array:
@@ -135,6 +135,17 @@ def solve_right(L: Array, U: Array) -> Array:
     # L' K' = U'; reversing rows and columns makes the upper triangular L' lower triangular.
     flipped = L[..., ::-1, ::-1].mT
     return solve_lower(flipped, U.mT[..., ::-1, :])[..., ::-1, :].mT
+
+
+def solve_positive(S: Array, x: Array) -> Array:
+    """``S^-1 x`` for symmetric ``S (..., m, m)``, as a rule positive definite, and vectors
+    ``(..., m)``.
+    """
+    if S.ndim == 2 and x.ndim == 1 and not S.dtype.hasobject:
+        _, solution, info = lapack.dposv(S, x, lower=1)
+        if info == 0:
+            return np.asanyarray(solution)
+    return np.asanyarray(np.linalg.solve(S, x[..., None])[..., 0])
 
 
 def _root(P: Array) -> Array | None:

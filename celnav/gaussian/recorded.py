@@ -8,11 +8,12 @@ nothing.
 from __future__ import annotations
 
 from functools import cache
+from itertools import repeat
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from celnav.tape.numbers import TracedArray, each_row, tape_of, traced
+from celnav.tape.numbers import LONG_PRODUCT, TracedArray, each_row, tape_of, traced
 from celnav.tape.routine import Loop, LoopBody, LoopRecorder
 from celnav.tape.tape import TracedScalar, emit, total
 
@@ -103,6 +104,21 @@ def _reflected(mirror: Mirror, along: Any, rest: list[Any]) -> tuple[Any, list[A
     return first, [
         emit("sub", x, emit("mul", d, y)) for x, y in zip(rest, mirror.rest, strict=True)
     ]
+
+
+def outer(A: Array) -> Array:
+    """``A @ A.mT``: each entry below the diagonal is that above it; a loop if they are many."""
+    n, q = A.shape
+    rows = [[A[i, j] for j in range(q)] for i in range(n)]
+    full: Array = np.array([[not _zero(x) for x in row] for row in rows], float)
+    # Of each pair of the lower triangle that is not zero a product and a sum.
+    if (full @ full.T).sum() >= LONG_PRODUCT:
+        return A @ A.mT
+    P = TracedArray((n, n))
+    for i in range(n):
+        for j in range(i + 1):
+            P[i, j] = P[j, i] = total(map(emit, repeat("mul"), rows[i], rows[j]))
+    return P
 
 
 def tria(A: Array) -> Array:

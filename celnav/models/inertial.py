@@ -308,7 +308,9 @@ class Strapdown:
     def _noise(self, _mean: Array, epoch: Any) -> Array:
         once, integrated, remaining = self._columns
         dt = np.asanyarray(np.multiply(epoch.dt, 1.0))[..., None, None]
-        return np.asanyarray(np.sqrt(dt) * (once + dt * (integrated + remaining)))
+        columns = np.sqrt(dt) * (once + dt * (integrated + remaining))
+        # Zeros that machine code knows, whatever the interval, cost it nothing.
+        return np.where(once + integrated + remaining != 0.0, columns, 0.0)
 
     @cached_property
     def _columns(self) -> tuple[Array, Array, Array]:

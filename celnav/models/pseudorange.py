@@ -127,7 +127,7 @@ def measure(x: Array, q: Array, w: Array, offsets: Array | None = None) -> Array
     ``q, w (..., S, 3)``; ``offsets (k, S)``: None for one system.
     """
     away = q - x[..., None, :3]
-    distance = np.linalg.norm(away, axis=-1)
+    distance = np.sqrt(np.vecdot(away, away))
     rate = (away * (w - x[..., None, 3:6])).sum(-1) / distance
     bias = x[..., 6:7] if offsets is None else x[..., 6:7] + x[..., 8:] @ offsets
     return np.concatenate([distance + bias, rate + x[..., 7:8]], -1)
@@ -136,7 +136,7 @@ def measure(x: Array, q: Array, w: Array, offsets: Array | None = None) -> Array
 def jacobian(x: Array, q: Array, w: Array, offsets: Array | None = None) -> Array:
     """Derivative ``(..., 2 S, 8 + k)`` of `measure`."""
     away, relative = q - x[..., None, :3], w - x[..., None, 3:6]
-    distance = np.linalg.norm(away, axis=-1, keepdims=True)
+    distance = np.sqrt(np.vecdot(away, away))[..., None]
     e = away / distance
     # d(e.u)/dp = -(u - (e.u) e) / distance, with u the relative velocity.
     across = (relative - (e * relative).sum(-1, keepdims=True) * e) / distance

@@ -5,7 +5,6 @@ noise.
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from celnav.filters.adaptive import (
     channel_parity,
@@ -20,7 +19,7 @@ from celnav.filters.joint import Hook
 from celnav.filters.model import Linear, Motion, Sensor
 from celnav.filters.records import Epoch
 from celnav.filters.sequential import Sequential, ekf, ukf
-from celnav.gaussian.linalg import Array
+from celnav.gaussian.linalg import Array, block, cholesky
 from celnav.models import pseudorange
 from celnav.models.gnss import LIGHT
 
@@ -39,14 +38,22 @@ wander.
 """
 
 
+COMPACT = ("ekf", "ukf", "gate", "huber", "student")
+"""Filters to which satellites that are not measured make no difference: they have no memory of
+single ones, and no groups of them.
+"""
+
+
+RATE = np.zeros((8, 8))
+"""Derivative of the state by time: velocities are those of positions, the drift is the clock's."""
+RATE[[0, 1, 2, 6], [3, 4, 5, 7]] = 1.0
+
+
 def transition(dt: float) -> Array:
     """Matrix ``(8, 8)`` of a receiver at constant velocity, with a clock of constant drift, over
     ``dt`` seconds.
     """
-    F = np.eye(8)
-    F[:3, 3:6] = dt * np.eye(3)
-    F[6, 7] = dt
-    return F
+    return np.asanyarray(np.eye(8) + dt * RATE)
 
 
 def process_noise(dt: float, acceleration: float, white: float, walk: float) -> Array:
@@ -55,11 +62,12 @@ def process_noise(dt: float, acceleration: float, white: float, walk: float) -> 
     ``acceleration``: density of the white acceleration, m^2/s^3. ``white``, ``walk``: of the clock,
         see `CRYSTAL`.
     """
-    Q, block = np.zeros((8, 8)), np.array([[dt**3 / 3.0, dt**2 / 2.0], [dt**2 / 2.0, dt]])
-    Q[:6, :6] = acceleration * np.kron(block, np.eye(3))
-    Q[6:, 6:] = walk * block
-    Q[6, 6] += white * dt
-    return Q
+    density = np.diag([0.0, 0.0, 0.0, *[acceleration] * 3, white, walk])
+    # The integral of F(s) D F(s)' over the interval, with F(s) = I + s A: cubic, as A A = 0.
+    once = RATE @ density
+    return np.asanyarray(
+        dt * density + dt**2 / 2.0 * (once + once.T) + dt**3 / 3.0 * (once @ RATE.T)
+    )
 
 
 def hooks(S: int, window: int = 10, systems: int = 1) -> dict[str, tuple[Hook, ...]]:
@@ -112,24 +120,34 @@ def filters(
         )
 
     def root(_mean: Array, epoch: Epoch) -> Array:
-        Q = process_noise(epoch.dt, acceleration, *clock)
-        Q[6, 6] += epoch.u[3] ** 2
-        return np.linalg.cholesky(block_diag(Q, OFFSET_WALK * epoch.dt * offset))
+        Q = process_noise(epoch.dt, acceleration, *clock) + epoch.u[3] ** 2 * reset
+        return cholesky(Q if second is None else block([[Q, 0], [0, OFFSET_WALK * epoch.dt * one]]))
 
-    offset = np.eye(0 if second is None else len(second))
-    motion = Motion(Linear(lambda epoch: block_diag(transition(epoch.dt), offset)), sqrt_Q=root)
+    def matrix(epoch: Epoch) -> Array:
+        F = transition(epoch.dt)
+        return F if second is None else block([[F, 0], [0, one]])
+
+    one = np.eye(0 if second is None else len(second))
+    reset = np.diag([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0])
+    motion = Motion(Linear(matrix), sqrt_Q=root)
     sensor = Sensor(
-        lambda x, epoch: pseudorange.measure(x, epoch.u[0], epoch.u[1], second),
+        lambda x, epoch: pseudorange.measure(x, *_sources(epoch)),
         sqrt_R=_noise,
-        jacobian=lambda x, epoch: pseudorange.jacobian(x, epoch.u[0], epoch.u[1], second),
+        jacobian=lambda x, epoch: pseudorange.jacobian(x, *_sources(epoch)),
     )
     kinds: dict[str, Sequential] = {"ekf": ekf(motion, sensor, form="covariance")}
-    for name, hook in hooks(S, window, 1 + len(offset)).items():
+    for name, hook in hooks(S, window, 1 + len(one)).items():
         if name in ("ukf", "aukf"):
             kinds[name] = ukf(motion, sensor, beta=2.0, form="covariance", hooks=hook)
         else:
             kinds[name] = ekf(motion, sensor, form="covariance", hooks=hook)
     return kinds
+
+
+def _sources(epoch: Epoch) -> tuple[Array, ...]:
+    """What a measurement depends on besides the state: q, w and, if there are any, offsets."""
+    q, w, _, _, *offsets = epoch.u
+    return q, w, *offsets
 
 
 def _noise(_mean: Array, epoch: Epoch) -> Array:

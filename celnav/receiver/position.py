@@ -7,7 +7,8 @@ or three systems what the biases of the later ones are more (m), as in `celnav.m
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -116,7 +117,7 @@ class Log:
     files: tuple[str, ...] = ()
     damaged: tuple[str, ...] = ()
 
-    @property
+    @cached_property
     def used(self) -> Array:
         """Which ranges there are, ``(T, S)``."""
         return np.isfinite(self.z[:, : len(self.names)])
@@ -126,7 +127,7 @@ class Log:
         """Letters of the systems."""
         return "".join(dict.fromkeys(name[0] for name in self.names))
 
-    @property
+    @cached_property
     def second(self) -> Array | None:
         """Offsets of clocks ``(k, S)`` as in `celnav.models.pseudorange`; None: there is one
         system.
@@ -152,14 +153,26 @@ class Log:
         squares = away * np.linalg.solve(self.fix_cov[there], away[..., None])[..., 0]
         return bool(there.any() and np.median(squares.sum(-1)) > MOVED)
 
-    def epochs(self) -> Iterator[Epoch]:
+    def epochs(self, compact: bool = False) -> Iterator[Epoch]:
         """Epochs for `filters`; ``u`` is ``(q, w, sigma, reset)`` at the epoch's time, ``reset``
-        (m) the step by which the clock was set.
+        (m) the step by which the clock was set, and with several systems the `second` after it.
+
+        ``compact``: with the satellites alone that are measured, for a filter of `COMPACT`.
         """
         intervals = np.diff(self.times, prepend=self.times[:1])
         reset = np.zeros(len(self.times)) if self.clock is None else self.clock.reset
         for k, (t, dt) in enumerate(zip(self.times.tolist(), intervals.tolist(), strict=True)):
-            yield Epoch(k, t, dt, (self.q[k], self.w[k], self.sigma[k], reset[k]), self.z[k])
+            rows = self.rows(k, compact)
+            s = rows[: len(rows) // 2]
+            offsets = () if self.second is None else (self.second[:, s],)
+            u = self.q[k, s], self.w[k, s], self.sigma[k, rows], reset[k], *offsets
+            yield Epoch(k, t, dt, u, self.z[k, rows])
+
+    def rows(self, k: int, compact: bool = False) -> Array:
+        """Numbers of the ranges, then of the rates, that an epoch of `epochs` has."""
+        S, measured = len(self.names), np.isfinite(self.z[k])
+        s = np.flatnonzero(measured[:S] | measured[S:] | (not compact))
+        return np.concatenate([s, s + S])
 
     def prior(self, k: int = 0) -> Gaussian:
         """About the fix of an epoch, ``(8 + k,)``; without rates, moving on to the next."""
@@ -173,8 +186,9 @@ class Log:
 
     def part(self, which: slice) -> Log:
         """Some of the epochs."""
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
         arrays: dict[str, Any] = {
-            k: v[which] for k, v in vars(self).items() if isinstance(v, np.ndarray)
+            name: x[which] for name, x in values.items() if isinstance(x, np.ndarray)
         }
         clock = self.clock and self.clock._replace(reset=self.clock.reset[which])
         dilution = Dilution(*(values[which] for values in self.dilution))

@@ -14,7 +14,7 @@ from celnav.files import Outputs
 from celnav.filters.records import FilterError
 from celnav.gaussian.linalg import Array
 from celnav.models.gnss import GEO_NUMBERS
-from celnav.receiver.filters import CLOCKS, OVEN, PHONE, filters
+from celnav.receiver.filters import CLOCKS, COMPACT, OVEN, PHONE, filters
 from celnav.receiver.geodesy import ELLIPSOID, ecef2geodetic
 from celnav.receiver.integrity import probability
 from celnav.receiver.position import Log
@@ -253,7 +253,8 @@ def position(
         on_earth("reference", reference)
     if filter not in ("ls", *named):
         raise ValueError(f"filter: expected one of ls, {', '.join(named)}, got {filter!r}")
-    track = guarded(named["ekf" if filter == "ls" else filter], log, probability(false_alarm))
+    used = "ekf" if filter == "ls" else filter
+    track = guarded(named[used], log, probability(false_alarm), used in COMPACT)
     mean, cov, nis, dof = track[:4]
     if filter == "ls":
         mean, cov, nis = log.fixes, log.fix_cov, log.misfit
@@ -268,8 +269,8 @@ def position(
         mean = np.where(there[:, None], mean, np.nan)
         cov = np.where(there[:, None, None], cov, np.nan)
     nis_per_degree = float(np.nansum(nis) / max(int(dof.sum()), 1))
-    used = mean, cov, reference, of, nis_per_degree, track.apart, track.trust, noise
-    return Positioned(log, filter, *used, acceleration)
+    found = mean, cov, reference, of, nis_per_degree, track.apart, track.trust, noise
+    return Positioned(log, filter, *found, acceleration)
 
 
 def clock_noise(log: Log, clock: str) -> ClockNoise:
@@ -507,16 +508,18 @@ def _sky(result: Positioned) -> Figure:
     for s, kind in enumerate(kinds(log.names)):
         seen = np.where(log.used[:, s], 90.0 - np.degrees(log.elevation[:, s]), np.nan)
         label = None if kind in shown else str(kind)
-        if np.isfinite(seen).any():
+        there = np.pad(np.isfinite(seen), 1)
+        if there.any():
             shown.add(kind)
-            polar.plot(
-                log.azimuth[:, s], seen, ".", markersize=1.5, color=KIND_COLORS[kind], label=label
-            )
-            last = int(np.flatnonzero(np.isfinite(seen))[-1])
+            # A line through neighboring epochs; a dot where an epoch has no neighbor.
+            lone = there[1:-1] & ~there[:-2] & ~there[2:]
+            look = dict[str, Any](linewidth=1.0, marker=".", markersize=1.5, markevery=lone)
+            polar.plot(log.azimuth[:, s], seen, color=KIND_COLORS[kind], label=label, **look)
+            last = int(np.flatnonzero(there)[-1]) - 1
             polar.annotate(log.names[s], (log.azimuth[last, s], seen[last]), fontsize=6)
     polar.set_rlim(0.0, 90.0)
     polar.set_title("sky: zenith in the middle, north up")
-    fig.legend(*polar.get_legend_handles_labels(), loc="outside lower left", markerscale=4, ncols=4)
+    fig.legend(*polar.get_legend_handles_labels(), loc="outside lower left", ncols=4)
     axes[1].step(
         result.minutes, log.used.sum(1), color=colors.COMPARISON, label="satellites", where="post"
     )

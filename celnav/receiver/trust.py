@@ -70,10 +70,11 @@ class Guarded(NamedTuple):
     trust: Array
 
 
-def guarded(filter: Sequential, log: Log, false_alarm: float) -> Guarded:
+def guarded(filter: Sequential, log: Log, false_alarm: float, compact: bool = False) -> Guarded:
     """Run a filter that starts at the first fix over a log, as long as it deserves trust.
 
     ``false_alarm``: probability that an epoch without a fault is called apart; 0: nothing is.
+    ``compact``: see `Log.epochs`.
 
     Raises
     ------
@@ -95,7 +96,7 @@ def guarded(filter: Sequential, log: Log, false_alarm: float) -> Guarded:
     state, home, start, since = filter.start(log.prior()), None, 0, 0
     errors, pulled, drifting, alarm = Errors.at_start(state.belief, 2 * S), 0.0, False, -WINDOW
     lost, doubted, confirmed = False, False, False
-    for k, epoch in enumerate(log.epochs()):
+    for k, epoch in enumerate(log.epochs(compact)):
         before, state = state.belief.cov, filter.predict(state, epoch)
         F = np.eye(n)
         F[:8, :8] = transition(epoch.dt)
@@ -133,7 +134,8 @@ def guarded(filter: Sequential, log: Log, false_alarm: float) -> Guarded:
         predicted = state.belief.mean
         state, (info,) = filter.update(state, epoch if used else epoch._replace(z=None))
         compared = bool(redundant[k]) and used and k > start
-        errors = _updated(errors, log, k, predicted, state.belief, info, compared, shares)
+        rows = log.rows(k, compact)
+        errors = _updated(errors, log, k, rows, predicted, state.belief, info, compared, shares)
         if k - start >= WINDOW:
             drift[k] = errors.squared_mean / limit[3]
         alarm = k if drift[k] > 1.0 else alarm
@@ -153,22 +155,26 @@ def _updated(
     errors: Errors,
     log: Log,
     k: int,
+    rows: Array,
     predicted: Array,
     updated: Belief,
     info: Info,
     compared: bool,
     shares: Array,
 ) -> Errors:
-    """Errors after an update, and after the comparison of a fix with the prediction."""
+    """Errors after an update with the ``rows`` of the log's ranges and rates, and after the
+    comparison of a fix with the prediction.
+    """
     sigma, S, n = log.sigma[k], len(log.names), len(predicted)
     K, H = np.zeros((n, 2 * S)), pseudorange.jacobian(predicted, log.q[k], log.w[k], log.second)
     R, G, distance = np.square(sigma), np.zeros((3, 2 * S)), None
     if info.used is not None:
-        rows = np.flatnonzero(info.used)
+        used, left = rows[info.used], R.copy()
+        if info.R is not None:
+            left[rows] = info.R
         # Of an optimal gain and the noise that hooks have left: K = P+ H' R^-1.
-        weights = H[rows].T / (R if info.R is None else info.R)[rows]
-        K[:, rows] = updated.cov @ weights
-        R = R if info.R is None else np.maximum(R, info.R)
+        K[:, used] = updated.cov @ (H[used].T / left[used])
+        R = np.maximum(R, left)
     if compared:
         ranges = np.flatnonzero(log.used[k])
         J = np.delete(H[ranges], [3, 4, 5, 7], -1) / sigma[ranges, None]

@@ -17,6 +17,7 @@ from celnav.gaussian.linalg import (
     matvec,
     semidefinite_root,
     solve_lower,
+    solve_positive,
     solve_right,
     tria,
 )
@@ -122,6 +123,15 @@ def test_cholesky_is_numpys(batch):
     np.testing.assert_allclose(
         cholesky(A @ A.mT), np.linalg.cholesky(A @ A.mT), rtol=1e-12, atol=1e-13
     )
+
+
+@pytest.mark.parametrize("batch", BATCHES)
+@pytest.mark.parametrize("sign", [1.0, -1.0], ids=["positive", "indefinite"])
+def test_a_symmetric_system_is_solved(batch, sign):
+    rng = np.random.default_rng(9)
+    A, x = rng.normal(size=(*batch, 4, 7)), rng.normal(size=(*batch, 4))
+    S = A @ (A * np.array([sign] * 2 + [1.0] * 5)).mT
+    np.testing.assert_allclose(matvec(S, solve_positive(S, x)), x, rtol=1e-9, atol=1e-11)
 
 
 def test_cholesky_takes_units_as_they_come():

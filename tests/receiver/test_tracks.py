@@ -28,8 +28,8 @@ from rinex_pair import (
 )
 
 from celnav import cli
+from celnav.receiver import geodesy, report, tracks
 from celnav.receiver import position as positioning
-from celnav.receiver import report, tracks
 from celnav.receiver.geodesy import ELLIPSOID
 from celnav.receiver.rinex import Navigation
 from celnav.receiver.sky import local_axes
@@ -43,6 +43,17 @@ def found(request):
     nav = Navigation(Path("nav.rnx"), sky, (np.array(ALPHA), np.array(BETA)))
     obs = observed(sky, LONG, 3e4 + 30.0 * (LONG - LONG[0]))
     return report.position(positioning.prepare(obs, nav, systems=request.param), "ekf", PLACE)
+
+
+def test_positions_are_those_of_pymap3d():
+    place = np.random.default_rng(1).normal(size=(3, 50))
+    place *= np.linspace(6.35e6, 6.4e6, 50) / np.linalg.norm(place, axis=0)
+    angles = geodesy.ecef2geodetic(*place)
+    np.testing.assert_allclose(geodetic2ecef(*angles, ell=ELLIPSOID), place, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(geodesy.geodetic2ecef(*angles), place, rtol=0, atol=1e-8)
+    radians = geodesy.ecef2geodetic(*place, deg=False)
+    np.testing.assert_allclose(np.degrees(radians[:2]), angles[:2], rtol=1e-14)
+    np.testing.assert_allclose(geodesy.geodetic2ecef(*radians, deg=False), place, atol=1e-8)
 
 
 def test_a_solution_of_rtklib_has_its_columns_and_its_time(found):

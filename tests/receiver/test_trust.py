@@ -31,7 +31,7 @@ from celnav.models.gnss import B1I_HZ, LIGHT
 from celnav.receiver import position as positioning
 from celnav.receiver import report, tracks
 from celnav.receiver.correlated import WINDOW, Correlation
-from celnav.receiver.filters import CRYSTAL, filters, process_noise, transition
+from celnav.receiver.filters import COMPACT, CRYSTAL, filters, process_noise, transition
 from celnav.receiver.rinex import Navigation
 from celnav.receiver.trust import AGREEING, guarded
 
@@ -251,6 +251,21 @@ def test_the_distance_is_that_of_the_plain_formula(steady):
         S = state.belief.cov[:3, :3] + log.fix_cov[k]
         assert found.apart[k] == pytest.approx(d @ np.linalg.solve(S, d) / 16.266, rel=1e-3)
         state, _ = filter.update(state, epoch)
+
+
+@pytest.mark.parametrize("name", COMPACT)
+def test_satellites_without_measurements_make_no_difference(steady, name):
+    log = positioning.prepare(steady, NAVIGATION)
+    z = log.z.copy()
+    z[::3, 0] = z[5, :] = np.nan  # a satellite with a rate alone, and an epoch without any
+    log = replace(log, z=z)
+    filter = filters(len(log.names))[name]
+    full, compact = (guarded(filter, log, 1e-5, shortened) for shortened in (False, True))
+    for part in ("mean", "cov", "nis", "dof"):
+        expected = getattr(full, part)
+        np.testing.assert_allclose(getattr(compact, part), expected, rtol=1e-9, atol=1e-7)
+    assert (compact.trust == full.trust).all()
+    assert (log.part(slice(2, 9)).used == log.used[2:9]).all()
 
 
 def test_a_sound_epoch_is_called_apart_as_often_as_is_allowed(steady):

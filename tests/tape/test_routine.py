@@ -145,6 +145,23 @@ def test_factorization(shape, pattern):
     assert (error <= 1e-13 * size[:, :, None] * size[:, None, :]).all()
 
 
+@pytest.mark.parametrize("most", [0, 10_000], ids=["loop", "written out"])
+def test_a_product_with_its_own_transpose(monkeypatch, most):
+    monkeypatch.setattr(numbers, "LONG_PRODUCT", most)
+    monkeypatch.setattr(recorded, "LONG_PRODUCT", most)
+    given, tape = values(5 * 7, seed=4), Tape()
+    A = inputs(tape, 5, 7)
+    A[np.triu_indices(5, 3, 7)] = 0.0
+    P = recorded.outer(A)
+    assert len(calls(tape)) == (1 if most == 0 else 0)
+    if most:  # one product for each pair of entries in the lower triangle that are not zero
+        full = np.tril(np.ones((5, 7)), 2)
+        assert sum(op[0] == "mul" for op in tape.ops) == np.tril(full @ full.T).sum()
+    dense = np.tril(given.reshape(5, 7, RUNS).transpose(2, 0, 1), 2)
+    P = flown(tape, P, given).transpose(2, 0, 1)
+    np.testing.assert_allclose(P, dense @ dense.mT, rtol=1e-13, atol=1e-13)
+
+
 def test_a_factorization_of_zeros_that_are_known_only_later():
     given = np.zeros((12, RUNS))
     given[:, 1] = np.random.default_rng(0).standard_normal(12)
