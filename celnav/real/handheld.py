@@ -12,8 +12,8 @@ Five facts of physics shape the model:
 - A hand stays within reach. The specific force is integrated twice, and a position is measured that
   is zero within the reach of an arm. No spectrum of the acceleration is assumed.
 - The field differs from place to place, and a hand comes back to the same places, so that errors of
-  the field do not average out. The magnetometer therefore measures heading only, from the horizontal
-  field; inclination is that of gyro and accelerometer.
+  the field do not average out. The magnetometer therefore measures heading only, from the
+  horizontal field; inclination is that of gyro and accelerometer.
 - What is left of a calibrated magnetometer's bias and misalignments counts as noise. As constants
   of the state they are mistaken for a field that changes as the hand turns.
 - The axes of the gyro are not exactly those of the accelerometer: its scale factors and
@@ -343,12 +343,12 @@ def motion(s: Settings, space: Space) -> Motion:
 
 
 def on_earth(x: Array, vector: Array) -> Array:
-    """Vectors ``(..., 3)`` on the sensor's axes, turned to Earth axes by the attitudes of states."""
+    """Vectors ``(..., 3)`` on the sensor's axes, turned to Earth axes by the states' attitudes."""
     return attitude.rotate(attitude.inverse(x[..., Q]), vector)
 
 
 def sensors(s: Settings) -> tuple[Sensor, ...]:
-    """Reach, velocity at rest, horizontal field, and the gyro at rest; the first three measure 0."""
+    """Reach, velocity at rest, horizontal field, and gyro at rest; the first three measure 0."""
 
     def horizontal(x: Array, epoch: Epoch) -> Array:
         field = on_earth(x, epoch.u[3]) - x[..., D]
