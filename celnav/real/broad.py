@@ -1,15 +1,21 @@
 """BROAD [Laidig2021]: attitude from gyro, accelerometer and magnetometer in a hand, judged by
 cameras.
 
-The split. Settings are where the innovations of the trials `TUNED`, three of the six undisturbed
-ones, are most probable; no truth was used for them. The deviation of the accelerometer's bias is
-the RMS by which the specific force differs from gravity while those three are at rest.
+Settings. No truth chose a number. The reach is half an arm's, renewed each second, and the gyro's
+scale factors change by 0.1 %. The noise of gyro and accelerometer, the field and the gyro's matrix
+are where the innovations of the trials `TUNED`, three of the six undisturbed ones, were most
+probable in the model of before; the noise of the magnetometer is what its noise, bias and
+misalignments came to there. The deviation of the accelerometer's bias is the RMS by which the
+specific force differs from gravity while those three are at rest.
 
-The model is not blind. The deviations of `handheld.together` came after heading had been seen to
-err by tens of degrees with those of `handheld.apart`. On 2026-11-26 the errors of these eight
-trials, and of VQF in them, had been seen before four parts of the model were changed: how lively a
-hand is, the matrices of gyro and magnetometer, the field that changes with motion, and the rate of
-a sensor at rest. The settings were fitted anew after that.
+The model is not blind: the errors of these eight trials, and of VQF in them, had been seen when it
+was made. On 2026-11-26 it replaced one with colored acceleration, whose inclination erred by twice
+what it claimed. Three things were found wrong with that: low frequencies of the acceleration, of
+which a hand that stays in place has hardly any; a magnetometer that corrected inclination with
+errors of the field that do not average out; and a start that made the filter learn a heading at
+rest, wrong by up to 4 deg, from linearization alone. Its total RMSE was 2.10 deg, its inclination
+0.91 deg. The new model's total is larger, by the heading of one fast rotation: there the field
+itself is off by 4 deg.
 """
 
 from __future__ import annotations
@@ -35,7 +41,6 @@ from celnav.real.handheld import (
     SETTINGS,
     STEP,
     TRIALS,
-    TUNED,
     Flight,
     Q,
     Settings,
@@ -78,7 +83,7 @@ VQF_INSTALLED = installed("vqf")
 
 # -- what is flown, and what is found --------------------------------------------------------------
 BLOCK_S = 10.0  # of the bootstrap: errors of heading are correlated over seconds
-LOOSE, KINDS = ("push", "field", "stir"), ("total", "heading", "inclination")
+LOOSE, KINDS = ("reach", "turning", "mag"), ("total", "heading", "inclination")
 UNDISTURBED = range(6)
 
 
@@ -131,23 +136,27 @@ def published(config: Flight, _rngs: Sequence[Any]) -> dict[str, Array]:
     return out
 
 
-def probable(config: Flight, _rngs: Sequence[Any]) -> dict[str, Array]:
-    """Log-likelihood of `TUNED` at the settings, and with each of `LOOSE` 1.25 times as large, then
-    as small.
+def sensitive(config: Flight, _rngs: Sequence[Any]) -> dict[str, Array]:
+    """Mean RMSE of inclination in the undisturbed trials, deg, at the settings, and with each of
+    `LOOSE` twice as large, then half.
     """
     tried = [SETTINGS]
     tried += [
         replace(SETTINGS, **{name: by * getattr(SETTINGS, name)})
         for name in LOOSE
-        for by in (1.25, 0.8)
+        for by in (2.0, 0.5)
     ]
+    trials = [TRIALS[i] for i in UNDISTURBED]
     each = {
-        one.name: np.repeat([getattr(s, one.name) for s in tried], len(TUNED))[:, None]
+        one.name: np.repeat([getattr(s, one.name) for s in tried], len(trials))[:, None]
         for one in fields(Settings)
     }
-    flight = trial(replace(config, trials=TUNED * len(tried)), s=Settings(**each))
-    track = run(flight.filters["mekf"], flight.prior, flight.epochs("mekf"), keep="nothing")
-    return {"log_likelihood": track.log_likelihood.reshape(-1, len(TUNED)).sum(1)}
+    flight = replace(config, trials=(*trials,) * len(tried))
+    error = evaluate_filters(trial(flight, s=Settings(**each)), ["robust"])["robust/error"]
+    moving = np.stack([log.moving for log in flight.logs()], 1)
+    inclination = np.where(moving, judged(error)[..., 2], np.nan)
+    rmse = np.sqrt(np.nanmean(np.square(inclination), 0))
+    return {"rmse": rmse.reshape(-1, len(trials)).mean(1)}
 
 
 def parts(effort: float, broad: Path) -> dict[str, Part]:
@@ -158,7 +167,7 @@ def parts(effort: float, broad: Path) -> dict[str, Part]:
     every = {name: Part(partial(run_filters, name), config, 0, 1, 1, 20.0) for name in filters()}
     every["published"] = Part(published, config, cost=0.1)
     every["vqf"] = Part(partial(run_vqf, VQF_INSTALLED), config)
-    return every | ({"settings": Part(probable, config, 0, 1, 1, 40.0)} if effort == 1.0 else {})
+    return every | ({"settings": Part(sensitive, config, 0, 1, 1, 200.0)} if effort == 1.0 else {})
 
 
 def squares(r: Results, name: str, trials: Sequence[int], kind: int = 0) -> Array:
@@ -244,7 +253,7 @@ WHY = (
     "below 1 the filter is better; each published one has one setting for all trials, too, but "
     "one that was chosen by truth"
 )
-EXPECTED = ("undecided", "undecided", "shown", "shown", "shown", "shown")
+EXPECTED = ("not shown", "shown", "not shown", "shown", "shown", "shown")
 ROWS = [
     *(
         finding(
@@ -282,11 +291,12 @@ ROWS = [
             beside_vqf(trials, kind),
             expected=expected if VQF_INSTALLED else "no number",
             figure="figure_01",
+            revised="2026-11-26: the model was changed when the errors of all trials were known",
         )
         for name, says, trials, kind, expected in (
-            ("vqf", "Where nothing disturbs it errs less than VQF.", UNDISTURBED, 0, ""),
-            ("vqf-disturbed", "So it does where something disturbs.", (6, 7), 0, "undecided"),
-            ("vqf-tilt", "Its inclination alone errs less.", UNDISTURBED, 2, "undecided"),
+            ("vqf", "Where nothing disturbs it errs less than VQF.", UNDISTURBED, 0, "undecided"),
+            ("vqf-disturbed", "So it does where something disturbs.", (6, 7), 0, ""),
+            ("vqf-tilt", "Its inclination alone errs less.", UNDISTURBED, 2, ""),
         )
     ),
     finding(
@@ -302,26 +312,28 @@ ROWS = [
         figure="figure_03",
     ),
     finding(
-        "overconfident",
-        "In a slow translation inclination errs by more than twice what is claimed.",
-        claimed("RMS error over claimed deviation", "mekf", (3,), slice(0, 2), (2.0, None)),
-        expected="undecided",
+        "inclination",
+        "Inclination errs by what the filter claims, within a quarter.",
+        claimed(
+            "RMS error over claimed deviation", "robust", UNDISTURBED, slice(0, 2), (0.8, 1.25)
+        ),
         figure="figure_03",
+        revised="2026-11-26: with the model of before, inclination in a slow translation erred by "
+        "more than twice what was claimed",
     ),
     check(
         "settings",
-        "A quarter more or less of any of three settings makes the innovations of the three trials "
-        "less probable.",
+        "Twice or half of any of three settings changes inclination by less than a tenth.",
         of(
             "settings",
-            "log_likelihood",
-            "largest gain of log-likelihood",
-            (None, 0.0),
-            lambda x: np.max(x[1:] - x[0]),
+            "rmse",
+            "largest change of the RMSE of inclination",
+            (None, 0.1),
+            lambda x: np.max(np.abs(x[1:] / x[0] - 1.0)),
         ),
         needs="settings",
-        revised="2026-11-26: stir in place of turning, which hardly matters in this model: 0.8 of "
-        "that factor is more probable, by less than 1 of log-likelihood",
+        revised="2026-11-26: in place of a likelihood, which a model without a spectrum of the "
+        "acceleration does not have",
     ),
 ]
 STUDY = Study(
@@ -334,9 +346,8 @@ STUDY = Study(
     "beside two published filters.",
     (
         Sentence(
-            "With settings that no truth has chosen, an MEKF with colored acceleration and "
-            "Student's t errs less "
-            "than both published filters in "
+            "With settings that no truth has chosen, an MEKF of a hand that stays within reach, "
+            "with Student's t, errs less than both published filters in "
             "{better[0]:.0f} of {better[2]:.0f} undisturbed trials, beyond chance in "
             "{better[1]:.0f}.",
             {"better": "shown"},
@@ -515,7 +526,7 @@ def record(results: Results, outputs: Outputs) -> list[str]:
         posed,
         np.degrees(np.eye(3)),
         "deg",
-        nis_dof=6,
+        nis_dof=5,
         spaces=SPACES,
         scene=draw,
         parameters=vars(SETTINGS),

@@ -2,28 +2,30 @@
 read, and what is believed.
 
 Earth axes are east, north (of the magnetic field) and up. The state has the attitude, the drift of
-the gyro, the acceleration of the hand, the disturbance of the field, and constants. A step has
+the gyro, velocity and position of the hand, the disturbance of the field, and constants. A step has
 `STEP` samples: an eighth of a second. Those of the gyro are integrated, the others are turned to
 its end and averaged, those of the magnetometer as of `LAG` samples before, which makes the
 innovations of the trials `TUNED` most probable.
 
-Four facts of physics shape the model:
+Five facts of physics shape the model:
 
-- A hand comes back, so its acceleration has no mean. How large it is shows on axes that the gyro
-  alone keeps: there gravity is constant. The norm of the specific force does not show it, because
-  a horizontal acceleration changes that norm in second order only.
-- The field differs from place to place, so its disturbance changes as the hand moves.
-- The axes of the gyro, and those of the magnetometer, are not exactly those of the accelerometer:
-  scale factors and misalignments of both are constants of the state. Without them a tilt is
-  estimated where there is none, and taken for a bias of the accelerometer.
-- A sensor at rest does not turn. Nothing else measures the drift about the vertical while the
-  field is unknown.
+- A hand stays within reach. The specific force is integrated twice, and a position is measured that
+  is zero within the reach of an arm. No spectrum of the acceleration is assumed.
+- The field differs from place to place, and a hand comes back to the same places, so that errors of
+  the field do not average out. The magnetometer therefore measures heading only, from the
+  horizontal field; inclination is that of gyro and accelerometer.
+- What is left of a calibrated magnetometer's bias and misalignments counts as noise. As constants
+  of the state they are mistaken for a field that changes as the hand turns.
+- The axes of the gyro are not exactly those of the accelerometer: its scale factors and
+  misalignments are constants of the state.
+- A sensor at rest neither turns nor moves.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -34,7 +36,7 @@ from scipy.spatial.transform import Rotation
 from celnav.files import InputError
 from celnav.filters.adaptive import student_t
 from celnav.filters.model import Motion, Sensor
-from celnav.filters.records import Epoch, epochs
+from celnav.filters.records import Epoch, Epochs, epochs
 from celnav.filters.sequential import Sequential, ekf
 from celnav.gaussian import attitude
 from celnav.gaussian.belief import Gaussian
@@ -204,76 +206,59 @@ class Settings:
     """Deviations and times, each one for all trials (or one for each run, ``(runs, 1)``).
 
     gyro: angle random walk, rad/s^(1/2). turning: that of errors which grow with the rate, for each
-        rad/s.
-    shaking, push: white noise of a step, and deviation of the hand's acceleration, each for 1 m/s^2
-        of `Log.lively`.
-    acc, rest: the same of a sensor at rest, m/s^2. tau, wash: times s of that acceleration: it is
-        ``s - l``, with s a Gauss-Markov
-    process and l what follows it, so that it has no mean: a hand comes back.
+        rad/s: 0.1 % for a second.
+    acc, shaking: white noise of a step, m/s^2, and that for each 1 m/s^2 of `Log.lively`.
+    reach: m s^(1/2), deviation of the position from zero, if it is anew each second.
     mag: white noise of a step, uT.
     field, stir: deviation, uT, of the field's disturbance on Earth axes; the rate, 1/s, at which
         it is forgotten for each m/s^2 of `Log.lively`.
-    acc_bias, mag_bias: deviations, m/s^2 and uT, of constants on the sensor's axes.
-    skew, scale: those of scale factors and misalignments of magnetometer and gyro.
+    acc_bias: deviation, m/s^2, of a constant on the sensor's axes.
+    scale: that of scale factors and misalignments of the gyro.
     """
 
     gyro: Any
     turning: Any
     acc: Any
     shaking: Any
-    rest: Any
-    push: Any
-    tau: Any
-    wash: Any
+    reach: Any
     mag: Any
     field: Any
     stir: Any
     acc_bias: Any
-    mag_bias: Any
-    skew: Any
     scale: Any
 
 
 DRIFT, DRIFT_WALK = 0.01, 1e-5  # rad/s at the start, and rad/s^(3/2)
-TREMOR = 1e-3  # rad/s, of a sensor at rest
+TREMOR, SWAY = 1e-3, 0.01  # rad/s and m/s, of a sensor at rest
 SETTINGS = Settings(
     gyro=7.43e-05,
-    turning=0.00034,
-    acc=0.00602,
-    shaking=0.095,
-    rest=0.001,
-    push=1.1,
-    tau=0.225,
-    wash=0.232,
-    mag=0.218,
+    turning=0.001,
+    acc=0.006,
+    shaking=0.02,
+    reach=0.3,
+    mag=0.85,
     field=0.668,
     stir=0.316,
     acc_bias=0.056,
-    mag_bias=0.428,
-    skew=0.0176,
     scale=0.00418,
 )
-Q, BIAS, S, L, D, H, V, ACC, MAG, SKEW, SCALE = (
+Q, BIAS, V, P, D, H, ACC, SCALE = (
     slice(0, 4),
     slice(4, 7),
     slice(7, 10),
     slice(10, 13),
     slice(13, 16),
     slice(16, 17),
-    slice(17, 18),
-    slice(18, 21),
-    slice(21, 24),
-    slice(24, 33),
-    slice(33, 42),
+    slice(17, 20),
+    slice(20, 29),
 )
-"""Of a state ``(..., 42)``: attitude, drift (rad/s), both parts of the acceleration (m/s^2),
-disturbance, horizontal and downward part of the field (uT), constants of both sensors, matrices of
-the magnetometer and of the gyro by rows. Of deviations ``(..., 41)`` those of the attitude are
-three."""
-N, NOISY = 41, np.eye(41)[:, [*range(9), *range(12, 15)]]
+"""Of a state ``(..., 29)``: attitude, drift (rad/s), velocity (m/s) and position (m) of the hand,
+disturbance and horizontal part of the field (uT), bias of the accelerometer, matrix of the gyro by
+rows. Of deviations ``(..., 28)`` those of the attitude are three."""
+N, NOISY = 28, np.eye(28)[:, [*range(9), *range(12, 15)]]
 
 
-VECTORS = (S, L, D)
+VECTORS = (V, P, D)
 
 
 def together() -> Space:
@@ -326,7 +311,9 @@ def by_rows(matrix: Array, vector: Array) -> Array:
 
 
 def motion(s: Settings, space: Space) -> Motion:
-    """How a state goes on; ``epoch.u`` is rate ``(..., 3)`` and `Log.lively` ``(..., 1)``."""
+    """How a state goes on; ``epoch.u`` is rate ``(..., 3)``, `Log.lively` ``(..., 1)``, specific
+    force and field ``(..., 3)``, and whether the force was measured ``(..., 1)``.
+    """
     perfect = Gyro(0.0, 0.0)
 
     def same_place(epoch: Epoch) -> Array:
@@ -334,54 +321,76 @@ def motion(s: Settings, space: Space) -> Motion:
         return np.asarray(np.exp(-epoch.dt * s.stir * epoch.u[1]))
 
     def f(x: Array, epoch: Epoch) -> Array:
-        tau, wash = (np.exp(-epoch.dt / time) for time in (s.tau, s.wash))
-        far = same_place(epoch)
-        followed = wash * x[..., L] + (1.0 - wash) * x[..., S]
         rate = epoch.u[0] - by_rows(x[..., SCALE], epoch.u[0])
         turned = perfect.propagate(x[..., : BIAS.stop], rate, epoch.dt)
-        return side_by_side([turned, tau * x[..., S], followed, far * x[..., D], x[..., D.stop :]])
+        force = on_earth(turned, epoch.u[2] - x[..., ACC])
+        velocity = x[..., V] + epoch.dt * epoch.u[4] * (force - np.array([0.0, 0.0, GRAVITY]))
+        position = x[..., P] + epoch.dt * x[..., V]
+        field = same_place(epoch) * x[..., D]
+        return side_by_side([turned, velocity, position, field, x[..., D.stop :]])
 
     def noise(_mean: Array, epoch: Epoch) -> Array:
-        (rate, lively), dt = epoch.u, epoch.dt
+        (rate, lively), dt = epoch.u[:2], epoch.dt
         turn = np.sqrt((s.gyro**2 + s.turning**2 * (rate * rate).sum(-1)[..., None]) * dt)
-        push = np.sqrt((s.rest**2 + (s.push * lively) ** 2) * (1.0 - np.exp(-2.0 * dt / s.tau)))
+        force = np.sqrt(s.acc**2 + (s.shaking * lively) ** 2) * dt
         field = s.field * np.sqrt(1.0 - same_place(epoch) ** 2)
         std = side_by_side(
-            [part + 0.0 * turn for part in (turn, DRIFT_WALK * np.sqrt(dt), push, field)]
+            [part + 0.0 * turn for part in (turn, DRIFT_WALK * np.sqrt(dt), force, field)]
         )
         return np.repeat(std, 3, -1)[..., None, :] * NOISY
 
     return Motion(f, sqrt_Q=noise, space=space)
 
 
-def sensors(s: Settings) -> tuple[Sensor, Sensor, Sensor]:
-    """Accelerometer, magnetometer, and the gyro of a sensor at rest."""
+def on_earth(x: Array, vector: Array) -> Array:
+    """Vectors ``(..., 3)`` on the sensor's axes, turned to Earth axes by the states' attitudes."""
+    return attitude.rotate(attitude.inverse(x[..., Q]), vector)
 
-    def acc(x: Array, _epoch: Epoch) -> Array:
-        return np.asarray(
-            attitude.rotate(x[..., Q], x[..., S] - x[..., L] + np.array([0.0, 0.0, GRAVITY]))
-            + x[..., ACC]
-        )
 
-    def mag(x: Array, _epoch: Epoch) -> Array:
-        field = x[..., D] + side_by_side([0.0 * x[..., H], x[..., H], -x[..., V]])
-        field = attitude.rotate(x[..., Q], field)
-        return np.asarray(field + by_rows(x[..., SKEW], field) + x[..., MAG])
+def sensors(s: Settings) -> tuple[Sensor, ...]:
+    """Reach, velocity at rest, horizontal field, and gyro at rest; the first three measure 0."""
 
-    def acc_noise(_mean: Array, epoch: Epoch) -> Array:
-        return np.asarray(np.sqrt(s.acc**2 + (s.shaking * epoch.u[1]) ** 2)[..., None] * np.eye(3))
+    def horizontal(x: Array, epoch: Epoch) -> Array:
+        field = on_earth(x, epoch.u[3]) - x[..., D]
+        return side_by_side([field[..., :1], field[..., 1:2] - x[..., H]])
+
+    def by_heading(mean: Array, epoch: Epoch) -> Array:
+        """Derivative of the horizontal field ``(..., 2, N)``, but none by an inclination."""
+        field = on_earth(mean, epoch.u[3]) - mean[..., D]
+        turned = side_by_side([-field[..., 1:2], field[..., :1]])
+        return np.asarray(turned[..., None] * np.eye(N)[2] - np.eye(N)[[12, 13]] - NORTH)
+
+    def reach(_mean: Array, epoch: Epoch) -> Array:
+        return np.asarray(s.reach / np.sqrt(epoch.dt))[..., None] * np.eye(3)
 
     return (
-        Sensor(acc, sqrt_R=acc_noise),
-        Sensor(mag, sqrt_R=lambda _mean, _epoch: np.asarray(s.mag)[..., None] * np.eye(3)),
+        Sensor(partial(on_sensor, P), sqrt_R=reach),
+        Sensor(partial(on_sensor, V), sqrt_R=SWAY * np.eye(3)),
+        Sensor(
+            horizontal,
+            sqrt_R=lambda _mean, _epoch: np.asarray(s.mag)[..., None] * np.eye(2),
+            jacobian=by_heading,
+        ),
         Sensor(lambda x, _epoch: x[..., BIAS], sqrt_R=TREMOR * np.eye(3)),
     )
 
 
+def on_sensor(part: slice, x: Array, _epoch: Epoch) -> Array:
+    """A vector of states, on the sensor's axes: there it tells nothing of the attitude."""
+    return attitude.rotate(x[..., Q], x[..., part])
+
+
+NORTH = np.outer([0.0, 1.0], np.eye(N)[H.start - 1])
+
+
 def filters(s: Settings = SETTINGS) -> dict[str, Sequential]:
     """The filters that are compared, by name, of the same model."""
-    models = motion(s, together()), *sensors(s)
-    return {"mekf": ekf(*models), "robust": ekf(*models, hooks=[student_t()])}
+    move, measured = motion(s, together()), sensors(s)
+    doubted = [[], [], [student_t()], []]
+    return {
+        "mekf": ekf(move, *measured),
+        "robust": ekf(move, *measured, hooks=doubted),
+    }
 
 
 def prior(logs: Sequence[Log], s: Settings = SETTINGS) -> Gaussian:
@@ -402,12 +411,12 @@ def prior(logs: Sequence[Log], s: Settings = SETTINGS) -> Gaussian:
         -1,
     )
     mean = np.zeros((len(logs), N + 1))
-    mean[:, Q], mean[:, H], mean[:, V] = Rotation.from_matrix(axes.mT).as_quat(), 18.0, 40.0
-    std = [0.1, 0.1, 0.3, DRIFT, s.rest, s.field, 4.0, s.acc_bias, s.mag_bias, s.skew, s.scale]
+    mean[:, Q] = Rotation.from_matrix(axes.mT).as_quat()
+    mean[:, H] = (mag * axes[..., 1]).sum(-1)[:, None]  # that of the data: no heading is learned
+    std = [0.1, 0.1, 0.3, DRIFT, SWAY, SWAY, s.field, 4.0, s.acc_bias, s.scale]
     each = side_by_side([np.zeros((len(logs), 1)) + part for part in std])
     return Gaussian(
-        mean,
-        np.square(np.repeat(each, [1, 1, 1, 3, 6, 3, 2, 3, 3, 9, 9], -1))[..., None] * np.eye(N),
+        mean, np.square(np.repeat(each, [1, 1, 1, 3, 3, 3, 3, 1, 3, 9], -1))[..., None] * np.eye(N)
     )
 
 
@@ -463,15 +472,25 @@ def _padded(values: Array, T: int, fill: Any) -> Array:
 GROUPS = (Group("attitude", "deg", slice(0, 3), 180.0 / np.pi),)
 
 
-def trial(config: Flight, _rngs: Sequence[Any] = (), *, s: Settings = SETTINGS) -> Trial:
-    """The trials, with the filters; errors are rotation vectors on Earth axes."""
-    logs = config.logs()
+def measured(logs: Sequence[Log]) -> Epochs:
+    """Epochs of logs of the same length, as runs: what the filters measure, and what they are
+    given.
+    """
     rate, acc, mag, lively, still, truth = (
         np.stack(part, 1) for part in list(zip(*logs, strict=True))[:6]
     )
     acc[0] = mag[0] = np.nan  # the start is made of it
-    z = acc, mag, still
-    every = epochs(logs[0].dt * np.arange(len(rate)), z, (rate[1:], lively[1:]), truth)
+    known = np.isfinite(acc).all(-1, keepdims=True) * 1.0
+    u = rate, lively, np.nan_to_num(acc), np.nan_to_num(mag), known
+    z = 0.0 * acc, 0.0 * still, 0.0 * mag[..., :2], still
+    times = logs[0].dt * np.arange(len(rate))
+    return epochs(times, z, tuple(values[1:] for values in u), truth)
+
+
+def trial(config: Flight, _rngs: Sequence[Any] = (), *, s: Settings = SETTINGS) -> Trial:
+    """The trials, with the filters; errors are rotation vectors on Earth axes."""
+    logs = config.logs()
+    every = measured(logs)
 
     def compare(truth: Array, belief: Belief) -> tuple[Array, Array]:
         error = attitude.log(attitude.multiply(attitude.inverse(truth), belief.mean[..., Q]))

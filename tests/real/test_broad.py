@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from celnav import cli
 from celnav.files import InputError
+from celnav.filters.records import Epoch
 from celnav.filters.run import run
 from celnav.gaussian import attitude
 from celnav.models.gyro import preintegrate
@@ -163,6 +164,66 @@ def test_errors_are_those_that_the_benchmark_defines():
     turned = attitude.log(attitude.multiply(attitude.inverse(truth.as_quat()), ours.as_quat()))
     np.testing.assert_allclose(broad.judged(np.degrees(turned)), np.degrees(expected), atol=1e-6)
     assert np.isnan(broad.judged(np.full(3, np.nan))).all()
+
+
+def test_the_magnetometer_measures_heading_alone():
+    rng, s = np.random.default_rng(5), handheld.SETTINGS
+    sensor, space, n = handheld.sensors(s)[2], handheld.together(), handheld.N
+    x = rng.standard_normal(n + 1)
+    x[:4] /= np.linalg.norm(x[:4])
+    epoch = Epoch(u=(None, None, None, attitude.rotate(x[:4], FIELD), None))
+    steps = 1e-6 * np.concatenate([np.eye(n), -np.eye(n)])
+    z = sensor.h(space.plus(x, steps), epoch)
+    expected = (z[:n] - z[n:]).T / 2e-6
+    assert np.abs(expected[:, :2]).max() > 1.0
+    expected[:, :2] = 0.0
+    np.testing.assert_allclose(sensor.jacobian(x, epoch), expected, atol=1e-6)
+
+
+def waves(rng, t, rms, low, high):
+    """Random sums of six waves ``(T, 3)`` of an RMS, with angular rates from low to high, and their
+    second derivatives."""
+    w, phase = rng.uniform(low, high, (6, 1, 3)), rng.uniform(0.0, 2.0 * np.pi, (6, 1, 3))
+    each = rms / np.sqrt(3.0) * np.sin(w * t[:, None] + phase)
+    return each.sum(0), (-(w**2) * each).sum(0)
+
+
+def test_claims_of_inclination_are_honest_where_truth_is_known_exactly():
+    """Hands that move as no model says: sums of waves. Errors of the sensors as the settings have
+    them; fields that change from place to place by twice what is believed."""
+    s = handheld.SETTINGS
+    S = round(60.0 * HZ)
+    t = np.arange(S) / HZ
+    on = np.clip((t - 8.0) / 2.0, 0.0, 1.0)[:, None]
+    logs, truths = [], []
+    for seed in range(12):
+        rng = np.random.default_rng([7, seed])
+        rate = on * waves(rng, t, rng.uniform(0.2, 1.5), 1.0, 8.0)[0]
+        q = np.tile(attitude.IDENTITY, (S, 1))
+        q[0] = attitude.exp(np.array([0.0, 0.0, rng.uniform(-3.0, 3.0)]))
+        for k, turn in enumerate(attitude.exp(rate[1:] / HZ), 1):
+            q[k] = attitude.multiply(turn, q[k - 1])
+        place, acceleration = waves(rng, t, rng.uniform(0.05, 0.2), 1.0, 8.0)
+        field = FIELD + 2.0 * s.field * np.sin(3.0 * on * place + rng.uniform(-3.0, 3.0, 3))
+        skewed = rate @ (np.eye(3) + s.scale * rng.standard_normal((3, 3))).T
+        white = s.gyro * np.sqrt(HZ) * rng.standard_normal((S, 3))
+        gyr = skewed + handheld.DRIFT * rng.standard_normal(3) + white
+        acc = attitude.rotate(q, UP + on * acceleration) + s.acc_bias * rng.standard_normal(3)
+        acc += 0.03 * rng.standard_normal((S, 3))
+        mag = attitude.rotate(q, field) + s.mag * rng.standard_normal((S, 3))
+        log = handheld.steps(gyr, acc, mag, HZ, 0)
+        logs.append(log)
+        truths.append(q[handheld.STEP - 1 :: handheld.STEP][: len(log.rate)])
+    prior = handheld.prior(logs)
+    flight = handheld.measured(logs)
+    track = run(handheld.filters()["robust"], prior, flight, keep="cov")
+    truth = np.stack(truths, 1)
+    error = attitude.log(attitude.multiply(attitude.inverse(truth), track.mean[..., :4]))
+    moving = slice(round(12.0 / logs[0].dt), None)
+    tilt, cov = error[moving, :, :2], track.cov[moving, :, :2, :2]
+    nees = (tilt * np.linalg.solve(cov, tilt[..., None])[..., 0]).sum(-1) / 2.0
+    assert np.degrees(np.sqrt(np.mean(tilt**2))) < 0.5
+    assert 0.5 < nees.mean() < 1.5, nees.mean(0)
 
 
 def test_the_engines_agree(folder):
