@@ -52,14 +52,15 @@ function judge(entry, query) {
     weakest = Math.min(weakest, best);
     score += points;
   }
-  // A title or heading that says nothing else, or begins with it, is the better one.
+  // A title or heading that says nothing else is the better one, and so is a task that begins with it.
   fields.slice(0, 2).forEach(function (field) {
     var hits = field[0].filter(function (word) {
       return query.some(function (part) { return match(part, word) === WHOLE; });
     });
     score += field[1] * hits.length / Math.max(field[0].length, 1);
-    if (field[0].length && match(query[0], field[0][0]) === WHOLE) score += 0.3 * field[1];
   });
+  var title = fields[0][0], task = /^howto\//.test(entry[1]);
+  if (task && title.length && match(query[0], title[0]) === WHOLE) score += 0.3 * fields[0][1];
   var phrase = query.map(singular).join(" ");
   fields.slice(0, 3).forEach(function (field) {
     if (query.length > 1 && field[0].map(singular).join(" ").includes(phrase)) score += 2 * field[1];
