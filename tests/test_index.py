@@ -6,6 +6,7 @@ import json
 import re
 import shutil
 import subprocess
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -88,9 +89,13 @@ def page(folder):
 
 
 def test_it_opens_with_sentences_and_has_every_row_and_needs_nothing_else(page):
-    assert page.index("The paper: ") < page.index("We find: ") < page.index("<section")
+    head = page[: page.index("<main>")]
+    assert "judges 6 of their statements" in head
+    assert head.count("<rect ") == 6 + 3  # squares and their legend
+    assert page.index('id="found"') < page.index("<section")
+    assert page.index("The paper: ") < page.index("We find:</b>")
     assert page.count("<img ") == 4
-    assert page.count("3 statements: 1 reproduced, 1 not reproduced, 1 undecided.") == 2
+    assert page.count("3 statements: 1 reproduced, 1 not reproduced, 1 undecided") == 4
     assert page.count("2 not as expected.") == 2
     assert page.count("1 checks: 1 holds") == 2
     for text in (
@@ -103,6 +108,41 @@ def test_it_opens_with_sentences_and_has_every_row_and_needs_nothing_else(page):
         assert f'id="{paper}"' in page
         assert f'href="{paper}/figures/figure_01.svg">figure' in page
     assert not re.search(r'(src|href)="(https?:)?//', page)
+
+
+def test_ids_are_of_one_place_and_squares_lead_to_their_rows(page):
+    ids = re.findall(r' id="([^"]+)"', page)
+    assert len(ids) == len(set(ids))
+    targets = re.findall(r'href="#([^"]+)"', page)
+    assert set(targets) <= set(ids)
+    assert {f"{paper}-{row}" for paper in ("csrukf", "aukf") for row in "abc"} <= set(targets)
+
+
+def test_headings_are_in_order_and_the_page_has_its_landmarks(page):
+    levels = [int(level) for level in re.findall(r"<h([1-6])", page)]
+    assert levels[0] == 1
+    assert levels.count(1) == 1
+    assert all(b - a <= 1 for a, b in pairwise(levels))
+    for landmark in ("header", "nav", "main"):
+        assert len(re.findall(rf"<{landmark}[ >]", page)) == 1
+
+
+@pytest.mark.parametrize(("side", "ground"), [(0, "#ffffff"), (1, "#121212")])
+def test_verdicts_and_small_print_have_contrast(page, side, ground):
+    """Of 4.5 at least, in light and in dark [WCAG 2.2]."""
+    pairs = dict(re.findall(r"--(\w+):light-dark\((#\w+,#\w+)\)", page))
+    assert {"bad", "good", "part", "error", "open", "muted"} <= pairs.keys()
+    for name, pair in pairs.items():
+        light, dark = sorted(map(luminance, (pair.split(",")[side], ground)), reverse=True)
+        assert (light + 0.05) / (dark + 0.05) >= 4.5, name
+
+
+def luminance(color):
+    """Relative luminance of #rgb or #rrggbb."""
+    digits = color[1:] if len(color) == 7 else "".join(2 * digit for digit in color[1:])
+    channels = np.array([int(digits[i : i + 2], 16) for i in (0, 2, 4)]) / 255.0
+    linear = np.where(channels <= 0.04045, channels / 12.92, ((channels + 0.055) / 1.055) ** 2.4)
+    return float(linear @ [0.2126, 0.7152, 0.0722])
 
 
 @pytest.mark.parametrize(

@@ -21,6 +21,7 @@ from celnav.commands.arguments import load
 from celnav.files import InputError, read_json
 from celnav.show import viewer
 from celnav.show.claims import answer, markdown, read_claims, tally
+from celnav.show.squares import squares
 from celnav.study.ledger import KINDS, VERDICTS, Sentence
 
 Claims = Sequence[Mapping[str, Any]]
@@ -35,15 +36,35 @@ def index(out: Path) -> str:
     every = {name: _shown(out, name, claims) for name, claims in reproduced(out).items()}
     real = [study for name, study in every.items() if name in papers.REAL]
     studies = [study for name, study in every.items() if name not in papers.REAL]
+    shown = {name: _of_kind(claims, "statement") for name, claims in reproduced(out).items()}
+    shown = {name: claims for name, claims in shown.items() if claims}
     return render(
         "index.html",
         title="celnav: what holds",
+        opening=_opening(studies, shown),
+        squares=squares(shown, lambda study, id: f"#{study}-{id}") if shown else "",
+        counts=_counts(shown) if shown else [],
         studies=studies,
         real=real,
         papers=any(name in papers.PAPERS for name in every),
         partial=partial(out, every),
         tally=tally(claim for study in studies for claim in study["claims"]["statement"]),
         absent={name: holds for name, holds in papers.REAL.items() if name not in every},
+    )
+
+
+def _opening(studies: Sequence[Mapping[str, Any]], statements: Mapping[str, Claims]) -> str:
+    """What the page is, in two sentences."""
+    count = sum(map(len, statements.values()))
+    if not count:
+        return (
+            "Each study below runs filters and says what we find, by numbers with 95 % intervals."
+        )
+    whose = "papers" if all(study["id"] in papers.PAPERS for study in studies) else "studies"
+    return (
+        f"celnav runs the filters of {len(statements)} {whose} and judges {count} of their "
+        "statements by numbers with 95 % intervals. Each square is a statement: a click shows its "
+        "row."
     )
 
 
@@ -131,13 +152,21 @@ def cited(citation: str) -> str:
 
 def verdicts(studies: Mapping[str, Claims]) -> str:
     """A table in Markdown of how many statements of each paper have which verdict."""
+    head, *rows = _counts(studies)
+    lines = ["---", *["---:"] * (len(head) - 1)]
+    return markdown([head, lines, *([f"`{name}`", *numbers] for name, *numbers in rows)])
+
+
+def _counts(studies: Mapping[str, Claims]) -> list[list[str]]:
+    """A head, and for each paper how many statements have which verdict."""
     counts = {name: tally(_of_kind(claims, "statement")) for name, claims in studies.items()}
     shown = [verdict for verdict in VERDICTS if any(verdict in count for count in counts.values())]
-    rows = [["paper", "statements", *shown], ["---", *["---:"] * (len(shown) + 1)]]
+    rows = [["paper", "statements", *shown]]
     for name, count in counts.items():
-        numbers = [str(count.get(verdict, "")) for verdict in shown]
-        rows.append([f"`{name}`", str(sum(count.values())), *numbers])
-    return markdown(rows)
+        rows.append(
+            [name, str(sum(count.values())), *(str(count.get(verdict, "")) for verdict in shown)]
+        )
+    return rows
 
 
 def deciding(claims: Claims) -> list[Mapping[str, Any]]:
@@ -165,6 +194,7 @@ def _shown(out: Path, name: str, claims: Claims) -> dict[str, Any]:
         "whose": _whose(name),
         "says": module.STUDY.says,
         "answer": answer(module.STUDY.found, claims),
+        "first": answer(module.STUDY.found[:1], claims) or module.STUDY.says,
         "citation": module.CITATION,
         "cited": cited(module.CITATION),
         "notebook": _notebook(out, name, module),

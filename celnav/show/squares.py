@@ -23,9 +23,9 @@ SIGNS = {
 """Colors on which white has a contrast of 4.5, and signs."""
 OTHER = "#6b6b6b", "?"
 STYLE = """<style>
-text{font:12px system-ui,sans-serif;fill:#222}a{text-decoration:none}
-.sign{fill:#fff;text-anchor:middle;font-size:11px}
-@media(prefers-color-scheme:dark){.name{fill:#ddd}}
+.squares text{font:12px system-ui,sans-serif;fill:#222}.squares a{text-decoration:none}
+.squares .sign{fill:#fff;text-anchor:middle;font-size:11px}
+@media(prefers-color-scheme:dark){.squares .name{fill:#ddd}}
 </style>"""
 
 
@@ -60,7 +60,8 @@ def squares(
     label = ", ".join(f"{count} {verdict}" for verdict, count in counts.items())
     size = f'width="{width}" height="{y + STEP + 4}" viewBox="0 0 {width} {y + STEP + 4}"'
     head = (
-        f'<svg xmlns="http://www.w3.org/2000/svg" {size} role="img" aria-label="{escape(label)}">'
+        f'<svg xmlns="http://www.w3.org/2000/svg" class="squares" {size} role="img" '
+        f'aria-label="{escape(label)}">'
     )
     return "\n".join([head, *parts, "</svg>", ""])
 
