@@ -29,6 +29,7 @@ exit status:
   0    done
   1    it could not be done
   2    the input cannot be used
+  3    position --strict: track and ranges contradict each other
   130  interrupted"""
 BAD_INPUT = (
     InputError,

@@ -273,6 +273,7 @@ def test_an_extra_brings_what_is_said_of_it():
     asked, made_of = set(asked_for()), packages_distributions()
     assert {extra for extra, _ in asked} == {
         "papers",
+        "plot",
         "record",
         "filterpy",
         "rinex",

@@ -87,6 +87,7 @@ study: Results Results.at Results.claims Results.error Results.first Results.get
 page: macro render
 picture: command end picture
 squares: squares
+viewer: address as_script is_current page script_name viewer
 progress: Progress Progress.add Progress.close Progress.runs
 estimates: Estimate Estimate.error Estimate.sigma estimates_of
 plots: draw

@@ -298,8 +298,8 @@ def check_matrices(N: int, n: int, *models: Motion | Sensor) -> None:
             )
         if not callable(matrix) and matrix.shape[-1] != n:
             raise ValueError(
-                f"{name}: expected a matrix ({'n' if name == 'f' else 'm'}, {n}), got "
-                f"{matrix.shape[-2:]}"
+                f"{name}: expected a matrix ({'n' if name == 'f' else 'm'}, {n}) to go with a "
+                f"state of {n} components, as the prior has, got {matrix.shape[-2:]}"
             )
 
 

@@ -364,7 +364,9 @@ def _verdict(result: Positioned) -> str:
         return f"SOUND        all {total} positions agree with the ranges of their epochs{typical}"
     reasons = "; ".join(f"{n} {word} ({DOUBTS[word]})" for word, n in counts.items())
     since = f"from {civil(times[0])} to {civil(times[-1])} BDT"
-    return f"NOT SOUND    {times.size} of {total} positions, {since}: {reasons}{typical}"
+    return (
+        f"NOT SOUND    do not trust {times.size} of {total} positions, {since}: {reasons}{typical}"
+    )
 
 
 def _clock(result: Positioned) -> str:

@@ -8,7 +8,7 @@ from typing import Any
 
 from celnav.lazy import requires_extra
 
-with requires_extra("a figure", "papers"):
+with requires_extra("a figure", "plot"):
     from matplotlib import rc_context
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.backends.backend_svg import FigureCanvasSVG

@@ -30,7 +30,7 @@ def simulate(
     prior: Gaussian,
     times: ArrayLike,
     *,
-    runs: int | Sequence[np.random.Generator],
+    runs: int | Sequence[np.random.Generator] | None = None,
     seed: int = 0,
     u: Any = None,
     Phi: Any = None,
@@ -42,8 +42,9 @@ def simulate(
         points is drawn, too.
     prior: mean ``(N,)`` and covariance ``(n, n)`` of the start.
     times: ``(T,)`` s. u: inputs, as in `celnav.epochs`.
-    runs: how many. seed: run r has the generator of ``(seed, 0, r)``, whatever the number of runs.
+    runs: how many; None: one run without an axis of runs, ``(T, N)`` and ``(T, m)``.
         A study has generators: then ``runs`` is a list of them, one for each run.
+    seed: run r has the generator of ``(seed, 0, r)``, whatever the number of runs.
     Phi: ``(m, m)`` or a function of the epoch, of colored noise ``V' = Phi V + zeta`` of covariance
         R (one sensor).
 
@@ -73,7 +74,7 @@ def simulate(
     ):
         rngs: Sequence[np.random.Generator] = runs
     else:
-        if (count := integer("runs", runs)) > MOST_RUNS:
+        if (count := integer("runs", 1 if runs is None else runs)) > MOST_RUNS:
             raise ValueError(f"runs: expected at most {MOST_RUNS}, got {count}")
         rngs = generators(seed, 0, count)
 
@@ -129,5 +130,6 @@ def simulate(
             raise without_input(error, epoch) from error
         truth.append(x)
     normal.close()
-    measured = tuple(np.stack(column) for column in zip(*z, strict=True))
-    return np.stack(truth), measured[0] if isinstance(sensor, Sensor) else measured
+    shown = (slice(None), 0) if runs is None else slice(None)
+    measured = tuple(np.stack(column)[shown] for column in zip(*z, strict=True))
+    return np.stack(truth)[shown], measured[0] if isinstance(sensor, Sensor) else measured

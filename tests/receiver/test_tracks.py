@@ -206,7 +206,7 @@ def test_a_position_that_nothing_tests_is_marked_in_every_track(doubtful):
 
 def test_a_position_that_nothing_tests_is_counted_at_the_top_and_drawn(doubtful, tmp_path):
     assert report.summary(doubtful).splitlines()[0] == (
-        "NOT SOUND    2 of 6 positions, from 2020-06-25T00:31:00 to 2020-06-25T00:31:30 BDT: "
+        "NOT SOUND    do not trust 2 of 6 positions, from 2020-06-25T00:31:00 to 2020-06-25T00:31:30 BDT: "
         "2 untested (no redundancy shows a faulty satellite)"
     )
     figure = report.figures(doubtful)["track"]
@@ -249,7 +249,7 @@ def test_a_height_where_no_receiver_is_is_marked(found, height, word):
     assert result.integrity.tolist() == ["tested", word, *["tested"] * 4]
     assert result.doubtful.tolist() == [k == 1 and word != "tested" for k in range(6)]
     text = report.summary(result).splitlines()[0]
-    assert text.startswith("NOT SOUND    1 of 6 positions") == (word != "tested")
+    assert text.startswith("NOT SOUND    do not trust 1 of 6 positions") == (word != "tested")
     assert ("1 implausible height (where no receiver is)" in text) == (word != "tested")
     assert (",A,U*" in tracks.nmea(result)) == (word != "tested")
 
@@ -280,7 +280,9 @@ def test_strict_ends_with_1_where_a_position_is_doubtful(files, tmp_path, capsys
     words = ["position", *files, "--false-alarm", alarm, "--out", str(tmp_path / "track.csv")]
     assert cli.main(words) == 0
     assert cli.main([*words, "--strict"]) == status
-    headline = ("SOUND        all 6 positions", "NOT SOUND    6 of 6 positions")[status]
+    headline = ("SOUND        all 6 positions", "NOT SOUND    do not trust 6 of 6 positions")[
+        status
+    ]
     assert capsys.readouterr().out.startswith(headline)
 
 

@@ -188,7 +188,7 @@ def test_a_log_without_any_trust_is_told_as_a_whole(steady):
     """Three fixes that later ones contradict, and too few after them."""
     found = positioned(pulled(steady, np.arange(3)).part(slice(0, 6)))
     assert found.doubtful.all()
-    assert report.summary(found).startswith("NOT SOUND    6 of 6 positions")
+    assert report.summary(found).startswith("NOT SOUND    do not trust 6 of 6 positions")
     for form in tracks.FORMATS.values():
         assert form(found)
 
@@ -233,7 +233,9 @@ def test_strict_ends_with_3_where_ranges_contradict_the_track(tmp_path, capsys, 
     assert cli.main(["position", *files, "--out", str(out)]) == 0
     assert cli.main(["position", *files, "--strict", "--out", str(out)]) == status
     headline = capsys.readouterr().out.splitlines()[0]
-    assert headline.startswith("NOT SOUND    10 of 40 positions, from 2020-06-25T00:30:30")
+    assert headline.startswith(
+        "NOT SOUND    do not trust 10 of 40 positions, from 2020-06-25T00:30:30"
+    )
     assert ("apart" in headline) == (status == 3)
     rows = [line.split() for line in out.read_text("utf-8").splitlines() if line[0] != "%"]
     assert [row[5] for row in rows] == ["5"] * 30 + ["7" if pull else "5"] * 10

@@ -359,7 +359,7 @@ def test_each_verdict_has_its_color():
     text = page.render("base.html", title="t")
     for name in set(STYLES.values()):
         assert f".{name}{{color:var(--{name})" in text
-    colors = [text.split(f"--{name}:#")[1][:6].split("}")[0] for name in set(STYLES.values())]
+    colors = [text.split(f"--{name}:light-dark(")[1].split(")")[0] for name in {*STYLES.values()}]
     assert len(set(colors)) == 5
 
 

@@ -72,6 +72,15 @@ def consistent(values, dof, level=1e-5):
     assert low < values < high, (values, dof)
 
 
+def test_one_run_has_no_axis_of_runs():
+    truth, z = simulate(MOTION, SENSOR, PRIOR, TIMES)
+    batch = draw(runs=1)
+    np.testing.assert_array_equal(truth, batch[0][:, 0])
+    np.testing.assert_array_equal(z, batch[1][:, 0])
+    _, both = simulate(MOTION, [SENSOR, SENSOR], PRIOR, TIMES)
+    assert [one.ndim for one in both] == [2, 2]
+
+
 def test_moments_are_those_of_the_model():
     """Mean and covariance of the state at every epoch, of the measurement, and of the state with
     itself an interval ago.
