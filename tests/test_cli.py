@@ -307,6 +307,13 @@ def test_list_has_a_line_for_each_study_and_says_how_to_see_more(terminal, capsy
     assert max(map(len, [*studies, more])) <= width
 
 
+@pytest.mark.parametrize("width", [1, 9, 12])
+def test_list_works_in_a_narrow_terminal(terminal, capsys, width):
+    terminal(width)
+    assert cli.main(["list"]) == 0
+    assert len(capsys.readouterr().out.splitlines()) == len(papers.PAPERS) + len(papers.REAL) + 1
+
+
 @pytest.mark.parametrize("width", [80, 120])
 @pytest.mark.parametrize("name", [*papers.PAPERS, "ins"])
 def test_list_of_a_study_fits_the_terminal(terminal, capsys, name, width):

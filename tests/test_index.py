@@ -7,6 +7,8 @@ import re
 import shutil
 import subprocess
 from itertools import pairwise
+from types import SimpleNamespace
+from urllib.parse import unquote
 
 import numpy as np
 import pytest
@@ -15,7 +17,7 @@ from celnav.campaign import campaign
 from celnav.campaign.figures import figures
 from celnav.campaign.missions import study
 from celnav.campaign.page import write
-from celnav.commands.index import index, verdicts
+from celnav.commands.index import _notebook, index, verdicts
 from celnav.files import Outputs
 from celnav.show.claims import dumps, written
 from celnav.show.draw import figure as empty
@@ -198,3 +200,12 @@ def test_a_browser_finds_every_image_of_a_campaign(tmp_path):
     assert images == loaded == 2
     assert needed <= 500
     assert said == []
+
+
+def test_the_link_to_a_study_of_any_folder_leads_there(tmp_path):
+    study = tmp_path / "a#b 50%20" / "study.py"
+    study.parent.mkdir()
+    study.touch()
+    link = _notebook(tmp_path / "out", "study", SimpleNamespace(file=str(study)))
+    assert not set(link["href"]) & set("# ")
+    assert unquote(link["href"]) == "../a#b 50%20/study.py"

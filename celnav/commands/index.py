@@ -14,6 +14,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType, SimpleNamespace
 from typing import Any
+from urllib.parse import quote
 
 import celnav
 from celnav import papers
@@ -216,9 +217,14 @@ def _shown(out: Path, name: str, claims: Claims) -> dict[str, Any]:
 
 
 def _live(out: Path, recording: str) -> str:
-    """The address of a recording in the browser; "" where the viewer or its script is missing."""
-    there = all((out / name).is_file() for name in (viewer.SCRIPT, viewer.script_name(recording)))
-    return viewer.address(recording) if there else ""
+    """The address of a recording in the browser; "" where the viewer or its script is missing, or
+    the script is that of an earlier recording.
+    """
+    script = out / viewer.script_name(recording)
+    if not ((out / viewer.SCRIPT).is_file() and script.is_file()):
+        return ""
+    current = script.read_bytes() == viewer.as_script((out / recording).read_bytes())
+    return viewer.address(recording) if current else ""
 
 
 def _notebook(out: Path, name: str, module: Any) -> dict[str, str]:
@@ -234,7 +240,7 @@ def _notebook(out: Path, name: str, module: Any) -> dict[str, str]:
             "href": "",
         }
     try:
-        href = Path(os.path.relpath(path, out.resolve())).as_posix()
+        href = quote(Path(os.path.relpath(path, out.resolve())).as_posix())
     except ValueError:  # on another drive of Windows
         href = path.resolve().as_uri()
     return {"name": path.name, "href": href}

@@ -24,7 +24,7 @@ def run(options: argparse.Namespace) -> int:
     if options.paper is None:
         for name in (*papers.PAPERS, *papers.REAL):
             title = load(name).TITLE + " (real data)" * (name in papers.REAL)
-            print(f"{name:9}", textwrap.shorten(title, columns() - 10, placeholder=" ..."))
+            print(f"{name:9}", textwrap.shorten(title, max(columns() - 10, 10), placeholder=" ..."))
         print(MORE)
         return 0
     study = load(options.paper)

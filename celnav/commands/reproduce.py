@@ -238,9 +238,16 @@ def _write(task: Task, results: Results, progress: Progress) -> list[Claim]:
 
 
 def write_viewer(top: Outputs, tasks: Mapping[str, Task]) -> None:
-    """Write the viewer, if it is not there, and each recording as a script."""
+    """Write the viewer, if it is not there, and each recording as a script; a warning where the
+    installed viewer is of another form.
+    """
     if not viewer.is_current(top.directory):
-        top.publish(viewer.viewer())
+        try:
+            files = viewer.viewer()
+        except RuntimeError as error:
+            warn(f"no viewer ({error}); everything else is written")
+            return
+        top.publish(files)
     for task in tasks.values():
         outputs = task.outputs
         for name in task.module.RECORDINGS:

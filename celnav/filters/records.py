@@ -338,15 +338,22 @@ def as_seconds(times: Any) -> Any:
 
 
 def first_date(times: Any) -> np.datetime64 | None:
-    """The first of the dates that `as_seconds` counts from, in UTC; None for numbers."""
+    """The first of the dates that `as_seconds` counts from, in UTC; None for numbers. In ns where
+    these reach, from 1678 to 2262, else in µs.
+    """
     if not isinstance(times, list | tuple):
         times = np.asarray(times).reshape(-1)
     first: Any = times[0] if len(times) else None
     if isinstance(first, datetime) and first.tzinfo is not None:
         first = first.astimezone(UTC).replace(tzinfo=None)
-    if isinstance(first, date):
-        first = np.datetime64(first)
-    return first.astype("datetime64[ns]") if isinstance(first, np.datetime64) else None
+    if isinstance(first, date):  # one of pandas has nanoseconds
+        first = first.to_datetime64() if hasattr(first, "to_datetime64") else np.datetime64(first)
+    if not isinstance(first, np.datetime64):
+        return None
+    start: np.datetime64 = first.astype("datetime64[ns]")
+    if start.astype("datetime64[D]") != first.astype("datetime64[D]"):
+        start = first.astype("datetime64[us]")
+    return start
 
 
 def _rows(name: str, values: Any, times: int) -> Any:

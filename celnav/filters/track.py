@@ -194,7 +194,8 @@ class Track:
         """The epochs' dates ``(T,)`` in UTC, if times came as dates."""
         if self.start is None:
             return None
-        return self.start + np.round(1e9 * self.times).astype("timedelta64[ns]")
+        per_second, unit = (1e9, "ns") if np.datetime_data(self.start)[0] == "ns" else (1e6, "us")
+        return self.start + np.round(per_second * self.times).astype(f"timedelta64[{unit}]")
 
     def to_dataframe(self, names: list[str] | None = None) -> pd.DataFrame:
         """A row for each stored epoch and run (batch axes count as one): time (s), date, run,
@@ -209,7 +210,7 @@ class Track:
         return pd.DataFrame(self._columns(names))
 
     def to_xarray(self, names: list[str] | None = None) -> xr.Dataset:
-        """A data set with all that is stored, its axes named: time (s), date, run (run0, run1, ...
+        """A data set with all that is stored but ``extra``, its axes named: time (s), date, run (run0, run1, ...
         if there are several batch axes), state, error, measurement. Needs xarray.
 
         ``names``: as of `to_dataframe`; ``error`` are the components of deviations and covariances,
@@ -266,7 +267,13 @@ class Track:
         if self.dates is not None:
             columns["date"] = np.repeat(self.dates, runs)
         columns["run"] = np.tile(np.arange(runs), T)
-        columns |= dict(zip(self._names(names), mean.reshape(T * runs, N).T, strict=True))
+        labels = self._names(names)
+        if len({*columns, *labels}) < len(columns) + N:
+            raise ValueError(
+                f"names: expected {N} different ones, none of them {', '.join(columns)}, got "
+                f"{labels!r:.80}"
+            )
+        columns |= dict(zip(labels, mean.reshape(T * runs, N).T, strict=True))
         if self.std is not None:
             std = self.std.reshape(T * runs, -1)
             for label, column in zip(self._error_names(names), std.T, strict=True):

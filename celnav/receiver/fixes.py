@@ -94,7 +94,8 @@ class Fixed(NamedTuple):
 
     ``kinds``: of ranges and rates, what is left of them. ``misfit``: squared residuals of ranges
     ``(T,)``, in deviations; nan without a fix. ``residuals``: of ranges and rates ``(T, S)``, in
-    deviations, 0 where nothing is kept, and how many are redundant.
+    deviations, nan of epochs without redundancy and where nothing is kept; and how many are
+    redundant.
     """
 
     states: Array
@@ -123,9 +124,10 @@ def fixed(seen: Seen, noise: tuple[Noise, Noise], false_alarm: float) -> Fixed:
         kinds.append(fit.kind._replace(kept=kept, excluded=excluded))
         left = np.zeros((T, S))
         np.put_along_axis(left, order, fit.left[:, :n], -1)
-        shares.append(_white_share(left, kept, fit.x.shape[-1]))
-        redundancy = np.maximum(kept.sum(-1) - fit.x.shape[-1], 0)[np.isfinite(fit.x[:, 0])].sum()
-        residuals.append((np.where(kept, left, 0.0), int(redundancy)))
+        # Without a fix they are distances from anywhere, and without redundancy they are zero.
+        left = np.where(kept & (fit.spare > 0)[:, None], left, np.nan)
+        shares.append(_white_share(left, fit.x.shape[-1]))
+        residuals.append((left, int(fit.spare.sum())))
     ranges, rates = fits
     # Without the first system no offset from its clock is known.
     first = (ranges.kind.kept[:, :n] & (packed.system == 0)).any(-1, keepdims=True)
@@ -146,15 +148,16 @@ def fixed(seen: Seen, noise: tuple[Noise, Noise], false_alarm: float) -> Fixed:
     )
 
 
-def _white_share(left: Array, kept: Array, unknowns: int) -> float:
+def _white_share(left: Array, unknowns: int) -> float:
     """The part of the variances of measurements that is new at each epoch.
 
-    left: residuals ``(T, S)`` in deviations. Errors of atmosphere and orbits hardly change from one
+    left: residuals ``(T, S)`` in deviations, nan where there is none. Errors of atmosphere and orbits hardly change from one
     epoch to the next, so half the squares of differences have the receiver's noise alone.
     """
-    both = kept[1:] & kept[:-1]
+    changes = left[1:] - left[:-1]
+    both = np.isfinite(changes)
     spare = both.sum(-1) - unknowns
-    changes = np.where(both & (spare > 0)[:, None], left[1:] - left[:-1], 0.0)
+    changes = np.where(both & (spare > 0)[:, None], changes, 0.0)
     redundancy = spare[spare > 0].sum()
     return float(0.5 * np.square(changes).sum() / redundancy) if redundancy else 1.0
 
@@ -196,6 +199,12 @@ class _Fit(NamedTuple):
     kind: Monitored
     left: Array
     G: Array
+
+    @property
+    def spare(self) -> Array:
+        """Measurements beyond what a fix needs, ``(T,)``; 0 without a fix."""
+        beyond = self.kind.kept.sum(-1) - self.G.shape[-1]
+        return np.where(np.isfinite(self.x[:, 0]), np.maximum(beyond, 0), 0)
 
 
 def _fits(seen: Seen, noise: tuple[Noise, Noise], false_alarm: float) -> tuple[_Fit, _Fit]:
@@ -339,7 +348,7 @@ def _estimated(
     Systems have noise of their own if each has enough measurements.
     """
     n = seen.q.shape[-2]
-    spare = np.where(np.isfinite(fit.x[:, 3]), fit.kind.kept.sum(-1) - fit.G.shape[-1], 0)
+    spare = fit.spare
     rows = np.flatnonzero(spare > 0)
     if spare.sum() < ENOUGH:
         return None

@@ -305,8 +305,8 @@ def prepare(
         for values in (sound, fixes.variances)
     )
     of_ranges, of_rates = (
-        correlation(times, residuals, kind.kept, redundancy)
-        for (residuals, redundancy), kind in zip(fixes.residuals, fixes.kinds, strict=True)
+        correlation(times, left, np.isfinite(left), redundancy)
+        for left, redundancy in fixes.residuals
     )
     shown = np.where(usable, 1.0, np.nan)
     log = Log(

@@ -31,7 +31,7 @@ class Progress:
 
     def _begin(self, total: float, done: float) -> None:
         self._total, self._done = total, done
-        if sys.stderr.isatty():
+        if _has_cursor():
             from rich.console import Console
             from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
             from rich.progress import Progress as Bar
@@ -93,6 +93,15 @@ class Progress:
         """Nothing more comes: the bar goes."""
         if self._bar is not None:
             self._bar.stop()
+
+
+def _has_cursor() -> bool:
+    """Whether standard error is a terminal on which a bar can be drawn anew; a dumb one is none."""
+    if not sys.stderr.isatty():
+        return False
+    from rich.console import Console
+
+    return not Console(stderr=True).is_dumb_terminal
 
 
 def _duration(seconds: float) -> str:

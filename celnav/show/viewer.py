@@ -57,7 +57,8 @@ def viewer() -> dict[str, bytes]:
     module = _patched((static / "widget.js").read_text(encoding="utf-8"))
     wasm = gzip.compress((static / "re_viewer_bg.wasm").read_bytes(), 6, mtime=0)
     script = _START.replace("@WASM", _text(wasm)).replace("@MODULE", _text(module.encode()))
-    return {PAGE: page(), SCRIPT: script.encode()}
+    # The page has the version: it is written last, when the script is there.
+    return {SCRIPT: script.encode(), PAGE: page()}
 
 
 def is_current(folder: Path) -> bool:

@@ -190,6 +190,34 @@ def test_dates_are_kept():
     assert "date" not in plain.to_dataframe()
 
 
+def test_dates_are_those_that_were_passed():
+    """With nanoseconds, in a time zone too, and in years that nanoseconds do not reach."""
+    pd = pytest.importorskip("pandas")
+    filter = celnav.ukf(MOTION, celnav.Sensor(EYE, EYE))
+    fine = pd.DatetimeIndex([f"2026-01-01 00:00:0{k}.123456789" for k in range(3)])
+    far = np.array(["2500-01-01T00:00:00.25", "2500-01-02", "2500-01-03"], "datetime64[ms]")
+    for times, dates in (
+        (fine, fine.to_numpy()),
+        (fine.tz_localize("UTC"), fine.to_numpy()),
+        (list(fine), fine.to_numpy()),
+        (far, far),
+        (far.tolist(), far),
+    ):
+        track = celnav.run(filter, PRIOR, times, np.ones((3, 2)))
+        np.testing.assert_array_equal(track.dates, dates)
+        np.testing.assert_array_equal(track.to_dataframe()["date"].to_numpy(), dates)
+        assert track.to_xarray()["date"].values.tolist() == track.dates.tolist()
+
+
+@pytest.mark.parametrize("names", [["x", "x"], ["t", "x"], ["x", "run"]])
+def test_no_column_of_a_table_hides_another(names, tmp_path):
+    track = celnav.run(celnav.ukf(MOTION, celnav.Sensor(EYE, EYE)), PRIOR, [0.0], np.ones((1, 2)))
+    text = "^names: expected 2 different ones, none of them t, run, got "
+    with pytest.raises(ValueError, match=text):
+        track.to_csv(tmp_path / "track.csv", names)
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_data_set_has_what_the_track_has():
     pytest.importorskip("xarray")
     filter = celnav.ukf(MOTION, celnav.Sensor(EYE, EYE))

@@ -380,6 +380,19 @@ def test_errors_that_last_are_claimed():
     assert np.mean(white) > 3.0 * np.mean(squares)
 
 
+@pytest.mark.parametrize("many", [2, 3, 4])
+def test_epochs_without_redundancy_say_nothing_of_what_lasts(steady, many):
+    """Without a fix there are no residuals, and with four satellites they are zero."""
+    few, none = steady.code.copy(), steady.code.copy()
+    none[40:60] = few[40:60, np.setdiff1d(np.arange(few.shape[1]), four(steady)[:many])] = np.nan
+    found, expected = (
+        np.array(positioning.prepare(replace(steady, code=code), NAVIGATION).correlation)
+        for code in (few, none)
+    )
+    assert expected[:, [0, 2]].max() < 0.3
+    np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-9)
+
+
 def moving(path, velocity):
     """A log of a receiver that moves from `PLACE`, ``(T, 3)`` m and m/s."""
     log = logged(3e4 + 30.0 * (TIMES - TIMES[0]))

@@ -60,6 +60,17 @@ def test_a_bar_has_the_share_and_the_last_label_and_goes(monkeypatch, capsys):
     assert capsys.readouterr().out == "a line\n"
 
 
+@pytest.mark.parametrize("name", ["dumb", "unknown"])
+def test_a_terminal_without_a_cursor_gets_lines(name, monkeypatch, capsys):
+    shown = terminal(monkeypatch)
+    monkeypatch.setenv("TERM", name)
+    bar = Progress("units", 8.0)
+    bar.add(2.0, "first")
+    bar.close()
+    assert capsys.readouterr().out == "units: 25%: first\n"
+    assert shown.getvalue() == ""
+
+
 def test_a_label_that_is_too_long_does_not_wrap(monkeypatch):
     shown = terminal(monkeypatch)
     bar = Progress("units", 8.0)

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import errno
 import gzip
+import json
 import re
+import shutil
+import subprocess
 from base64 import b64decode
+from urllib.parse import unquote
 
 import pytest
 
@@ -91,6 +96,13 @@ def test_another_viewer_is_refused_by_its_version(package):
         viewer.viewer()
 
 
+def test_results_are_written_without_another_viewer(package, tmp_path, capsys):
+    (package / "widget.js").write_text(MODULE.replace("export {", ""))
+    reproduce.write_viewer(Outputs(tmp_path), {})
+    assert "no viewer (rerun_notebook: expected a script of the form" in capsys.readouterr().err
+    assert not (tmp_path / viewer.PAGE).exists()
+
+
 def test_without_its_package(monkeypatch):
     monkeypatch.setattr(viewer, "find_spec", lambda name: None)
     with pytest.raises(MissingError, match="the viewer in the browser needs rerun_notebook"):
@@ -114,6 +126,55 @@ def test_reproduce_writes_it_and_the_page_links_it(package, tmp_path):
     before = (out / viewer.SCRIPT).stat().st_mtime_ns
     reproduce.write_viewer(Outputs(out), {"csrukf": task})
     assert (out / viewer.SCRIPT).stat().st_mtime_ns == before  # made once
-    study = _shown(out, "csrukf", [])
-    live = {found["file"]: found["live"] for found in study["recordings"]}
-    assert live == {"csrukf_P_08.rrd": viewer.address("csrukf/csrukf_P_08.rrd")}
+
+    def live():
+        return {found["file"]: found["live"] for found in _shown(out, "csrukf", [])["recordings"]}
+
+    assert live() == {"csrukf_P_08.rrd": viewer.address("csrukf/csrukf_P_08.rrd")}
+    outputs.bytes("csrukf_P_08.rrd", b"a later one, reproduced with --no-viewer")
+    assert live() == {"csrukf_P_08.rrd": ""}
+
+
+def test_a_viewer_that_is_half_written_is_written_again(package, tmp_path, monkeypatch):
+    """The disk is full when another version takes the place of one."""
+    top = Outputs(tmp_path)
+    top.publish(viewer.viewer())
+    monkeypatch.setattr(viewer, "version", lambda name: "10.0")
+    (package / "widget.js").write_text(MODULE.replace("class", "class of 10.0:"))
+    write = Outputs.bytes
+
+    def full(self, name, content):
+        if name == viewer.SCRIPT:
+            raise OSError(errno.ENOSPC, "no space left")
+        write(self, name, content)
+
+    with monkeypatch.context() as now:
+        now.setattr(Outputs, "bytes", full)
+        with pytest.raises(OSError, match="no space"):
+            reproduce.write_viewer(top, {})
+    reproduce.write_viewer(top, {})
+    assert b"class of 10.0:" in quoted((tmp_path / viewer.SCRIPT).read_bytes())[1]
+
+
+LOADED = """
+const script = require("fs").readFileSync(0, "utf8").split("<script>")[1].split("</script>")[0];
+const loaded = [];
+const element = {append: (child) => loaded.push(child.src)};
+const document = {getElementById: () => element, createElement: () => ({}), head: element};
+const search = process.argv[1].slice(process.argv[1].indexOf("?"));
+new Function("window", "document", "location", script)({}, document, {search});
+console.log(JSON.stringify([loaded[0], document.title]));
+"""
+
+
+@pytest.mark.skipif(shutil.which("node") is None, reason="needs node")
+@pytest.mark.parametrize("name", ["a", "a b", "a#b", "a@2", "50%", "a?b", 'it\'s "q"', "ä"])
+def test_the_page_loads_the_script_of_the_recording(name, package):
+    recording = f"my study/{name}.rrd"
+    command = ["node", "-e", LOADED, viewer.address(recording, 12.5)]
+    page = viewer.page()
+    done = subprocess.run(command, input=page, capture_output=True, check=True)
+    source, title = json.loads(done.stdout)
+    assert not set(source) & set("#?@ ")
+    assert unquote(source) == viewer.script_name(recording)
+    assert title == name
