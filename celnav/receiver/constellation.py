@@ -40,8 +40,8 @@ TOE_S = 345600.0
 
 
 def geostationary(number: int, elapsed_s: float = 0.0) -> Array:
-    """State ``(6,)`` km, km/s at ``elapsed_s`` after the reference time. The axes are inertial: they
-    coincide with the Earth-fixed axes at the reference time.
+    """State ``(6,)`` km, km/s at ``elapsed_s`` after the reference time. The axes are inertial:
+    they coincide with the Earth-fixed axes at the reference time.
     """
     longitude, i, Omega = np.radians(
         GEOSTATIONARY[checks.choice("number", number, GEOSTATIONARY)]

@@ -46,7 +46,8 @@ class Correlation(NamedTuple):
 
 
 def correlation(times: Array, left: Array, kept: Array, redundancy: int) -> Correlation:
-    """Correlation of the residuals ``left (T, S)`` of fixes, in standard deviations, where ``kept``.
+    """Correlation of the residuals ``left (T, S)`` of fixes, in standard deviations, where
+    ``kept``.
 
     Their autocorrelation at lags of 1, 2, 4, ... epochs, up to a quarter of the log, is fitted by
     an exponential and a constant. The constant, the long part, is raised by one standard error,

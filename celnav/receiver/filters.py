@@ -1,4 +1,4 @@
-"""Filters for a moving receiver's log, by name: EKF and UKF with different treatments of the noise."""
+"""Filters for a moving receiver's log, by name: EKF and UKF that treat the noise differently."""
 
 from __future__ import annotations
 
@@ -22,11 +22,12 @@ from celnav.models import pseudorange
 from celnav.models.gnss import LIGHT
 
 CRYSTAL = (LIGHT**2 * 2e-19 / 2.0, 2.0 * np.pi**2 * LIGHT**2 * 2e-20)
-"""Frequency noise of a temperature-compensated crystal: white (m^2/s) and random walk (m^2/s^3), for
-h0 = 2e-19 and h-2 = 2e-20.
+"""Frequency noise of a temperature-compensated crystal: white (m^2/s) and random walk (m^2/s^3),
+for h0 = 2e-19 and h-2 = 2e-20.
 """
 OVEN = (LIGHT**2 * 8e-20 / 2.0, 2.0 * np.pi**2 * LIGHT**2 * 4e-23)
-"""Frequency noise of a crystal in an oven, for h0 = 8e-20 and h-2 = 4e-23. No clock counts as better.
+"""Frequency noise of a crystal in an oven, for h0 = 8e-20 and h-2 = 4e-23. No clock counts as
+better.
 """
 PHONE = (100.0, 1.0)
 """Process noise of a phone's clock, which may be set at each epoch: 10 m and 1 m/s in a second."""

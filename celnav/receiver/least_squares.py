@@ -1,4 +1,4 @@
-"""States from single measurements by weighted least squares; only the starting point is remembered."""
+"""States from single measurements by weighted least squares, without a prior."""
 
 from __future__ import annotations
 

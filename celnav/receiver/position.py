@@ -135,8 +135,8 @@ class Log:
 
     @property
     def spare(self) -> Array:
-        """Redundancy of the ranges, ``(T,)``: a fix needs four, and one for each further system that
-        is measured.
+        """Redundancy of the ranges, ``(T,)``: a fix needs four, and one for each further system
+        that is measured.
         """
         letters = np.array([name[0] for name in self.names])
         seen = [(self.used & (letters == letter)).any(-1) for letter in self.systems]
@@ -245,7 +245,7 @@ def prepare(
     )
     left_out = {
         "epochs out of order": observations.out_of_order,
-        "broadcast sets that are incomplete or hold what no message can"
+        "broadcast sets that are incomplete or have a number that no message can hold"
         + (f" ({named})" if named else ""): sum(navigation.left_out.values()),
         f"records of orbits that are not used ({unused})": sum(navigation.unused.values()),
         "without a healthy broadcast set in its time": int((there & (rows < 0)).sum()),

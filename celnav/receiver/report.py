@@ -74,8 +74,8 @@ def kinds(names: Sequence[str]) -> Array:
 
 
 class ClockNoise(NamedTuple):
-    """Process noise of a clock: its source, and the densities of white frequency noise (m^2/s) and of
-    the frequency's random walk (m^2/s^3).
+    """Process noise of a clock: its source, and the densities of white frequency noise (m^2/s) and
+    of the frequency's random walk (m^2/s^3).
     """
 
     source: str
@@ -206,7 +206,9 @@ class Positioned:
 
     @property
     def doubtful(self) -> Array:
-        """Positions ``(T,)`` that may have a large error although no residual shows it, see `DOUBTS`."""
+        """Positions ``(T,)`` that may have a large error although no residual shows it, see
+        `DOUBTS`.
+        """
         return self.reported & np.isin(self.integrity, list(DOUBTS))
 
     @property
@@ -230,8 +232,8 @@ def position(
     false_alarm: float = 1e-5,
     of: str = "known",
 ) -> Positioned:
-    """The track that a filter of `celnav.receiver.filters.filters` computes from a log; "ls" uses each
-    epoch alone.
+    """The track that a filter of `celnav.receiver.filters.filters` computes from a log; "ls" uses
+    each epoch alone.
 
     Positions that are not near the Earth become nan. Each epoch is compared with the track, see
     `celnav.receiver.trust`; for "ls" it is the track of the ekf. Ranges that contradict the track
@@ -281,8 +283,8 @@ def position(
 
 
 def clock_noise(log: Log, clock: str) -> ClockNoise:
-    """Process noise of a "crystal", of a "phone", or "auto": estimated from the log, at least that of
-    a crystal in an oven. ValueError for another clock.
+    """Process noise of a "crystal", of a "phone", or "auto": estimated from the log, at least that
+    of a crystal in an oven. ValueError for another clock.
     """
     if clock in CLOCKS:
         return ClockNoise(clock, CLOCKS[clock])
@@ -325,7 +327,7 @@ def summary(result: Positioned) -> str:
         f"systems      {_systems(result)}",
         f"satellites   {len(names)} ({', '.join(names)}); {count.min()} to {count.max()} at a "
         f"time, mean {count.mean():.1f}",
-        f"alone        {(fixed & (log.spare == 0)).sum()} epochs with no more than a fix needs; "
+        f"alone        {(fixed & (log.spare == 0)).sum()} epochs with just enough ranges; "
         f"{(~fixed).sum()} without a fix",
         f"integrity    {_integrity(log)}",
         f"DOP          median PDOP {np.nanmedian(log.dilution.position):.2f}, HDOP "
@@ -336,15 +338,15 @@ def summary(result: Positioned) -> str:
         f"noise        ranges {_noise(log, 0, 'm')}; rates {_noise(log, 1, 'm/s')}",
         f"modeled      {_modeled(log)}",
         f"lasting      {_lasting(log)}",
-        *(["motion       the receiver moved: no one position is right"] if log.moved else []),
+        *(["motion       the receiver moved: no single position is right"] if log.moved else []),
         f"clock        {_clock(result)}",
-        f"filter       {result.filter}; NIS {result.nis:.3f} a degree of freedom, 1 where noise "
-        f"and motion are as assumed and nothing lasts; acceleration "
+        f"filter       {result.filter}; NIS {result.nis:.3f} per degree of freedom, 1 if noise and "
+        f"motion are as assumed and errors are white; acceleration "
         f"{result.acceleration:.3g} m^2/s^3",
         f"mean         {' '.join(f'{v:.3f}' for v in result.place)} m; {latitude:.7f}°, "
         f"{longitude:.7f}°, {height:.2f} m",
         f"scatter      {_rms(positions - result.place):.3f} m in 3-D about its mean; "
-        f"of each epoch by itself {_rms(fixes - np.nanmean(fixes, 0)):.3f} m",
+        f"of the fixes of single epochs {_rms(fixes - np.nanmean(fixes, 0)):.3f} m",
     ]
     if result.reference is not None:
         parts = np.sqrt(np.square(local[trusted]).mean(0))
@@ -354,10 +356,10 @@ def summary(result: Positioned) -> str:
             f"{result.of}",
             f"error        {_rms(local[trusted]):.3f} m RMS in 3-D: east {parts[0]:.3f}, north "
             f"{parts[1]:.3f}, up {parts[2]:.3f}; "
-            f"of each epoch by itself {_rms(fixes - result.reference):.3f} m",
+            f"of the fixes of single epochs {_rms(fixes - result.reference):.3f} m",
             f"predicted    (error / deviation)^2: east {ratio[0]:.2f}, north {ratio[1]:.2f}, up "
-            f"{ratio[2]:.2f}; 1 where "
-            "deviations are right; they lack errors common to all satellites, which no residual shows",
+            f"{ratio[2]:.2f}; 1 if the "
+            "deviations are right; they lack errors common to all satellites, which residuals hide",
         ]
     return "\n".join(lines)
 
@@ -428,7 +430,7 @@ def _integrity(log: Log) -> str:
         )
     ranges, rates = log.unusable.sum(0)
     words.append(
-        f"{ranges} epochs not used whose ranges contradict each other, {rates} whose rates do"
+        f"ranges of {ranges} epochs and rates of {rates} not used, as they contradict each other"
     )
     words.append(f"{len(log.times) - tested} without redundancy, which nothing tests")
     return "; ".join(words)
@@ -451,9 +453,9 @@ def _modeled(log: Log) -> str:
     """The size of the modeled range errors, which are not the receiver's noise."""
     sizes = np.sqrt(log.modeled[log.used])
     if not sizes.any():
-        return "nothing: the given deviations hold all"
+        return "nothing: the given deviations include all errors"
     return (
-        f"what atmosphere and orbits leave in ranges, {np.median(sizes):.2f} m (median), "
+        f"errors of ranges from atmosphere and orbits, {np.median(sizes):.2f} m (median), "
         f"{sizes.min():.2f} to {sizes.max():.2f} m"
     )
 

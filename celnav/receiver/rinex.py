@@ -52,8 +52,8 @@ AHEAD_S = {"BDT": 0.0, "GPS": GPS_AHEAD_S, "GAL": GPS_AHEAD_S}
 
 
 class System(NamedTuple):
-    """A satellite system: its name, and the signal that is used, with its carrier and its codes, best
-    first.
+    """A satellite system: its name, and the signal that is used, with its carrier and its codes,
+    best first.
 
     range_error_m: RMS error of ranges from broadcast orbits and clocks [Montenbruck2018]. It holds
         for satellites that broadcast the system's usual accuracy, accuracy_m.
@@ -75,8 +75,8 @@ SYSTEMS = {
     # Pilot, both components, data.
     "E": System("Galileo", "E1", L1_HZ, ("C1C", "C1X", "C1B"), 0.2, 3.12),
 }
-"""Systems by their letters in RINEX, in the order of a log's satellites. The clocks of later systems
-have an offset from the first.
+"""Systems by their letters in RINEX, in the order of a log's satellites. The clocks of later
+systems have an offset from the first.
 """
 OTHERS = {"R": "GLONASS", "J": "QZSS", "S": "SBAS", "I": "NavIC"}
 """Systems that files may contain and that are not used."""
@@ -174,8 +174,8 @@ class Navigation:
             )
 
     def nearest(self, name: str, times: ArrayLike) -> Array:
-        """Rows ``(...)`` of a satellite's sets with the nearest reference times. -1: unhealthy, or no
-        set within one hour (geostationary), four hours (Galileo) or two hours (others).
+        """Rows ``(...)`` of a satellite's sets with the nearest reference times. -1: unhealthy, or
+        no set within one hour (geostationary), four hours (Galileo) or two hours (others).
         """
         t = np.asarray(times, dtype=np.float64)
         number, system = int(name[1:]), SYSTEM_LETTERS.index(name[0])
@@ -204,9 +204,9 @@ def read_observations(path: str | Path, *, strict: bool = False) -> Observations
 
     Raises
     ------
-    InputError: naming file and line, if it is not an observation file of RINEX 2 to 4 with one of
-        these signals, or if its header or most of its epochs are damaged. With ``strict`` one
-        damaged epoch is enough.
+    InputError: if it is not an observation file of RINEX 2 to 4 with one of these signals, or if
+        its header or most of its epochs are damaged. With ``strict`` one damaged epoch is enough.
+        The message names file and line.
     OSError: if it cannot be read.
     """
     file = read_text(Path(path), "O")
@@ -340,8 +340,8 @@ ORDER = (
     "tgd",
     "second_tgd",
 )
-"""Order of a set's numbers in the file. Spare or unneeded numbers may be blank. Source and second_tgd
-belong to Galileo.
+"""Order of a set's numbers in the file. Spare or unneeded numbers may be blank. Source and
+second_tgd belong to Galileo.
 """
 TURNS = 200.0 * np.pi
 MOST = {
@@ -393,9 +393,9 @@ def read_navigation(path: str | Path, *more: str | Path, strict: bool = False) -
 
     Raises
     ------
-    InputError: naming file and line, if one is not a navigation file of RINEX 2 to 4, if its header
-        or most of its sets are damaged, or if no file has orbits. With ``strict`` one damaged set
-        is enough.
+    InputError: if one is not a navigation file of RINEX 2 to 4, if its header or most of its sets
+        are damaged, or if no file has orbits. With ``strict`` one damaged set is enough. The
+        message names file and line.
     OSError: if one cannot be read.
     """
     read: list[Set] = []

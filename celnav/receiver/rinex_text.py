@@ -45,7 +45,8 @@ HEADS = {
     2: re.compile(r" [ \d]\d(?: [ \d]\d){4}[ \d]{3}\.\d{7}  \d[ \d]{3}| {28}[2-5][ \d]{3}$"),
     3: re.compile(r">|..\d{4} .{,53}$"),
 }
-"""How epochs begin in versions 2 and 3. In version 3 the date also counts, since ">" may be damaged.
+"""How epochs begin in versions 2 and 3. In version 3 the date also counts, since ">" may be
+damaged.
 """
 TYPES_OF_2 = {
     "G": {"C1": "C1C", "P1": "C1P", "D1": "D1C"},
@@ -108,8 +109,8 @@ def unpacked(path: Path) -> tuple[list[str], str]:
 
 
 def _decompressed(path: Path, raw: bytes, most: int) -> bytes:
-    """Bytes from hatanaka's program, which is stopped after ``most`` bytes. Its Python function would
-    keep the whole output in memory.
+    """Bytes from hatanaka's program, which is stopped after ``most`` bytes. Its Python function
+    would keep the whole output in memory.
     """
     with requires_extra(f"{path}: a log in Hatanaka's compression", "rinex"):
         import_module("hatanaka")
@@ -246,8 +247,8 @@ class Measured(NamedTuple):
 def measurements(
     file: File, columns: Mapping[str, Sequence[int]], strict: bool
 ) -> tuple[Array, dict[str, Measured], tuple[str, ...]]:
-    """Epochs ``(T,)``, s since the start of BDT by the file's clock; measurements of the ``columns``
-    by system; and messages of damage, see `accept`.
+    """Epochs ``(T,)``, s since the start of BDT by the file's clock; measurements of the
+    ``columns`` by system; and messages of damage, see `accept`.
 
     Damaged epochs are left out. All rows of these systems are checked, whichever columns are read.
     Events are skipped.
@@ -475,8 +476,8 @@ def _values(
 
 
 class Set(NamedTuple):
-    """A broadcast set: its satellite, the reference time of its clock, s of its system's time, and its
-    numbers.
+    """A broadcast set: its satellite, the reference time of its clock, s of its system's time, and
+    its numbers.
 
     The numbers have the order of the file and are nan where blank. ``message``: its name in
     version 4.
@@ -489,8 +490,8 @@ class Set(NamedTuple):
 
 
 class Messages(NamedTuple):
-    """Contents of a navigation file: sets of the used systems, and Klobuchar's eight coefficients from
-    a message.
+    """Contents of a navigation file: sets of the used systems, and Klobuchar's eight coefficients
+    from a message.
 
     unused: how many records of other systems or messages there are. damaged: messages of the damage
     that was left out.
@@ -593,7 +594,9 @@ def _number(file: File, k: int, field: str) -> float:
 
 
 def finite_number(text: str) -> float:
-    """A finite number, or ValueError. Python would also read 1_0, nan and infinity, which no file has."""
+    """A finite number, or ValueError. Python would also read 1_0, nan and infinity, which no file
+    has.
+    """
     value = float(text.replace("D", "E").replace("d", "e"))
     if "_" in text or not math.isfinite(value):
         raise ValueError

@@ -1,5 +1,5 @@
-"""A receiver's place and the sky over it: elevation and azimuth of satellites, dilution of precision,
-and delays of the atmosphere.
+"""A receiver's place and the sky over it: elevation and azimuth of satellites, dilution of
+precision, and delays of the atmosphere.
 
 Positions are Earth-fixed, m; angles in rad.
 """
@@ -30,8 +30,8 @@ TYPICAL_IONOSPHERE = (
 January 2004, at a medium solar activity. RTKLIB uses the same default.
 """
 BROADCAST_LEFT, TYPICAL_LEFT = 0.5, 1.0
-"""Standard deviation of the delay that Klobuchar's model leaves, over the delay that it removes: 0.5
-with the coefficients of the day [Klobuchar1987], 1 with typical coefficients.
+"""Standard deviation of the delay that Klobuchar's model leaves, over the delay that it removes:
+0.5 with the coefficients of the day [Klobuchar1987], 1 with typical coefficients.
 """
 SINGULAR = 1e-6
 """Least angle, rad, between directions, and of satellites from a common cone; below it a fix is not

@@ -103,8 +103,8 @@ def table(result: Positioned) -> str:
 
 
 class Place(NamedTuple):
-    """An epoch of an exported track: s of BDT, degrees, m above the ellipsoid; velocity and covariance
-    in east, north and up.
+    """An epoch of an exported track: s of BDT, degrees, m above the ellipsoid; velocity and
+    covariance in east, north and up.
     """
 
     time: float
@@ -121,7 +121,9 @@ class Place(NamedTuple):
 
 
 def places(result: Positioned) -> list[Place]:
-    """The `celnav.receiver.report.Positioned.reported` epochs: with at least one range, used or not."""
+    """The `celnav.receiver.report.Positioned.reported` epochs: with at least one range, used or
+    not.
+    """
     k, log = np.flatnonzero(result.reported), result.log
     latitude, longitude, height = (
         np.reshape(v, k.size) for v in ecef2geodetic(*result.mean[k, :3].T, ell=ELLIPSOID)

@@ -55,8 +55,8 @@ class Walk(NamedTuple):
 
     @property
     def cautious(self) -> tuple[float, float]:
-        """White and walk, each raised by its standard deviation. Process noise that is too small makes
-        a filter overconfident; too much costs little.
+        """White and walk, each raised by its standard deviation. Process noise that is too small
+        makes a filter overconfident; too much costs little.
         """
         return self.white + self.white_std, self.walk + self.walk_std
 
