@@ -1,5 +1,5 @@
-"""A BeiDou receiver's own log: RINEX files, positions, fixes without a prior (`least_squares`), and
-what is said of them.
+"""Logs of a satellite receiver: RINEX files, positions, fixes without a prior (`least_squares`),
+and reports.
 """
 
 from celnav.lazy import modules

@@ -1,4 +1,4 @@
-"""A synthetic sky: broadcast elements of 32 satellites that move as two bodies do.
+"""A synthetic sky: broadcast elements of 32 satellites on two-body orbits.
 
 Five geostationary, three inclined geosynchronous on one ground track, and a Walker constellation
 24/3/1.
@@ -23,7 +23,7 @@ from celnav.models.gnss import (
 from celnav.models.orbit import Earth, from_elements, to_elements
 
 POINT = Earth(mu=1e-9 * GRAVITY_PARAMETER, j2=0.0)
-"""Satellites move as two bodies do."""
+"""The Earth as a point mass: orbits are those of two bodies."""
 SYNCHRONOUS_M = (GRAVITY_PARAMETER / ROTATION_RATE**2) ** (1.0 / 3.0)
 MEDIUM_M = 27906.1e3
 GEOSTATIONARY = {
@@ -40,8 +40,8 @@ TOE_S = 345600.0
 
 
 def geostationary(number: int, elapsed_s: float = 0.0) -> Array:
-    """State ``(6,)`` km, km/s some time after the reference time; the axes are those that are
-    Earth-fixed at that, and stay.
+    """State ``(6,)`` km, km/s at ``elapsed_s`` after the reference time. The axes are inertial:
+    they coincide with the Earth-fixed axes at the reference time.
     """
     longitude, i, Omega = np.radians(
         GEOSTATIONARY[checks.choice("number", number, GEOSTATIONARY)]
@@ -58,8 +58,8 @@ def geostationary(number: int, elapsed_s: float = 0.0) -> Array:
 
 
 def synthetic(toe: float = TOE_S) -> Broadcast:
-    """Broadcast elements of the 32 satellites at a reference time, s of BDT; their clocks are
-    right.
+    """Broadcast elements of the 32 satellites at a reference time, s of BDT. Their clocks have no
+    error.
     """
     toe = checks.number("toe", toe)
     rows: dict[int, tuple[float, ...]] = {}

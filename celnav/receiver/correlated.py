@@ -1,25 +1,24 @@
-"""Errors of ranges and rates that last: how long, and the covariance of a filter that treats them
-as new at each epoch.
+"""Correlated errors of ranges and rates: how long they last, and the true covariance of a filter
+that treats them as white.
 
-An error of standard deviation ``sigma`` is the sum of a white part, of a short part with the
-correlation time ``time``, and of a long part that lasts as long as a satellite is in view:
+An error of standard deviation ``sigma`` is the sum of three parts. The first is white, the short
+part has the correlation time ``time``, and the long part lasts while a satellite is in view:
 
     eps_k = w_k + s_1 beta_1,k + s_2 beta_2,k,    s_i = sigma sqrt(share_i),
 
 with ``beta_i`` of unit variance, ``beta_i,k = phi_i beta_i,k-1 + ...``, and ``phi_2 = 1``. A filter
-with gain K whose position errs by e, and the mean m of the distances of fixes from predictions over
-a window, follow with ``a = (e, m)``
+has the gain K and the state error e. Over a window, m is the mean distance of fixes from
+predictions. Both follow, with ``a = (e, m)``,
 
     a- = Phi a,    a+ = A a- + B eps,    A = [[I - K H, 0], [-g E, (1 - g) I]],    B = [K; g G],
 
-where E picks the position, G gives the fix, and ``g`` is one over the window's length. So the
-covariance of a, with the filter's own process noise and its cross-covariance C_i with ``beta_i``,
-is
+where E picks the position, G gives the fix, and ``g`` is one over the window's length. C_i is the
+cross-covariance of a with ``beta_i``. With the filter's own process noise, the covariance of a is
 
     cov+ = A cov- A' + B R B' + sum_i (A C_i- s_i B' + its transpose),    C_i+ = A C_i- + B s_i.
 
-It is Schmidt's covariance of considered states, as in `celnav.filters.adaptive.consider`, for a
-gain that stays the filter's.
+This is Schmidt's covariance of considered states, as in `celnav.filters.adaptive.consider`, with
+the filter's gain unchanged.
 """
 
 from __future__ import annotations
@@ -31,13 +30,13 @@ import numpy as np
 from celnav.gaussian.linalg import Array, Belief, block
 
 LEAST_LAGS = 3
-"""Lags, or the correlation is not estimated, and all of an error counts as long."""
+"""Lags that an estimate of the correlation needs; with fewer, the whole error counts as long."""
 WINDOW = 30
 """Epochs in the mean of the distances between fixes and predictions."""
 
 
 class Correlation(NamedTuple):
-    """Shares ``short`` and ``long`` of the variance of a kind of measurement, and the correlation
+    """Shares ``short`` and ``long`` of the variance of ranges or of rates, and the correlation
     ``time`` (s) of the short part.
     """
 
@@ -47,11 +46,12 @@ class Correlation(NamedTuple):
 
 
 def correlation(times: Array, left: Array, kept: Array, redundancy: int) -> Correlation:
-    """Correlation of the residuals ``left (T, S)`` of fixes, in deviations, where ``kept``.
+    """Correlation of the residuals ``left (T, S)`` of fixes, in standard deviations, where
+    ``kept``.
 
     Their autocorrelation at lags of 1, 2, 4, ... epochs, up to a quarter of the log, is fitted by
-    an exponential and a constant. The constant, the long part, is a standard error larger than
-    estimated: too small a one makes a filter overconfident. ``redundancy``: of all fixes.
+    an exponential and a constant. The constant, the long part, is raised by one standard error,
+    since a value that is too small makes a filter overconfident. ``redundancy``: of all fixes.
     """
     from scipy.optimize import nnls  # takes a second to import
 
@@ -76,9 +76,11 @@ def correlation(times: Array, left: Array, kept: Array, redundancy: int) -> Corr
 
 
 class Errors(NamedTuple):
-    """Covariance ``(n + 3, n + 3)`` of the errors of a filter's state and of `mean`, the mean
-    ``(3,)`` of the distances of fixes from predictions; and the cross-covariance
-    ``(2, n + 3, m)`` with the short and the long errors of the measurements.
+    """True covariance of a filter's errors.
+
+    cov: ``(n + 3, n + 3)``, of the errors of the state and of `mean`. cross: ``(2, n + 3, m)``,
+        their cross-covariance with the short and the long errors of the measurements.
+    mean: ``(3,)`` m, mean distance of fixes from predictions.
     """
 
     cov: Array
@@ -87,13 +89,15 @@ class Errors(NamedTuple):
 
     @classmethod
     def at_start(cls, belief: Belief, m: int) -> Errors:
-        """Of a filter that has just started."""
+        """The errors of a filter that has just started."""
         cov = np.pad(belief.cov, (0, 3))
         return cls(cov, np.zeros((2, len(cov), m)), np.zeros(3))
 
     def predict(self, F: Array, before: Array, after: Array, decay: Array) -> Errors:
-        """After an interval: the transition matrix, the filter's covariances before and after it,
-        and ``phi (2, m)``.
+        """The errors after an interval.
+
+        F: transition matrix ``(n, n)``. before, after: the filter's covariances. decay: ``phi``,
+            ``(2, m)``.
         """
         n = len(F)
         Phi = block([[F, 0], [0, np.eye(3)]])
@@ -104,9 +108,12 @@ class Errors(NamedTuple):
     def update(
         self, K: Array, H: Array, R: Array, slow: Array, G: Array, distance: Array | None
     ) -> Errors:
-        """After an update with gain ``K (n, m)``, Jacobian ``H (m, n)``, variances ``R (m,)``,
-        deviations ``slow (2, m)`` of the short and the long errors, and the ``distance (3,)`` of a
-        fix from the prediction; ``G (3, m)`` gives the fix. None: there is no fix.
+        """The errors after an update.
+
+        K: gain ``(n, m)``. H: Jacobian ``(m, n)``. R: variances ``(m,)``.
+        slow: ``(2, m)``, standard deviations of the short and the long errors.
+        G: ``(3, m)``, gives the fix from the measurements. distance: ``(3,)`` m of the fix from the
+            prediction; None: there is no fix.
         """
         n, mean = len(K), self.mean
         A, B = np.eye(n + 3), np.concatenate([K, np.zeros((3, K.shape[1]))])
@@ -123,5 +130,5 @@ class Errors(NamedTuple):
 
     @property
     def squared_mean(self) -> float:
-        """Squared size of `mean` in deviations, chi-square with three degrees."""
+        """Squared size of `mean` over its covariance: chi-square with three degrees of freedom."""
         return float(self.mean @ np.linalg.lstsq(self.cov[-3:, -3:], self.mean)[0])

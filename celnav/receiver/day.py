@@ -1,5 +1,5 @@
-"""Half a day of a station: what filters do with it, what a burst that is added does, and the orbits
-that were sent.
+"""Half a day of a station: filters on its log, with and without an added noise burst, and the
+broadcast orbits.
 """
 
 from __future__ import annotations
@@ -27,9 +27,11 @@ if TYPE_CHECKING:
 
 HALF_DAY_S = 43200.0
 EPOCHS, AFTER = 40, 10
-"""Length of the burst that is added, and of what is judged after it."""
+"""Epochs of the added noise burst, and epochs after it that are judged too."""
 CONSECUTIVE_S = (1800.0, 5400.0)
-"""How far apart reference times of consecutive sets may be; positions are compared half-way."""
+"""Least and largest interval between the reference times of consecutive sets. Their positions are
+compared half-way.
+"""
 
 
 class Files(NamedTuple):
@@ -40,8 +42,8 @@ class Files(NamedTuple):
 
 
 def found(folder: Path | None) -> Files | None:
-    """The files in a folder, or in ``rinex`` here, if there is one; FileNotFoundError if a folder
-    is named that has none.
+    """The files in a folder, or in ``rinex`` here if no folder is given; None if that is absent.
+    FileNotFoundError if the given folder has no such files.
     """
     where = Path("rinex") if folder is None else Path(folder)
     pair = (
@@ -59,8 +61,8 @@ def found(folder: Path | None) -> Files | None:
 
 
 def _read(files: Files) -> tuple[Observations, Navigation, Array]:
-    """The first half day of BeiDou's satellites, broadcast elements, and the position ``(3,)`` m in
-    the header.
+    """BeiDou observations of the first half day, broadcast elements, and the header's position
+    ``(3,)`` m.
     """
     observations = read_observations(files.observations, strict=True).of("C")
     navigation = read_navigation(files.navigation, strict=True)
@@ -75,8 +77,8 @@ def _read(files: Files) -> tuple[Observations, Navigation, Array]:
 
 
 def _prepared(half: Observations, navigation: Navigation, mask_deg: float) -> Log:
-    """What a burst does is the filters' to weather: nothing is excluded, the noise is what is taken
-    for it, and no step of the clock is a reset.
+    """The log for filters that have to cope with a burst by themselves. No measurement is excluded,
+    the noise has the assumed size, and no step of the clock counts as a reset.
     """
     log = prepare(half, navigation, mask_deg=mask_deg, sigma=GIVEN, false_alarm=0.0)
     return replace(log, clock=None)
@@ -100,16 +102,17 @@ def _positioned(log: Log, filter: str, reference: Array) -> Positioned:
 def run_filters(
     files: Files, rngs: Rngs, names: Sequence[str], sigma: float, mask_deg: float
 ) -> dict[str, Array]:
-    """Filters on the half day as it is, and with noise of ``sigma`` m added to all ranges for
-    `EPOCHS` in its middle.
+    """Errors of filters on the half day, without and with a burst: noise of ``sigma`` m on all
+    ranges for `EPOCHS` in its middle.
 
     Returns
     -------
-    times ``(T,)`` s of BDT; during ``(T,)``, the burst and `AFTER` epochs more. Of each filter, and
-    of ls, ``<filter>`` and ``burst/<filter>``: from the header's position to theirs, east, north,
-    up ``(T, 3)`` m. nis ``(1,)``: of the first filter, per degree of freedom. consecutive:
-    distances (m) between positions of geostationary satellites by consecutive sets. others: between
-    those by the formula of other satellites and by their own, half an hour on.
+    times: ``(T,)`` s of BDT. during: ``(T,)``, the burst and `AFTER` epochs more.
+    ``<filter>`` and ``burst/<filter>``, also for ls: east, north, up ``(T, 3)`` m from the header's
+        position to that of the filter. nis: ``(1,)``, of the first filter, per degree of freedom.
+    consecutive: distances (m) between positions of geostationary satellites by consecutive sets.
+    others: distances (m) between their positions by the formula of other satellites and by their
+        own formula, half an hour after the reference time.
 
     Raises
     ------
@@ -147,20 +150,19 @@ def run_filters(
 
 
 def as_others(broadcast: Broadcast, t: Array | float) -> Array:
-    """Positions ``(S, 3)`` of geostationary satellites by the formula of the others: the Earth's
-    turn in the node, no tilt.
+    """Positions ``(S, 3)`` m of geostationary satellites by the formula of other satellites: the
+    Earth's rotation enters the node, and no plane is tilted.
     """
     return satellites(replace(broadcast, number=np.full(len(broadcast), 19.0)), t).position
 
 
 def formulas(times: Sequence[float], _rngs: Rngs = ()) -> dict[str, Array]:
-    """Positions of the synthetic geostationary satellites against two bodies in space: distances
-    ``(..., 5)`` m.
+    """Distances ``(..., 5)`` m of the synthetic geostationary satellites, by several formulas, from
+    their two-body orbits.
 
-    others: by the formula of the others, at ``times`` from half an hour after the reference time.
-        minute, half hour: by that and
-    one more rotation, so long after it. right: the rotation with the node held in space, half an
-    hour after it.
+    others: by the formula of other satellites, at ``times`` (s) from half an hour after the
+        reference time. minute, half hour: by that formula and one more rotation, so long after the
+        reference time. right: with the node held in space, half an hour after the reference time.
     """
     own = synthetic()
     own = own.chosen(own.geostationary)
@@ -185,8 +187,8 @@ def formulas(times: Sequence[float], _rngs: Rngs = ()) -> dict[str, Array]:
 
 
 def rms(found: Mapping[str, Array], key: str) -> float:
-    """Root mean square distance (m) from the header's position; with the burst in it and after it
-    alone.
+    """Root mean square distance (m) from the header's position. With the burst only the epochs in
+    it and shortly after it count.
     """
     chosen = found["during"] if key.startswith("burst") else slice(None)
     return float(np.sqrt(np.nanmean(np.square(found[key][chosen]).sum(-1))))
@@ -210,7 +212,7 @@ JUDGED: dict[str, tuple[str, tuple[float | None, float | None]]] = {
         (1e3, None),
     ),
 }
-"""What is judged of `run_filters`, and what is accepted."""
+"""Quantities that are judged from the results of `run_filters`: label and accepted range."""
 
 
 def judged(found: Mapping[str, Array]) -> dict[str, Array]:
@@ -235,7 +237,7 @@ def judged(found: Mapping[str, Array]) -> dict[str, Array]:
 
 
 def drawn(found: Mapping[str, Array], lines: Mapping[str, Line], sigma: float) -> Figure:
-    """The half day, and the burst; ``lines``: looks of the filters."""
+    """Figure of the half day and of the burst; ``lines``: how each filter is drawn."""
     hours, late = (found["times"] - found["times"][0]) / 3600.0, np.flatnonzero(found["during"])
     shown = slice(max(late[0] - 10, 0), late[-1] + 20)
     known = {name: line for name, line in lines.items() if name in found}

@@ -1,6 +1,4 @@
-"""Filters of a moving receiver's log, by name: EKF and UKF, which differ in what they do to the
-noise.
-"""
+"""Filters for a moving receiver's log, by name: EKF and UKF that treat the noise differently."""
 
 from __future__ import annotations
 
@@ -24,40 +22,40 @@ from celnav.models import pseudorange
 from celnav.models.gnss import LIGHT
 
 CRYSTAL = (LIGHT**2 * 2e-19 / 2.0, 2.0 * np.pi**2 * LIGHT**2 * 2e-20)
-"""A compensated crystal's noise of frequency, white (m^2/s) and walking (m^2/s^3): h0 = 2e-19, h-2
-= 2e-20.
+"""Frequency noise of a temperature-compensated crystal: white (m^2/s) and random walk (m^2/s^3),
+for h0 = 2e-19 and h-2 = 2e-20.
 """
 OVEN = (LIGHT**2 * 8e-20 / 2.0, 2.0 * np.pi**2 * LIGHT**2 * 4e-23)
-"""Of a crystal in an oven, h0 = 8e-20, h-2 = 4e-23: a clock that looks better counts as one."""
+"""Frequency noise of a crystal in an oven, for h0 = 8e-20 and h-2 = 4e-23. No clock counts as
+better.
+"""
 PHONE = (100.0, 1.0)
-"""Of a phone's clock, which may be set anew at each epoch: 10 m and 1 m/s in a second."""
+"""Process noise of a phone's clock, which may be set at each epoch: 10 m and 1 m/s in a second."""
 CLOCKS = {"crystal": CRYSTAL, "phone": PHONE}
 OFFSET_WALK = 1e-5
-"""Of the offset between two systems' clocks, m^2/s: a meter a day, as their times and orbits
-wander.
+"""Process noise of the offset between two systems' clocks, m^2/s: about a meter a day, since their
+times and orbits wander.
 """
 
 
 COMPACT = ("ekf", "ukf", "gate", "huber", "student")
-"""Filters to which satellites that are not measured make no difference: they have no memory of
-single ones, and no groups of them.
+"""Filters that give the same result without the unmeasured satellites: they neither remember single
+satellites nor group them.
 """
 
 
 RATE = np.zeros((8, 8))
-"""Derivative of the state by time: velocities are those of positions, the drift is the clock's."""
+"""Matrix A of the motion x' = A x: velocities change positions, and the drift changes the bias."""
 RATE[[0, 1, 2, 6], [3, 4, 5, 7]] = 1.0
 
 
 def transition(dt: float) -> Array:
-    """Matrix ``(8, 8)`` of a receiver at constant velocity, with a clock of constant drift, over
-    ``dt`` seconds.
-    """
+    """Transition matrix ``(8, 8)`` over ``dt`` seconds, for constant velocity and clock drift."""
     return np.asanyarray(np.eye(8) + dt * RATE)
 
 
 def process_noise(dt: float, acceleration: float, white: float, walk: float) -> Array:
-    """Covariance ``(8, 8)`` of what an interval adds to it.
+    """Covariance ``(8, 8)`` of the process noise of an interval ``dt`` (s).
 
     ``acceleration``: density of the white acceleration, m^2/s^3. ``white``, ``walk``: of the clock,
         see `CRYSTAL`.
@@ -71,10 +69,10 @@ def process_noise(dt: float, acceleration: float, white: float, walk: float) -> 
 
 
 def hooks(S: int, window: int = 10, systems: int = 1) -> dict[str, tuple[Hook, ...]]:
-    """What each filter does to the noise of S ranges and S rates before it uses them; the ukf
-    nothing.
+    """Hooks of each filter, which change the noise of S ranges and S rates before an update; the
+    ukf has none.
 
-    ``systems``: of satellites: so many clocks do the ranges determine.
+    ``systems``: number of satellite systems, each of which has a clock.
     """
     ranges, rates = range(S), range(S, 2 * S)
     parity = (
@@ -102,17 +100,17 @@ def filters(
     clock: tuple[float, float] = CRYSTAL,
     window: int = 10,
 ) -> dict[str, Sequential]:
-    """Filters of a `Log` by name: ekf, and those of `hooks`, which are EKF but for ukf and aukf.
+    """Filters for a `Log` by name: ekf, and those of `hooks`. All are EKF except ukf and aukf.
 
-    ``second (k, S)``: offsets of the clocks of more systems, as in `celnav.models.pseudorange`;
-    None: there is one system. ``acceleration``: density of the white acceleration, m^2/s^3: 0.01
-    for a receiver at rest or nearly so, ``a^2 T`` for one that turns with the acceleration a,
-    measured each T seconds. ``clock``: densities of its process noise, such as `CRYSTAL`; at an
-    epoch to which it was set the step counts as noise, too.
+    ``second (k, S)``: offsets of the clocks of further systems, as in `celnav.models.pseudorange`;
+    None: there is one system. ``acceleration``: density of the white acceleration, m^2/s^3. Use
+    0.01 for a receiver almost at rest, and ``a^2 T`` for one that turns with the acceleration a and
+    is measured each T seconds. ``clock``: densities of the clock's process noise, such as
+    `CRYSTAL`. Where the clock was set, the step counts as noise too.
 
     Raises
     ------
-    ValueError: unless it is positive.
+    ValueError: if ``acceleration`` is not positive.
     """
     if not 0.0 < acceleration < np.inf:
         raise ValueError(
@@ -145,7 +143,7 @@ def filters(
 
 
 def _sources(epoch: Epoch) -> tuple[Array, ...]:
-    """What a measurement depends on besides the state: q, w and, if there are any, offsets."""
+    """Sources of the measurements at an epoch: q, w and, with several systems, offsets."""
     q, w, _, _, *offsets = epoch.u
     return q, w, *offsets
 

@@ -1,10 +1,10 @@
-"""Fixes of all epochs at once, each by itself: position and clock of ranges, velocity and drift of
-rates, without faulty ones.
+"""Independent fixes of all epochs at once: position and clock from ranges, velocity and drift from
+rates, without faulty measurements.
 
-Also how large the noise is that their residuals show. With more systems of satellites a fix has
-the offsets of their clocks besides, where both are seen; a system's only range says nothing of the
-position, nothing tests it, and it is not used. Epochs ``T`` lead, satellites ``S`` follow; a kind
-of measurement, ranges or rates, is a tuple's or an axis' place 0 or 1.
+The module also estimates the noise from their residuals. With several satellite systems a fix
+includes the offsets of their clocks. The only range of a system says nothing about the position
+and cannot be tested, so it is not used. Epochs ``T`` lead, satellites ``S`` follow. In tuples and
+axes, ranges have index 0 and rates index 1.
 """
 
 from __future__ import annotations
@@ -22,28 +22,28 @@ from celnav.receiver.least_squares import gauss_newton
 from celnav.receiver.sky import GROUND_M
 
 LEAST_ELEVATION = np.radians(1.0)
-"""What delays and deviations are taken for below it."""
+"""Below this elevation, rad, delays and deviations keep their value at it."""
 GIVEN = (1.5, 0.05)
-"""Deviations at the zenith, m and m/s, until they are estimated."""
+"""Standard deviations at the zenith, m and m/s, until they are estimated."""
 RESOLUTION = (1e-3, 1e-3 * LIGHT / B1I_HZ)
-"""Of a file, in m and m/s: less noise cannot be seen."""
+"""Resolution of a file, m and m/s: smaller noise cannot be observed."""
 QUIETEST, LOUDEST = 0.25, 8.0
-"""Times `GIVEN`, where the estimate begins: loud noise would hide faults. No receiver is louder;
-what looks so is contradiction.
+"""Multiples of `GIVEN`. The estimate begins at the quietest, since loud noise would hide faults. No
+receiver is louder than the loudest: then measurements contradict each other.
 """
 ENOUGH = 100
-"""Redundant measurements to estimate noise of."""
+"""Redundant measurements that an estimate of the noise needs."""
 MOST_EPOCHS = 1000
-"""That it is estimated of, evenly: more say nothing new."""
+"""Epochs that an estimate uses at most, evenly spread: more would change little."""
 
 
 class Noise(NamedTuple):
-    """Of a kind of measurement, by system: the variance that the receiver adds is
+    """Noise of ranges or of rates by system. Its variance is
     ``level^2 + (zenith / sin(elevation))^2``.
 
-    ``level``, ``zenith``: of the systems of a log in their order; the last one holds for those that
-        follow. ``redundancy``: of how many redundant measurements they were estimated; 0: they were
-        given, or the measurements were too few.
+    ``level``, ``zenith``: m or m/s, for the systems of a log in their order; the last value holds
+        for all that follow. ``redundancy``: number of redundant measurements behind the estimate;
+        0: the values were given, or the measurements were too few.
     """
 
     level: tuple[float, ...]
@@ -51,7 +51,7 @@ class Noise(NamedTuple):
     redundancy: int = 0
 
     def variance(self, elevation: Array, system: Array) -> Array:
-        """At elevations, rad, of satellites of systems, counted from 0."""
+        """Variance at elevations, rad, of satellites whose systems are counted from 0."""
         level, zenith = (
             np.array(values)[np.minimum(system, len(values) - 1)]
             for values in (self.level, self.zenith)
@@ -78,7 +78,7 @@ class Seen(NamedTuple):
 
     @property
     def system(self) -> Array:
-        """Of each satellite ``(..., S)``, counted from 0."""
+        """System of each satellite ``(..., S)``, counted from 0."""
         k = self.offsets.shape[-2]
         return np.asarray(np.arange(1, k + 1) @ self.offsets, dtype=int)
 
@@ -89,11 +89,12 @@ class Seen(NamedTuple):
 
 
 class Fixed(NamedTuple):
-    """States ``(T, 8 + k)``, their variances by the receiver's noise alone, and covariances of
-    positions ``(T, 3, 3)``, nan where there is no fix; deviations ``sigma (T, 2 S)``.
+    """Fixes of all epochs; states, variances and covariances are nan where there is no fix.
 
-    ``kinds``: of ranges and rates, what is left of them. ``misfit``: squared residuals of ranges
-    ``(T,)``, in deviations; nan without a fix. ``residuals``: of ranges and rates ``(T, S)``, in
+    ``states (T, 8 + k)``. ``variances (T, 8 + k)``: from the receiver's noise alone.
+    ``cov (T, 3, 3)`` m^2: of positions. ``sigma (T, 2 S)``: standard deviations of measurements.
+    ``kinds``: which ranges and rates are kept. ``misfit (T,)``: sum of squared range residuals over
+    their variances, nan without a fix. ``residuals``: of ranges and rates ``(T, S)``, in standard
     deviations, nan of epochs without redundancy and where nothing is kept; and how many are
     redundant.
     """
@@ -107,12 +108,12 @@ class Fixed(NamedTuple):
     residuals: tuple[tuple[Array, int], tuple[Array, int]]
 
     def measurements(self, what: str) -> Array:
-        """Of ranges and rates ``(T, 2 S)``, whether they are "kept" or "excluded"."""
+        """Whether ranges and rates ``(T, 2 S)`` are ``what``: "kept" or "excluded"."""
         return np.concatenate([getattr(kind, what) for kind in self.kinds], -1)
 
 
 def fixed(seen: Seen, noise: tuple[Noise, Noise], false_alarm: float) -> Fixed:
-    """Fixes of all epochs; a satellite whose range is faulty is not asked for its rate either."""
+    """Fixes of all epochs; the rate of a satellite with a faulty range is not used either."""
     packed, order = _packed(seen)
     fits = _fits(packed, noise, false_alarm)
     sigma, (T, S) = seen.deviations(noise), seen.elevation.shape
@@ -129,7 +130,7 @@ def fixed(seen: Seen, noise: tuple[Noise, Noise], false_alarm: float) -> Fixed:
         shares.append(_white_share(left, fit.x.shape[-1]))
         residuals.append((left, int(fit.spare.sum())))
     ranges, rates = fits
-    # Without the first system no offset from its clock is known.
+    # Without the first system no offset from its clock can be determined.
     first = (ranges.kind.kept[:, :n] & (packed.system == 0)).any(-1, keepdims=True)
     apart = np.where(first & ~ranges.kind.kept[:, n:], ranges.x[:, 4:], np.nan)
     states = _states(np.concatenate([ranges.x[:, :4], apart], -1), rates.x)
@@ -151,8 +152,9 @@ def fixed(seen: Seen, noise: tuple[Noise, Noise], false_alarm: float) -> Fixed:
 def _white_share(left: Array, unknowns: int) -> float:
     """The part of the variances of measurements that is new at each epoch.
 
-    left: residuals ``(T, S)`` in deviations, nan where there is none. Errors of atmosphere and orbits hardly change from one
-    epoch to the next, so half the squares of differences have the receiver's noise alone.
+    left: residuals ``(T, S)`` in standard deviations, nan where there is none. Errors of atmosphere
+    and orbits hardly change from one epoch to the next. So half the mean squared difference is the
+    receiver's noise alone.
     """
     changes = left[1:] - left[:-1]
     both = np.isfinite(changes)
@@ -163,15 +165,15 @@ def _white_share(left: Array, unknowns: int) -> float:
 
 
 def _states(ranges: Array, rates: Array) -> Array:
-    """What ranges and rates determine, each ``(..., 4 or more)``, in the order of a state."""
+    """States from the components that ranges and rates determine, ``(..., 4 or more)`` each."""
     return np.concatenate(
         [ranges[..., :3], rates[..., :3], ranges[..., 3:4], rates[..., 3:], ranges[..., 4:]], -1
     )
 
 
 def _packed(seen: Seen) -> tuple[Seen, Array]:
-    """The same with no more columns ``n`` than satellites measured at an epoch, whose offsets
-    ``(T, k, n)`` vary then; and which satellites they are, ``(T, n)``.
+    """Measurements in as many columns ``n`` as one epoch needs at most, and the indices ``(T, n)``
+    of their satellites. The offsets are then ``(T, k, n)``.
     """
     S = seen.elevation.shape[-1]
     ranges, rates = seen.z[:, :S], seen.z[:, S:]
@@ -189,9 +191,10 @@ def _packed(seen: Seen) -> tuple[Seen, Array]:
 
 
 class _Fit(NamedTuple):
-    """Of one kind: fixes ``x (T, n)``, their covariances, what is left of the measurements, and
-    residuals and Jacobians in deviations. Ranges have a place more for each offset, for "it is
-    zero", which is kept where satellites leave it open.
+    """Fixes ``x (T, n)`` from ranges or from rates, their covariances, and the kept measurements.
+
+    left, G: residuals and Jacobians in standard deviations. Ranges have one more column for each
+    offset, the measurement "it is zero". It is kept where satellites do not determine the offset.
     """
 
     x: Array
@@ -208,7 +211,7 @@ class _Fit(NamedTuple):
 
 
 def _fits(seen: Seen, noise: tuple[Noise, Noise], false_alarm: float) -> tuple[_Fit, _Fit]:
-    """Of ranges and rates, of what is `_packed`."""
+    """Fits of ranges and of rates, from `_packed` measurements."""
     n, k = seen.q.shape[-2], seen.offsets.shape[-2]
     sigma = seen.deviations(noise)
     away = np.where(np.isfinite(seen.z[:, :n, None]), seen.q, 0.0).sum(-2)
@@ -269,9 +272,10 @@ def _fit(
     start: Array,
     false_alarm: float,
 ) -> _Fit:
-    """Fixes of one kind: ``model``: ``(epochs, states) ->`` measurements and Jacobians;
-    ``possible`` makes other states nan; ``comparable``: those of the measurements ``(K, S)`` that
-    are not alone.
+    """Fixes from ranges or from rates.
+
+    model: ``(epochs, states) ->`` measurements and Jacobians. possible: replaces impossible states
+        by nan. comparable: removes measurements ``(K, S)`` that are alone in their system.
     """
 
     def solve(rows: Array, kept: Array) -> tuple[Array, Array]:
@@ -293,17 +297,17 @@ def _fit(
         lambda rows, kept: solve(rows, kept)[0], linear, used, start, false_alarm=false_alarm
     )
     kept = comparable(kind.kept)
-    # Of two of a system that contradict each other nothing tells the faulty one: both go.
+    # If the only two of a system contradict each other, the faulty one is unknown: both go.
     kind = kind._replace(kept=kept, excluded=used & ~kept & ~kind.unusable[:, None])
     x, cov = solve(every, kind.kept)
     return _Fit(x, cov, kind, *linear(every, np.where(np.isfinite(x), x, start)))
 
 
 def estimated(seen: Seen, false_alarm: float) -> tuple[Noise, Noise]:
-    """Noise of ranges and rates, by system and elevation, of the residuals of what is not faulty;
+    """Noise of ranges and rates by system and elevation, from the residuals of sound measurements;
     `GIVEN` where they are too few.
 
-    It is first taken for small, and for twice as large as long as most fixes contradict themselves.
+    The estimate starts with small noise, which is doubled while most fixes contradict themselves.
     """
     some = slice(None, None, -(-len(seen.z) // MOST_EPOCHS))
     z, q, w, elevation, position, modeled, offsets = seen
@@ -343,9 +347,9 @@ def _louder(noise: Noise, loud: bool) -> Noise:
 def _estimated(
     fit: _Fit, seen: Seen, modeled: Array, noise: Noise, resolution: float
 ) -> Noise | None:
-    """Noise of a kind of measurement by the residuals of its fixes with ``noise``; None: too few.
+    """Noise of ranges or rates from the residuals of fixes with ``noise``; None: too few.
 
-    Systems have noise of their own if each has enough measurements.
+    Each system has its own noise if all have enough measurements.
     """
     n = seen.q.shape[-2]
     spare = fit.spare

@@ -23,7 +23,7 @@ class Ellipsoid(NamedTuple):
 
     @property
     def flattening(self) -> float:
-        """How much the poles are nearer to the center, as a fraction."""
+        """Flattening f = 1 - b / a."""
         return 1.0 - self.semiminor_axis / self.semimajor_axis
 
 

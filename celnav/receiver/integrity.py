@@ -1,10 +1,10 @@
-"""Receiver autonomous integrity monitoring (RAIM): faulty measurements of fixes are found by their
-residuals and excluded.
+"""Receiver autonomous integrity monitoring (RAIM): residuals of fixes reveal faulty measurements,
+which are excluded.
 
-A fix of m measurements and n unknowns has a sum of squared residuals, in deviations of the noise,
-that is chi-square with m - n degrees of freedom, its redundancy: with none nothing can be tested,
-with one a fault is detected, with two or more it can be excluded. The fewest measurements are
-excluded that leave a consistent fix, and of as many those whose absence leaves the least residuals
+A fix from m measurements has n unknowns. The sum of its squared residuals over their variances is
+chi-square with m - n degrees of freedom, the redundancy. With 0 nothing can be tested, with 1 a
+fault can be detected, and with 2 or more it can be excluded. The smallest set of measurements is
+excluded that leaves a consistent fix; among equal sizes, the set that leaves the least residuals
 [Parkinson1988; Brown1992]. Fixes ``K`` or ``T`` lead, measurements ``S`` follow.
 """
 
@@ -20,15 +20,16 @@ from scipy.special import chdtri
 from celnav.gaussian.linalg import Array
 
 MOST_EXCLUDED = 3
-"""Measurements of a fix; a fix that is wrong in more has nothing to trust."""
+"""Measurements that are excluded from a fix at most; with more faults no measurement is used."""
 ROUNDS = 5
-"""In which what to exclude is looked for anew at the fix without it: far from the truth the model
-is curved.
+"""Rounds of the search. Each linearizes at the fix without the measurements that the last round
+excluded, since the model is nonlinear far from the truth.
 """
 AT_ONCE = 250
-"""Fixes whose subsets are compared at a time, for the memory's sake."""
+"""Fixes whose subsets are compared at a time, which limits the memory."""
 ESSENTIAL = 1e-6
-"""Part of a measurement's noise that must be seen in the residuals, or the fix hangs on it alone.
+"""Part of a measurement's noise that must appear in its residual. With less the measurement is
+essential: the fix depends on it alone.
 """
 
 Linear = Callable[[Array, Array], tuple[Array, Array]]
@@ -38,14 +39,14 @@ deviations of the noise.
 
 
 class Monitored(NamedTuple):
-    """What is left of the measurements.
+    """Which measurements may be used after the test.
 
     Attributes
     ----------
-    kept: ``(T, S)``, the measurements that may be used. excluded: ``(T, S)``, the faulty ones of
-        fixes that are consistent without.
-    tested: ``(T,)``, whether there was redundancy. unusable: ``(T,)``, a fault is there and cannot
-        be told: nothing is kept.
+    kept: ``(T, S)``, the measurements that may be used. excluded: ``(T, S)``, the faulty
+        measurements of fixes that are consistent without them.
+    tested: ``(T,)``, whether there was redundancy. unusable: ``(T,)``, whether there is a fault
+        that cannot be located; nothing is kept then.
     """
 
     kept: Array
@@ -55,7 +56,7 @@ class Monitored(NamedTuple):
 
 
 def probability(false_alarm: float) -> float:
-    """Of a false alarm; ValueError unless it is from 0 to below 1."""
+    """The probability of a false alarm; ValueError unless it is from 0 to below 1."""
     if not 0.0 <= false_alarm < 1.0:
         raise ValueError(
             f"false_alarm: expected a probability from 0 to below 1, got {false_alarm!r}"
@@ -64,7 +65,7 @@ def probability(false_alarm: float) -> float:
 
 
 def misfit(left: Array, kept: Array) -> Array:
-    """Sum of squared residuals ``(K,)`` of what is kept; nan of fixes that there are none of."""
+    """Sum of squared residuals ``(K,)`` of the kept measurements; nan where there is no fix."""
     return np.asarray(np.square(np.where(kept, left, 0.0)).sum(-1))
 
 
@@ -76,18 +77,18 @@ def monitored(
     *,
     false_alarm: float,
 ) -> Monitored:
-    """Test all fixes and exclude what is faulty.
+    """Which measurements may be used, after a test of all fixes.
 
     Parameters
     ----------
     fit: ``(fixes (K,), kept (K, S)) -> states (K, n)``, nan where they are not determined.
-    linear: see `Linear`. used: ``(T, S)``, the measurements that there are.
-    start: ``(T, n)``, states to linearize at where there is no fix with all measurements.
+    linear: see `Linear`. used: ``(T, S)``, the measurements that exist.
+    start: ``(T, n)``, states for the linearization where all measurements together give no fix.
     false_alarm: probability that a sound fix fails the test, from 0 (nothing is tested) to below 1.
 
     Raises
     ------
-    ValueError: for another probability.
+    ValueError: if ``false_alarm`` is not such a probability.
     """
     probability(false_alarm)
     n, spare = start.shape[-1], used.sum(-1) - start.shape[-1]
@@ -124,11 +125,11 @@ def monitored(
 
 
 def _best(left: Array, G: Array, used: Array, size: int) -> Array:
-    """The ``size`` measurements ``(K, S)`` whose absence leaves the least sum of squared residuals;
-    none where all are essential.
+    """The set E of ``size`` measurements ``(K, S)`` without which the sum of squared residuals is
+    least; empty where all are essential.
 
-    With residuals v of the fix with all and their cofactor I - Q Q', the sum loses
-    ``v_E' (I - Q Q')_EE^-1 v_E`` without E.
+    v are the residuals of the fix with all measurements, and I - Q Q' is their cofactor. Without E
+    the sum is smaller by ``v_E' (I - Q Q')_EE^-1 v_E``.
     """
     out = np.zeros(used.shape, bool)
     for first in range(0, len(used), AT_ONCE):
@@ -148,8 +149,8 @@ def _best(left: Array, G: Array, used: Array, size: int) -> Array:
 
 
 def _residuals(left: Array, G: Array, used: Array) -> tuple[Array, Array]:
-    """Residuals ``(K, S)`` of a linear fix, and their cofactors ``(K, S, S)``: the covariance of
-    those that are in deviations.
+    """Residuals ``(K, S)`` of a linear fix in standard deviations, and their covariance
+    ``(K, S, S)``.
     """
     Q = np.linalg.qr(np.where(used[..., None], G, 0.0)).Q
     cofactor = np.eye(left.shape[-1]) - Q @ Q.mT
@@ -157,17 +158,17 @@ def _residuals(left: Array, G: Array, used: Array) -> tuple[Array, Array]:
 
 
 def noise_components(left: Array, G: Array, used: Array, parts: Array, known: Array) -> Array:
-    """Variances ``(c,)`` of noise that has several causes, of the residuals of many fixes.
+    """Variances ``(c,)`` of noise with several causes, estimated from the residuals of many fixes.
 
-    The squares of residuals expect ``(I - Q Q')^2`` times the variances of the noise, which are
-    sums over the causes and of what is known: least squares in these squares, each weighted by its
-    own size, none negative.
+    The expected squared residuals are ``(I - Q Q')^2`` times the variances of the noise. These
+    variances are sums over the causes, plus a known part. The estimate is nonnegative least squares
+    in the squared residuals, each weighted by its own size.
 
     Parameters
     ----------
-    left, G, used: as from `Linear`, with what is used ``(K, S)``.
-    parts: ``(c, K, S)``, the variance of a measurement by each cause at unit size, in squares of
-        its deviation. known: ``(K, S)``, the variance that it has besides, likewise.
+    left, G: as from `Linear`. used: ``(K, S)``, the measurements in use.
+    parts: ``(c, K, S)``, the variance of a measurement from each cause of unit size, over the
+        measurement's own variance. known: ``(K, S)``, the known part, likewise.
     """
     from scipy.optimize import nnls  # takes a second to import
 

@@ -1,6 +1,4 @@
-"""A state from one measurement alone, by weighted least squares: no memory but the point to start
-from.
-"""
+"""States from single measurements by weighted least squares, without a prior."""
 
 from __future__ import annotations
 
@@ -18,22 +16,23 @@ from celnav.gaussian.checks import instance, integer, numbers, together, unmaske
 from celnav.gaussian.linalg import Array, Covariance, matvec, outer
 
 RANK = 1e-10
-"""Part of a column of the Jacobian that must be its own, or its state is not determined."""
+"""Part of a Jacobian's column that must be independent of the others, or the state is undetermined.
+"""
 AT_REST = 1e-4
-"""Deviations: the round after a step this small would move nothing that matters."""
+"""Step, in standard deviations, after which a further round would change nothing that matters."""
 
 
 def least_squares(sensor: Sensor, *, rounds: int = 10) -> LeastSquares:
-    """A filter that makes a fix of every measurement by Gauss and Newton, from the last fix, or
-    from the prior's mean.
+    """A filter that computes a fix from every measurement by Gauss-Newton, from the last fix or the
+    prior's mean.
 
-    Components that are nan are left out. A run whose measurement does not determine the state, or
-    is missing, becomes nan for this epoch and starts from its last fix at the next.
+    Components that are nan are left out. A run is nan at an epoch whose measurement is missing or
+    does not determine the state. At the next epoch it starts from its last fix.
 
-    ``sensor``: what is measured, with a ``jacobian`` and noise of independent components.
-    ``rounds``: of Gauss and Newton at most; a run stops when a step is below a ten-thousandth of
-    its deviations. The filter is in covariance form; its innovations are the residuals of the fix,
-    its whitened ones those in deviations.
+    ``sensor``: with a ``jacobian`` and noise of independent components.
+    ``rounds``: Gauss-Newton iterations at most; a run stops when a step is below a ten-thousandth
+    of its standard deviation. The filter is in covariance form. Its innovations are the residuals
+    of the fix; its whitened innovations are residuals over their standard deviations.
 
     >>> filter = least_squares(celnav.Sensor(ranges, R, jacobian=directions))
     >>> fixes = celnav.run(filter, guess, times, z)
@@ -63,7 +62,7 @@ def least_squares(sensor: Sensor, *, rounds: int = 10) -> LeastSquares:
 
 @dataclass(frozen=True, eq=False)
 class LeastSquares:
-    """What `least_squares` makes."""
+    """The filter that `least_squares` returns."""
 
     sensor: Sensor
     rounds: int
@@ -122,12 +121,13 @@ def gauss_newton(
     Parameters
     ----------
     model: ``x -> h(x) (..., m)`` and its Jacobian ``(..., m, n)``. z: measurements ``(..., m)``,
-        nan where there is none. deviations: ``(..., m)``. start: ``(..., n)``. rounds: at most.
+        nan where there is none. deviations: standard deviations ``(..., m)``. start: states
+        ``(..., n)``. rounds: iterations at most.
 
     Returns
     -------
-    The last states; the states with nan where measurements do not determine one; and roots of their
-    covariances ``(..., n, n)``, nan likewise.
+    The last states; the same with nan where measurements do not determine a state; and square roots
+    of their covariances ``(..., n, n)``, nan likewise.
     """
     x, n, used = start, start.shape[-1], ~np.isnan(z)
     weight = np.where(used, 1.0 / deviations, 0.0)
@@ -144,7 +144,7 @@ def gauss_newton(
         )
         left = np.where(used, z - values, 0.0)
         step = np.where(ranked[..., None], matvec(Q.mT, weight * left), 0.0)
-        # A run that has come to rest stays as it is while others of its block still move.
+        # A converged run keeps its state while others of its block still iterate.
         x = np.where(moving[..., None], x + matvec(inverse, step), x)
         root = np.where(moving[..., None, None], inverse, root)
         determined = np.where(moving, ranked, determined)

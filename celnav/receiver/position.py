@@ -1,7 +1,8 @@
-"""From a receiver's log to what a filter takes: satellites, corrected measurements, first fixes.
+"""The input of a filter from a receiver's log: satellites, corrected measurements, first fixes.
 
-State: position (m, Earth-fixed), velocity (m/s), clock bias (m) and drift (m/s), and with two
-or three systems what the biases of the later ones are more (m), as in `celnav.models.pseudorange`.
+State: position (m, Earth-fixed), velocity (m/s), clock bias (m) and drift (m/s). With two or three
+satellite systems the state also has the offset (m) of each later clock from the first, as in
+`celnav.models.pseudorange`.
 """
 
 from __future__ import annotations
@@ -40,19 +41,17 @@ from celnav.receiver.sky import (
 from celnav.receiver.walks import Walk, acceleration_noise, walk_noise
 
 CREDIBLE_M = (1.5e7, 5e7)
-"""Pseudoranges outside are none."""
+"""Least and largest pseudorange that is used."""
 CREDIBLE_M_PER_S = 1e4
-"""Nor are larger rates."""
+"""Largest rate that is used."""
 COARSE = (100.0, 1.0)
-"""Deviations (m, m/s) of measurements while nobody knows which satellites are low, and what their
-delays are.
-"""
+"""Standard deviations (m, m/s) of measurements before elevations and delays are known."""
 MOVED = 16.27
-"""Squared distance in deviations that one of 1000 fixes of a receiver at rest exceeds."""
+"""Squared distance over the covariance that one in 1000 fixes of a receiver at rest exceeds."""
 MILLISECOND_M = 1e-3 * LIGHT
-"""By whole ones of these many receivers set their clock."""
+"""A millisecond times the speed of light, m: many receivers set their clock by multiples of it."""
 START = (100.0, 100.0, 100.0, 10.0, 10.0, 10.0, 100.0, 10.0, 100.0, 100.0)
-"""Deviations about the first fix: m, m/s, m, m/s, and of the offsets m."""
+"""Standard deviations of the first state: position m, velocity m/s, clock m, m/s, and offsets m."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,31 +62,31 @@ class Log:
     Attributes
     ----------
     times: ``(T,)`` s of BDT. names: of the satellites, ``S``, those of the first system first.
-    z: ``(T, 2 S)`` ranges (m) and rates (m/s) without clocks of satellites, atmosphere and jumps of
-        the receiver's clock; nan where there is none. sigma: ``(T, 2 S)`` their deviations. q, w:
-        ``(T, S, 3)``, see `celnav.models.pseudorange.Sources`. modeled: ``(T, S)`` m^2, variance of
-        ranges by what models leave of the atmosphere's delays, and by broadcast orbits and clocks;
-        it is a part of sigma^2 where noise was estimated, else 0.
-    elevation, azimuth: ``(T, S)`` rad, nan of satellites that cannot be used.
-    fixes, fix_cov: ``(T, 8 + k)`` and of positions ``(T, 3, 3)`` m^2, of each epoch by itself, nan
-        where it has none.
-    misfit: ``(T,)``, squared residuals of the fixes' ranges, in deviations: chi-square with `spare`
-        degrees.
-    excluded: ``(T, 2 S)``, the faulty ones. unusable: ``(T, 2)``, whether all ranges, all rates are
-        left out, as they contradict each other and nothing tells which are faulty. tested:
-        ``(T, 2)``, whether there was redundancy.
+    z: ``(T, 2 S)``, ranges (m) and rates (m/s), nan where there is none. They are corrected for
+        satellite clocks, atmosphere and jumps of the receiver's clock. sigma: ``(T, 2 S)``, their
+        standard deviations. q, w: ``(T, S, 3)``, see `celnav.models.pseudorange.Sources`.
+    modeled: ``(T, S)`` m^2, variance of ranges from remaining atmospheric delays, broadcast orbits
+        and clocks. It is a part of sigma^2 where the noise was estimated, else 0.
+    elevation, azimuth: ``(T, S)`` rad, nan for satellites that cannot be used.
+    fixes, fix_cov: ``(T, 8 + k)``, and of positions ``(T, 3, 3)`` m^2. Each fix uses its own epoch
+        alone; nan where an epoch has none.
+    misfit: ``(T,)``, squared range residuals of the fixes over their variances: chi-square with
+        `spare` degrees of freedom.
+    excluded: ``(T, 2 S)``, the faulty measurements. unusable: ``(T, 2)``, whether all ranges, or
+        all rates, are left out because they contradict each other and the fault cannot be located.
+        tested: ``(T, 2)``, whether there was redundancy.
     noise: of ranges and of rates. correlation: of their errors, likewise.
-    jumps: ``(T,)`` m, what the receiver has set its clock by since
-        the start, which was taken off ranges and fixes. dilution: of each epoch ``(T,)``.
-        ionosphere: whether the coefficients that correct it were broadcast or given; else they are
+    jumps: ``(T,)`` m, by how much the receiver has set its clock since the start. The jumps were
+        subtracted from ranges and fixes. dilution: of each epoch ``(T,)``.
+    ionosphere: whether the coefficients that correct it were broadcast or given; else they are
         `celnav.receiver.sky.TYPICAL_IONOSPHERE`.
-    clock: process noise of the receiver's clock as its fixes show it, and where it was set besides;
-        None: too few fixes. acceleration: density (m^2/s^3) of the receiver's acceleration,
-        likewise; None: too few rates.
+    clock: process noise of the receiver's clock, estimated from its fixes, and the steps by which
+        it was set; None: too few fixes. acceleration: density (m^2/s^3) of the receiver's
+        acceleration, also estimated; None: too few rates.
     left_out: why measurements are not used, and how many. others: systems in the files that are not
         used.
-    files: names of what was read. damaged: messages with the line, one for each epoch or broadcast
-        set that was left out because it is damaged.
+    files: names of the files that were read. damaged: one message for each damaged epoch or
+        broadcast set that was left out, with its line.
     """
 
     times: Array
@@ -119,7 +118,7 @@ class Log:
 
     @cached_property
     def used(self) -> Array:
-        """Which ranges there are, ``(T, S)``."""
+        """Which ranges are used, ``(T, S)``."""
         return np.isfinite(self.z[:, : len(self.names)])
 
     @property
@@ -136,8 +135,8 @@ class Log:
 
     @property
     def spare(self) -> Array:
-        """Ranges beyond what a fix needs, ``(T,)``: four, and one for each further system that is
-        seen.
+        """Redundancy of the ranges, ``(T,)``: a fix needs four, and one for each further system
+        that is measured.
         """
         letters = np.array([name[0] for name in self.names])
         seen = [(self.used & (letters == letter)).any(-1) for letter in self.systems]
@@ -154,10 +153,10 @@ class Log:
         return bool(there.any() and np.median(squares.sum(-1)) > MOVED)
 
     def epochs(self, compact: bool = False) -> Iterator[Epoch]:
-        """Epochs for `filters`; ``u`` is ``(q, w, sigma, reset)`` at the epoch's time, ``reset``
-        (m) the step by which the clock was set, and with several systems the `second` after it.
+        """Epochs for `filters`; ``u`` is ``(q, w, sigma, reset)`` at the epoch's time.
 
-        ``compact``: with the satellites alone that are measured, for a filter of `COMPACT`.
+        ``reset`` is the step (m) by which the clock was set. With several systems `second` follows
+        in ``u``. ``compact``: with the measured satellites only, for a filter of `COMPACT`.
         """
         intervals = np.diff(self.times, prepend=self.times[:1])
         reset = np.zeros(len(self.times)) if self.clock is None else self.clock.reset
@@ -169,13 +168,15 @@ class Log:
             yield Epoch(k, t, dt, u, self.z[k, rows])
 
     def rows(self, k: int, compact: bool = False) -> Array:
-        """Numbers of the ranges, then of the rates, that an epoch of `epochs` has."""
+        """Indices in `z` of the ranges, then of the rates, that an epoch of `epochs` has."""
         S, measured = len(self.names), np.isfinite(self.z[k])
         s = np.flatnonzero(measured[:S] | measured[S:] | (not compact))
         return np.concatenate([s, s + S])
 
     def prior(self, k: int = 0) -> Gaussian:
-        """About the fix of an epoch, ``(8 + k,)``; without rates, moving on to the next."""
+        """Prior about the fix of an epoch, ``(8 + k,)``. Without rates the velocity is that between
+        this fix and the next.
+        """
         fix = self.fixes[k].copy()
         later = k + 1 + np.flatnonzero(np.isfinite(self.fixes[k + 1 :, 6]))
         if np.isnan(fix[7]) and later.size:
@@ -185,7 +186,7 @@ class Log:
         return Gaussian(np.nan_to_num(fix), np.diag(np.square(START[: len(fix)])))
 
     def part(self, which: slice) -> Log:
-        """Some of the epochs."""
+        """The log of some of the epochs."""
         values = {field.name: getattr(self, field.name) for field in fields(self)}
         arrays: dict[str, Any] = {
             name: x[which] for name, x in values.items() if isinstance(x, np.ndarray)
@@ -204,24 +205,24 @@ def prepare(
     sigma: ArrayLike | None = None,
     false_alarm: float = 1e-5,
 ) -> Log:
-    """Satellites and corrected measurements of a log. Nothing is taken from the header's position.
+    """Satellites and corrected measurements of a log. The header's position is not used.
 
     Parameters
     ----------
-    observations, navigation: what was read from the files.
-    systems: letters of those to use, of "C", "G" and "E"; None: all that have both ranges and
-        orbits.
+    observations, navigation: the contents of the files.
+    systems: letters of the satellite systems to use, from "C", "G" and "E"; None: all that have
+        both ranges and orbits.
     mask_deg: satellites below this elevation are not used, from 0 to below 90.
-    sigma: deviations of range (m) and rate (m/s) at the zenith, of all that they contain; elsewhere
-        divided by the sine of the elevation. None: what atmosphere and orbits leave is modeled, and
-        the receiver's noise is estimated, by system and elevation, from the residuals of the fixes.
+    sigma: standard deviations of range (m) and rate (m/s) at the zenith, with all errors in them.
+        Elsewhere they are divided by the sine of the elevation. None: errors of atmosphere and
+        orbits are modeled, and the receiver's noise is estimated from the residuals of the fixes.
     false_alarm: probability that a fix without a fault fails the test of its residuals; faults are
-        excluded, as `celnav.receiver.integrity` does it. 0: nothing is tested.
+        excluded by `celnav.receiver.integrity`. 0: nothing is tested.
 
     Raises
     ------
-    ValueError: for systems, a mask, deviations or a probability that cannot be. InputError: naming
-        the files, if no epoch has a fix, or a system that is asked for no ranges or no orbits.
+    ValueError: for invalid systems, mask, sigma or false_alarm. InputError: naming the files, if no
+        epoch has a fix, or if a requested system has no ranges or no orbits.
     """
     least = mask(mask_deg)
     given = deviations(sigma)
@@ -244,7 +245,7 @@ def prepare(
     )
     left_out = {
         "epochs out of order": observations.out_of_order,
-        "broadcast sets that are incomplete or hold what no message can"
+        "broadcast sets that are incomplete or have a number that no message can hold"
         + (f" ({named})" if named else ""): sum(navigation.left_out.values()),
         f"records of orbits that are not used ({unused})": sum(navigation.unused.values()),
         "without a healthy broadcast set in its time": int((there & (rows < 0)).sum()),
@@ -262,7 +263,7 @@ def prepare(
     noise = (Noise((COARSE[0],), (0.0,)), Noise((COARSE[1],), (0.0,)))
     modeled = np.zeros(code.shape)
     offsets = np.zeros((0, code.shape[-1])) if second is None else second
-    # Without delays; with delays, still coarse; with the noise that measurements have.
+    # First without delays; then with delays but coarse noise; then with the final noise.
     for known, final in ((False, False), (True, False), (True, True)):
         sources = _sources(navigation, rows, times, code, usable, position, velocity)
         ranges, rates = code + sources.clock, np.where(wild, np.nan, measured) + sources.drift
@@ -385,7 +386,8 @@ def _of_systems(
 
 
 def deviations(sigma: ArrayLike | None) -> tuple[Noise, Noise] | None:
-    """Noise of ranges and rates by deviations at the zenith, m, m/s; None: to be estimated.
+    """Noise of ranges and rates from standard deviations at the zenith, m, m/s; None: to be
+    estimated.
     ValueError unless they are positive.
     """
     if sigma is None:
@@ -404,7 +406,7 @@ def mask(degrees: float) -> float:
 
 
 def _nearest(there: Array) -> Array:
-    """Of each epoch the nearest ``(T,)`` that has something."""
+    """Index ``(T,)`` of the nearest epoch at which ``there`` is true."""
     k, epochs = np.flatnonzero(there), np.arange(len(there))
     after = np.clip(np.searchsorted(k, epochs), 0, len(k) - 1)
     before = np.maximum(after - 1, 0)
@@ -422,7 +424,7 @@ def _sources(
     position: Array,
     velocity: Array,
 ) -> pseudorange.Sources:
-    """Satellites by epoch ``(T, S)``; those that are not usable stand anywhere."""
+    """Satellites by epoch ``(T, S)``; values of unusable satellites have no meaning."""
     T, S = rows.shape
     q, w = np.full((T, S, 3), 3e7), np.zeros((T, S, 3))
     clock, drift = np.zeros((T, S)), np.zeros((T, S))
@@ -449,8 +451,8 @@ def _axes(position: Array) -> Array:
 def _sky(
     navigation: Navigation, times: Array, q: Array, position: Array, hz: Array
 ) -> tuple[Array, Array, Array, Array]:
-    """Elevation, azimuth, the delay of the atmosphere ``(T, S)`` m, and the variance m^2 that is
-    left of it.
+    """Elevation and azimuth, rad, the delay of the atmosphere, m, and the variance, m^2, of its
+    error; each ``(T, S)``.
     """
     latitude, longitude, height = (v[:, None] for v in _geodetic(position))
     elevation, azimuth = look(q, position, _axes(position))
@@ -467,8 +469,8 @@ def _sky(
 
 
 def _orbit_variance(navigation: Navigation, rows: Array, names: list[str]) -> Array:
-    """Variance ``(T, S)`` m^2 of ranges by broadcast orbits and clocks: that of the system, larger
-    where a satellite predicts more than is usual in it.
+    """Variance ``(T, S)`` m^2 of ranges from broadcast orbits and clocks. It is larger where a
+    satellite predicts a larger error than is usual in its system.
     """
     systems = [SYSTEMS[name[0]] for name in names]
     usual, predicted = np.array([[each.range_error_m, each.accuracy_m] for each in systems]).T
@@ -478,17 +480,17 @@ def _orbit_variance(navigation: Navigation, rows: Array, names: list[str]) -> Ar
 
 
 def _without_jumps(z: Array, fixes: Array, times: Array) -> tuple[Array, Array, Array]:
-    """Ranges and biases as if the receiver had never set its clock by whole milliseconds, and by
-    how much it had ``(T,)``.
+    """Ranges and biases as if the receiver had never set its clock by whole milliseconds, and the
+    sum of these steps ``(T,)`` m.
 
-    Where it did so between two fixes that are not neighbors, nobody knows when: ranges in between
-    are left out.
+    If the clock was set between two fixes that are not neighbors, the epoch of the step is unknown.
+    Ranges in between are then left out.
     """
     S, k = z.shape[-1] // 2, np.flatnonzero(np.isfinite(fixes[:, 6]))
     jumps, z, fixes = np.zeros(len(times)), z.copy(), fixes.copy()
     if len(k) > 1:
         step, dt = np.diff(fixes[k, 6]), np.diff(times[k])
-        # Without rates the clock runs on as it did between the last two fixes.
+        # Without rates the drift is assumed to be that between the last two fixes.
         ran = (step - MILLISECOND_M * np.round(step / MILLISECOND_M)) / dt
         drift = fixes[k, 7]
         expected = np.where(

@@ -1,4 +1,4 @@
-"""What comes of positioning a receiver: a summary, a table, figures and a recording."""
+"""Results of positioning a receiver: a summary, a table, figures and a recording."""
 
 from __future__ import annotations
 
@@ -44,13 +44,14 @@ KIND_COLORS = {
     "Galileo": colors.MEASUREMENT,
 }
 HEIGHTS_M = (-1e3, 5e4, 1.6e5)
-"""Above the ellipsoid: receivers are between the first two, or in orbit above the third."""
+"""Heights above the ellipsoid, m. Receivers are between the first two, or in orbit above the third.
+"""
 BOUND = 5.0
-"""Deviations that an error may have without a test that finds it."""
+"""Largest error, in standard deviations, that the tests may miss."""
 STILL = 0.01
 """Density of the acceleration of a receiver at rest or nearly so, m^2/s^3."""
 MOST_LINES = 5
-"""Damaged lines that a summary names."""
+"""Damaged lines that a summary lists at most."""
 IGSO_NUMBERS = frozenset({*range(6, 11), 13, 16, 31, 38, 39, 40, 56})
 """Inclined geosynchronous satellites of BeiDou-2 and -3."""
 
@@ -73,8 +74,8 @@ def kinds(names: Sequence[str]) -> Array:
 
 
 class ClockNoise(NamedTuple):
-    """Process noise of a clock: what it is from, and densities of white noise (m^2/s) and of random
-    walk (m^2/s^3) of its frequency.
+    """Process noise of a clock: its source, and the densities of white frequency noise (m^2/s) and
+    of the frequency's random walk (m^2/s^3).
     """
 
     source: str
@@ -87,14 +88,14 @@ class Positioned:
 
     Attributes
     ----------
-    log: what the filter took. filter: its name. mean: ``(T, 8 or 9)`` states. cov: ``(T, 3, 3)``
-        m^2 of the position.
+    log: the filter's input. filter: its name. mean: ``(T, 8 or 9)`` states. cov: ``(T, 3, 3)`` m^2
+        of the position.
     reference: ``(3,)`` m, a known position of the antenna to compare with; None if there is none.
-        of: where that is from.
-    nis: squared innovations, of fixes residuals, in the deviations that are claimed for them, per
-        degree of freedom.
-    apart, trust: ``(T,)``, see `celnav.receiver.trust.Guarded`. clock, acceleration: the process
-        noise that was assumed, of the latter in m^2/s^3.
+        of: the source of that position.
+    nis: squared innovations over their predicted covariance, per degree of freedom; for "ls",
+        squared residuals of the fixes.
+    apart, trust: ``(T,)``, see `celnav.receiver.trust.Guarded`. clock, acceleration: the assumed
+        process noise; the acceleration in m^2/s^3.
     """
 
     log: Log
@@ -111,20 +112,20 @@ class Positioned:
 
     @property
     def measured(self) -> Array:
-        """Epochs ``(T,)`` with a position that some range went into: others are predictions, and no
-        average counts them.
+        """Epochs ``(T,)`` whose position used at least one range. The others are predictions, which
+        averages leave out.
         """
         return np.isfinite(self.mean[:, 0]) & self.log.used.any(-1)
 
     @property
     def reported(self) -> Array:
-        """Epochs ``(T,)`` of exchanged tracks: measured, or coasting although there were ranges."""
+        """Epochs ``(T,)`` of exported tracks: measured, or predicted although there were ranges."""
         return np.asarray(self.measured | (np.isfinite(self.mean[:, 0]) & (self.trust != "")))
 
     @property
     def trusted(self) -> Array:
-        """Epochs ``(T,)`` with a measured position that the track agrees with, or all `reported`
-        if there is none.
+        """Epochs ``(T,)`` with a measured position that agrees with the track, or all `reported`
+        epochs if there is none.
         """
         trusted = self.measured & (self.trust == "")
         return np.asarray(trusted if trusted.any() else self.reported)
@@ -136,12 +137,12 @@ class Positioned:
 
     @property
     def origin(self) -> Array:
-        """Of the local frame: the known position, else the mean one."""
+        """Origin of the local frame, m: the known position, else the mean position."""
         return self.place if self.reference is None else self.reference
 
     @cached_property
     def axes(self) -> Array:
-        """East, north and up there, the rows of ``(3, 3)``."""
+        """East, north and up at the origin, the rows of ``(3, 3)``."""
         latitude, longitude, _ = ecef2geodetic(*self.origin, ell=ELLIPSOID, deg=False)
         return local_axes(latitude, longitude)
 
@@ -161,13 +162,18 @@ class Positioned:
 
     @cached_property
     def integrity(self) -> Array:
-        """What the ranges of each epoch tell of its position, a word ``(T,)``.
+        """How far the ranges of each epoch support its position, a word ``(T,)``.
 
-        "tested" (the ranges agree), "excluded" (they agree without those excluded), "contradiction"
-        (they disagree, none is used), "no ranges", "untested" (no redundancy, or the test is off),
-        "implausible height" (`HEIGHTS_M`), "weak"
-        (`BOUND` deviations of its distance from the fix of the epoch, by both covariances, are more
-        than `SOUND_M`); or that of `trust`, which comes first.
+        If `trust` has a word, it is this word. Otherwise:
+
+        - "tested": the ranges agree.
+        - "excluded": the ranges agree without those that are excluded.
+        - "contradiction": the ranges disagree, and none is used.
+        - "no ranges": no range is used.
+        - "untested": there is no redundancy, or the test is off.
+        - "implausible height": the height is outside `HEIGHTS_M`.
+        - "weak": `BOUND` standard deviations of the distance between the position and the epoch's
+          fix are more than `SOUND_M`.
         """
         log, there = self.log, np.isfinite(self.mean[:, :1])
         height = np.ravel(
@@ -200,7 +206,9 @@ class Positioned:
 
     @property
     def doubtful(self) -> Array:
-        """Positions ``(T,)`` that may be far off although no residual shows it; see `DOUBTS`."""
+        """Positions ``(T,)`` that may have a large error although no residual shows it, see
+        `DOUBTS`.
+        """
         return self.reported & np.isin(self.integrity, list(DOUBTS))
 
     @property
@@ -210,7 +218,7 @@ class Positioned:
 
     @property
     def minutes(self) -> Array:
-        """Since the first fix, ``(T,)``."""
+        """Time since the first fix, ``(T,)`` min."""
         return np.asarray((self.log.times - self.log.times[0]) / 60.0)
 
 
@@ -224,24 +232,25 @@ def position(
     false_alarm: float = 1e-5,
     of: str = "known",
 ) -> Positioned:
-    """Run a filter of `celnav.receiver.filters.filters` over a log; "ls" takes each epoch by
-    itself.
+    """The track that a filter of `celnav.receiver.filters.filters` computes from a log; "ls" uses
+    each epoch alone.
 
-    Positions that are not near the Earth become nan. Each epoch is compared with the track, for ls
-    with that of the ekf, see `celnav.receiver.trust`; ranges that contradict it are not used.
+    Positions that are not near the Earth become nan. Each epoch is compared with the track, see
+    `celnav.receiver.trust`; for "ls" it is the track of the ekf. Ranges that contradict the track
+    are not used.
 
     Parameters
     ----------
-    acceleration: density of the receiver's acceleration, m^2/s^3; None: what the log shows, at
-        least `STILL`. clock: its process noise: of a "crystal", a "phone", or "auto", what the log
-        shows.
-    false_alarm: probability that a sound epoch is said to contradict the track; 0: none is.
+    acceleration: density of the receiver's acceleration, m^2/s^3; None: estimated from the log, at
+        least `STILL`. clock: its process noise, that of a "crystal", of a "phone", or "auto",
+        estimated from the log.
+    false_alarm: probability that a sound epoch is found to contradict the track; 0: no test.
     of: see `Positioned`.
 
     Raises
     ------
     ValueError: for an unknown filter or clock, or a reference that is far from the Earth's surface.
-    FilterError: if the filter is lost.
+    FilterError: if the filter fails.
     """
     noise = clock_noise(log, clock)
     if acceleration is None:
@@ -274,8 +283,8 @@ def position(
 
 
 def clock_noise(log: Log, clock: str) -> ClockNoise:
-    """Process noise of a "crystal", of a "phone", or "auto": what the log shows, at least that of
-    an oven; ValueError for another clock.
+    """Process noise of a "crystal", of a "phone", or "auto": estimated from the log, at least that
+    of a crystal in an oven. ValueError for another clock.
     """
     if clock in CLOCKS:
         return ClockNoise(clock, CLOCKS[clock])
@@ -293,8 +302,8 @@ def _rms(vectors: Array) -> float:
 
 
 def summary(result: Positioned) -> str:
-    """In lines: whether the track is sound, epochs, satellites, DOP, integrity, noise; then of
-    trusted positions their mean, scatter, and the error if a position is known.
+    """The lines of the summary: verdict, epochs, satellites, DOP, integrity and noise. Then follow
+    mean and scatter of trusted positions, and their error if a position is known.
     """
     log, local, measured = result.log, result.local(result.mean), result.measured
     used, there, trusted = log.used, np.isfinite(result.mean[:, 0]), result.trusted
@@ -318,7 +327,7 @@ def summary(result: Positioned) -> str:
         f"systems      {_systems(result)}",
         f"satellites   {len(names)} ({', '.join(names)}); {count.min()} to {count.max()} at a "
         f"time, mean {count.mean():.1f}",
-        f"alone        {(fixed & (log.spare == 0)).sum()} epochs with no more than a fix needs; "
+        f"alone        {(fixed & (log.spare == 0)).sum()} epochs with just enough ranges; "
         f"{(~fixed).sum()} without a fix",
         f"integrity    {_integrity(log)}",
         f"DOP          median PDOP {np.nanmedian(log.dilution.position):.2f}, HDOP "
@@ -329,15 +338,15 @@ def summary(result: Positioned) -> str:
         f"noise        ranges {_noise(log, 0, 'm')}; rates {_noise(log, 1, 'm/s')}",
         f"modeled      {_modeled(log)}",
         f"lasting      {_lasting(log)}",
-        *(["motion       the receiver moved: no one position is right"] if log.moved else []),
+        *(["motion       the receiver moved: no single position is right"] if log.moved else []),
         f"clock        {_clock(result)}",
-        f"filter       {result.filter}; NIS {result.nis:.3f} a degree of freedom, 1 where noise "
-        f"and motion are as assumed and nothing lasts; acceleration "
+        f"filter       {result.filter}; NIS {result.nis:.3f} per degree of freedom, 1 if noise and "
+        f"motion are as assumed and errors are white; acceleration "
         f"{result.acceleration:.3g} m^2/s^3",
         f"mean         {' '.join(f'{v:.3f}' for v in result.place)} m; {latitude:.7f}°, "
         f"{longitude:.7f}°, {height:.2f} m",
         f"scatter      {_rms(positions - result.place):.3f} m in 3-D about its mean; "
-        f"of each epoch by itself {_rms(fixes - np.nanmean(fixes, 0)):.3f} m",
+        f"of the fixes of single epochs {_rms(fixes - np.nanmean(fixes, 0)):.3f} m",
     ]
     if result.reference is not None:
         parts = np.sqrt(np.square(local[trusted]).mean(0))
@@ -347,16 +356,16 @@ def summary(result: Positioned) -> str:
             f"{result.of}",
             f"error        {_rms(local[trusted]):.3f} m RMS in 3-D: east {parts[0]:.3f}, north "
             f"{parts[1]:.3f}, up {parts[2]:.3f}; "
-            f"of each epoch by itself {_rms(fixes - result.reference):.3f} m",
-            f"claimed      (error / deviation)^2: east {ratio[0]:.2f}, north {ratio[1]:.2f}, up "
-            f"{ratio[2]:.2f}; 1 where "
-            "deviations are right; they lack what all satellites share, which no residual shows",
+            f"of the fixes of single epochs {_rms(fixes - result.reference):.3f} m",
+            f"predicted    (error / deviation)^2: east {ratio[0]:.2f}, north {ratio[1]:.2f}, up "
+            f"{ratio[2]:.2f}; 1 if the "
+            "deviations are right; they lack errors common to all satellites, which residuals hide",
         ]
     return "\n".join(lines)
 
 
 def _verdict(result: Positioned) -> str:
-    """The headline: whether positions are sound, and how many are not, since when and why."""
+    """The headline: whether all positions are sound, or how many are not, when and why."""
     total, times = result.reported.sum(), result.log.times[result.doubtful]
     counts = Counter(result.integrity[result.doubtful].tolist())
     typical = "" if result.log.ionosphere else "; ionosphere: typical, not broadcast"
@@ -370,7 +379,7 @@ def _verdict(result: Positioned) -> str:
 
 
 def _clock(result: Positioned) -> str:
-    """Its process noise, where that is from, and how often it was set."""
+    """The clock's process noise, the source of it, and how often the clock was set."""
     log, (source, (white, walk)) = result.log, result.clock
     set_by = [f"{np.count_nonzero(np.diff(log.jumps))} times by whole milliseconds"]
     if log.clock is not None:
@@ -390,7 +399,7 @@ def _damaged(messages: tuple[str, ...]) -> str:
 
 
 def _systems(result: Positioned) -> str:
-    """Which are used, how their clocks differ, and which are not."""
+    """Which systems are used, how their clocks differ, and which systems are not used."""
     words = " and ".join(
         f"{SYSTEMS[letter].name} {SYSTEMS[letter].signal}" for letter in result.log.systems
     )
@@ -423,14 +432,14 @@ def _integrity(log: Log) -> str:
         )
     ranges, rates = log.unusable.sum(0)
     words.append(
-        f"{ranges} epochs not used whose ranges contradict each other, {rates} whose rates do"
+        f"ranges of {ranges} epochs and rates of {rates} not used, as they contradict each other"
     )
     words.append(f"{len(log.times) - tested} without redundancy, which nothing tests")
     return "; ".join(words)
 
 
 def _noise(log: Log, kind: int, unit: str) -> str:
-    """What the receiver adds to ranges or rates, of each system that has noise of its own."""
+    """The receiver's noise of ranges or rates, for each system that has its own."""
     noise, words = log.noise[kind], []
     for j, (level, zenith) in enumerate(zip(noise.level, noise.zenith, strict=True)):
         name = f"{SYSTEMS[log.systems[j]].name} " if len(noise.level) > 1 else ""
@@ -443,18 +452,18 @@ def _noise(log: Log, kind: int, unit: str) -> str:
 
 
 def _modeled(log: Log) -> str:
-    """How large the errors of ranges are that are no noise."""
+    """The size of the modeled range errors, which are not the receiver's noise."""
     sizes = np.sqrt(log.modeled[log.used])
     if not sizes.any():
-        return "nothing: the given deviations hold all"
+        return "nothing: the given deviations include all errors"
     return (
-        f"what atmosphere and orbits leave in ranges, {np.median(sizes):.2f} m (median), "
+        f"errors of ranges from atmosphere and orbits, {np.median(sizes):.2f} m (median), "
         f"{sizes.min():.2f} to {sizes.max():.2f} m"
     )
 
 
 def _lasting(log: Log) -> str:
-    """Which part of the errors is not new at each epoch, and how long it lasts."""
+    """Which part of the errors is correlated in time, and how long it lasts."""
     words = [
         f"{kind.short:.0%} of the variance of {name} over {kind.time:.0f} s, {kind.long:.0%} for "
         "as long as a satellite is seen"
@@ -541,7 +550,7 @@ RECORDING = "position.rrd"
 
 
 def write(result: Positioned, outputs: Outputs) -> None:
-    """Write `FILES`, all of which are made before the first is written."""
+    """Write `FILES`. All contents are made before the first file is written."""
     texts = {"summary.txt": summary(result) + "\n", "track.csv": table(result)}
     outputs.publish(texts, pictures(figures(result).items()))
 

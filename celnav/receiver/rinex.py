@@ -1,6 +1,6 @@
-"""Receiver logs: code and Doppler of BeiDou's B1I, GPS's L1 C/A and Galileo's E1 from RINEX files
-of versions 2.11, 3 and 4, and broadcast orbits.
+"""Receiver logs from RINEX files of versions 2.11, 3 and 4: code, Doppler and broadcast orbits.
 
+The signals are BeiDou's B1I, GPS's L1 C/A and Galileo's E1.
 Files in Hatanaka's compression are unpacked by hatanaka
 (``.venv/bin/pip install -c constraints.txt -e ".[rinex]"``). Times become BDT seconds since
 2006-01-01.
@@ -46,17 +46,17 @@ from celnav.receiver.rinex_text import (
 from celnav.receiver.sky import local_axes, on_earth
 
 LONGEST_S = 14400.0
-"""Sets are good for so long, those of Galileo."""
+"""Longest validity of a broadcast set, that of Galileo."""
 AHEAD_S = {"BDT": 0.0, "GPS": GPS_AHEAD_S, "GAL": GPS_AHEAD_S}
 """How far time systems of observation files are ahead of BDT."""
 
 
 class System(NamedTuple):
-    """Of satellites: its name, and the signal that is used, with its carrier and its codes, the
+    """A satellite system: its name, and the signal that is used, with its carrier and its codes,
     best first.
 
-    range_error_m: RMS error of ranges by broadcast orbits and clocks [Montenbruck2018]; it holds
-        for satellites with the system's usual prediction of it, accuracy_m.
+    range_error_m: RMS error of ranges from broadcast orbits and clocks [Montenbruck2018]. It holds
+        for satellites that broadcast the system's usual accuracy, accuracy_m.
     """
 
     name: str
@@ -68,18 +68,18 @@ class System(NamedTuple):
 
 
 SYSTEMS = {
-    # B1I's carrier: of the data, by the older name too, of both components, of the other.
+    # On B1I's carrier: the data, under its present and its older name; both components; the pilot.
     "C": System("BeiDou", "B1I", B1I_HZ, ("C2I", "C1I", "C2X", "C2Q"), 1.0, 2.4),
     # P code where a receiver has no C/A.
     "G": System("GPS", "L1 C/A", L1_HZ, ("C1C", "C1W", "C1P"), 0.6, 2.4),
     # Pilot, both components, data.
     "E": System("Galileo", "E1", L1_HZ, ("C1C", "C1X", "C1B"), 0.2, 3.12),
 }
-"""By their letters in RINEX, in the order of a log's satellites; clocks of the later ones have an
-offset from the first one's.
+"""Systems by their letters in RINEX, in the order of a log's satellites. The clocks of later
+systems have an offset from the first.
 """
 OTHERS = {"R": "GLONASS", "J": "QZSS", "S": "SBAS", "I": "NavIC"}
-"""That files may have besides, and that are not used."""
+"""Systems that files may contain and that are not used."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,14 +88,14 @@ class Observations:
 
     Attributes
     ----------
-    path: of the file. marker: name of the station, may be empty. place: ``(3,)`` m of the marker by
-        the header; None if it has none. times: ``(T,)`` s of BDT, increasing. names: of the
-        satellites, ``S``. code: pseudoranges ``(T, S)`` m; doppler: ``(T, S)`` Hz; nan where
-        nothing was measured. antenna: ``(3,)`` m east, north and up of the marker.
-        out_of_order: how many epochs were left out, as their time lies before or after those of
-            both their neighbors.
-        others: letters of systems in the file that are none of `SYSTEMS`.
-        damaged: messages with the line, one for each epoch that was left out because it is damaged.
+    path: of the file. marker: name of the station, may be empty. place: ``(3,)`` m, the marker's
+        position in the header; None if it has none. times: ``(T,)`` s of BDT, increasing. names: of
+        the satellites, ``S``. code: pseudoranges ``(T, S)`` m. doppler: ``(T, S)`` Hz; both are nan
+        where nothing was measured. antenna: ``(3,)`` m east, north and up of the marker.
+        out_of_order: how many epochs were left out because their time lies before or after those
+            of both neighbors.
+        others: letters of systems in the file that are not in `SYSTEMS`.
+        damaged: one message for each damaged epoch that was left out, with its line.
     """
 
     path: Path
@@ -111,13 +111,13 @@ class Observations:
     damaged: tuple[str, ...] = ()
 
     def part(self, which: Array | slice) -> Observations:
-        """Some of the epochs."""
+        """The observations of some of the epochs."""
         return replace(
             self, times=self.times[which], code=self.code[which], doppler=self.doppler[which]
         )
 
     def of(self, systems: str) -> Observations:
-        """Those of the satellites of some systems, by their letters."""
+        """The observations of some satellite systems, given by their letters."""
         which = [s for s, name in enumerate(self.names) if name[0] in systems]
         return replace(
             self,
@@ -127,10 +127,10 @@ class Observations:
         )
 
     def reference(self, marker: ArrayLike | None = None) -> Array | None:
-        """Position ``(3,)`` m of the antenna, whose position ranges tell: that of the marker (None:
-        the header's) and its offset.
+        """Position ``(3,)`` m of the antenna, where ranges are measured: the marker's position plus
+        the antenna's offset.
 
-        None if neither has been given.
+        ``marker``: ``(3,)`` m; None: the header's. The result is None if neither is given.
         """
         place = self.place if marker is None else np.asarray(marker, dtype=np.float64)
         if place is None:
@@ -141,13 +141,12 @@ class Observations:
 
 @dataclass(frozen=True, eq=False)
 class Navigation:
-    """Broadcast sets, several of each satellite, by their reference times; Klobuchar's
+    """Broadcast sets, several of each satellite, by their reference times; and Klobuchar's
     coefficients, None if absent.
 
-    ``path``: of the file, or of several. ``left_out``: how many sets of a satellite are not whole,
-    or hold what no message can. ``damaged``: messages with the line, one for each set that was left
-    out because it is damaged. ``unused``: how many records there are of systems or messages that
-    are not used, by their names.
+    ``path``: of the file, or of several. ``left_out``: by satellite, how many sets are incomplete
+    or have an impossible number. ``damaged``: one message for each damaged set that was left out,
+    with its line. ``unused``: how many records of other systems or messages there are, by name.
     """
 
     path: Path | str
@@ -158,7 +157,7 @@ class Navigation:
     unused: dict[str, int] = field(default_factory=dict)
 
     def check_times(self, files: str, times: Array) -> None:
-        """InputError naming the files unless some set is for a time within four hours of
+        """Raise InputError naming the files unless some set is for a time within four hours of
         ``times``.
         """
         toe = self.sets.toe
@@ -175,15 +174,15 @@ class Navigation:
             )
 
     def nearest(self, name: str, times: ArrayLike) -> Array:
-        """Rows ``(...)`` of a satellite's sets of the nearest reference times; -1: not well, or not
-        within an hour (GEO), two, or four (Galileo).
+        """Rows ``(...)`` of a satellite's sets with the nearest reference times. -1: unhealthy, or
+        no set within one hour (geostationary), four hours (Galileo) or two hours (others).
         """
         t = np.asarray(times, dtype=np.float64)
         number, system = int(name[1:]), SYSTEM_LETTERS.index(name[0])
         rows = np.flatnonzero((self.sets.number == number) & (self.sets.system == system))
         if not rows.size:
             return np.full(t.shape, -1)
-        # Sets lie by their reference times; of equal ones the first is taken.
+        # Sorted by reference time; of equal times the first set is used.
         toe, first = np.unique(self.sets.toe[rows], return_index=True)
         after = np.clip(np.searchsorted(toe, t), 0, len(toe) - 1)
         before = np.maximum(after - 1, 0)
@@ -200,13 +199,14 @@ def read_observations(path: str | Path, *, strict: bool = False) -> Observations
     """Code and Doppler of B1I, L1 C/A and E1 of an observation file, plain, gzipped or in
     Hatanaka's compression.
 
-    Where a satellite has several codes of a carrier, the first of its `System` that is there is
-    taken. A damaged epoch is left out as a whole, and named in ``damaged``.
+    If a satellite has several codes on a carrier, the first available code of its `System` is used.
+    A damaged epoch is left out as a whole, and listed in ``damaged``.
 
     Raises
     ------
-    InputError: naming file and line, if it is not an observation file of RINEX 2 to 4 with one of
-    these, if its header is damaged, or most of its epochs are; with ``strict`` if one is.
+    InputError: if it is not an observation file of RINEX 2 to 4 with one of these signals, or if
+        its header or most of its epochs are damaged. With ``strict`` one damaged epoch is enough.
+        The message names file and line.
     OSError: if it cannot be read.
     """
     file = read_text(Path(path), "O")
@@ -237,7 +237,7 @@ def read_observations(path: str | Path, *, strict: bool = False) -> Observations
     before, here, after = seconds[:-2], seconds[1:-1], seconds[2:]
     between[1:-1] = ((before <= here) & (here <= after)) | (before >= after)
     order = np.flatnonzero(between)[np.argsort(seconds[between], kind="stable")]
-    # An epoch that is there twice counts once.
+    # An epoch that occurs twice counts once.
     rows = order[np.concatenate([[True], np.diff(seconds[order]) > 0.0])]
     letters = (line[0] for line in types if line[0].strip() and line[0] not in SYSTEMS)
     return Observations(
@@ -256,9 +256,9 @@ def read_observations(path: str | Path, *, strict: bool = False) -> Observations
 
 
 def _columns_of(file: File, letter: str, kinds: list[str]) -> list[tuple[int, int]]:
-    """Columns of the codes of a system, the best first, and of their Doppler, -1: none."""
+    """Columns of a system's codes, best first, each with the column of its Doppler; -1: none."""
     system = SYSTEMS[letter]
-    # Version 3.02 alone called B1I's band 1, which is B1C's since.
+    # Only version 3.02 called B1I's band 1; since then 1 is the band of B1C.
     older = ("C1X", "C1Q") if letter == "C" and file.version < 3.03 else ()
     codes = [code for code in (*system.codes, *older) if code in kinds]
     scaled = of_system(file.header.get("SYS / SCALE FACTOR", []), letter)
@@ -280,7 +280,7 @@ def _by_satellite(
     columns: Mapping[str, list[int]],
     pairs: Mapping[str, Sequence[tuple[int, int]]],
 ) -> tuple[list[str], Array, Array]:
-    """Satellites ``S``, pseudoranges and Doppler ``(T, S)``: of each row the first of its codes."""
+    """Satellites ``S``, pseudoranges and Doppler ``(T, S)``, from the first code that a row has."""
     names = [str(name) for part in measured.values() for name in np.unique(part.names)]
     ranges, rates = np.full((2, T, len(names)), np.nan)
     for letter, part in measured.items():
@@ -340,8 +340,8 @@ ORDER = (
     "tgd",
     "second_tgd",
 )
-"""Of a set's numbers in the file; what is spare, or not needed, may be blank. Source and second_tgd
-are those of Galileo.
+"""Order of a set's numbers in the file. Spare or unneeded numbers may be blank. Source and
+second_tgd belong to Galileo.
 """
 TURNS = 200.0 * np.pi
 MOST = {
@@ -366,35 +366,36 @@ MOST = {
     "tgd": 5.12e-8,
     "toe": WEEK_S,
 }
-"""What the message has room for (either sign), by its bits [BDS-SIS-ICD-B1I-3.0]; angles in a file
-may have turned often.
+"""Largest magnitude that the bits of a message can hold [BDS-SIS-ICD-B1I-3.0]. Angles in a file may
+include several turns.
 """
 MOST_OF = {
     GPS: {"a1": 2.0**-28, "a2": 2.0**-48, "tgd": 2.0**-24},
     GALILEO: {"a0": 2.0**-4, "a1": 2.0**-26, "a2": 2.0**-54, "tgd": 2.0**-23},
 }
-"""Where those of GPS and Galileo have more [IS-GPS-200; Galileo-OS-SIS-ICD]."""
+"""Larger limits of messages of GPS and Galileo [IS-GPS-200; Galileo-OS-SIS-ICD]."""
 LEAST = {"e": 0.0, "sqrt_a": 4096.0, "toe": 0.0}
-"""No satellite of theirs is lower than 10,000 km."""
+"""Least values; no satellite of these systems is lower than 10,000 km."""
 MOST_ALPHA, MOST_BETA = (
     2.0 ** np.array([-22.0, -19.0, -16.0, -16.0]),
     2.0 ** np.array([19.0, 22.0, 24.0, 24.0]),
 )
-"""Likewise of the ionosphere's coefficients, twice what their eight bits hold [IS-GPS-200]."""
+"""Largest coefficients of the ionosphere: twice what their eight bits can hold [IS-GPS-200]."""
 
 
 def read_navigation(path: str | Path, *more: str | Path, strict: bool = False) -> Navigation:
     """Broadcast sets of the satellites of `SYSTEMS` from a navigation file, or from several.
 
-    Sets that lack a number, or have one that no message can hold, are left out and counted; damaged
-    ones are left out and named in ``damaged``; what else is in the files is counted in ``unused``.
-    Of several headers the first that has coefficients of the ionosphere gives them; in version 4
+    Sets that lack a number, or have one that no message can hold, are left out and counted in
+    ``left_out``. Damaged sets are left out and listed in ``damaged``. Other records are counted in
+    ``unused``. The ionosphere's coefficients are from the first header that has them; in version 4
     they are a record.
 
     Raises
     ------
-    InputError: naming file and line, if one is not a navigation file of RINEX 2 to 4, if its header
-    is damaged, or most of its sets are (with ``strict`` if one is), or if none has orbits.
+    InputError: if one is not a navigation file of RINEX 2 to 4, if its header or most of its sets
+        are damaged, or if no file has orbits. With ``strict`` one damaged set is enough. The
+        message names file and line.
     OSError: if one cannot be read.
     """
     read: list[Set] = []
@@ -419,7 +420,7 @@ def read_navigation(path: str | Path, *more: str | Path, strict: bool = False) -
         bound = np.full(len(read), most)
         for system, its in MOST_OF.items():
             bound[given["system"] == system] = its.get(name, most)
-        # Twice the range leaves room for what is rounded; blanks are nan, and fail.
+        # Twice the range leaves room for rounding; blanks are nan, and fail the comparison.
         bound *= 1.0 if name in LEAST else 2.0
         credible &= (np.abs(given[name]) <= bound) & (given[name] >= LEAST.get(name, -np.inf))
     if not credible.any():
@@ -430,7 +431,7 @@ def read_navigation(path: str | Path, *more: str | Path, strict: bool = False) -
     given["toe"] += WEEK_S * np.round((given["toc"] - given["toe"]) / WEEK_S)
     for name in ("toc", "toe"):
         given[name] -= ahead_s(given["system"])
-    # Of one reference time I/NAV, which says how well E1 is, is before F/NAV.
+    # At the same reference time I/NAV, which has the health of E1, is before F/NAV.
     order = np.lexsort((given["fnav"], given["toe"]))
     order = order[credible[order]]
     chosen = Broadcast(**{part.name: given[part.name][order] for part in fields(Broadcast)})
@@ -441,18 +442,18 @@ def read_navigation(path: str | Path, *more: str | Path, strict: bool = False) -
 
 
 def _named(unused: str) -> str:
-    """What is not used, with the name of its system."""
+    """An unused record, with the name of its system."""
     letter, rest = unused[0], unused[1:]
     names = OTHERS | {letter: system.name for letter, system in SYSTEMS.items()}
     return names[letter] + rest
 
 
 def _columns(read: list[Set]) -> dict[str, Array]:
-    """Numbers of all sets by name; a blank clock acceleration or group delay is none.
+    """Numbers of all sets by name; a blank clock acceleration or group delay is 0.
 
-    Those of Galileo depend on the message. The clock of I/NAV is that of E1 and E5b, the clock of
-    F/NAV that of E1 and E5a; each goes with its own group delay and tells the health of its own
-    signal [Galileo-OS-SIS-ICD].
+    Galileo's clock depends on the message: I/NAV has the clock of E1 and E5b, F/NAV that of E1 and
+    E5a. Each message has its own group delay, and the health of its own signal
+    [Galileo-OS-SIS-ICD].
     """
     numbers = np.array([each.numbers[: len(ORDER)] for each in read]).T
     out = {name: column for name, column in zip(ORDER, numbers, strict=True) if name}
@@ -477,8 +478,8 @@ def _columns(read: list[Set]) -> dict[str, Array]:
 F_NAV_CLOCK = 1 << 8
 """Bit of Galileo's data source: the clock is that of E1 and E5a, else that of E1 and E5b."""
 E1_HEALTH, E5A_HEALTH = 0b000000111, 0b000111000
-"""Bits of Galileo's health: whether data are valid, and the status of the signal, of E1 and E5a. A
-predicted accuracy below 0 stands for none, with which no satellite is to be used.
+"""Bits of Galileo's health, of E1 and of E5a: validity of the data and status of the signal. A
+predicted accuracy below 0 means "none"; such a satellite must not be used.
 """
 
 
@@ -498,7 +499,7 @@ def read_ionosphere(path: str | Path) -> tuple[Array, Array]:
 
 
 def ionosphere(called: str | Path, numbers: ArrayLike) -> tuple[Array, Array]:
-    """Klobuchar's coefficients of eight numbers, alpha and beta; InputError if no message can hold
+    """Klobuchar's coefficients alpha and beta from eight numbers; InputError if no message can hold
     them.
     """
     alpha, beta = np.asarray(numbers, dtype=np.float64).reshape(2, 4)
@@ -513,7 +514,7 @@ def ionosphere(called: str | Path, numbers: ArrayLike) -> tuple[Array, Array]:
 def _klobuchar(
     path: str | Path, header: dict[str, list[str]], message: list[float] | None
 ) -> tuple[Array, Array] | None:
-    """Coefficients of a header, or of a message where it has none."""
+    """Klobuchar's coefficients from a header, or from a message if the header has none."""
     rows = {line[:4]: line[5:53] for line in header.get("IONOSPHERIC CORR", [])}
     rows |= {
         f"GPS{k}": header[label][0][2:50]

@@ -1,7 +1,7 @@
-"""RINEX files as text, of versions 2.11 to 4: unpacked, their headers, and the records of some
-systems, each checked. Damage is reported with its line.
+"""Text of RINEX files of versions 2.11 to 4: unpacked lines, headers, and checked records of some
+systems. Damage is reported with its line.
 
-Records of version 2 are brought into the columns of version 3, so that one reader serves all.
+Records of version 2 are moved to the columns of version 3, so that one reader serves all versions.
 """
 
 from __future__ import annotations
@@ -30,27 +30,29 @@ from celnav.gaussian.linalg import Array
 from celnav.lazy import requires_extra
 
 LARGEST_BYTES = 2_000_000_000
-"""Of a file, unpacked: a day of a station at a second's rate is half of that."""
+"""Largest unpacked file: a station's day at one epoch a second has half of that."""
 SMALL_BYTES = 10_000_000
-"""What a file may unpack to however small it is."""
+"""Size to which even the smallest file may unpack."""
 LETTERS = tuple("GRECJSI")
-"""Of all systems, used or not."""
+"""Letters of all systems, used or not."""
 SET_LINES = 8
-"""Of a broadcast set."""
+"""Lines of a broadcast set."""
 EPOCH_ZERO = datetime(2006, 1, 1, tzinfo=UTC)
-"""Of BDT."""
+"""Start of BDT."""
 ROWS_AT_ONCE = 20_000
-"""Observation rows whose columns are read together, for the memory's sake."""
+"""Observation rows whose columns are read together, which limits the memory."""
 HEADS = {
     2: re.compile(r" [ \d]\d(?: [ \d]\d){4}[ \d]{3}\.\d{7}  \d[ \d]{3}| {28}[2-5][ \d]{3}$"),
     3: re.compile(r">|..\d{4} .{,53}$"),
 }
-"""How epochs begin in versions 2 and 3; in the latter the date shows it where ">" is damaged."""
+"""How epochs begin in versions 2 and 3. In version 3 the date also counts, since ">" may be
+damaged.
+"""
 TYPES_OF_2 = {
     "G": {"C1": "C1C", "P1": "C1P", "D1": "D1C"},
     "E": {"C1": "C1X", "D1": "D1X"},
 }
-"""Names in version 3 of the observations of version 2 that are read."""
+"""Observations of version 2 that are read, with their names in version 3."""
 
 
 class File(NamedTuple):
@@ -68,11 +70,11 @@ class File(NamedTuple):
 
     @property
     def system(self) -> str:
-        """Letter of the system whose data the first line promises; "M" or " " for several."""
+        """Letter of the system in the first line; "M" or " " for several systems."""
         return self.lines[0][40:41]
 
     def error(self, k: int, words: str) -> InputError:
-        """What to raise for a line, counted from 0."""
+        """The error for a line, counted from 0."""
         return InputError(f"{self.called}, line {k + 1}: {words}")
 
 
@@ -107,8 +109,8 @@ def unpacked(path: Path) -> tuple[list[str], str]:
 
 
 def _decompressed(path: Path, raw: bytes, most: int) -> bytes:
-    """By the program of hatanaka, which is stopped after ``most`` bytes: its own function would
-    hold all that comes.
+    """Bytes from hatanaka's program, which is stopped after ``most`` bytes. Its Python function
+    would keep the whole output in memory.
     """
     with requires_extra(f"{path}: a log in Hatanaka's compression", "rinex"):
         import_module("hatanaka")
@@ -149,10 +151,10 @@ def read_text(path: Path, kind: str) -> File:
         raise file.error(0, f"expected a version number, got {first[:9]!r}") from None
     if not 2.0 <= version < 5.0:
         raise file.error(0, f"expected RINEX 2, 3 or 4, got version {version:g}")
-    # In version 2 a blank line may be measurements, all of which are missing.
+    # In version 2 a blank line may be measurements that are all missing.
     while version >= 3.0 and not text[-1]:
         text.pop()
-    # In version 2 files of other systems' orbits have letters of their own.
+    # In version 2, navigation files of other systems have their own letters.
     letters = "NGHEJL" if kind == "N" and version < 3.0 else kind
     if first[20:21] not in tuple(letters):
         words = {"O": "an observation file", "N": "a navigation file"}
@@ -167,9 +169,9 @@ def read_text(path: Path, kind: str) -> File:
 
 
 def kinds_of(file: File, system: str) -> list[str]:
-    """What is measured of a system, in the order of the fields; nothing if it has no line.
+    """Names of a system's observations in the order of the fields; empty if it has no header line.
 
-    Names are those of version 3; what else version 2 has keeps its name.
+    The names are those of version 3. Other observations of version 2 keep their names.
     """
     if file.version < 3.0:
         rows = file.header.get("# / TYPES OF OBSERV", [])
@@ -211,9 +213,9 @@ def three_numbers(path: Path, header: dict[str, list[str]], label: str) -> Array
 
 
 def accept(damage: Mapping[int, InputError], sound: int, strict: bool) -> tuple[str, ...]:
-    """Messages of what is damaged, by its line.
+    """Messages of the damage in a file, in the order of its lines.
 
-    The first is raised if ``strict``, or if there are more of them than of what is ``sound``.
+    The first error is raised if ``strict``, or if there is more damage than ``sound`` records.
     """
     ordered = [damage[k] for k in sorted(damage)]
     if ordered and (strict or len(ordered) > sound):
@@ -222,7 +224,7 @@ def accept(damage: Mapping[int, InputError], sound: int, strict: bool) -> tuple[
 
 
 class Rows:
-    """Observation rows of one system: of which epoch, of which satellite, in which line, text."""
+    """Observation rows of one system: epoch, satellite, line and text of each row."""
 
     def __init__(self) -> None:
         self.epochs: list[int] = []
@@ -232,8 +234,9 @@ class Rows:
 
 
 class Measured(NamedTuple):
-    """Measurements of one system: epochs ``(R,)``, names of the satellites ``(R,)`` and values
-    ``(R, C)`` in the columns that were asked for, nan where a field is blank or 0.
+    """Measurements of one system: epochs ``(R,)``, names of satellites ``(R,)`` and values.
+
+    The values ``(R, C)`` are of the requested columns, nan where a field is blank or 0.
     """
 
     epochs: Array
@@ -244,10 +247,11 @@ class Measured(NamedTuple):
 def measurements(
     file: File, columns: Mapping[str, Sequence[int]], strict: bool
 ) -> tuple[Array, dict[str, Measured], tuple[str, ...]]:
-    """Epochs ``(T,)``, s since the beginning of BDT by the file's clock; by system what was
-    measured in its ``columns``; and what is damaged, which is left out, see `accept`.
+    """Epochs ``(T,)``, s since the start of BDT by the file's clock; measurements of the
+    ``columns`` by system; and messages of damage, see `accept`.
 
-    All rows of these systems are checked, whichever columns are read. Events are passed over.
+    Damaged epochs are left out. All rows of these systems are checked, whichever columns are read.
+    Events are skipped.
     """
     lines, start = file.lines, file.start
     if len(lines) <= start:
@@ -277,7 +281,7 @@ def measurements(
         for letter, part in rows.items()
     }
     messages = accept(damage, sound - int((~whole).sum()), strict)
-    order = np.cumsum(whole) - 1  # epochs are counted anew without those that are damaged
+    order = np.cumsum(whole) - 1  # new indices of epochs without the damaged ones
     out = {}
     for letter, part in rows.items():
         epochs = np.array(part.epochs, dtype=int)
@@ -290,14 +294,16 @@ def measurements(
 def _read_epoch(
     file: File, k: int, end: int, rows: dict[str, Rows], epoch: int, damage: dict[int, InputError]
 ) -> tuple[bool, float]:
-    """Whether the lines from k to before ``end`` are one whole epoch or event, and its time, nan of
-    an event or without a satellite of these systems. Its rows are added to ``rows``.
+    """Whether the lines from k to before ``end`` are one whole epoch or event, and its time.
+
+    The time is nan for an event, or without a satellite of these systems. The epoch's rows are
+    added to ``rows``.
     """
     lines = file.lines
     flag, count, time = _head(file, k)
     size, texts = count, lines[k + 1 : k + 1 + count]
     if file.version < 3.0 and flag in (0, 1, 6):
-        # 12 satellites a line; then so many lines of 5 fields for each.
+        # 12 satellites a line in the list; then for each satellite lines of 5 fields.
         more, each = -(-count // 12), -(-len(kinds_of(file, "")) // 5)
         size = more - 1 + count * each
         texts = _texts_of_2(file, k, count, each)
@@ -308,8 +314,8 @@ def _read_epoch(
     surplus = k + 1 + size
     if surplus < end:
         damage[surplus] = _no_epoch(file, surplus)
-        # Another satellite is of this epoch; a repeated one is of the next, headless one. Rows of
-        # version 2 have no names.
+        # A surplus row of another satellite belongs to this epoch. A repeated satellite belongs to
+        # the next epoch, whose first line is missing. Rows of version 2 have no names.
         if file.version < 3.0 or lines[surplus][:3] not in {text[:3] for text in texts}:
             return False, math.nan
     for line, name, text in satellites:
@@ -372,14 +378,14 @@ def _texts_of_2(file: File, k: int, count: int, each: int) -> list[str]:
 
 
 def _whole(text: str) -> int:
-    """A number of digits alone: Python reads 1_0 too."""
+    """A whole number of digits only, since Python would also read 1_0."""
     if not text.strip().isdecimal():
         raise ValueError
     return int(text)
 
 
 def _seconds(date: list[str]) -> float:
-    """Of BDT, of a date in six parts; nan of none, ValueError of what is no date."""
+    """Seconds of BDT from a date in six parts; nan without a date, ValueError if it is invalid."""
     if not date:
         return math.nan
     year, month, day, hour, minute = map(_whole, date[:5])
@@ -418,11 +424,11 @@ def _name(file: File, k: int, line: str) -> str:
 
 BLANK, SIGN, DIGIT, POINT, OTHER = range(5)
 CLASSES = np.full(256, OTHER, np.uint8)
-"""What the characters of a number are, in the order in which they follow each other."""
+"""Classes of the characters of a number, in the order in which they follow each other."""
 CLASSES[list(b" ")], CLASSES[list(b"+-")] = BLANK, SIGN
 CLASSES[list(b"0123456789")], CLASSES[list(b".")] = DIGIT, POINT
 THOUSANDTHS = np.array([*10.0 ** np.arange(12, 2, -1), 0.0, 100.0, 10.0, 1.0])
-"""What a digit of a field of format F14.3 counts; sums are exact."""
+"""Weight of each digit of a field of format F14.3, in thousandths; sums are exact."""
 
 
 def _values(
@@ -433,7 +439,7 @@ def _values(
     head_of: list[int],
     damage: dict[int, InputError],
 ) -> Array:
-    """Values ``(R, C)`` of rows; epochs with a field that is no number leave ``whole (T,)``.
+    """Values ``(R, C)`` of rows; an epoch with an invalid field becomes false in ``whole (T,)``.
 
     Fields of format F14.3 are read together, others one by one.
     """
@@ -443,7 +449,7 @@ def _values(
         some = rows.texts[first : first + ROWS_AT_ONCE]
         most = max(width, 3 + -(-max(map(len, some)) // 16) * 16)
         text = np.frombuffer("".join(row.ljust(most) for row in some).encode("ascii"), np.uint8)
-        # (R, fields, 14): of 16 columns two are flags.
+        # (R, fields, 14): a field has 16 columns, the last two of which are flags.
         fields = text.reshape(len(some), most)[:, 3:].reshape(len(some), -1, 16)[..., :14]
         kinds = CLASSES[fields]
         before = kinds[..., :10]
@@ -470,8 +476,11 @@ def _values(
 
 
 class Set(NamedTuple):
-    """A broadcast set: whose, s of its clock by its system's time, its numbers in the order of the
-    file, nan where blank, and the name of its message in version 4.
+    """A broadcast set: its satellite, the reference time of its clock, s of its system's time, and
+    its numbers.
+
+    The numbers have the order of the file and are nan where blank. ``message``: its name in
+    version 4.
     """
 
     name: str
@@ -481,9 +490,11 @@ class Set(NamedTuple):
 
 
 class Messages(NamedTuple):
-    """What a navigation file holds: sets of the systems that are used, Klobuchar's eight
-    coefficients of a message, how many records of other systems or messages there are, and what is
-    damaged, which is left out.
+    """Contents of a navigation file: sets of the used systems, and Klobuchar's eight coefficients
+    from a message.
+
+    unused: how many records of other systems or messages there are. damaged: messages of the damage
+    that was left out.
     """
 
     sets: list[Set]
@@ -493,18 +504,18 @@ class Messages(NamedTuple):
 
 
 MESSAGES = {"C": ("D1", "D2"), "G": ("LNAV",), "E": ("INAV", "FNAV")}
-"""Of version 4, by their systems: those that version 3 has too."""
+"""Messages of version 4 by system that are read: those that version 3 has too."""
 
 
 def messages(file: File, systems: str, strict: bool) -> Messages:
-    """Broadcast sets of ``systems``, each with all its lines, of numbers alone; see `accept`."""
+    """Complete and valid broadcast sets of ``systems``; for damaged sets see `accept`."""
     lines, start = file.lines, file.start
     read, unused, damage = list[Set](), Counter[str](), dict[int, InputError]()
     klobuchar: list[float] | None = None
     if file.version < 3.0:
         heads = [k for k in range(start, len(lines)) if lines[k][:2].strip()]
     elif file.version < 4.0:
-        # The date tells the first line of a set too, where its name is damaged.
+        # The date also marks the first line of a set, since its name may be damaged.
         dated = re.compile(r".{4}\d{4} ").match
         heads = [k for k in range(start, len(lines)) if dated(lines[k]) or lines[k][:1] in LETTERS]
     else:
@@ -555,7 +566,7 @@ def _set(file: File, k: int, end: int, message: str) -> Set:
 
 
 def _numbers(file: File, k: int, end: int, count: int) -> list[float]:
-    """Numbers of a record's lines, which are ``count``, after the date of the first."""
+    """Numbers of a record's ``count`` lines, after the date of the first."""
     if end - k != count:
         raise file.error(
             end - 1, f"expected {count} lines of a broadcast set from line {k + 1}, got {end - k}"
@@ -574,7 +585,7 @@ def _numbers(file: File, k: int, end: int, count: int) -> list[float]:
 
 
 def _number(file: File, k: int, field: str) -> float:
-    """nan where it is blank."""
+    """The number of a field, nan where it is blank."""
     text = field.strip()
     try:
         return finite_number(text) if text else math.nan
@@ -583,8 +594,9 @@ def _number(file: File, k: int, field: str) -> float:
 
 
 def finite_number(text: str) -> float:
-    """A number, or ValueError; what else Python takes for one, no file has: 1_0, nan and
-    infinity."""
+    """A finite number, or ValueError. Python would also read 1_0, nan and infinity, which no file
+    has.
+    """
     value = float(text.replace("D", "E").replace("d", "e"))
     if "_" in text or not math.isfinite(value):
         raise ValueError

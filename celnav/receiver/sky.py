@@ -1,5 +1,5 @@
-"""A receiver's place and the sky over it: where satellites stand, what their geometry makes of
-noise, and what the air delays.
+"""A receiver's place and the sky over it: elevation and azimuth of satellites, dilution of
+precision, and delays of the atmosphere.
 
 Positions are Earth-fixed, m; angles in rad.
 """
@@ -18,22 +18,25 @@ from celnav.models.gnss import LIGHT
 from celnav.models.pseudorange import undetermined
 
 GROUND_M = (6.3e6, 1e7)
-"""From the middle of the Earth, where receivers are: near its surface or in a low orbit."""
+"""Least and largest distance of receivers from the Earth's center: near the surface to a low orbit.
+"""
 TROPOSPHERE_M = 0.12
-"""Standard deviation at the zenith of a corrected troposphere."""
+"""Standard deviation at the zenith of the tropospheric delay after its correction."""
 TYPICAL_IONOSPHERE = (
     np.array([0.1118e-7, -0.7451e-8, -0.5961e-7, 0.1192e-6]),
     np.array([0.1167e6, -0.2294e6, -0.1311e6, 0.1049e7]),
 )
 """Klobuchar's coefficients alpha and beta where no message gives them: those that GPS sent on 1
-January 2004, at a middling solar activity. RTKLIB falls back on the same.
+January 2004, at a medium solar activity. RTKLIB uses the same default.
 """
 BROADCAST_LEFT, TYPICAL_LEFT = 0.5, 1.0
-"""Standard deviation of what Klobuchar's model leaves, in units of the delay that it removes: half
-in the RMS with the coefficients of the day [Klobuchar1987], all with typical ones.
+"""Standard deviation of the delay that Klobuchar's model leaves, over the delay that it removes:
+0.5 with the coefficients of the day [Klobuchar1987], 1 with typical coefficients.
 """
 SINGULAR = 1e-6
-"""Directions this close to each other, rad, or satellites this close to a cone, are no geometry."""
+"""Least angle, rad, between directions, and of satellites from a common cone; below it a fix is not
+determined.
+"""
 
 
 def on_earth(name: str, position: Array) -> None:
@@ -76,8 +79,8 @@ class Sky(NamedTuple):
 
 
 def look(q: Array, position: Array, axes: Array) -> Sky:
-    """Where satellites ``q (..., S, 3)`` stand over ``position (..., 3)`` with its `local_axes`
-    ``(..., 3, 3)``.
+    """Elevation and azimuth of satellites ``q (..., S, 3)`` from ``position (..., 3)`` with its
+    `local_axes` ``(..., 3, 3)``.
     """
     east, north, up = np.moveaxis(_unit(q - position[..., None, :]) @ axes.mT, -1, 0)
     return Sky(np.arcsin(up), np.arctan2(east, north) % (2.0 * np.pi))
@@ -96,11 +99,11 @@ class Dilution(NamedTuple):
 def dilution(
     q: Array, position: Array, axes: Array, used: Array | None = None, offsets: Array | None = None
 ) -> Dilution:
-    """What a fix from ranges alone makes of their noise; nan where satellites ``used (..., S)`` do
-    not determine one.
+    """Dilution of precision of a fix from ranges; nan where satellites ``used (..., S)`` do not
+    determine a fix.
 
-    ``offsets (k, S)``: as in `celnav.models.pseudorange`; an offset that satellites leave open
-    counts as known.
+    ``offsets (k, S)``: as in `celnav.models.pseudorange`; an offset that the satellites do not
+    determine is assumed to be known.
     """
     e = _unit(q - position[..., None, :]) @ axes.mT
     rows = np.concatenate([-e, np.ones_like(e[..., :1])], -1)
@@ -158,17 +161,15 @@ def klobuchar(
 
 
 def obliquity(elevation: Array) -> Array:
-    """How much longer the way through the ionosphere is than at the zenith
-    [Klobuchar1987; IS-GPS-200].
-    """
+    """Path through the ionosphere over that at the zenith [Klobuchar1987; IS-GPS-200]."""
     return np.asarray(1.0 + 16.0 * (0.53 - np.asarray(elevation) / np.pi) ** 3)
 
 
 def atmosphere_variance(elevation: Array, ionosphere: Array) -> Array:
-    """Variance (m^2) of what models leave of the atmosphere's delay.
+    """Variance (m^2) of the atmosphere's delay after its correction.
 
-    ``ionosphere``: standard deviation (m) of what is left of its delay. Of the troposphere
-    `TROPOSPHERE_M` is left at the zenith [DO-229D, A.4.2.5].
+    ``ionosphere``: standard deviation (m) of the remaining ionospheric delay. The remaining
+    tropospheric delay is `TROPOSPHERE_M` at the zenith [DO-229D, A.4.2.5].
     """
     wet = TROPOSPHERE_M * 1.001 / np.sqrt(0.002001 + np.sin(elevation) ** 2)
     return np.asarray(np.square(ionosphere) + np.square(wet))

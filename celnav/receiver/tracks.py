@@ -1,5 +1,5 @@
-"""Tracks as they are exchanged: CSV with all that is known of an epoch, RTKLIB's solutions,
-GeoJSON, and NMEA 0183.
+"""Tracks in formats for exchange: CSV with all quantities of an epoch, RTKLIB's solutions, GeoJSON,
+and NMEA 0183.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ if TYPE_CHECKING:
     from celnav.receiver.report import Positioned
 
 GPS_WEEK = 1356
-"""In which BDT began, by the count of GPS."""
+"""GPS week in which BDT began."""
 BDT_DAY, TAI_AHEAD_S = 2453736.5, 33.0
-"""Julian date of that beginning, and how far TAI is ahead of BDT."""
+"""Julian date at which BDT began, and how far TAI is ahead of BDT."""
 KNOT = 1852.0 / 3600.0
 COLUMNS = (
     "time_bdt",
@@ -59,28 +59,28 @@ COLUMNS = (
 )
 DOUBTS = {
     "untested": "no redundancy shows a faulty satellite",
-    "implausible height": "where no receiver is",
-    "weak": "by its own deviation it may be off by more than 100 m",
+    "implausible height": "no receiver can be there",
+    "weak": "its predicted error may exceed 100 m",
     "apart": "the ranges contradict the track by more than both explain",
-    "distrusted": "trust was lost before, and a filter coasts",
+    "distrusted": "trust was lost before, and the filter coasts",
     "drifting": "the fixes of the last epochs pull the track to one side",
-    "displaced": "far from where the track was trusted, where no receiver can have got",
+    "displaced": "farther from the trusted track than a receiver can have moved",
 }
 """Values of `celnav.receiver.report.Positioned.integrity` whose positions are marked, and why."""
 
 
 def civil(t: float, form: str = "%Y-%m-%dT%H:%M:%S") -> str:
-    """Date and time of seconds of BDT; of GPS time, with those by which it is ahead."""
+    """Date and time from seconds of BDT; add `GPS_AHEAD_S` for GPS time."""
     return (EPOCH_ZERO + timedelta(milliseconds=round(t * 1e3))).strftime(form)
 
 
 def table(result: Positioned) -> str:
-    """All epochs as CSV; empty where there is nothing. ``clock_m`` is the receiver's clock with
-    what it was set by.
+    """All epochs as CSV; cells without a value are empty. ``clock_m`` is the receiver's clock
+    including the steps by which it was set.
 
     ``integrity``: see `celnav.receiver.report.Positioned`. ``apart``: squared distance of the
-    ranges from the track, in units of the largest that noise explains. ``excluded``: satellites
-    whose range was; with "rate", whose rate alone was.
+    ranges from the track, over the largest that noise explains. ``excluded``: satellites whose
+    range was excluded; with "rate", whose rate alone was excluded.
     """
     local, log = result.local(result.mean), result.log
     mean = result.mean[:, :8].copy()
@@ -103,8 +103,8 @@ def table(result: Positioned) -> str:
 
 
 class Place(NamedTuple):
-    """A measured epoch: s of BDT, degrees, m above the ellipsoid; velocity and covariance by east,
-    north and up.
+    """An epoch of an exported track: s of BDT, degrees, m above the ellipsoid; velocity and
+    covariance in east, north and up.
     """
 
     time: float
@@ -121,7 +121,9 @@ class Place(NamedTuple):
 
 
 def places(result: Positioned) -> list[Place]:
-    """All epochs whose position some range went into, or might have, had the filter trusted it."""
+    """The `celnav.receiver.report.Positioned.reported` epochs: with at least one range, used or
+    not.
+    """
     k, log = np.flatnonzero(result.reported), result.log
     latitude, longitude, height = (
         np.reshape(v, k.size) for v in ecef2geodetic(*result.mean[k, :3].T, ell=ELLIPSOID)
@@ -148,8 +150,8 @@ def places(result: Positioned) -> list[Place]:
 def pos(result: Positioned) -> str:
     """RTKLIB's solution file, in GPS time: latitude, longitude and height with their deviations.
 
-    The quality is 5, a single solution, 7 (dead reckoning) where the filter coasts, and 0 (none)
-    where another position deserves no trust. A comment line marks each position of `DOUBTS`.
+    The quality is 5 (single), 7 (dead reckoning) where the filter coasts, and 0 (none) for other
+    positions without trust. A comment line marks each position of `DOUBTS`.
     """
     rows, form = places(result), "%Y/%m/%d %H:%M:%S.%f"
     lines = [
@@ -207,7 +209,7 @@ def utc(times: ArrayLike) -> list[str]:
 def geojson(result: Positioned) -> str:
     """A line of longitude, latitude (degrees) and height above the ellipsoid (m) [RFC 7946].
 
-    Its properties have times in UTC and ``integrity`` of each point, and what was ``damaged``.
+    Its properties are the time in UTC and the ``integrity`` of each point, and messages of damage.
     """
     rows = places(result)
     line = [[round(row.longitude, 9), round(row.latitude, 9), round(row.height, 4)] for row in rows]
@@ -228,12 +230,12 @@ def geojson(result: Positioned) -> str:
 
 
 def nmea(result: Positioned) -> str:
-    """GGA and RMC of each epoch, in UTC.
+    """GGA and RMC sentences of each epoch, in UTC.
 
-    Heights are above the ellipsoid, with a separation of 0: no geoid is known here. Where the
-    filter coasts the quality is 6 and the mode E, estimated; positions without trust are V (void).
-    The status at the end of RMC [NMEA 4.1] is C (caution) for untested positions, U (unsafe) for
-    others of `DOUBTS`, and V (not provided) elsewhere.
+    Heights are above the ellipsoid, and the geoid separation is 0, since celnav has no geoid. Where
+    the filter coasts the quality is 6 and the mode E (estimated). Positions without trust are V
+    (void). The last field of RMC [NMEA 4.1] is C (caution) for untested positions, U (unsafe) for
+    other positions of `DOUBTS`, and V (not provided) elsewhere.
     """
     talker = {"C": "GB", "G": "GP", "E": "GA"}.get(result.log.systems, "GN")
     rows, lines = places(result), []
@@ -261,7 +263,7 @@ def nmea(result: Positioned) -> str:
 
 
 def _angle(degrees: float, digits: int, signs: str) -> str:
-    """Degrees and minutes, as NMEA writes them."""
+    """Degrees and minutes in NMEA's format."""
     whole, minutes = divmod(round(abs(degrees) * 60.0, 6), 60.0)
     return f"{int(whole):0{digits}d}{minutes:09.6f},{signs[int(degrees < 0.0)]}"
 
@@ -272,4 +274,4 @@ FORMATS: dict[str, Callable[[Positioned], str]] = {
     ".geojson": geojson,
     ".nmea": nmea,
 }
-"""By the suffix of the file."""
+"""Writers of the formats by the suffix of the file."""

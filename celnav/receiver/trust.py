@@ -1,28 +1,28 @@
 """A filter's track over a log, and at which epochs it deserves trust.
 
-A filter predicts an epoch from earlier ones, and a fix has the ranges of its own epoch alone: their
-errors are independent. So the distance d between both positions has the covariance P + P_fix, and
-``d' (P + P_fix)^-1 d`` is chi-square with three degrees if noise and motion are as assumed. Where
-it is less probable than the false alarms that are allowed, both cannot be right. An epoch without
-redundancy has no fix that was tested; its ranges are compared with the prediction instead, with
-``S = H P H' + R`` and one degree each.
+A filter predicts an epoch from earlier epochs, and a fix uses the ranges of its own epoch alone. So
+their errors are independent, and the distance d between both positions has the covariance
+P + P_fix. If noise and motion are as assumed, ``d' (P + P_fix)^-1 d`` is chi-square with three
+degrees of freedom. If its probability is below that of a false alarm, one of the two is wrong. An
+epoch without redundancy has no tested fix. Its ranges are compared with the prediction instead,
+with ``S = H P H' + R`` and one degree of freedom each.
 
 Trust is lost where prediction and fix of a redundant epoch are apart. It is doubted where ranges
-contradict each other, or those of an epoch without redundancy contradict the prediction: then the
-next redundant epoch that agrees ends the doubt. The filter coasts meanwhile. Lost trust returns
-after `AGREEING` redundant epochs in a row whose ranges and rates agree among themselves: the filter
-starts anew from the last of their fixes. Where that is farther from the track that was trusted than
-both explain, a receiver cannot have got there, and every later position says so until it comes
-back.
+contradict each other, or where ranges without redundancy contradict the prediction. The next
+redundant epoch that agrees ends the doubt. The filter coasts meanwhile. Lost trust returns after
+`AGREEING` redundant epochs in a row whose ranges and rates agree among themselves. The filter then
+restarts from the last of their fixes. This fix may be farther from the trusted track than both
+covariances explain, so that no receiver can have moved there. All later positions are then marked
+until the track comes back.
 
-A pull that is too slow for one epoch shows in the mean distance over a window: with m the mean and
-``cov(m)`` its covariance for errors that last, see `celnav.receiver.correlated`, ``m' cov(m)^-1 m``
-is chi-square with three degrees, too. Where it is less probable than false alarms ranges and rates
-disagree, and the track drifts with the ranges; likewise after a new start that is farther from the
-track than both explain, but within `SOUND_M`. It is called so until the mean has agreed for a
-window, and until ranges have moved it back to within `SOUND_M` of where it was. False alarms of
-neighbors come together, as windows overlap. A pull of ranges and rates together is a motion, and no
-test of this kind can find it.
+A pull that is too slow for one epoch shows in the mean distance m over a window. Its covariance
+``cov(m)`` includes errors that last, see `celnav.receiver.correlated`. Then ``m' cov(m)^-1 m`` is
+also chi-square with three degrees of freedom. If its probability is below that of a false alarm,
+ranges and rates disagree, and the track drifts with the ranges. The same holds after a restart that
+is farther from the track than both covariances explain, but within `SOUND_M`. The track counts as
+drifting until the mean has agreed for a window, and until ranges have moved it back to within
+`SOUND_M`. Windows overlap, so false alarms come in groups. A common pull of ranges and rates is a
+motion, which no test of this kind can find.
 """
 
 from __future__ import annotations
@@ -41,24 +41,28 @@ from celnav.receiver.filters import transition
 from celnav.receiver.position import Log
 
 AGREEING = 5
-"""Redundant epochs in a row, over as many seconds, after which a filter starts anew."""
+"""Redundant epochs in a row, over as many seconds, after which a filter restarts."""
 SOUND_M = 100.0
-"""A position that may be farther off is not sound."""
+"""A position with a possible error above this is not sound."""
 
 
 class Guarded(NamedTuple):
-    """What a filter made of a log.
+    """A filter's track over a log, and its trust.
 
     Attributes
     ----------
-    mean: ``(T, 8 or 9)``. cov: ``(T, 3, 3)`` m^2 of positions, with errors that last. nis, dof:
-        ``(T,)``, as if all errors were new at each epoch.
-    apart: ``(T,)``, squared distance of prediction and measurements in units of the largest that
-        noise explains; nan where there were none. drift: ``(T,)``, the same of the mean distance
-        over a window; nan until one is full. trust: a word ``(T,)``: "" where the ranges were
-        used, "apart" where they and the track contradict each other, "distrusted" where they were
-        not used as trust was lost before, "displaced" where they were used far from the track that
-        was trusted, "drifting" where they pull the track to one side.
+    mean: ``(T, 8 or 9)``. cov: ``(T, 3, 3)`` m^2 of positions, including errors that last. nis,
+        dof: ``(T,)``, as if all errors were white.
+    apart: ``(T,)``, squared distance of prediction and measurements, over the largest that noise
+        explains; nan where there were no measurements. drift: ``(T,)``, the same for the mean
+        distance over a window; nan until a window is full.
+    trust: a word ``(T,)``:
+
+    - "": the ranges were used.
+    - "apart": ranges and track contradict each other.
+    - "distrusted": the ranges were not used, because trust was lost before.
+    - "displaced": the ranges were used, far from the track that was trusted.
+    - "drifting": the ranges were used, and pull the track to one side.
     """
 
     mean: Array
@@ -71,9 +75,9 @@ class Guarded(NamedTuple):
 
 
 def guarded(filter: Sequential, log: Log, false_alarm: float, compact: bool = False) -> Guarded:
-    """Run a filter that starts at the first fix over a log, as long as it deserves trust.
+    """A filter's track over a log from its first fix, with ranges used only where there is trust.
 
-    ``false_alarm``: probability that an epoch without a fault is called apart; 0: nothing is.
+    ``false_alarm``: probability that an epoch without a fault counts as apart; 0: no test.
     ``compact``: see `Log.epochs`.
 
     Raises
@@ -83,7 +87,7 @@ def guarded(filter: Sequential, log: Log, false_alarm: float, compact: bool = Fa
     T, S, n = len(log.times), len(log.names), log.fixes.shape[1]
     limit = chdtri(np.maximum(np.arange(S + 1), 1), false_alarm)
     redundant = log.tested[:, 0] & np.isfinite(log.fixes[:, 0])
-    # Rates that contradict each other nearly always are useless, not a sign of bad ranges.
+    # Rates that contradict each other at most epochs are useless, not a sign of bad ranges.
     rates_fail = log.unusable[:, 1] & (log.unusable[:, 1].mean() < 0.5)
     sound = redundant & ~rates_fail
     mean, cov = np.zeros((T, n)), np.zeros((T, 3, 3))
@@ -172,7 +176,7 @@ def _updated(
         used, left = rows[info.used], R.copy()
         if info.R is not None:
             left[rows] = info.R
-        # Of an optimal gain and the noise that hooks have left: K = P+ H' R^-1.
+        # For an optimal gain and the noise after the hooks: K = P+ H' R^-1.
         K[:, used] = updated.cov @ (H[used].T / left[used])
         R = np.maximum(R, left)
     if compared:
@@ -185,7 +189,7 @@ def _updated(
 
 def _apart(log: Log, k: int, belief: Belief, redundant: bool, limit: Array) -> float:
     """Squared distance of a prediction from the fix of epoch k or, without redundancy, from its
-    ranges, in units of the largest that noise explains.
+    ranges, over the largest squared distance that noise explains.
     """
     x, P = belief.mean, belief.cov
     if redundant:

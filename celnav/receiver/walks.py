@@ -1,20 +1,21 @@
-"""Process noise of a receiver from its log: how far its clock and its velocity walk from one epoch
-to the next.
+"""Process noise of a receiver, estimated from its log: the random walks of its clock and velocity.
 
 A value ``b`` and its rate ``d`` follow ``b' = d + white noise``, ``d' = white noise``, with the
-densities ``white`` and ``walk``: of a clock in meters its white and its random-walk noise of
-frequency, whose Allan variance is ``white / t + walk t / 3`` after division by the speed of light
-squared. A log has both at each epoch with errors of known variance. Over an interval ``dt``
+densities ``white`` and ``walk``. For a clock in meters these are its white and its random-walk
+frequency noise. The Allan variance, times the speed of light squared, is
+``white / t + walk t / 3``. A log has b and d at each epoch with errors of known variance. Over an
+interval ``dt``
 
     u = b2 - b1 - dt (d1 + d2) / 2    has the variance  white dt + walk dt^3 / 12,
     v = d2 - d1                       has the variance  walk dt,
 
-uncorrelated, besides what the errors add. Without rates the second difference over two intervals,
+plus the variances of the errors; u and v are uncorrelated. Without rates the second difference
+over two intervals,
 
     x = b3 - b2 - (b2 - b1) dt2 / dt1,
 
-has ``white dt2 (dt1 + dt2) / dt1 + walk dt2^2 (dt1 + dt2) / 3``; a short and a long interval tell
-both densities.
+has the variance ``white dt2 (dt1 + dt2) / dt1 + walk dt2^2 (dt1 + dt2) / 3``. A short and a long
+interval together determine both densities.
 """
 
 from __future__ import annotations
@@ -27,11 +28,11 @@ import numpy as np
 from celnav.gaussian.linalg import Array
 
 RESET = 5.0
-"""A step of more standard deviations is not noise: a clock was set."""
+"""Standard deviations above which a step is not noise: the clock was set."""
 ENOUGH = 10
-"""Steps, or nothing is estimated."""
+"""Steps that an estimate needs."""
 LONG = 10
-"""Epochs of a long interval, where there are no rates."""
+"""Epochs of a long interval, used where there are no rates."""
 ROUNDS = 30
 MEDIAN_SQUARE = 0.4549364231195724
 """Median of the square of a standard normal variable."""
@@ -41,7 +42,7 @@ class Walk(NamedTuple):
     """Densities of process noise, ``white`` (m^2/s) of the value and ``walk`` (m^2/s^3) of its
     rate, and their standard deviations.
 
-    ``steps``: how many they were estimated of. ``reset``: ``(T,)`` m, steps to an epoch that are
+    ``steps``: how many steps the estimate used. ``reset``: ``(T,)`` m, steps to an epoch that are
     not noise; 0 elsewhere.
     """
 
@@ -54,15 +55,15 @@ class Walk(NamedTuple):
 
     @property
     def cautious(self) -> tuple[float, float]:
-        """White and walk, each a standard deviation larger: too small a process noise makes a
-        filter overconfident, too large a one costs little.
+        """White and walk, each raised by its standard deviation. Process noise that is too small
+        makes a filter overconfident; too much costs little.
         """
         return self.white + self.white_std, self.walk + self.walk_std
 
 
 class Steps(NamedTuple):
-    """Steps ``(K,)`` that expect no value and the variance ``weights (K, c) @ densities + noise``;
-    ``last``: the epochs ``(K,)`` that they lead to.
+    """Steps ``(K,)`` with mean 0 and the variance ``weights (K, c) @ densities + noise``; ``last``:
+    the epochs ``(K,)`` at which they end.
     """
 
     size: Array
@@ -74,8 +75,7 @@ class Steps(NamedTuple):
 def walk_noise(
     times: Array, value: Array, rate: Array, value_var: Array, rate_var: Array
 ) -> Walk | None:
-    """Process noise of a value from its errors' variances, all ``(T,)``, nan where unknown; None:
-    too few steps.
+    """Process noise of a value, all arguments ``(T,)``, nan where unknown; None: too few steps.
 
     Steps of more than `RESET` standard deviations do not count.
 
@@ -103,11 +103,11 @@ def _resets(T: int, steps: Steps, sudden: Array) -> Array:
 def acceleration_noise(
     times: Array, position: Array, velocity: Array, position_var: Array, velocity_var: Array
 ) -> float | None:
-    """Density (m^2/s^3) of a receiver's white acceleration, by axis, from ``(T, 3)`` each, a
-    standard deviation larger than estimated; None: too few steps.
+    """Density (m^2/s^3) of a receiver's white acceleration per axis, raised by its standard
+    deviation; None: too few steps.
 
-    All steps of the velocity count: maneuvers are rare and large. Without rates second differences
-    of positions count, but for `RESET`.
+    All arguments but ``times`` are ``(T, 3)``. All steps of the velocity count, since maneuvers are
+    rare and large. Without rates second differences of positions count, except those above `RESET`.
     """
     series = zip(position.T, velocity.T, position_var.T, velocity_var.T, strict=True)
     walks, most = [_with_rates(times, *axis)[1] for axis in series], np.inf
@@ -140,8 +140,8 @@ def _with_rates(
 def _second_differences(
     times: Array, value: Array, value_var: Array, lag: int, reset: Array | None = None
 ) -> Steps:
-    """The steps x over two intervals of ``lag`` epochs, long ones side by side, without those in
-    which a clock was reset.
+    """The steps x over two intervals of ``lag`` epochs, without those in which a clock was reset.
+    Long intervals do not overlap.
     """
     k = np.flatnonzero(np.isfinite(value))[::lag]
     t, b, var = times[k], value[k], value_var[k]
@@ -156,11 +156,12 @@ def _second_differences(
 
 
 def fit(families: Sequence[Steps], most: float) -> tuple[Array, Array, Array]:
-    """Densities ``(c,)`` that explain the squares of steps, their standard deviations, and which
-    steps ``(K,)`` are larger than ``most`` of their own.
+    """Densities ``(c,)`` estimated from squared steps, their standard deviations, and which steps
+    ``(K,)`` exceed ``most`` of their own standard deviations.
 
-    Weighted least squares in the squares, with weights of the variances that it gives: the score of
-    the likelihood of normal steps. Medians, which a few resets do not move, begin.
+    The estimate is weighted least squares in the squared steps, with weights from the fitted
+    variances: the score of the likelihood of normal steps. It starts from medians, which are robust
+    to a few resets.
     """
     from scipy.optimize import nnls  # takes a second to import
 

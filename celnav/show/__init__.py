@@ -1,4 +1,4 @@
-"""What people look at: figures, recordings, pages, pictures, progress."""
+"""Output for people: figures, recordings, pages, pictures, progress."""
 
 from celnav.lazy import modules
 

@@ -1,4 +1,4 @@
-"""The ledger as people read it, and as it lies in files: place, printed number, ours, verdict."""
+"""The ledger as tables for people and as files: place, printed number, our number, verdict."""
 
 from __future__ import annotations
 
@@ -15,12 +15,10 @@ from celnav.files import InputError, read_json
 from celnav.study.ledger import BETWEEN, KINDS, OPEN, VERDICTS, WORDS, Claim, Sentence
 
 WrittenClaim = Mapping[str, Any]
-"""A claim as `written` has it."""
+"""A claim in the form that `written` returns."""
 COLUMNS = ("place", "what is said", "printed", "ours", "verdict")
 WIDE = 10.0
-"""Ends of an interval that lie so many times apart are said to be those of few runs, or of a heavy
-tail.
-"""
+"""Ratio of an interval's ends above which a note says "few runs or a heavy tail"."""
 FEW = (
     "Only a part of the runs was done: intervals are wide, "
     "and what they do not decide is undecided."
@@ -30,7 +28,7 @@ _BAD = {words[1] for words in WORDS.values()}
 
 
 def style(verdict: str) -> str:
-    """How a verdict looks: "good" if it holds, "bad" if not, "error" of a paper, "open", "part"."""
+    """Style of a verdict: "good" if it holds, "bad" if not, "error" (a paper's), "open", "part"."""
     if verdict in _GOOD:
         return "good"
     if verdict in _BAD:
@@ -41,7 +39,7 @@ def style(verdict: str) -> str:
 
 
 def cells(claim: WrittenClaim) -> dict[str, str]:
-    """What stands under each of `COLUMNS`; "printed" is the paper's value of the number "ours"."""
+    """The cell of each of `COLUMNS`; "printed" is the paper's value of the number "ours"."""
     printed = claim["printed_value"]
     shown = "" if printed is None else str(printed)
     values = claim["place"], claim["statement"], shown, _ours(claim), claim["verdict"]
@@ -49,13 +47,13 @@ def cells(claim: WrittenClaim) -> dict[str, str]:
 
 
 def columns(claims: Sequence[WrittenClaim]) -> list[str]:
-    """Those of `COLUMNS` in which some claim has anything."""
+    """Those of `COLUMNS` in which at least one claim has an entry."""
     every = [cells(claim) for claim in claims]
     return [name for name in COLUMNS if not every or any(row[name] for row in every)]
 
 
 def _printed(value: Any) -> str:
-    """What the paper prints, as it does; of more than four numbers, how many."""
+    """The paper's printed value, verbatim; if it has more than four numbers, their count."""
     flat = list(_flat(value))
     return ", ".join(map(str, flat)) if len(flat) <= 4 else f"{len(flat)} numbers"
 
@@ -92,7 +90,7 @@ def _accepted(number: WrittenClaim) -> str:
 
 
 def tally(claims: Iterable[WrittenClaim]) -> dict[str, int]:
-    """How many claims have which verdict, in the order of `VERDICTS`."""
+    """Number of claims by verdict, in the order of `VERDICTS`."""
     count = Counter(claim["verdict"] for claim in claims)
     return {verdict: count[verdict] for verdict in VERDICTS if count[verdict]}
 
@@ -103,7 +101,7 @@ def counted(claims: Iterable[WrittenClaim]) -> str:
 
 
 def notes(claim: WrittenClaim) -> list[str]:
-    """What stands below a claim: what we find, what the paper prints too, what was revised."""
+    """Sentences below a claim: what we find, what else the paper prints, what was revised."""
     printed = _printed(claim["printed"])
     texts = [claim["note"]]
     if printed != cells(claim)["printed"]:
@@ -113,7 +111,9 @@ def notes(claim: WrittenClaim) -> list[str]:
 
 
 def numbers(claim: WrittenClaim) -> list[str]:
-    """A line for each number: what is accepted, for which of several verdicts, and if it is."""
+    """A line for each number: its accepted range, its verdict if there are several, and the
+    outcome.
+    """
     several = len({number["tier"] for number in claim["numbers"]}) > 1
     return [_number(number, several) for number in claim["numbers"]]
 
@@ -131,10 +131,10 @@ def _number(number: WrittenClaim, several: bool) -> str:
 
 
 class Ledger:
-    """Claims as a table: for a notebook (HTML; a statement's verdict leads to the cell that decides
-    it), Markdown or a terminal.
+    """Claims as a table for a notebook (HTML), Markdown or a terminal.
 
-    found: sentences that answer for all of them, see `answer`.
+    In HTML a statement's verdict links to the cell that decides it. found: sentences that answer
+    for all claims, see `answer`.
 
     >>> Ledger(results.claims(), found=csrukf.STUDY.found)
     """
@@ -171,7 +171,7 @@ def markdown(rows: Iterable[Iterable[str]]) -> str:
 
 
 def answer(sentences: Iterable[Sentence], claims: Iterable[WrittenClaim]) -> str:
-    """The sentences whose rows have the verdicts that they rest on, and which rows have others."""
+    """The sentences whose rows have the required verdicts, and a list of the rows that do not."""
     by_id = {claim["id"]: claim for claim in claims}
     verdicts = {id: claim["verdict"] for id, claim in by_id.items()}
     numbers = {
@@ -203,7 +203,9 @@ def _filled(text: str, numbers: Mapping[str, Sequence[float]]) -> str:
 
 # -- files ----------------------------------------------------------------------------------------
 def written(claim: Claim) -> dict[str, Any]:
-    """As in ``claims.json``: ``value`` and the like of the decisive number; ``numbers`` has all."""
+    """The claim as in ``claims.json``: ``value`` and the like are of the decisive number,
+    ``numbers`` has all.
+    """
     row, first = claim.row, claim.decisive
     numbers = [
         plain(number) | {"tier": tier, "agreement": plain(number.agreement), "holds": holds}
@@ -232,8 +234,8 @@ def written(claim: Claim) -> dict[str, Any]:
 
 
 def plain(value: Any, digits: int = 6) -> Any:
-    """A value as JSON has it, records as tables: numbers of so many significant digits, None for
-    those that are not finite.
+    """A value for JSON, with records as tables, numbers rounded to ``digits`` significant digits,
+    and None for numbers that are not finite.
     """
     if hasattr(value, "_asdict"):
         value = value._asdict()
@@ -279,9 +281,9 @@ TYPES: dict[str, tuple[type, ...]] = {
     "figure": (str,),
     "numbers": (list,),
 }
-"""What `written` writes, in its order."""
+"""Keys of `written` in its order, with the types of their values."""
 PARTS = {"label", "value", "accept", "ci", "tier", "holds", "printed", "agreement"}
-"""What it writes of each number at least."""
+"""Keys that each number has at least."""
 
 
 def read_claims(path: str | Path) -> list[dict[str, Any]]:

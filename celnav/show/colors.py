@@ -3,7 +3,7 @@
 TRUTH = "#009E73"
 ESTIMATE = "#E69F00"
 COMPARISON = "#0072B2"
-"""The method compared with."""
+"""The method of the comparison."""
 OPEN_LOOP = "#CC79A7"
 """No measurements, or a third method."""
 REFERENCE = "#999933"
@@ -17,9 +17,9 @@ FAINT = "#5A6478"
 STAR = "#FFF3C4"
 """Directions to stars, pulsars and the Sun."""
 BODY = "#BBBBBB"
-"""Of the sky: Earth, Moon."""
+"""Bodies of the sky: Earth, Moon."""
 NEGATIVE = "#FFFFFF"
-"""Points of negative weight."""
+"""Sigma points with a negative weight."""
 
 NAMES = {
     TRUTH: "green",
@@ -35,4 +35,4 @@ NAMES = {
     BODY: "light gray",
     NEGATIVE: "white",
 }
-"""As legends call them."""
+"""Names of colors in legends."""

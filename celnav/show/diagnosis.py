@@ -67,7 +67,7 @@ def _band(lags: Array, half: Array, label: str) -> Item:
 
 
 def size(times: Array, sensor: SensorConsistency, level: float, band: str, label: str) -> Item:
-    """Means of bins of as many measured epochs, each with the band of what it consists of."""
+    """Means over bins of equally many measured epochs, with the bands of a consistent filter."""
     measured = sensor.dof > 0
     squares, dof, t = (x[measured] for x in (sensor.squares, sensor.dof, times))
     starts = np.linspace(0, len(t), min(BINS, len(t)) + 1).astype(int)[:-1]

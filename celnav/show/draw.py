@@ -1,11 +1,11 @@
-"""Drawings of any numbers: a figure is panels, a panel is items, and an item draws itself on axes.
+"""Drawings of any numbers: a figure has panels, a panel has items, and an item draws on axes.
 
 >>> panel = Panel("Residuals", [curve(times, residuals, label="x")], "time (s)", "residual (m)")
 >>> panels(panel, size=(7.0, 3.2))
 
 The style is in `drawing`, the colors are in `colors`. matplotlib is imported when something is
-drawn: processes that only compute start in a third of the time. Nothing here knows studies: reports
-of tracks and logs are drawn by it, too.
+drawn, so processes that only compute start in a third of the time. This module does not depend on
+studies, since it also draws reports of tracks and logs.
 """
 
 from __future__ import annotations
@@ -47,9 +47,9 @@ __all__ = [
 ]
 
 KINDS = ("png", "svg")
-"""Of each figure that is written."""
+"""Formats in which each figure is written."""
 Item = Callable[["Axes"], Any]
-"""Draws something."""
+"""A function that draws on axes."""
 SERIES = (
     colors.ESTIMATE,
     colors.COMPARISON,
@@ -64,7 +64,7 @@ MARKERS, STYLES = "osD^vP", ("-", "--", ":")
 def figure(
     width: float, height: float, rows: int = 1, columns: int = 1, **axes: Any
 ) -> tuple[Figure, Any]:
-    """An empty figure (inches) and its axes in celnav's style, of which pyplot knows nothing."""
+    """An empty figure (inches) and its axes in celnav's style, not registered with pyplot."""
     from celnav.show.drawing import Drawing, styled
 
     size = number("width", width, above=0.0), number("height", height, above=0.0)
@@ -75,12 +75,12 @@ def figure(
 
 
 class Panel(NamedTuple):
-    """What one pair of axes shows.
+    """The content of one pair of axes.
 
     Attributes
     ----------
     title, x, y: texts. items: drawn one after the other. log: which axes are logarithmic, "x", "y"
-        or "xy". more: of `Axes.set`.
+        or "xy". more: further arguments of `Axes.set`.
     """
 
     title: str
@@ -92,7 +92,7 @@ class Panel(NamedTuple):
 
 
 def grid(drawn: Sequence[Panel], columns: int) -> list[list[Panel]]:
-    """Rows of so many panels, the last one filled up with empty ones."""
+    """Rows of ``columns`` panels each; empty panels fill the last row."""
     empty: list[Item] = [lambda ax: ax.set_axis_off()]
     filled = [*drawn, *[Panel("", empty)] * (-len(drawn) % columns)]
     return [filled[i : i + columns] for i in range(0, len(filled), columns)]
@@ -105,10 +105,10 @@ def panels(
     title: str = "",
     **axes: Any,
 ) -> Figure:
-    """A figure of rows of panels, and below them one legend of all labels.
+    """A figure with rows of panels, and one legend of all labels below them.
 
-    ``axes``: as of `figure`; where they share x or y (``sharex="col"``) the outer ones alone are
-        labeled.
+    ``axes``: as for `figure`. If axes share x or y (``sharex="col"``), only the outer ones have
+        labels.
     """
     from celnav.show.drawing import styled
 
@@ -140,12 +140,12 @@ def panels(
 
 
 def picture_names(stems: Iterable[str]) -> list[str]:
-    """The files of figures, such as "figures/figure_01.png"."""
+    """Names of the files of figures, such as "figures/figure_01.png"."""
     return [f"{stem}.{kind}" for stem in stems for kind in KINDS]
 
 
 def pictures(drawings: Iterable[tuple[str, Figure | None]]) -> dict[str, bytes]:
-    """The contents of the files of figures, which come with their stems; None has no files."""
+    """Contents of the files of figures, by name. ``drawings``: stems and figures, or None."""
     from celnav.show.drawing import render
 
     return {
@@ -158,7 +158,7 @@ def pictures(drawings: Iterable[tuple[str, Figure | None]]) -> dict[str, bytes]:
 
 # -- items ---------------------------------------------------------------------------------------
 class Line(NamedTuple):
-    """How a filter looks, in every figure of a study."""
+    """Label, color and line style of a filter in all figures of a study."""
 
     label: str
     color: str
@@ -167,7 +167,7 @@ class Line(NamedTuple):
 
     @property
     def look(self) -> dict[str, Any]:
-        """The same as matplotlib has it."""
+        """The same as keyword arguments of matplotlib."""
         return {
             "label": self.label,
             "color": self.color,
@@ -177,13 +177,15 @@ class Line(NamedTuple):
 
 
 def look(i: int) -> dict[str, Any]:
-    """Color, marker and style of the ``i``-th of several curves, for `curve`."""
+    """Color, marker and style of curve number ``i``, as arguments of `curve`."""
     color, marker, style = SERIES[i % 6], MARKERS[i % 6], STYLES[i // 6 % 3]
     return {"color": color, "marker": marker, "markersize": 3.0, "linestyle": style}
 
 
 def curve(x: Any, y: Any, line: Line | None = None, **look: Any) -> Item:
-    """``y (T,)`` or ``(T, k)`` over ``x``; ``look``: as of `Axes.plot`, over that of the line."""
+    """Item of ``y (T,)`` or ``(T, k)`` over ``x``; ``look``: arguments of `Axes.plot`, which
+    replace those of the line.
+    """
     return lambda ax: ax.plot(x, y, **(line.look if line else {}) | look)
 
 
@@ -204,7 +206,7 @@ def level(
     style: str = ":",
     upright: bool = False,
 ) -> Item:
-    """Lines across the axes, the first with a label."""
+    """Lines across the axes; the first has the label."""
 
     def item(ax: Axes) -> None:
         for i, value in enumerate(values):
@@ -221,7 +223,7 @@ def level(
 
 
 def interval(start: float, end: float, label: str = "", color: str = colors.BOUND) -> Item:
-    """A part of the time, shaded."""
+    """A shaded interval of time."""
     return lambda ax: ax.axvspan(
         start, end, color=color, alpha=0.25, linewidth=0.0, label=label or None
     )
@@ -237,12 +239,12 @@ def band(
     label: str | None = None,
     alpha: float = 0.22,
 ) -> None:
-    """A translucent band, for quantiles of a Monte Carlo."""
+    """Draw a translucent band, such as quantiles of a Monte Carlo."""
     ax.fill_between(t, low, high, color=color, alpha=alpha, linewidth=0.0, label=label)
 
 
 def quantiles(x: Array, values: Array, line: Line, *, median: bool = True) -> Item:
-    """From 5 to 95 % of ``values (T, runs)`` as a band, and their median."""
+    """Band from the 5 % to the 95 % quantile of ``values (T, runs)``, and their median."""
 
     def item(ax: Axes) -> None:
         low, middle, high = np.quantile(values, [0.05, 0.5, 0.95], axis=1)
@@ -259,8 +261,8 @@ def bars(
     *,
     across: bool = False,
 ) -> Item:
-    """Groups of bars: label -> values, one for each tick, and color; ``across``: from the left, the
-    first at the top.
+    """Groups of bars. heights: values, one for each tick, and color, by label. across: horizontal
+    bars, the first at the top.
     """
 
     def item(ax: Axes) -> None:

@@ -1,4 +1,4 @@
-"""One style for all figures, the figure that has it, and its bytes."""
+"""The common style of all figures, the figure class, and the bytes of its files."""
 
 from __future__ import annotations
 
@@ -36,15 +36,15 @@ STYLE: Any = {
 
 
 def styled() -> AbstractContextManager[None]:
-    """In this context figures are made in celnav's style."""
+    """A context in which figures are made in celnav's style."""
     return rc_context(STYLE)
 
 
 class Drawing(Figure):
-    """A figure that notebooks show by itself, whatever their backend."""
+    """A figure that notebooks display with any backend."""
 
     def _repr_png_(self) -> bytes:
-        """In 256 colors, which take a third of the room in a notebook."""
+        """PNG in 256 colors, a third of the size in a notebook."""
         image = Image.open(io.BytesIO(render(self, "png", dpi=88))).convert("RGB")
         buffer = io.BytesIO()
         image.quantize(256, dither=Image.Dither.NONE).save(buffer, "PNG", optimize=True)
@@ -52,8 +52,8 @@ class Drawing(Figure):
 
 
 def _sparse_ticks(fig: Figure) -> None:
-    """No minor ticks on logarithmic axes of many decades: they cannot be read, and take half of
-    the time of a drawing.
+    """Remove minor ticks from logarithmic axes of many decades. They are illegible, and drawing
+    them takes half of the time.
     """
     for axis in (axis for ax in fig.axes for axis in (ax.xaxis, ax.yaxis)):
         low, high = axis.get_view_interval()
@@ -68,7 +68,7 @@ def render(fig: Figure, kind: str, dpi: float = 150) -> bytes:
     _sparse_ticks(fig)
     before = fig.dpi
     fig.dpi = dpi
-    # By the canvas itself: `Figure.savefig` goes through all of a figure once more to arrange it.
+    # The canvas prints directly, since `Figure.savefig` would arrange the whole figure once more.
     with styled():
         if kind == "svg":
             canvas.print_svg(buffer, metadata={"Date": None})

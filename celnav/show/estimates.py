@@ -1,6 +1,4 @@
-"""Estimates of runs, as a showcase draws them: errors, covariances and consistency, in groups
-of components.
-"""
+"""Estimates of runs for a showcase: errors, covariances and consistency, by group."""
 
 from __future__ import annotations
 
@@ -22,9 +20,9 @@ class Estimate:
     Attributes
     ----------
     label, color: in legends.
-    errors: means minus truth ``(T, runs, n)``, the first of them of the run that is shown in full.
-    cov: covariance ``(T, n, n)`` of that run, or only the variances ``(T, n)``; None: not known.
-    nees, nis: ``(T,)`` of that run, nan where there is none; None: never.
+    errors: means minus truth ``(T, runs, n)``; the first run is the one that is shown in full.
+    cov: covariance ``(T, n, n)`` of that run, or only the variances ``(T, n)``; None: unknown.
+    nees, nis: ``(T,)`` of that run, nan where there is none; None: unknown.
     """
 
     label: str
@@ -35,13 +33,13 @@ class Estimate:
     nis: Array | None = None
 
     def error(self, group: Group) -> Array:
-        """Of all runs in a group, ``(T, runs, k)`` in its unit; k is 0 if the filter does not
-        estimate it.
+        """Errors of all runs in a group, ``(T, runs, k)`` in its unit; k is 0 if the filter does
+        not estimate the group.
         """
         return np.asarray(self.errors[..., group.part] * np.asarray(group.scale))
 
     def sigma(self, group: Group) -> Array | None:
-        """Deviations ``(T, k)`` in a group, in its unit."""
+        """Standard deviations ``(T, k)`` of a group, in its unit; None: unknown."""
         if self.cov is None:
             return None
         variance = (self.cov if self.cov.ndim == 2 else self.cov.diagonal(0, -2, -1))[:, group.part]
@@ -53,8 +51,8 @@ class Estimate:
 def estimates_of(
     results: Results, part: str, lines: Mapping[str, Line]
 ) -> tuple[dict[str, Estimate], Array, Array]:
-    """Estimates of a part's filters, evaluated with the covariances of the first run; that run's
-    truth ``(T, n)`` and measurements ``(T, m)``. All filters have the same epochs.
+    """Estimates of a part's filters with the covariances of the first run, and that run's truth
+    ``(T, n)`` and measurements ``(T, m)``. All filters have the same epochs.
     """
     first, name = results.first(part), next(iter(lines))
     epochs = list(first.epochs(name))

@@ -1,5 +1,4 @@
-"""Drawings of a study's results, by part, filter and group, beside those of any numbers in
-`celnav.show.draw`.
+"""Drawings of a study's results by part, filter and group; `celnav.show.draw` draws any numbers.
 
 >>> drawn = errors(results, "0", "srukf", SRUKF, "position", 0)
 >>> panel = celnav.show.draw.Panel("Figure 2", [drawn], "time (s)", "error of x (km)")
@@ -41,8 +40,8 @@ def errors(
     spread: bool = False,
     **look: Any,
 ) -> Item:
-    """A component of the error over time, of the first ``runs``; ``spread``: from 5 to 95 % of all
-    of them too, as a band.
+    """A component of the error over time, for the first ``runs`` runs; ``spread``: also the band
+    from 5 to 95 % of all runs.
     """
 
     def item(ax: Axes) -> None:
@@ -94,8 +93,8 @@ def rmse(
     each: bool = False,
     start: int = 0,
 ) -> Item:
-    """RMSE over the runs of the length of a group's error, or with ``each`` of its components,
-    against time.
+    """RMSE over the runs against time: of the length of a group's error, or with ``each`` of its
+    components.
     """
     square = np.square(results.error(part, filter, group)[start:])
     values = np.sqrt((square.mean(-1) if each else square.sum(-1)).mean(1))
@@ -134,8 +133,8 @@ def rmse_table(
     columns: Sequence[str],
     **first: str,
 ) -> Rows:
-    """Rows of RMSE by component: what is printed for a filter, named in capitals, ours at the end,
-    and averaged over time.
+    """Rows of RMSE by component for each filter, named in capitals: the printed value, ours at the
+    end, and ours averaged over time.
     """
     rows: Rows = []
     moments: dict[str, When] = {"ours, final RMSE": -1, "ours, time-averaged RMSE": slice(1, None)}

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 WIDTH, HEIGHT = 6.5, 1.6
-"""Inches: of a figure, as wide as the text of a page, and of a row."""
+"""Width of a figure, that of a page's text, and height of a row; inches."""
 ERROR = Line("error", colors.COMPARISON, width=0.9)
 SIGMA = Line("±3σ predicted", colors.SIGMA, "--")
 REJECTED: dict[str, Any] = {
@@ -42,7 +42,7 @@ def figure(
     names: Sequence[str] | None = None,
     space: Space | None = None,
 ) -> Figure:
-    """What `celnav.Track.plot` gives, which explains the arguments."""
+    """The figure of `celnav.Track.plot`, which explains the arguments."""
     instance("track", track, Track, "what celnav.run gave")
     runs = max(track.failed_at.size, 1)
     run = integer("run", run, 0, runs - 1)

@@ -1,5 +1,5 @@
-"""Pages that open from disk: templates of ``pages``, with their style inside. jinja2 is imported
-when a page is made.
+"""Pages that open from disk, from the templates in ``pages`` with embedded styles. jinja2 is
+imported when a page is made.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from celnav.show import claims
 
 @cache
 def _templates() -> Any:
-    """The templates. What they are given is escaped, and what they are not given is an error."""
+    """The templates. Their values are escaped, and a missing value is an error."""
     with requires_extra("a page", "papers"):
         from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
@@ -32,7 +32,7 @@ def _templates() -> Any:
 
 
 def render(template: str, **values: Any) -> str:
-    """A whole page of a template, such as "index.html"."""
+    """A whole page from a template, such as "index.html"."""
     return str(_templates().get_template(template).render(**values))
 
 

@@ -27,26 +27,26 @@ with requires_extra("a picture of a recording", "record"):
     from rerun.experimental import ViewerClient
 
 Ask = Callable[[Callable[[ViewerClient], Any]], Any]
-"""Gives the viewer's client to a function, again and again until it answers."""
+"""Calls a function with the viewer's client, repeatedly until the viewer answers."""
 
 HOST = "127.0.0.1"
-"""What the viewer listens to."""
+"""Address at which the viewer listens."""
 PATIENCE_S = 180.0
 """How long the viewer may take to start, to load and to draw."""
 SETTLE_S = 8.0
 """How long the viewer shows notes about itself."""
 CHANGES = 40
-"""So often the window is looked at while it changes."""
+"""How often the window is captured while it changes."""
 GRAPHICS = "vulkan|adapter|render context|wgpu|surface"
-"""In what a viewer says that finds no driver to draw with."""
+"""Words in the output of a viewer that finds no graphics driver."""
 LEAST_BYTES = 20_000
-"""Of a picture that shows more than an empty window."""
+"""Least size of a picture that shows more than an empty window."""
 BAR = 31 / 900
-"""Part of the window that is the viewer's own: its menu, and what it says of the machine."""
+"""Part of the window for the viewer's own bar: its menu and facts about the machine."""
 
 
 def end(recording: str | Path) -> float:
-    """Last time in a recording, seconds since its start; 0 without any.
+    """Last time in a recording, seconds since its start; 0 if it has no times.
 
     Raises
     ------
@@ -69,8 +69,8 @@ def end(recording: str | Path) -> float:
 def picture(recording: str | Path, path: str | Path, at: float, width: int = 1600) -> None:
     """Write a PNG of a recording at a time, without the viewer's own bar.
 
-    Needs a Vulkan driver; one in software will do (``mesa-vulkan-drivers`` of Debian). On a busy
-    machine the viewer is asked again, for `PATIENCE_S` in all.
+    Needs a Vulkan driver; a software driver will do (``mesa-vulkan-drivers`` of Debian). On a busy
+    machine the viewer is asked repeatedly, for `PATIENCE_S` in all.
 
     Parameters
     ----------
@@ -78,7 +78,8 @@ def picture(recording: str | Path, path: str | Path, at: float, width: int = 160
 
     Raises
     ------
-    OSError: saying why, if the viewer ends or draws nothing in time; if the file cannot be written.
+    OSError: with the reason, if the viewer ends or draws nothing in time, or if the file cannot be
+        written.
     """
     try:
         with _viewer() as ask:
@@ -92,16 +93,16 @@ def picture(recording: str | Path, path: str | Path, at: float, width: int = 160
 
 
 def command(*arguments: str) -> list[str]:
-    """How the viewer is started; it listens to this machine only, which it would not by itself."""
+    """The viewer's command line; with it the viewer listens to this machine only."""
     return [sys.executable, "-m", "rerun", "--bind", HOST, *arguments]
 
 
 @contextmanager
 def _viewer() -> Iterator[Ask]:
-    """Ask a viewer without a window; it ends with the block.
+    """A function that asks a viewer without a window; the viewer ends with the block.
 
-    It does not talk of itself, nor of a desktop that is not there. What fails is tried again while
-    it runs. RuntimeError if it has ended, with what it said; TimeoutError after `PATIENCE_S`.
+    Hints about the viewer and a missing desktop are turned off. A failed request is repeated while
+    the viewer runs. RuntimeError with its output if it has ended; TimeoutError after `PATIENCE_S`.
     """
     with socket.socket() as probe:
         probe.bind((HOST, 0))
@@ -140,7 +141,7 @@ def _viewer() -> Iterator[Ask]:
 
 
 def _ended(status: int, said: bytes) -> str:
-    """Why a viewer ended by itself, and the cure where it is known."""
+    """Why a viewer ended, and the cure if it is known."""
     words = _line(said.decode(errors="replace").partition("stack backtrace")[0])
     hint = "; it needs a Vulkan driver" if re.search(GRAPHICS, words.lower()) else ""
     return f"({words or f'it ended with exit status {status}'}){hint}"
@@ -156,7 +157,7 @@ def _answers(port: int) -> bool:
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:
-    """End a process and what it started, which on Windows are one."""
+    """End a process and its children."""
     if sys.platform != "win32":
         for sign in (signal.SIGTERM, signal.SIGKILL):
             with contextlib.suppress(ProcessLookupError, subprocess.TimeoutExpired):
@@ -170,7 +171,7 @@ def _end(process: subprocess.Popen[bytes]) -> None:
 
 
 def _drawn(ask: Ask, width: int) -> bytes:
-    """The window once it does not change any more, or does not stop to."""
+    """The window when it has stopped changing, or after `CHANGES` looks."""
     time.sleep(SETTLE_S)
     last = b""
     for _ in range(CHANGES):
@@ -180,5 +181,5 @@ def _drawn(ask: Ask, width: int) -> bytes:
             break
         last = content
     if len(last) < LEAST_BYTES:
-        raise TimeoutError(f"in {CHANGES} looks at its window, which is empty")
+        raise TimeoutError(f"in {CHANGES} looks at its window, which stayed empty")
     return last

@@ -1,4 +1,4 @@
-"""Plots of a recording: curves with three deviations about them, or their logarithms; a band."""
+"""Plots of a recording: curves with bounds at three standard deviations, logarithms, bands."""
 
 from __future__ import annotations
 
@@ -14,10 +14,11 @@ if TYPE_CHECKING:
 
 
 class Curve(NamedTuple):
-    """Values ``(T,)`` and, if given, three deviations ``sigma (T,)`` about a ``center``.
+    """Values ``(T,)`` and, if given, bounds at three standard deviations ``sigma (T,)`` about a
+    ``center``.
 
-    Unless ``shown`` the deviations, or the values if they have none, are hidden until clicked in
-    the legend.
+    Unless ``shown``, the bounds are hidden until clicked in the legend; without ``sigma``, the
+    values are.
     """
 
     values: Array
@@ -30,7 +31,7 @@ class Curve(NamedTuple):
 
 
 class Plot(NamedTuple):
-    """Curves by name, or their decimal logarithms. ``band``: where a consistent filter stays."""
+    """Curves by name, or their decimal logarithms. ``band``: range of a consistent filter."""
 
     title: str
     curves: Mapping[str, Curve]

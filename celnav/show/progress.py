@@ -1,4 +1,4 @@
-"""How far a command is: a bar on a terminal, plain lines otherwise."""
+"""Progress of a command: a bar on a terminal, plain lines otherwise."""
 
 from __future__ import annotations
 
@@ -8,17 +8,18 @@ from time import monotonic
 from typing import Any
 
 EVERY_S = 5.0
-"""Between plain lines about runs."""
+"""Least time between plain lines about runs."""
 BASIS = 0.1
-"""Part of the work that has to be measured before a time is estimated from it."""
+"""Part of the work that must be measured before the time left is estimated."""
 
 
 class Progress:
-    """Of work of known cost in any unit, ``total`` in all, ``done`` of it before: the share, the
-    time left, and what is done.
+    """Progress of work whose cost is known: the share that is done, the time left, and the present
+    piece.
 
-    The time left is estimated from the work that followed the first finished piece: before it,
-    processes start and code is compiled. Of Monte-Carlo runs only a name is needed, see `runs`.
+    ``total``: cost of all work in any unit; ``done``: the part that was done before. The time left
+    is estimated from the work after the first finished piece, since processes start and code is
+    compiled before. For Monte-Carlo runs only a name is needed, see `runs`.
     """
 
     def __init__(self, name: str, total: float = 0.0, done: float = 0.0):
@@ -56,7 +57,7 @@ class Progress:
             print(f"{self._name}: {done / total:.0%} was done before", flush=True)
 
     def _time_left(self) -> str:
-        """Empty as long as there is nothing to estimate it from, and at the end."""
+        """The time left; empty while it cannot be estimated, and at the end."""
         start, before = self._basis or (0.0, self._done)
         here, left = self._done - before, self._total - self._done
         if here <= BASIS * (self._total - before) or left <= 0.0:
@@ -64,7 +65,7 @@ class Progress:
         return f"{_duration((monotonic() - start) * left / here)} left"
 
     def add(self, cost: float, label: str = "") -> None:
-        """So much more is done; ``label``: what it was, or what begins now."""
+        """Report finished work of a cost; ``label``: what was done, or what begins now."""
         self._done += cost
         if cost and self._basis is None:
             self._basis = monotonic(), self._done
@@ -78,7 +79,7 @@ class Progress:
             print(f"{self._name}: {', '.join(filter(None, [share, left]))}: {label}", flush=True)
 
     def runs(self, done: int, total: int) -> None:
-        """So many runs of all are done. The first call says how many were done before."""
+        """Report ``done`` of ``total`` runs. The first call gives how many were done before."""
         if not self._total:
             self._begin(total, done)
         now, label = monotonic(), ""
@@ -90,7 +91,7 @@ class Progress:
         self.add(done - self._done, label)
 
     def close(self) -> None:
-        """Nothing more comes: the bar goes."""
+        """Remove the bar at the end of the work."""
         if self._bar is not None:
             self._bar.stop()
 

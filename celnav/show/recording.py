@@ -1,11 +1,11 @@
-"""Recordings for the Rerun viewer: whole columns on one timeline, the layout inside the file, files
-that are whole or not there.
+"""Recordings for the Rerun viewer: whole columns on one timeline, with the layout in the file. A
+file is written completely or not at all.
 
-Imports rerun; import it late, inside the function that records, so that filters run without it. A
-study opens a file with `recording`, gives whole arrays to the `Recorder` (time first, nan where
-there is nothing) and lays out `celnav.show.views`. Two
-recordings of the same arrays hold the same contents: ids are given and no wall clock is logged.
-Geometry is single precision in the viewer; `Recorder.exact` keeps double.
+This module imports rerun. Import it inside the function that records, so that filters run without
+rerun. A study opens a file with `recording`, gives whole arrays to the `Recorder` (time first, nan
+where there is nothing) and lays out `celnav.show.views`. Two recordings of the same arrays have the
+same contents, since ids are given and no wall clock is logged. Geometry is single precision in the
+viewer; `Recorder.exact` keeps double precision.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ def ellipsoid_axes(covariance: Array, sigmas: float = 3.0) -> tuple[Array, Array
             "covariance: expected positive semidefinite matrices, smallest eigenvalue "
             f"{eigenvalues.min():.3g}"
         )
-    # The eigenvectors may be those of a reflection; the direction of an axis is free.
+    # The eigenvectors may form a reflection. Reversing one axis gives a rotation, same ellipsoid.
     axes[..., 0] *= np.where(np.linalg.det(axes) < 0.0, -1.0, 1.0)[..., None]
     quaternions = (
         Rotation.from_matrix(axes.reshape(-1, 3, 3)).as_quat().reshape(*axes.shape[:-2], 4)
@@ -91,9 +91,8 @@ def ellipsoid_axes(covariance: Array, sigmas: float = 3.0) -> tuple[Array, Array
 
 class Recorder:
     """An open recording over ``times (T,)`` s; every method logs the whole run of one entity.
-    Lengths are in the unit of the view.
-
-    Radii and line widths are in points of the screen, whatever the zoom.
+    Lengths are in the unit of the view. Radii and line widths are in points of the screen at any
+    zoom.
     """
 
     def __init__(self, stream: rr.RecordingStream, times: Array, counter: str = "") -> None:
@@ -112,8 +111,10 @@ class Recorder:
     def _moving(
         self, entity: str, archetype: Any, style: Any, things: bool = False, **columns: Array
     ) -> None:
-        """Log what moves: its style once, and its columns ``(T, ...)``, or of several ``things``
-        ``(T, k, ...)``, where all of their numbers are finite: there ``(T,)`` or ``(T, k)``.
+        """Log a moving entity: its style once, and its columns where all numbers are finite.
+
+        Columns are ``(T, ...)``, or with ``things`` ``(T, k, ...)`` for k parts that move
+        separately.
         """
         self._style(entity, archetype.from_fields(**style))
         lead = 2 if things else 1
@@ -154,15 +155,18 @@ class Recorder:
         shown: bool = True,
         log: bool = False,
     ) -> None:
-        """A curve ``(T,)`` in a plot, with gaps at nan; hidden until clicked in the legend unless
-        ``shown``; ``log``: of decimal logarithms, since plots have no logarithmic axis."""
+        """Log a curve ``(T,)`` in a plot, with gaps at nan.
+
+        Unless ``shown``, it is hidden until clicked in the legend. ``log``: draw decimal
+        logarithms, since plots have no logarithmic axis.
+        """
         scalars = self._array(entity, "values", values, ())
         if log:
             scalars = np.log10(scalars, out=np.full(scalars.shape, np.nan), where=scalars > 0.0)
         about: Any = {"colors": rgba(color), "names": _text("name", name)}
         width = number("width", width, 0.0)
         self._style(entity, rr.SeriesLines(**about, widths=width, visible_series=shown))
-        # An empty row is a gap too, and two files with a nan never compare equal.
+        # Gaps are empty rows, since two files with a nan never compare equal.
         there = np.isfinite(scalars)
         self._send(entity, rr.Scalars.columns(scalars=scalars[there]).partition(there.astype(int)))
 
@@ -176,7 +180,9 @@ class Recorder:
         shown: bool = True,
         color: str = colors.SIGMA,
     ) -> None:
-        """Curves ``entity/+3s`` and ``entity/-3s``: three deviations ``(T,)`` about ``center``."""
+        """Log curves ``entity/+3s`` and ``entity/-3s``: ``center`` ± three standard deviations
+        ``(T,)``.
+        """
         deviation, middle = self._array(entity, "sigma", sigma, ()), numbers("center", center)
         middle = self._array(
             entity, "center", middle if middle.ndim else np.full(len(self.times), middle), ()
@@ -202,8 +208,8 @@ class Recorder:
         self.stream.send_columns(entity, [rr.TimeColumn(TIMELINE, duration=ends)], scalars)
 
     def trail(self, entity: str, points: ArrayLike, color: str, *, radius: float = 1.0) -> None:
-        """A line through ``points (T, 3)`` that grows with time: a segment per step. The view must
-        list it as ``growing``.
+        """Log a line through ``points (T, 3)`` that grows by a segment per step. The view must list
+        it as ``growing``.
         """
         p = self._array(entity, "points", points, (3,))
         segments = np.stack([np.concatenate([p[:1] * np.nan, p[:-1]]), p], 1)
@@ -255,8 +261,8 @@ class Recorder:
         self._moving(entity, rr.Arrows3D, style, origins=start, vectors=vector)
 
     def pose(self, entity: str, origins: ArrayLike, quaternions: ArrayLike) -> None:
-        """Where everything below ``entity`` is: origins ``(T, 3)`` and attitudes ``(T, 4)`` (see
-        `celnav.gaussian.attitude`).
+        """Log the frame of everything below ``entity``: origins ``(T, 3)`` and attitudes ``(T, 4)``
+        (see `celnav.gaussian.attitude`).
         """
         start, q = (
             self._array(entity, "origins", origins, (3,)),
@@ -273,7 +279,7 @@ class Recorder:
         *,
         radius: float = 1.5,
     ) -> None:
-        """Three arrows along the axes of ``entity``, as long as the run."""
+        """Log three arrows along the axes of ``entity`` for the whole run."""
         texts = _labels(labels, 3)
         names = {"labels": texts} if texts else {}
         vectors, palette = number("length", length) * np.eye(3), _colors(colors, 3)
@@ -291,7 +297,7 @@ class Recorder:
         radius: float = 2.0,
         label: str = "",
     ) -> None:
-        """Points ``(T, 3)`` or, ``k`` at a time, ``(T, k, 3)``; none where one is partly nan."""
+        """Log points ``(T, 3)``, or ``k`` at a time ``(T, k, 3)``, without partly nan points."""
         p = numbers(f"{entity} points", points)
         p = self._array(entity, "points", p[:, None] if p.ndim == 2 else p, (None, 3))
         style = {"colors": rgba(color, alpha), "radii": _size(radius), "point_shading": "flat"}
@@ -337,7 +343,7 @@ class Recorder:
         step = np.deg2rad(15.0)
         parallels = [_sphere(latitude, around) for latitude in step * np.arange(-5, 6)]
         meridians = [_sphere(up, longitude) for longitude in step * np.arange(24)]
-        # A little above the ground, or the two surfaces fight for the same pixels.
+        # Slightly above the ground, or both surfaces would flicker at the same depth.
         self.path(
             f"{entity}/grid",
             [1.003 * radius * line for line in parallels + meridians],
@@ -387,14 +393,13 @@ def recording(
     properties: Mapping[str, Any] = {},
     counter: str = "",
 ) -> Iterator[Recorder]:
-    """Write a recording when the block ends: to a temporary file beside ``path`` that then takes
-    its place, or not at all.
+    """The recorder of a file, which is written when the block ends, or not at all.
 
     Parameters
     ----------
-    path: of the file. One that celnav recorded before is replaced, any other is left alone. times:
-        ``(T,)`` s, increasing.
-    name: what the viewer calls it, and its id. layout: a view or container of `celnav.show.views`.
+    path: of the file. An earlier recording of celnav is replaced; any other file is left alone.
+    times: ``(T,)`` s, increasing.
+    name: title in the viewer, and id. layout: a view or container of `celnav.show.views`.
     properties: facts about the whole recording. counter: name of a second timeline that counts the
         rows; none if empty.
 
@@ -419,7 +424,7 @@ def recording(
     with contextlib.ExitStack() as stack:
         stack.callback(rr.set_strict_mode, strict_mode())
         rr.set_strict_mode(True)  # or a wrong call is only a warning and its data are missing
-        # Batches that end by a clock would make the file depend on how busy the machine is.
+        # Batches that end by a clock would make the file depend on the load of the machine.
         stream = rr.RecordingStream(
             _slug(f"{APPLICATION} {name}"),
             recording_id=_slug(name),
@@ -427,8 +432,8 @@ def recording(
             batcher_config=rr.ChunkBatcherConfig.NEVER(),
         )
         stack.callback(stream.disconnect)
-        # Not to a file: its writer works in the background, keeps a full disk to itself and then
-        # waits for ever.
+        # Not to a file: its writer works in the background, reports no full disk, and then waits
+        # for ever.
         memory = stream.memory_recording()
         stream.set_log_time_enabled(False)
         with stream:
@@ -441,7 +446,7 @@ def recording(
 
 
 def _slug(name: str) -> str:
-    """An identifier out of a title: its own layout belongs to each recording."""
+    """An identifier from a title, so that each recording has its own layout."""
     return re.sub(
         r"\W+", "-", unicodedata.normalize("NFKD", name.replace("Φ", "Phi")), flags=re.ASCII
     ).strip("-")

@@ -1,5 +1,5 @@
-"""How a filter did against the truth: errors and claims of each component, consistency, sensors,
-events; in words and as a figure.
+"""Report of a filter against the truth: actual and predicted errors of each component, consistency,
+sensors and events, as text and as a figure.
 
 >>> print(track.report(truth))
 """
@@ -42,15 +42,16 @@ CORRELATED = (
     "(see celnav.diagnose), or its model is wrong"
 )
 MOST_PANELS = 12
-"""Components that are drawn."""
+"""Components that are drawn at most."""
 
 
 class Component(NamedTuple):
-    """What is said of one component of the error, in its own unit.
+    """Statistics of one component of the error, in its own unit.
 
-    rmse, interval: over all runs and epochs, and by a bootstrap over runs; nan for fewer than two.
-    claimed: rms of the filter's deviations. mean: of the error. inside: part of the errors that
-        lie within what the filter claims to hold the `Report.level`.
+    rmse: over all runs and epochs. interval: of ``rmse``, from a bootstrap over runs; nan for fewer
+        than two runs.
+    claimed: rms of the predicted standard deviations. mean: of the error. inside: part of the
+        errors within the interval that the filter predicts for `Report.level`.
     """
 
     name: str
@@ -62,22 +63,21 @@ class Component(NamedTuple):
 
 
 class Report(NamedTuple):
-    """How a track did; ``print`` it for a table, `figure` draws it.
+    """The report of a track; ``print`` shows it as a table, `figure` draws it.
 
-    times: ``(T,)`` s, those that are judged. runs: how many. level: of all intervals and bands.
-    components: of the error, as the filter's space has it: rotation vectors of attitudes, angles
-        wrapped.
-    nees: NEES over the dimension and its band, None without covariances; ``shared``: epochs that
-        vary as one, since errors do.
-    within: part of the epochs at which the mean NEES of the runs lies in the band of a consistent
+    times: ``(T,)`` s, the judged epochs. runs: number of runs. level: of all intervals and bands.
+    components: of the error in the filter's space: attitudes as rotation vectors, angles wrapped.
+    nees: NEES over the dimension and its band, None without covariances. Its ``shared`` is the
+        number of epochs that vary together, since errors are correlated in time.
+    within: part of the epochs at which the runs' mean NEES lies in the band of a consistent filter.
+    sensors: NIS of the used components over their degrees of freedom, with the band of a consistent
         filter.
-    sensors: NIS over the degrees of freedom, what was not measured left out, with the band of a
-        consistent filter.
-    rejected: measured components of each sensor that did not take part.
+    rejected: number of measured components of each sensor that the filter rejected.
     events: of all runs and epochs, see `celnav.filters.track.Track`. lost: ``(run, t)`` of runs
-        without an estimate from there.
-    wraps: angles whose wrap seems forgotten, a sentence for each sensor, and for the motion.
-    rms, claims: ``(T, n)``, over the runs.
+        that have no estimate from t on.
+    wraps: angles whose wrap seems to be missing, a sentence for each sensor and for the motion.
+    rms, claims: ``(T, n)``, RMS over the runs of the errors and of the predicted standard
+        deviations.
 
     >>> track.report(truth).components[0].rmse
     """
@@ -113,7 +113,7 @@ class Report(NamedTuple):
         ]
         if self.lost:
             run, t = min(self.lost, key=lambda lost: lost[1])
-            first = f"the first (run {run}) at {t:g} s; what was before counts"
+            first = f"the first (run {run}) at {t:g} s; earlier epochs count"
             events.append(f"{len(self.lost)} of {runs} lost, {first}")
         said.append(("events", ", ".join(events) or "none: nothing missing, rejected or lost"))
         head = f"{runs}, {len(self.times)} epochs from {self.times[0]:g} to {self.times[-1]:g} s"
@@ -124,7 +124,7 @@ class Report(NamedTuple):
         return f"{100 * self.level:.3g} %"
 
     def _table(self) -> list[list[str]]:
-        """A row for each component; an interval where there are several runs."""
+        """A row for each component, with an interval if there are several runs."""
         names = ("component", "RMSE", self._percent, "predicted σ", "mean error")
         rows = [[*names, f"inside {self._percent}"]]
         for c in self.components:
@@ -149,7 +149,9 @@ class Report(NamedTuple):
         return f"{judged.nis:.4g}, {word} ({self._percent} of consistent ones: {band})"
 
     def figure(self) -> Figure:
-        """Errors and claims of each component over time (rms of runs), NEES and NIS in bands."""
+        """A figure of actual and predicted errors over time (rms of runs), and NEES and NIS in
+        bands.
+        """
         said = "RMSE over the runs" if self.runs > 1 else "|error|"
         columns = 3 if len(self.components) > 4 else 2
         errors = Line(said, colors.ESTIMATE, width=0.9)
@@ -181,7 +183,7 @@ def report(
     space: Space | None = None,
     level: float = 0.95,
 ) -> Report:
-    """What `celnav.Track.report` gives, which says the arguments."""
+    """The report of `celnav.Track.report`, which explains the arguments."""
     instance("track", track, Track, "what celnav.run gave")
     level = number("level", level, above=0.0, below=1.0)
     first = 0 if start is None else int(np.searchsorted(track.times, number("start", start)))
@@ -195,7 +197,7 @@ def report(
     n = error.shape[-1]
     error, std = (x[first:].reshape(T, -1, n) for x in (error, track.std[..., :n]))
     std = np.where(np.isfinite(error), std, np.nan)
-    with np.errstate(invalid="ignore", divide="ignore"):  # where nothing is known there is nan
+    with np.errstate(invalid="ignore", divide="ignore"):  # nan where no run has a value
         rms, claims = (np.sqrt(np.nansum(x * x, 1) / np.isfinite(x).sum(1)) for x in (error, std))
     judged, within = None, np.nan
     if track.belief is not None:
@@ -225,7 +227,7 @@ def report(
 
 
 def _lost(track: Track) -> tuple[tuple[int, float], ...]:
-    """Lost runs, and since when; nan where a run is lost after all epochs that are stored."""
+    """Runs that failed, with the time; nan if a run failed after the last stored epoch."""
     runs = np.flatnonzero(track.failed_at.ravel() >= 0)
     missing = np.isnan(track.mean).any(-1).reshape(len(track.times), -1)[:, runs]
     since = np.where(missing.any(0), track.times[missing.argmax(0)], np.nan)
@@ -295,7 +297,7 @@ def _errors(track: Track, truth: Any, space: Space) -> Array:
 
 
 def _component(name: str, error: Array, std: Array, level: float) -> Component:
-    """Of errors ``(T, runs)`` and claims."""
+    """Statistics of errors ``(T, runs)`` and their predicted standard deviations."""
     squares, counts = np.nansum(error * error, 0), np.isfinite(error).sum(0)
     has_error, total = counts > 0, int(counts.sum())
     if not total:
@@ -340,8 +342,8 @@ def _consistency(
 
 
 def _shared(every: Array, times: Array) -> float:
-    """How many epochs vary as one: errors of a consistent filter follow each other, those of
-    different runs do not.
+    """How many epochs vary together. Errors of a consistent filter are correlated in time, but not
+    between runs.
     """
     present = np.isfinite(every).any(-1)
     place, _ = grid_index(times[present])
@@ -354,7 +356,7 @@ def _shared(every: Array, times: Array) -> float:
 def _sensors(track: Track, first: int, level: float) -> Iterator[tuple[SensorConsistency, int]]:
     """NIS over the degrees of freedom of each sensor, and how many components it rejected.
 
-    The innovations of a consistent filter are white, so none vary as one.
+    The innovations of a consistent filter are white, so no epochs vary together.
     """
     start = 0
     for width in track.sensors:
@@ -362,7 +364,7 @@ def _sensors(track: Track, first: int, level: float) -> Iterator[tuple[SensorCon
         white, used, innovation = (
             x[first:, ..., columns] for x in (track.whitened, track.used, track.innovation)
         )
-        judged = used & np.isfinite(white)  # of a lost run there is nothing
+        judged = used & np.isfinite(white)  # a failed run has no innovations
         terms = np.where(judged, np.square(white), 0.0)
         dof, squares = (x.reshape(len(x), -1).sum(1) for x in (judged, terms))
         total = int(dof.sum())

@@ -1,5 +1,5 @@
-"""What the scenes of recordings share: tracks, a satellite's sight lines and angles, and the line
-behind a moving point.
+"""Common parts of the scenes of recordings: tracks, sight lines and angles of a satellite, and the
+line behind a moving point.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ def track(
     cov: Array | None = None,
     radius: float = 1.0,
 ) -> None:
-    """A point that moves through ``points (T, 3)``, its ``trail`` and the 3 sigma ellipsoid of
-    ``cov (T, 3, 3)``, if given.
+    """Log a point that moves through ``points (T, 3)``, its ``trail`` and, if given, the 3σ
+    ellipsoid of ``cov (T, 3, 3)``.
 
     The view must list ``entity/trail`` as growing.
     """
@@ -43,9 +43,10 @@ def track(
 def sightings(
     out: Recorder, origin: str, position: Array, velocity: Array, stars: Array, radius: float
 ) -> None:
-    """A satellite at ``position (T, 3)`` with its ``velocity (T, 3)`` above a sphere, and what it
-    sees: the directions of ``stars (k, 3)``, the sphere's limb, and the angles between the vertical
-    and the stars, and between the limb's sight lines.
+    """Log a satellite above a sphere, with the directions that it measures.
+
+    position, velocity: ``(T, 3)``. stars: directions ``(k, 3)``. The scene has the sphere's limb,
+    the angles between the vertical and the stars, and the angle between the limb's sight lines.
     """
     out.globe(f"{origin}/earth", radius)
     out.path(f"{origin}/orbit", [position], colors.FAINT)
@@ -84,8 +85,8 @@ def sightings(
 def beside(
     origin: str, title: str, state: Array, radius: float, growing: Sequence[str]
 ) -> SceneView:
-    """A view of a satellite's scene with an orbit's plane from its side, from above the equator;
-    ``state (6)`` is on the orbit.
+    """A view of a satellite's scene that shows an orbital plane from its side, from above the
+    equator. ``state (6,)`` is a state on the orbit.
     """
     side = np.cross(unit(state[:3]), unit(state[3:]))
     target = 0.8 * radius * unit(state[:3])
@@ -100,9 +101,11 @@ def turning(
     length: float,
     factor: float = 1.0,
 ) -> None:
-    """Axes of estimates below ``entity``, whose axes are the truth's: rotation vectors ``(T, 3)``
-    rad with their colors, drawn ``factor`` times as large; not those that would then turn by more
-    than a right angle."""
+    """Log the axes of estimates below ``entity``, whose own axes are the truth's.
+
+    errors: rotation vectors ``(T, 3)`` rad and colors by name. factor: enlargement of the
+    rotations. A rotation that would then exceed a right angle is left out.
+    """
     for key, (error, color) in errors.items():
         small = np.linalg.norm(error, axis=1, keepdims=True) < 0.5 * np.pi / factor
         out.pose(
@@ -146,9 +149,11 @@ def flight(
     sights: Array,
     expected: Array,
 ) -> None:
-    """An aircraft at ``place (T, 3)``, where its inertial system takes it to be, and its fixes
-    ``(T,)``; sight lines to stars, and where the system expects them, ``(T, 3, k)``. The view must
-    list the trails of aircraft and inertial as growing.
+    """Log an aircraft and its stellar-inertial navigation.
+
+    place, computed: true position, and that of the inertial system, ``(T, 3)``. fixed: whether
+    there is a fix, ``(T,)``. sights, expected: sight lines to stars, and where the system expects
+    them, ``(T, 3, k)``. The view must list the trails of aircraft and inertial as growing.
     """
     track(out, f"{origin}/aircraft", place, colors.TRUTH, "aircraft", radius=2.5)
     track(out, f"{origin}/inertial", computed, colors.SIGMA, "inertial system", radius=1.5)
@@ -163,7 +168,7 @@ def flight(
 
 
 def sigma_points(out: Recorder, entity: str, points: Array, weights: Array, color: str) -> None:
-    """Points ``(T, N, 3)`` about the truth at the origin; white if their weight is negative."""
+    """Log points ``(T, N, 3)`` about the truth at the origin; white if their weight is negative."""
     out.points(f"{entity}/positive", points[:, weights > 0.0], color, radius=2.5)
     out.points(f"{entity}/negative", points[:, weights < 0.0], colors.NEGATIVE, radius=2.5)
     out.points(f"{entity}/truth", np.zeros((len(points), 3)), colors.TRUTH, radius=5.0)
@@ -184,7 +189,7 @@ def arc(start: Array, end: Array) -> Array:
 
 def behind(points: Array, steps: int, every: int = 1) -> Array:
     """The last steps of a track ``(K, 3)`` behind each ``every``-th point, ``(T, steps + 1, 3)``;
-    at the start as much as is.
+    near the start as many steps as exist.
     """
     rows = np.arange(0, len(points), every)[:, None] + np.arange(-steps, 1)
     return np.asarray(points[np.maximum(rows, 0)])

@@ -1,8 +1,8 @@
-"""Showcases: one run in full as a recording, with its scene, its errors about the origin, plots
-with bounds and exact states.
+"""Showcases: recordings of one full run, with its scene, its errors about the origin, plots with
+bounds, and exact states.
 
-A study gives arrays and draws its own scene; names, layout and legend are the same for all. rerun
-is imported when a showcase is recorded, not before.
+A study provides arrays and draws its own scene. Names, layout and legend are the same for all
+studies. rerun is imported when a showcase is recorded, not before.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ if TYPE_CHECKING:
     from celnav.show.recording import Recorder
 
 ENSEMBLE = 20
-"""Runs that are drawn as points."""
+"""Further runs that are drawn as points."""
 FAR = 20.0
-"""Errors so much larger than their view are left out, as those of the start may be."""
+"""Errors that exceed their view by this factor are left out; initial errors may be so large."""
 
 
 class SceneView(NamedTuple):
-    """A view of a study's entities below ``origin``, see `celnav.show.views.space`; all of the past
-    of the ``growing`` ones is seen.
+    """A view of a study's entities below ``origin``, see `celnav.show.views.space`. The whole past
+    of the ``growing`` entities is visible.
     """
 
     origin: str
@@ -51,19 +51,19 @@ class Showcase:
 
     Attributes
     ----------
-    name: what the viewer calls the recording. notes: Markdown. times: ``(T,)`` s.
-    estimates: by name, the study's own first: of the first two bounds are seen at first.
+    name: title of the recording in the viewer. notes: Markdown. times: ``(T,)`` s.
+    estimates: by name, the study's own first. Initially the bounds of the first two are visible.
     groups: of the error's components. truth: the states ``(T, m)``, to be read back.
-    truths: ``(T, k)`` by name of a group, in its unit: then its estimates are drawn, else errors.
+    truths: ``(T, k)`` by name of a group, in its unit. A group with a truth is drawn as estimates,
+        others as errors.
     axes: the linear map ``(3, n)`` from errors to the space of errors, in ``unit``; None: no such
         space.
-    measured: errors ``(T, 3)`` of the measurements there, nan where there is none. nis_dof:
+    measured: errors ``(T, 3)`` of the measurements in that space, nan where there is none. nis_dof:
         components of a measurement.
-    bound: of the RMSE, ``(T,)`` by name of the group, in its unit.
-    scene: draws what the ``spaces`` show. plots: further ones by name, in rows by name.
-    bars: values ``(k,)`` by title. events: seconds, and what happens then.
-    legend: what colors mean that are not of estimates. parameters: of the study, those that are no
-        numbers or texts are left out.
+    bound: lower bound of the RMSE, ``(T,)`` by name of the group, in its unit.
+    scene: draws the content of the ``spaces``. plots: further plots by name, in rows by name.
+    bars: values ``(k,)`` by title. events: times (s), and what happens then.
+    legend: meaning of further colors. parameters: of the study; only numbers and texts are shown.
     facts: about the recording. counter: name of a second timeline, of steps.
     """
 
@@ -91,12 +91,12 @@ class Showcase:
 
     @property
     def main(self) -> list[str]:
-        """The estimates whose bounds are seen at first."""
+        """Names of the estimates whose bounds are visible initially."""
         return list(self.estimates)[:2]
 
 
 def write(showcases: Mapping[str, Showcase], outputs: Outputs) -> list[str]:
-    """`record` showcases under their file names; returns these."""
+    """The file names of showcases, after `record` has written them."""
     for name, showcase in showcases.items():
         with outputs.path_for(name) as path:
             record(showcase, path)
@@ -141,12 +141,12 @@ def record(showcase: Showcase, path: str | os.PathLike[str]) -> None:
 
 
 def _entity(*names: str) -> str:
-    """The path of names, which may have spaces."""
+    """The entity path of names, which may contain spaces."""
     return "/".join(name.replace(" ", "_") for name in names)
 
 
 def _check(showcase: Showcase) -> None:
-    """What the recorder would not find, or not name."""
+    """Raise the errors that the recorder would miss, or would report without a name."""
     T = len(finite("times", showcase.times, ("T",)))
     for key, e in showcase.estimates.items():
         n = numbers(f"estimates {key} errors", e.errors, (T, "runs", "n")).shape[-1]
@@ -157,7 +157,7 @@ def _check(showcase: Showcase) -> None:
 
 
 def _legend(showcase: Showcase) -> str:
-    """What colors mean, and how to look at it."""
+    """Markdown with the meaning of the colors, and hints for the viewer."""
     meant = [
         (colors.TRUTH, "truth"),
         *((e.color, e.label) for e in showcase.estimates.values()),
@@ -190,7 +190,7 @@ def _legend(showcase: Showcase) -> str:
 
 
 def _plain(value: Any) -> str:
-    """A parameter's value; empty if it is no number, text or tuple of these."""
+    """A parameter's value as text; empty if it is not a number, a text or a tuple of these."""
     if isinstance(value, tuple):
         return ", ".join(parts) if all(parts := [_plain(part) for part in value]) else ""
     return (
@@ -209,11 +209,10 @@ def _largest(values: Array, quantile: float = 1.0) -> float:
 
 
 def _reach(errors: Sequence[Array], sigmas: Sequence[Array | None], quantile: float) -> float:
-    """Room for errors and for three deviations ``(T, ...)``.
+    """Half size of a view that shows errors and three standard deviations ``(T, ...)``.
 
-    Neither has so much that the other shrinks to a line, nor all for the start: three deviations
-    count at most twice what they come to after the first quarter of the run, and errors only from
-    there.
+    Large initial values must not shrink the rest to a line. So three standard deviations count at
+    most twice their value after the first quarter of the run, and errors only from there.
     """
     late = slice(len(errors[0]) // 4 if errors else 0, None)
     predicted = [s for s in sigmas if s is not None]
@@ -271,8 +270,8 @@ def _errors(showcase: Showcase) -> dict[str, dict[str, Plot]]:
 def _curve(
     showcase: Showcase, key: str, values: Any, sigma: Array | None = None, center: Any = 0.0
 ) -> Curve:
-    """In the color of an estimate. The viewer draws by name, so wide curves are seen below those
-    they coincide with.
+    """A curve in the color of an estimate. The viewer draws in the order of names, so wide curves
+    stay visible below the curves that they coincide with.
     """
     e, below = showcase.estimates[key], sorted(showcase.estimates).index(key)
     return Curve(
@@ -329,7 +328,7 @@ first.
 
 
 def _mapped(showcase: Showcase) -> tuple[_Mapped, float]:
-    """Estimates in the space of errors, and the size of what is to be seen of it."""
+    """Estimates in the space of errors, and the half size of its view."""
     if showcase.axes is None:
         return {}, 1.0
     mapped: _Mapped = {}
@@ -349,7 +348,9 @@ def _mapped(showcase: Showcase) -> tuple[_Mapped, float]:
 
 
 def _draw_errors(out: Recorder, showcase: Showcase, mapped: _Mapped, size: float) -> None:
-    """About the origin, since single precision on the scale of an orbit would hide them."""
+    """Draw errors about the origin, since single precision at the scale of an orbit would hide
+    them.
+    """
     length = 10.0 ** np.floor(np.log10(size))
     out.path("error/axes", list(length * np.stack([np.zeros((3, 3)), np.eye(3)], 1)), colors.SIGMA)
     out.points("error/truth", np.zeros((len(out.times), 3)), colors.TRUTH, radius=6.0)
@@ -404,7 +405,7 @@ def _layout(showcase: Showcase, rows: Mapping[str, Mapping[str, Plot]], size: fl
             for scene in showcase.spaces
         ]
         left = [views.tabs(*scenes), *left]
-    # Where there is no scene, there is room for all plots of a row at once; a legend takes more.
+    # Without a scene all plots of a row fit side by side; their legends then need a larger share.
     arranged, legend = (views.tabs, 0.24) if showcase.spaces else (views.columns, 0.42)
     right = {
         row: [

@@ -1,7 +1,7 @@
 """Verdicts as a picture: a row of squares for each paper, a square for each statement.
 
-The picture is SVG. It reads in light and dark, in gray, and by those who do not see red from green:
-each verdict has a sign of its own. A square has the statement as its tooltip.
+The picture is SVG. It is legible in light and dark modes, in gray, and for color-blind readers,
+since each verdict has its own sign. The tooltip of a square is the statement.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ SIGNS = {
     "in part": ("#b35c00", "½"),
     "not reproduced": ("#b02a1a", "✗"),
 }
-"""Colors on which white has a contrast of 4.5, and signs."""
+"""Colors, on which white has a contrast of at least 4.5, and signs."""
 OTHER = "#6b6b6b", "?"
 STYLE = """<style>
 .squares text{font:12px system-ui,sans-serif;fill:#222}.squares a{text-decoration:none}

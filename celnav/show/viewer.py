@@ -1,8 +1,8 @@
-"""Recordings in the browser, without a network: a page, the viewer as one script, and each
-recording as another.
+"""Recordings in the browser without a network: a page, a script with the viewer, and a script for
+each recording.
 
 A page that is opened from disk may load scripts, but no other files. So the viewer's WebAssembly
-and the recordings are text within scripts. The viewer is that of the package ``rerun-notebook``.
+and the recordings are text in scripts. The viewer is from the package ``rerun-notebook``.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from celnav.lazy import installed, requires_extra
 PAGE, SCRIPT = "viewer.html", "viewer.js"
 PACKAGE = "rerun_notebook"
 _OPEN, _CLOSE = "//!<INLINE-MARKER-OPEN>", "//!<INLINE-MARKER-CLOSE>"
-"""Between them the viewer's script fetches its WebAssembly."""
+"""Markers around the code with which the viewer's script fetches its WebAssembly."""
 _EXPORT = "export {"
 _START = """\
 "use strict";
@@ -68,7 +68,7 @@ def is_current(folder: Path) -> bool:
 
 
 def script_name(recording: str) -> str:
-    """The file of a recording's script, beside the recording."""
+    """Name of the file with a recording's script, beside the recording."""
     return f"{recording}.js"
 
 
@@ -78,8 +78,8 @@ def as_script(recording: bytes) -> bytes:
 
 
 def address(recording: str, seconds: float | None = None) -> str:
-    """The address that shows a recording, a path relative to the page, at a time (s) since its
-    start.
+    """The address that shows a recording at a time (s) since its start; the path is relative to the
+    page.
 
     >>> address("csrukf/gaps.rrd", 120.0)
     'viewer.html?csrukf/gaps@120'
@@ -89,7 +89,7 @@ def address(recording: str, seconds: float | None = None) -> str:
 
 
 def _patched(module: str) -> str:
-    """The viewer's script with its WebAssembly taken from memory, and with its class handed to the
+    """The viewer's script, changed to take its WebAssembly from memory and to give its class to the
     page.
     """
     start, end = module.find(_OPEN), module.find(_CLOSE)

@@ -1,7 +1,7 @@
-"""How a recording is laid out in the viewer: views of spaces, plots, texts, logs, and how they
-stand beside each other.
+"""Layout of a recording in the viewer: views of spaces, plots, texts and logs, and containers of
+views.
 
-Imports rerun; import it late, where a recording is made (`celnav.show.recording`).
+This module imports rerun. Import it where a recording is made, see `celnav.show.recording`.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ with requires_extra("a recording", "record"):
     import rerun.blueprint as rrb
 
 TIMELINE = "t"
-"""Of every recording, seconds."""
+"""Name of the timeline of every recording, in seconds."""
 _SPACE = [13, 16, 24]
 
 text, log, bar_chart = rrb.TextDocumentView, rrb.TextLogView, rrb.BarChartView
-"""Views of a text, of the events and of the bars below ``origin``."""
+"""Views of a text, of events and of bars below ``origin``."""
 rows, columns, tabs = rrb.Vertical, rrb.Horizontal, partial(rrb.Tabs, active_tab=0)
-"""Views one below the other, side by side, and one behind the other, the first in front."""
+"""Containers with views one below the other, side by side, and as tabs with the first in front."""
 
 
 def _named(origin: str, name: str) -> dict[str, Any]:
-    """Where a view looks, and what it is called; ValueError unless both are texts."""
+    """Arguments with the origin and name of a view; ValueError unless both are texts."""
     texts = {"origin": origin, "name": name}
     return {
         key: instance(key, value, str, "a text, such as 'plots/error'")
@@ -51,7 +51,7 @@ def space(
 ) -> Any:
     """A view of the space below ``origin`` from ``eye (3,)`` towards ``target (3,)``.
 
-    ``growing`` says of which entities the past is seen too, and how much of it in s (``inf``: all).
+    ``growing``: entities whose past is visible, and how much of it, s (``inf``: all).
     """
 
     def past(seconds: float) -> Any:
@@ -86,11 +86,10 @@ def plot(
     limits: tuple[float, float] | None = None,
     legend: float = 0.24,
 ) -> Any:
-    """A plot of the curves below ``origin`` over the whole run (by default the viewer scrolls),
-    with ``limits`` of its y axis.
+    """A plot of the curves below ``origin`` over the whole run, where the viewer's default scrolls.
 
-    ``legend``: so much of the run the time axis goes on after it, where the legend hides nothing;
-        0: no legend.
+    ``limits``: of the y axis. ``legend``: length of time axis after the run, as a part of the run,
+        so that the legend hides nothing; 0: no legend.
     """
     legend = number("legend", legend, 0.0)
     times = finite("times", times, ("T",))
@@ -108,7 +107,7 @@ def plot(
 
 
 def blueprint(layout: Any, times: Array) -> rrb.Blueprint:
-    """The layout, the time panel paused and small, and the run played in about twenty seconds."""
+    """The layout, with a small and paused time panel that plays the run in about twenty seconds."""
     instance(
         "layout",
         layout,

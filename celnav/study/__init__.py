@@ -1,8 +1,8 @@
 """Studies: runs that are simulated, filtered and judged.
 
-``import celnav`` is enough to write one: the names of `study`, `ledger`, `parameters` and `trial`
-are those of this package too, such as ``celnav.study.Study``. What decides a statement is in
-`celnav.study.numbers`.
+``import celnav`` is enough to write a study. This package also has the names of its modules
+`study`, `ledger`, `parameters` and `trial`, such as ``celnav.study.Study``. `celnav.study.numbers`
+has the numbers that decide statements.
 """
 
 from celnav.lazy import modules

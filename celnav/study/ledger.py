@@ -1,9 +1,10 @@
-"""The ledger of a paper: what it states, what it prints wrongly, what we found, each decided by
-numbers with intervals.
+"""The ledger of a paper: its statements, its errata and our findings, decided by numbers with
+intervals.
 
-A `Row` says how something is decided, and if that was changed after a result; a `Claim` is what
-came of it. A number that has sampling error is accepted only if its whole 95 % interval is, and
-refused only if none of it is: else it is undecided, with few runs as with many.
+A `Row` says how something is decided, and whether that was changed after a result. A `Claim` is a
+row with its result. A number with sampling error is accepted if its whole 95 % interval lies in the
+accepted range, and refused if no part of it does. Otherwise it is undecided, whatever the number of
+runs.
 """
 
 from __future__ import annotations
@@ -59,15 +60,16 @@ WORDS: dict[str, tuple[str, str]] = {
 """Kind -> verdict where it holds, and where it does not."""
 KINDS = tuple(WORDS)
 BETWEEN = ("reproduced with fitted parameters", "level only", "in part")
-"""Verdicts of a statement that are less than "reproduced", and more than nothing."""
+"""Verdicts of a statement between "reproduced" and "not reproduced"."""
 OPEN = ("undecided", "not addressed", "not decidable", "no number")
-"""Neither: by the interval; nothing was computed; nothing could be; what was computed is nan."""
+"""Open verdicts: the interval does not decide, nothing was computed, nothing can be computed, nan.
+"""
 VERDICTS = tuple(
     dict.fromkeys(
         ["reproduced", *BETWEEN, *(word for pair in WORDS.values() for word in pair), *OPEN]
     )
 )
-"""All that there are, in the order of tables."""
+"""All verdicts, in the order of tables."""
 
 
 class Number(NamedTuple):
@@ -75,16 +77,15 @@ class Number(NamedTuple):
 
     Attributes
     ----------
-    label: what it is, with its unit. value: nan where there is none. accept: ``(low, high)``,
-        either may be None.
+    label: its meaning, with the unit. value: nan if there is none. accept: ``(low, high)``, either
+        may be None.
     ci: 95 % interval of ``value``; None for a number without sampling error.
     printed: the paper's value of the same quantity, in the same unit. A statement is not reproduced
-        where `agreement` excludes it.
-    strict: an interval that contains a bar is refused, not undecided.
-    runs, printed_runs: of how many runs ``value`` and ``printed`` are made, 0 where that is not
-        known.
-    printed_count: how many printed numbers a statement has: the agreement of all of them is asked
-        for at 95 %.
+        if `agreement` excludes it.
+    strict: an interval that contains an accepted bound is refused, not undecided.
+    runs, printed_runs: number of runs behind ``value`` and ``printed``, 0 if unknown.
+    printed_count: how many printed numbers a statement has. All of them together have to agree
+        with 95 % probability.
     """
 
     label: str
@@ -99,8 +100,8 @@ class Number(NamedTuple):
 
     @property
     def holds(self) -> bool | None:
-        """Whether it is acceptable; None where its interval does not decide that, or there is no
-        number.
+        """Whether the number is accepted; None if its interval does not decide that, or if it is
+        nan.
         """
         low, high = (
             end if bound is None else bound
@@ -117,11 +118,12 @@ class Number(NamedTuple):
 
     @property
     def agreement(self) -> tuple[float, float] | None:
-        """Where all printed numbers lie in 95 % of cases: ``ci``, wider by the sampling error of
-        ``printed_runs`` runs.
+        """Interval for the printed number: ``ci``, wider by the sampling error of ``printed_runs``
+        runs.
 
-        A run of the paper varies as one of ours does, so the variance grows by
-        ``runs / printed_runs``. Of several numbers each may miss in its share of the 5 % only.
+        The paper's runs are assumed to vary like ours, so the variance grows by
+        ``runs / printed_runs``. With several numbers each interval is wider, so that all of them
+        hold with 95 %.
         """
         if self.printed is None or self.ci is None:
             return None
@@ -139,8 +141,8 @@ class Number(NamedTuple):
         return False if excluded else self.holds
 
     def __format__(self, spec: str) -> str:
-        """The value and its interval, "0.053 [0.048, 0.059]"; what a ``spec`` other than ".3g" asks
-        for is of each of them.
+        """The value and its interval, "0.053 [0.048, 0.059]"; ``spec`` is the format of each
+        number, ".3g" by default.
         """
         shown = format(self.value, spec or ".3g")
         return (
@@ -151,11 +153,11 @@ class Number(NamedTuple):
 
 
 Tiers = Mapping[str, Sequence[Number]]
-"""Verdict -> numbers that must all hold for it, the best one first; it may need numbers of better
-ones again.
+"""Verdict -> numbers that must all hold for it, the best verdict first. A verdict may repeat
+numbers of better verdicts.
 """
 Decision = Callable[[Any], Number | Sequence[Number] | Tiers]
-"""What decides a row: a function of the results."""
+"""A function of the results that gives the numbers of a row."""
 
 
 def estimate(
@@ -166,10 +168,10 @@ def estimate(
     block: int = 1,
     **more: Any,
 ) -> Number:
-    """A statistic of runs (the first axis of each sample) with its bootstrap interval; ``more``:
-    see `Number`.
+    """A statistic of runs with its bootstrap interval; runs are the first axis of each sample.
 
-    Of one run the samples are its epochs, drawn in blocks of so many.
+    For a single run the samples are its epochs, drawn in blocks of ``block``. ``more``: see
+    `Number`.
     """
     return Number(
         label,
@@ -183,21 +185,21 @@ def estimate(
 
 @dataclass(frozen=True)
 class Row:
-    """How something that is said is decided.
+    """A row of the ledger, and how it is decided.
 
     Attributes
     ----------
-    kind: one of `KINDS`. id: short, unique and stable. place: where the paper says it. says: what,
-        in our words.
+    kind: one of `KINDS`. id: short, unique and stable. place: where the paper says it. says: the
+        statement, in our words.
     decide: ``(results) ->`` one `Number`, several that all have to hold, or `Tiers`; None: nothing
         is computed.
-    why: how the accepted range follows from the paper's words. found: what we find, in a sentence;
+    why: how the accepted range follows from the paper's words. found: our finding, in a sentence;
         "{0}" is the first number.
-    printed: what the paper prints, verbatim. expected: the verdict that we know of; empty: that it
-        holds.
-    revised: when and why the accepted range was changed after a result was seen. figure: stem of
-        one that shows it.
-    needs: a part without which nothing is said, as that of an optional input.
+    printed: the paper's printed value, verbatim. expected: the verdict of earlier results; empty:
+        it holds.
+    revised: when and why the accepted range was changed after a result was seen. figure: stem of a
+        figure that shows it.
+    needs: a part without which the row is left out, such as that of an optional input.
 
     >>> half = celnav.study.numbers.ratio("error", "new", "old", "position", (None, 0.5))
     >>> row = celnav.study.ledger.Row("statement", "half", "It halves the error.", half, "Table 1")
@@ -222,16 +224,16 @@ class Row:
 
     @property
     def needs_no_decision(self) -> bool:
-        """Whether its verdict follows without a number: a defect of the text, or what nothing can
-        decide.
+        """Whether the verdict needs no number, for a defect of the text or an undecidable
+        statement.
         """
         return self.expected in OPEN or self.kind in ("erratum", "reconstruction", "remark")
 
     def judged(self, results: Any, full: bool = True) -> Claim:
-        """The verdict: that of the first tier whose numbers all hold; "undecided" if one before it
-        is.
+        """The row with its verdict: the first tier whose numbers all hold, or "undecided" if an
+        earlier tier is undecided.
 
-        full: whether all runs were done; with fewer, "undecided" is no surprise.
+        full: whether all runs were done. With fewer runs, "undecided" is not a surprise.
         """
         good, bad = WORDS[self.kind]
         expected = self.expected or good
@@ -261,7 +263,7 @@ class Row:
 
 
 class Outcome(NamedTuple):
-    """What came of a number: whether it ``holds``, as the ``tier`` asks for it; None: undecided."""
+    """The result of a number: whether it ``holds`` for a ``tier``; None: undecided."""
 
     tier: str
     number: Number
@@ -278,7 +280,7 @@ remark, finding, check = partial(Row, "remark"), partial(Row, "finding"), partia
 
 @dataclass(frozen=True)
 class Claim:
-    """A row of the ledger with what came of its numbers, and its verdict. ``full``: see
+    """A row of the ledger with the outcomes of its numbers, and its verdict. ``full``: see
     `Row.judged`.
     """
 
@@ -300,14 +302,12 @@ class Claim:
 
     @property
     def numbers(self) -> tuple[Number, ...]:
-        """All that were computed, each once."""
+        """All computed numbers, each once."""
         return tuple(dict.fromkeys(outcome.number for outcome in self.outcomes))
 
     @property
     def decisive(self) -> Number | None:
-        """The number that keeps the best tier from holding, else the first one; None where none was
-        computed.
-        """
+        """The number that prevents the best tier, else the first; None if none was computed."""
         return next(
             (outcome.number for outcome in self.outcomes if not outcome.holds),
             (*self.numbers, None)[0],
@@ -315,7 +315,7 @@ class Claim:
 
     @property
     def holds(self) -> bool | None:
-        """Whether what is said is so, as it is said; None where that is open."""
+        """Whether the row holds exactly as stated; None if that is open."""
         if self.verdict in OPEN:
             return None
         return self.verdict == WORDS[self.kind][0] or self.verdict == BETWEEN[0]
@@ -327,8 +327,8 @@ class Claim:
 
     @property
     def note(self) -> str:
-        """What we find, with the numbers at hand; empty where the verdict is not the one that it
-        was written for.
+        """Our finding with the present numbers; empty if the verdict is not the one that the
+        finding was written for.
         """
         if self.verdict != self.expected or not np.isfinite([n.value for n in self.numbers]).all():
             return ""
@@ -336,8 +336,8 @@ class Claim:
 
 
 class Sentence(NamedTuple):
-    """A sentence of a study's answer. It is said only while each row that it rests on has the
-    verdict given here.
+    """A sentence of a study's answer. It is shown only if each row that it rests on has the verdict
+    given here.
 
     text: "{row[0]:.2f}" in it is the first number of a row. rests_on: verdicts by the rows' ids.
     """
@@ -351,8 +351,8 @@ FIELDS = {
     "row": [field.name for field in fields(Row) if field.name != "decide"],
     "sentence": list(Sentence._fields),
 }
-"""Tables of a ledger's file, and the fields that they may have; only ``printed`` and ``rests_on``
-may be no text.
+"""Tables of a ledger's file, and the fields that they may have. All are texts, except ``printed``
+and ``rests_on``.
 """
 
 
@@ -400,7 +400,7 @@ def read_ledger(
 
 
 def read_printed(path: str | Path) -> dict[str, Any]:
-    """What a paper prints, by the ids of the rows of `read_ledger` that say so: numbers stand once.
+    """Printed values of a paper, by the ids of rows of `read_ledger`; so each number stands once.
 
     Raises
     ------
@@ -443,7 +443,7 @@ def _read_tables(path: str | Path) -> dict[str, list[dict[str, Any]]]:
 
 
 def order(value: float) -> float:
-    """The power of ten at or above a size of which only that means anything: the digits of
-    round-off differ between machines.
+    """The power of ten at or above a size, for quantities such as round-off whose digits differ
+    between machines.
     """
     return 10.0 ** float(np.ceil(np.log10(value))) if value > 0.0 else 0.0

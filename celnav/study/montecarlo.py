@@ -1,7 +1,7 @@
-"""Monte Carlo: how many runs, one generator for each, and blocks of them that stay in cache.
+"""Monte Carlo: the number of runs, a random generator for each run, and blocks of runs.
 
-A run's random numbers depend on ``(seed, study, run)`` alone, where ``study`` numbers the
-configuration: not on the size of a block, the number of processes or the order of the work.
+A run's random numbers depend on ``(seed, study, run)`` alone, where ``study`` is the number of the
+configuration. They do not depend on the block size, the number of processes or the order of work.
 """
 
 from __future__ import annotations
@@ -21,32 +21,32 @@ MOST_NUMBERS = 1 << 22  # random ones that are drawn ahead, of all runs: 32 MiB
 _INIT_A, _MULT_A = 0x43B0D7E5, 0x931E8875  # of numpy's SeedSequence, whose streams stay as they are
 _INIT_B, _MULT_B = 0x8B51F9DD, 0x58F38DED
 _MIX_L, _MIX_R = 0xCA01F9DD, 0x4973F715
-AHEAD = 64  # times as many as are asked for are drawn
+AHEAD = 64  # requests that are drawn at once
 MOST_STEPS = 10_000_000  # of one run, at its finest rate: more take a day, and gigabytes
 BRIEF = 0.1
-"""Effort below which studies shorten their runs too: so few of them decide little anyhow."""
+"""Effort below which studies also shorten their runs, since so few runs decide little."""
 
 
 def generator(seed: int, study: int, run: int) -> np.random.Generator:
-    """The generator of one run of one study, which are not negative."""
+    """The generator of one run of one study; all arguments are at least 0."""
     key = (integer("study", study, 0), integer("run", run, 0))
     return np.random.default_rng(np.random.SeedSequence(integer("seed", seed, 0), spawn_key=key))
 
 
 def renewed(rng: np.random.Generator) -> np.random.Generator:
-    """Such a generator as it was at first."""
+    """A new copy of a `generator`, in its initial state."""
     seeds: Any = rng.bit_generator.seed_seq
     return np.random.default_rng(seeds)
 
 
 def run_of(rng: np.random.Generator) -> int:
-    """The run that a `generator` is of."""
+    """The number of the run that a `generator` belongs to."""
     seeds: Any = rng.bit_generator.seed_seq
     return int(seeds.spawn_key[-1])
 
 
 class _Seeds(ISeedSequence):
-    """Words for one generator that are known already."""
+    """A seed sequence whose words for one generator are already known."""
 
     def __init__(self, words: Array):
         self.words = words
@@ -56,9 +56,10 @@ class _Seeds(ISeedSequence):
 
 
 def generators(seed: int, study: int, runs: int) -> list[np.random.Generator]:
-    """Those of the first runs: `generator` of each, with the last steps of all seeds done at once.
+    """Generators of the first runs, as `generator` gives them, but computed for all runs at once.
 
-    `numpy.random.SeedSequence` mixes its words one after the other, and the run is the last.
+    `numpy.random.SeedSequence` mixes its words one after the other, and the run is the last word.
+    So the earlier steps are common to all runs.
     """
     seed, study = integer("seed", seed, 0), integer("study", study, 0)
     if max(seed >> 128, study >> 32, runs >> 32):  # of more words
@@ -105,11 +106,10 @@ def normals(rngs: Sequence[np.random.Generator], *shapes: tuple[int, ...]) -> li
 
 
 class Draws:
-    """Standard normal numbers, some for each run: the same as if each generator were asked each
-    time.
+    """Standard normal numbers for each run, equal to those of separate calls of its generator.
 
-    They are drawn in chunks. `close` sets the generators back to where they would be then; it need
-    not be called of generators that nobody else has, ``owned``.
+    They are drawn in chunks. `close` resets the generators to the state after the used numbers; it
+    is not needed for ``owned`` generators, which have no other user.
 
     >>> draws = Draws(rngs)
     >>> noise = draws(3)  # (runs, 3)
@@ -117,7 +117,7 @@ class Draws:
 
     def __init__(self, rngs: Sequence[np.random.Generator], owned: bool = False):
         self.rngs, self._owned = rngs, owned
-        # Others than numpy's, such as one of zeros, are asked each time.
+        # Other generators than numpy's, such as one of zeros, are called each time.
         self._ahead = all(type(rng) is np.random.Generator for rng in rngs)
         self._chunk = np.empty((len(rngs), 0))
         self._used, self._before = 0, list[Any]()
@@ -140,7 +140,7 @@ class Draws:
         return np.concatenate([left, fresh[:, : self._used]], 1)
 
     def close(self) -> None:
-        """Give back what was drawn and not used."""
+        """Return the unused numbers: reset the generators to the state after the used ones."""
         if self._used < self._chunk.shape[1]:
             for rng, state in zip(self.rngs, self._before, strict=not self._owned):
                 rng.bit_generator.state = state
@@ -156,8 +156,8 @@ def blocks(runs: int, size: int) -> list[range]:
 
 
 def effort(value: str | float | None = None, default: float = 1.0) -> float:
-    """A fraction in (0, 1] of the Monte-Carlo runs: the argument, else ``CELNAV_EFFORT``, which is
-    read only here, or a default.
+    """A fraction in (0, 1] of the Monte-Carlo runs: the argument, else the environment variable
+    ``CELNAV_EFFORT``, else a default.
     """
     name, text = (
         ("effort", value)
@@ -180,8 +180,8 @@ def run_count(full: int, runs: int | None, effort: float) -> int:
 
 
 def steps(name: str, count: float) -> int:
-    """The number of steps of a run, which may come as a quotient; ValueError names what it follows
-    from if there are too many.
+    """The number of steps of a run from a quotient; ValueError with ``name`` if it is below 1 or
+    too large.
     """
     if not 0.5 < count <= MOST_STEPS:
         raise ValueError(f"{name}: expected a run of 1 to {MOST_STEPS} steps, got {count:.10g}")

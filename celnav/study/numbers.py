@@ -40,7 +40,7 @@ __all__ = [
 
 Decided = Callable[[Results], Number]
 PartFilter = tuple[str, str]
-"""Name of a part, and of a filter that runs in it."""
+"""Name of a part and of one of its filters."""
 SAME_ORDER = 3.2
 """Factor within which two levels are of one order of magnitude."""
 
@@ -58,10 +58,10 @@ def ratio(
     median: bool = False,
     **more: Any,
 ) -> Decided:
-    """RMSE of a group's length: of one filter ``at`` epochs over that of another at the same, or at
-    those of ``to``.
+    """RMSE of a group's length for filter ``a`` over that for filter ``b``.
 
-    ``axes``: of some components only. ``median``: of medians over the runs instead.
+    ``at``: epochs of ``a``. ``to``: epochs of ``b``; None: the same. ``axes``: some components
+    only. ``median``: medians over the runs instead of RMSE.
     """
     both, statistic = ((a, at), (b, at if to is None else to)), _medians if median else _ratio
     return lambda r: estimate(
@@ -96,7 +96,7 @@ def rmse(
     each: bool = False,
     **more: Any,
 ) -> Decided:
-    """RMSE of a group's length, or with ``each`` of its components taken together, in its unit."""
+    """RMSE of a group's length in its unit, or with ``each`` the RMSE per component."""
     over = np.mean if each else np.sum
     return lambda r: estimate(
         label, _rms, [over(r.squares(*a, group, at), axis=-1)], accept, **more
@@ -115,16 +115,16 @@ def settling(
     window: slice = slice(None),
     **more: Any,
 ) -> Decided:
-    """From when (s) the RMSE of a group's components stays below a level, or how much ``sooner``
-    that of another filter does.
+    """Time (s) from which the RMSE of a group's components stays below a level, or by how much
+    another filter is ``sooner``.
 
-    ``window``: epochs that are looked at, to the end of which it has to stay there.
+    ``window``: epochs that count; the RMSE has to stay below the level until their end.
     """
     sources = [a] if sooner is None else [a, sooner]
 
     def number(r: Results) -> Number:
         t = r.times(a[0])[window]
-        times = np.append(t, 2.0 * t[-1] - t[-2])  # where it never does
+        times = np.append(t, 2.0 * t[-1] - t[-2])  # the last entry: it never settles
 
         def settled(*squares: Array) -> float:
             last = [
@@ -166,11 +166,10 @@ def over_time(
     block: int,
     **more: Any,
 ) -> Decided:
-    """A statistic of one run: of columns ``(T, ...)`` from the epoch ``start`` on, at those where
-    all of them are known.
+    """A statistic of one run, from columns ``(T, ...)`` at epochs from ``start`` on where all
+    columns are finite.
 
-    ``block``: epochs that the bootstrap draws together, several times as many as errors are
-        correlated over.
+    ``block``: epochs that the bootstrap draws together; several correlation lengths of the errors.
     """
 
     def decide(r: Results) -> Number:
@@ -186,14 +185,14 @@ def over_time(
 
 
 def lagged(values: Array, lag: int = 1) -> tuple[Array, Array]:
-    """A column ``(T, ...)`` and itself so many epochs later, nan at the end; see `correlation`."""
+    """A column ``(T, ...)`` and its values ``lag`` epochs later, nan at the end."""
     later = np.full(values.shape, np.nan)
     later[:-lag] = values[lag:]
     return values, later
 
 
 def correlation(a: Array, b: Array) -> float:
-    """Correlation about zero of two columns, all their components together."""
+    """Correlation about zero of two columns, over all their components together."""
     return float((a * b).sum() / np.sqrt(np.square(a).sum() * np.square(b).sum()))
 
 
@@ -216,8 +215,10 @@ def constant(label: str, value: float, accept: Bounds = (None, None)) -> Decided
 def operations(
     label: str, a: str, b: str, accept: Bounds = (None, None), compare: Any = np.divide
 ) -> Decided:
-    """Operations of a step of one filter over those of another, as the part "operations" has
-    counted them (`celnav.study.operations.counted`), or how else they are compared."""
+    """Operations of a step of one filter over those of another, or another ``compare``.
+
+    The part "operations" has the counts, see `celnav.study.operations.counted`.
+    """
     return lambda r: Number(
         label, float(compare(r.get("operations", a)[0], r.get("operations", b)[0])), accept
     )
@@ -226,7 +227,10 @@ def operations(
 def count_holding(
     label: str, numbers: Sequence[Number], accept: Bounds, leading: bool = False
 ) -> Number:
-    """How many numbers hold, or do before the first that does not: for sure, up to perhaps."""
+    """How many numbers hold, or with ``leading`` how many hold before the first that does not.
+
+    The interval goes from those that certainly hold to those that possibly hold.
+    """
     count = []
     for outcomes in ((True,), (True, None)):
         holds = [number.holds in outcomes for number in numbers]
@@ -236,7 +240,7 @@ def count_holding(
 
 
 def some(label: str, least: int, numbers: Sequence[Decided]) -> Decided:
-    """How many of several numbers hold, of which so many have to."""
+    """How many of several numbers hold; at least ``least`` have to."""
     return lambda r: Number(label, sum(n(r).holds is True for n in numbers), (least, None))
 
 
@@ -261,12 +265,14 @@ def entries(
     *,
     at: When = -1,
 ) -> Callable[[Results], Tiers]:
-    """A printed table of RMSE by component: ``best`` if at most so many entries leave a band, else
-    whether the level is right.
+    """Tiers for a printed table of RMSE by component: ``best``, then "level only".
 
-    The band is that of the paper's sampling error, 95 % of RMSEs of ``printed_runs`` runs over the
-    right one; ours is in the intervals of what is counted.
-    ``cells``: part, filter and what is printed for the components of all groups.
+    ``best`` holds if at most ``most`` entries lie outside a band, and "level only" if the order of
+    magnitude agrees.
+
+    The band holds 95 % of the RMSEs of ``printed_runs`` runs, relative to the true RMSE: the
+    paper's sampling error. Our own sampling error is in the intervals of the counts.
+    ``cells``: part, filter and the printed values for the components of all groups.
     """
     printed = np.concatenate([row for _, row in cells])
     # The logarithm of an RMSE of N normal errors has a variance of 1 / (2 N).

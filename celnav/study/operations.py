@@ -1,6 +1,4 @@
-"""Operations of a filter's step, counted on its record: the same with each engine, on every
-machine.
-"""
+"""Operations of a filter's step, counted on its record, independent of engine and machine."""
 
 from __future__ import annotations
 
@@ -17,8 +15,8 @@ from celnav.gaussian.linalg import Array
 
 
 def step_operations(filter: Filter, prior: Gaussian, epochs: Sequence[Epoch]) -> int:
-    """Arithmetic operations of the step (prediction and update) of one run over the second of some
-    epochs.
+    """Number of arithmetic operations of one run's step (prediction and update) at the second
+    epoch.
 
     >>> count = celnav.study.operations.step_operations(filter, prior, epochs)
     """
@@ -35,7 +33,7 @@ def step_operations(filter: Filter, prior: Gaussian, epochs: Sequence[Epoch]) ->
 def counted(
     filters: Mapping[str, Filter], prior: Gaussian, epochs: Iterable[Epoch]
 ) -> dict[str, Array]:
-    """`step_operations` of filters by name, ``(1,)`` each: what a part of a study gives.
+    """`step_operations` of filters by name, ``(1,)`` each, as arrays of a study's part.
 
     >>> arrays = celnav.study.operations.counted({"ukf": filter}, prior, epochs)
     """

@@ -1,4 +1,4 @@
-"""Parameters that say what they mean and where they come from, and check themselves."""
+"""Parameters with a meaning, a source and checks."""
 
 from __future__ import annotations
 
@@ -14,7 +14,9 @@ from celnav.gaussian.linalg import Array
 __all__ = ["SOURCES", "Parameters", "Timed", "param"]
 
 SOURCES = ("paper", "inferred", "chosen")
-"""Printed; follows from what is printed; ours, because nothing is."""
+"""Sources of a value: printed; inferred from printed values; chosen by us, since nothing is
+printed.
+"""
 
 
 def param(
@@ -22,10 +24,10 @@ def param(
 ) -> Any:
     """A parameter of a `Parameters` class, by its default.
 
-    value: the default; what is given instead has to be of its kind. source: one of `SOURCES`, and
-        why after a colon.
-    meaning: in words; the unit is in the parameter's name. one_of: what it can be, if it is a word.
-    bounds: least, most, above, below, of a number or of each of several.
+    value: the default; other values must have its type. source: one of `SOURCES`, and the reason
+        after a colon.
+    meaning: in words; the unit is in the parameter's name. one_of: possible values, for a word.
+    bounds: least, most, above, below; for a number, or for each of several.
 
     >>> step_s: float = param(1.0, "paper", "interval of the measurements", above=0.0)
     """
@@ -37,7 +39,7 @@ def param(
 
 
 class Parameters:
-    """Base of a frozen dataclass whose fields made by `param` are checked when one is made."""
+    """Base of frozen dataclasses that check their `param` fields when an instance is made."""
 
     def __post_init__(self) -> None:
         for f in fields(self):  # type: ignore[arg-type]
@@ -46,11 +48,11 @@ class Parameters:
         self.check()
 
     def check(self) -> None:
-        """Refuse what single parameters do not show; for those who have more to say."""
+        """Raise ValueError for invalid combinations of parameters; subclasses may override it."""
 
 
 class Timed(Parameters, ABC):
-    """Base of a configuration: parameters that say when a run's epochs are."""
+    """Base of a configuration: parameters that determine the epochs of a run."""
 
     @property
     @abstractmethod
@@ -59,7 +61,7 @@ class Timed(Parameters, ABC):
 
     @property
     def samples(self) -> int:
-        """Steps of a run."""
+        """Number of steps of a run."""
         return len(self.times) - 1
 
     @property

@@ -1,8 +1,7 @@
-"""A user's problem, and how filters do on it: a model, and the runs that it draws of itself.
+"""A user's problem and a comparison of filters on it: a model, and runs that are drawn from it.
 
-A filter is consistent, and its accuracy can be compared with a bound, where what happens is what it
-believes: here truth and measurements come from the very model that filters are made of, its
-outliers excepted.
+Truth and measurements are drawn from the model that the filters use, except for outliers. So a
+filter can be consistent, and its accuracy can be compared with a bound.
 """
 
 from __future__ import annotations
@@ -50,17 +49,18 @@ PASSES = 3
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """What a filter believes, as what happens: a motion, a sensor and a start, whose noise may be
-    colored or wild.
+    """A problem whose runs are drawn from the model of the filters: a motion, a sensor and a prior.
 
-    motion, sensor: with noise beside the models, constant or a function of mean and epoch.
+    The measurement noise may also be correlated in time or have outliers.
+
+    motion, sensor: with additive noise, constant or a function of mean and epoch.
     prior: belief about the start, mean ``(N,)`` and covariance ``(n, n)``.
     times: ``(T,)`` s, increasing. u: inputs, ``epoch.u``: ``u[k]`` acts from ``times[k]`` to
         ``times[k + 1]``.
     phi: correlation of the measurement's noise with the last one, in [0, 1): an AR(1) process.
-    outliers: part of the components, in [0, 1), whose noise is `WILD` times as large; filters are
-        not told.
-    groups: what is judged, by name; one group of all components if empty.
+    outliers: part of the components, in [0, 1), whose noise is `WILD` times as large; unknown to
+        the filters.
+    groups: components that are judged, by name; one group of all components if empty.
 
     >>> problem = Problem(motion, sensor, prior, np.arange(601.0), outliers=0.05)
     """
@@ -129,7 +129,7 @@ class Problem:
         return self.motion.columns(mean, epoch, self.n), self.sensor.columns(mean, epoch, self.m)
 
     def draw(self, rngs: Sequence[np.random.Generator]) -> tuple[Array, Array]:
-        """Truth ``(T, runs, N)`` and measurements ``(T, runs, M)``, a run with each generator."""
+        """Truth ``(T, runs, N)`` and measurements ``(T, runs, M)``, one run for each generator."""
         T, space, (W, V) = len(self.times), self.motion.space, self._noise()
         start, walk, noise, lot = normals(
             rngs, (self.n,), (T, W.shape[1]), (T, V.shape[1]), (T, self.m)
@@ -157,7 +157,7 @@ class Problem:
         rngs: Sequence[np.random.Generator],
         reference: str = "",
     ) -> Trial:
-        """Runs for filters to be judged on; ``reference``: see `celnav.study.trial.Trial`."""
+        """A trial of filters on drawn runs; ``reference``: see `celnav.study.trial.Trial`."""
         truth, z = self.draw(rngs)
         groups = tuple(self.groups) or (Group("state", "", slice(0, self.n)),)
         more: dict[str, Any] = {"u": self.u, "space": self.motion.space, "reference": reference}
@@ -172,15 +172,15 @@ def _image(model: Motion | Sensor, x: Array, epoch: Epoch, m: int | None = None)
 
 
 class Comparison(NamedTuple):
-    """How a filter does on a problem.
+    """Accuracy, consistency and cost of a filter on a problem.
 
-    problem, filter: names. rms: of the first group over the second half of the epochs; rms_low,
-        rms_high: its 95 % interval.
-    efficiency: the linearized posterior Cramer-Rao bound over it: about 1 if it is as good as can
-        be; a little more by chance, or where process noise leads away from the run about which it
-        is linearized. nan where there is no bound.
-    anees, low, high: NEES over its dimension, 1 if consistent, with its interval. Intervals come
-        from how the runs differ.
+    problem, filter: names. rms: RMS error of the first group over the second half of the epochs;
+        rms_low, rms_high: its 95 % interval.
+    efficiency: the linearized posterior Cramer-Rao bound over ``rms``, about 1 for an optimal
+        filter, nan if there is no bound. It may exceed 1 slightly by chance, or if process noise
+        leads away from the run at which the bound is linearized.
+    anees, low, high: NEES over its dimension, 1 if consistent, with its 95 % interval. All
+        intervals come from the differences between runs.
     lost: runs without an estimate. us_per_step: CPU time of a run's step, microseconds, the least
         of `PASSES`.
     """
@@ -205,11 +205,10 @@ def compare(
     runs: int = 200,
     seed: int = 0,
 ) -> list[Comparison]:
-    """Run filters on problems, all on the same noise: a `Comparison` for each problem and filter
-    that go together.
+    """A `Comparison` for each problem and each of its filters, all with the same noise.
 
-    problems: by name. runs: of each. seed: run r has the generator of ``(seed, 0, r)``.
-    filters: by name, functions of a problem that give a filter, or None where there is none.
+    problems: by name. runs: of each problem. seed: run r has the generator of ``(seed, 0, r)``.
+    filters: by name, functions of a problem that give a filter, or None if it has none.
 
     >>> filters = {"UKF": lambda p: celnav.ukf(p.motion, p.sensor)}
     >>> filters["EKF"] = lambda p: celnav.ekf(p.motion, p.sensor)
@@ -245,7 +244,7 @@ def compare(
 
 
 def _seconds(filter: Filter, trial: Trial, name: str) -> float:
-    """CPU seconds that a filter takes for all runs, the least of `PASSES`; nothing is judged."""
+    """CPU seconds of a filter for all runs, the least of `PASSES`, without any evaluation."""
     passes = []
     for _ in range(PASSES):
         start = process_time()
@@ -261,8 +260,8 @@ def _interval(statistic: Callable[[Array], Any], samples: Array) -> tuple[float,
 
 
 def _bound(problem: Problem) -> Array | None:
-    """Of the filter that knows the color, outliers aside, along the undisturbed run; None where
-    there is none, on curved spaces.
+    """Bound along the undisturbed run, for the filter that models the noise's correlation; None on
+    curved spaces. Outliers are ignored.
     """
     if problem.phi == 0.0:
         best: Filter = sigma_point(problem.motion, problem.sensor, rule=Taylor())

@@ -1,5 +1,5 @@
-"""Truth and measurements drawn from what a filter believes: of the same `Motion` and `Sensor`, so
-they cannot disagree.
+"""Truth and measurements drawn from a filter's own `Motion` and `Sensor`, so that they cannot
+disagree.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ def simulate(
     u: Any = None,
     Phi: Any = None,
 ) -> tuple[Array, Any]:
-    """Truth ``(T, runs, N)`` and measurements ``(T, runs, m)``, a tuple of them for a sequence of
-    sensors.
+    """Truth ``(T, runs, N)`` and measurements ``(T, runs, m)``; for a sequence of sensors, a tuple
+    of measurements.
 
-    motion, sensor: what a filter of them believes; of several sensors a sequence. Noise through the
-        points is drawn, too.
+    motion, sensor: the models of a filter; several sensors as a sequence. Noise that enters through
+        the sigma points is drawn too.
     prior: mean ``(N,)`` and covariance ``(n, n)`` of the start.
     times: ``(T,)`` s. u: inputs, as in `celnav.epochs`.
     runs: how many; None: one run without an axis of runs, ``(T, N)`` and ``(T, m)``.
@@ -90,8 +90,8 @@ def simulate(
     def image(
         name: str, model: Motion | Sensor, x: Array, epoch: Epoch, noise: Callable[..., Any] = white
     ) -> Array:
-        """What a model makes of states ``(runs, N)``, with the noise through the points and the one
-        beside them, of that name.
+        """Values of a model at states ``(runs, N)``, with its augmented noise and the additive
+        noise ``name``.
         """
         augment = [draw(root)[None] for root in model.augment]
         y: Array = evaluate(model, x[None].copy(), epoch, augment)[0]

@@ -1,9 +1,9 @@
 """A store of results: a folder with a manifest and one checksummed file for each finished unit of
 work.
 
-Every file is written under a temporary name and renamed: the folder is right after any
-interruption. The manifest says which code made the results: another one's are not used. That of a
-campaign says also which study they are of.
+Every file is written under a temporary name and renamed, so the folder is valid after any
+interruption. The manifest says which code made the results; results of other code are not used. The
+manifest of a campaign also describes its study.
 """
 
 from __future__ import annotations
@@ -37,14 +37,14 @@ if TYPE_CHECKING:
 
 FORMAT = 2
 MANIFEST, RESULTS = "manifest.json", ".results"
-"""Of a store; folder of a paper's results below the folder of what is shown of it."""
+"""File of a store's manifest, and folder of a paper's results below the folder of its outputs."""
 Array = NDArray[Any]
 
 
 @cache
 def code() -> dict[str, str]:
-    """What determines the numbers: versions of celnav, with a hash of its sources and data, and of
-    what it computes with.
+    """Versions that determine the numbers: of celnav, with a hash of its sources and data, and of
+    numpy and other packages.
     """
     root = Path(celnav.__file__).parent
     digest = hashlib.sha256()
@@ -69,16 +69,16 @@ class Store:
         self.folder = folder
 
     def path(self, unit: Unit) -> Path:
-        """Where a unit's result is."""
+        """The file of a unit's result."""
         return self.folder / "units" / f"{unit.key}.npz"
 
     def write(self, unit: Unit, arrays: Mapping[str, Array]) -> None:
-        """Keep a result. OSError names the file if it cannot be written."""
+        """Store a result. OSError names the file if it cannot be written."""
         with replacing(self.path(unit)) as path:
             np.savez(path, allow_pickle=False, **arrays, checksum=np.array(_checksum(unit, arrays)))
 
     def has(self, unit: Unit, say: Callable[[str], Any] = print) -> bool:
-        """Whether a unit is finished and whole; ``say`` takes a line about one that is damaged."""
+        """Whether a unit is finished and sound; ``say`` gets a line about a damaged unit."""
         try:
             return self.path(unit).exists() and bool(self.read(unit))
         except ValueError as error:
@@ -86,7 +86,7 @@ class Store:
             return False
 
     def forget_all_but(self, units: Iterable[Unit]) -> None:
-        """Remove the results of others."""
+        """Remove the results of all other units."""
         wanted = {self.path(unit) for unit in units}
         for path in (self.folder / "units").glob("*.npz"):
             if path not in wanted:
@@ -97,8 +97,8 @@ class Store:
 
         Raises
         ------
-        ValueError: naming the file, if it is damaged: nothing in it is used. OSError: if it is not
-            there.
+        ValueError: naming the file, if it is damaged; nothing in it is used. OSError: if it does
+            not exist.
         """
         path = self.path(unit)
         arrays = read_npz(path)
@@ -113,7 +113,7 @@ class Store:
 
 
 def _checksum(unit: Unit, arrays: Mapping[str, Array]) -> str:
-    """Of the key too: a copy of another unit is no result of this one."""
+    """Checksum of arrays and the unit's key, so that another unit's file is refused."""
     digest = hashlib.sha256(f"{unit.key} ".encode())
     for name in sorted(arrays):
         array = np.ascontiguousarray(arrays[name])
@@ -123,7 +123,7 @@ def _checksum(unit: Unit, arrays: Mapping[str, Array]) -> str:
 
 
 def existing(folder: Path) -> Store | None:
-    """The store in a folder, if there is one and this code made it; nothing is written."""
+    """The store in a folder; None if there is none or other code made it. Nothing is written."""
     try:
         return Store(folder) if read_json(folder / MANIFEST) == _manifest() else None
     except (OSError, ValueError):
@@ -131,7 +131,7 @@ def existing(folder: Path) -> Store | None:
 
 
 def resumed(folder: Path) -> Store:
-    """The store in a folder that is locked, a new one if another code made what is there."""
+    """The store in a locked folder; a new one if other code made the old one."""
     if existing(folder) is None:
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(parents=True)
@@ -145,15 +145,15 @@ class StoreError(InputError):
 
 
 def open_store(folder: str | Path, study: Mapping[str, Any], may_grow: Collection[str]) -> Store:
-    """Begin a campaign's store, or go on with one of the same study, in a folder that is locked.
+    """A campaign's store in a locked folder: a new one, or that of the same study.
 
-    study: all that determines the results, in plain types. may_grow: keys of it whose numbers or
-    lists may have less in them where the study was smaller.
+    study: everything that determines the results, in plain types. may_grow: keys of ``study`` whose
+    numbers or lists may be smaller in the store.
 
     Raises
     ------
-    StoreError: if the folder belongs to another study, or one of more, or was begun with another
-        celnav, numpy or scipy (the message lists the differences), or holds something else.
+    StoreError: if the folder belongs to another or a larger study, was begun with another celnav,
+        numpy or scipy, or holds something else. The message lists the differences.
     OSError: if it cannot be made or written.
     """
     path = Path(folder)
@@ -191,7 +191,7 @@ def _write_manifest(folder: Path, about: Mapping[str, Any]) -> None:
 
 
 def _read_manifest(path: Path) -> dict[str, Any] | None:
-    """The manifest of a campaign; None if the file is none."""
+    """The manifest of a campaign; None if the file is not a manifest."""
     try:
         manifest: dict[str, Any] = read_json(path)
         tables = isinstance(manifest["study"], dict) and isinstance(manifest["code"], dict)
@@ -203,7 +203,7 @@ def _read_manifest(path: Path) -> dict[str, Any] | None:
 def _differences(
     old: Mapping[str, Any], new: Mapping[str, Any], may_grow: Collection[str]
 ) -> list[str]:
-    """``key: old -> new`` of everything that differs, but for numbers and lists that have grown."""
+    """``key: old -> new`` for each difference, except numbers and lists that have grown."""
 
     def is_same(key: str) -> bool:
         return key in may_grow and key in old and _is_within(old[key], new[key])
@@ -213,7 +213,7 @@ def _differences(
 
 
 def _is_within(old: Any, new: Any) -> bool:
-    """Whether a list has the old value, or all of the old list, or a number is not smaller."""
+    """Whether a list contains the old value or the whole old list, or a number is not smaller."""
     if not isinstance(new, list):
         return isinstance(old, int) and old <= new
     return old in new or (isinstance(old, list) and all(value in new for value in old))

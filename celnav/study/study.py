@@ -1,8 +1,8 @@
 """A study: parts that are simulated and filtered, their results by name, and a ledger that is
-judged from them.
+judged from the results.
 
-A paper is data over this: configurations, filters by name, parts, rows of a ledger, figures and
-    tables as calls.
+A paper's study consists of configurations, filters by name, parts, rows of a ledger, and functions
+for figures and tables.
 """
 
 from __future__ import annotations
@@ -44,13 +44,13 @@ __all__ = [
 
 Rngs = Sequence[np.random.Generator]
 START_S = 0.5
-"""CPU seconds that a unit takes before its runs, mostly to compile their filters; roughly."""
+"""Approximate CPU seconds of a unit before its runs, mostly for compiling filters."""
 When = int | slice | str
-"""An epoch, those that are averaged over, or the name of a window, see `Study`."""
+"""An epoch, a slice of epochs to average over, or the name of a window, see `Study`."""
 
 
 def concatenated(blocks: Iterable[dict[str, Array]]) -> dict[str, Array]:
-    """Arrays of blocks along their runs, taken out of the blocks: none is there twice for long."""
+    """Arrays of blocks, concatenated over runs, and removed from the blocks to save memory."""
     first, *others = blocks
     for name in list(first) if others else ():
         arrays = [first[name], *(block.pop(name) for block in others)]
@@ -59,19 +59,18 @@ def concatenated(blocks: Iterable[dict[str, Array]]) -> dict[str, Array]:
 
 
 class Part(NamedTuple):
-    """Runs of one configuration, or anything else that is computed: the piece that `Results` knows
-    by a name.
+    """Runs of one configuration, or any other computation, which `Results` holds under a name.
 
     Attributes
     ----------
-    work: ``(config, rngs) ->`` arrays by name. Those of two axes or more have the runs second,
-        ``(T, runs, ...)``, and are joined over blocks; the others have to be the same in all of
-        them.
-    config: first argument of ``work``. number: of its random numbers. runs: at full effort.
-    block: runs computed together at most; it changes nothing beyond round-off. cost: CPU seconds of
-        them all, roughly.
-    join: ``(arrays of blocks) ->`` arrays of all runs, where they are not joined as above, such as
-        a sum; ValueError if they are not of such work.
+    work: ``(config, rngs) ->`` arrays by name. Arrays with two or more axes have the runs second,
+        ``(T, runs, ...)``, and are joined over blocks. The others must be the same in all blocks.
+    config: first argument of ``work``. number: of the configuration, for its random numbers. runs:
+        at full effort.
+    block: largest number of runs computed together; it affects only round-off. cost: approximate
+        CPU seconds of all runs.
+    join: ``(arrays of blocks) ->`` arrays of all runs, if they are joined in another way, such as a
+        sum; ValueError for arrays of other work.
     """
 
     work: Callable[[Any, Rngs], dict[str, Array]]
@@ -86,12 +85,12 @@ class Part(NamedTuple):
 def evaluate_filters(
     trial: Trial, names: Sequence[str], every: int = 1, *, cov: bool = False
 ) -> dict[str, Array]:
-    """Run filters of a trial by name, and judge them at each ``every``-th epoch with a truth.
+    """Errors and consistency of a trial's filters, at each ``every``-th epoch with a truth.
 
     Returns
     -------
-    times ``(T,)`` s; of each filter ``<name>/error`` and ``<name>/std`` ``(T, runs, n)`` in the
-    units of the groups, ``<name>/nees`` and ``<name>/nis`` ``(T, runs)``, the latter nan where
+    times ``(T,)`` s. For each filter ``<name>/error`` and ``<name>/std`` ``(T, runs, n)`` in the
+    units of the groups, and ``<name>/nees`` and ``<name>/nis`` ``(T, runs)``. NIS is nan where
     nothing was measured. A run that fails is nan. With ``cov`` also ``<name>/cov (T, 1, n, n)``
     of the first run, in the units of the state.
     """
@@ -115,8 +114,8 @@ def evaluate_filters(
 def evaluate_from_priors(
     trial: Trial, priors: Mapping[str, Gaussian], names: Sequence[str], every: int = 1
 ) -> dict[str, Array]:
-    """Run filters of a trial from several priors, on the same runs and in one batch: what
-    `evaluate_filters` gives, by ``<filter>, <prior>``.
+    """Results of `evaluate_filters` from several priors on the same runs, by ``<filter>, <prior>``.
+    All priors run in one batch.
     """
     count, starts = len(priors), list(priors.values())
     covs = [
@@ -154,11 +153,10 @@ def monte_carlo(
     every: int = 1,
     cov: bool = False,
 ) -> Part:
-    """A part whose work is to run filters of a trial by name, see `evaluate_filters`; the rest: see
-    `Part`.
+    """A part that runs a trial's filters by name, see `evaluate_filters`.
 
-    trial: ``(config, rngs) ->`` runs and their filters; a function of a module, since other
-        processes are given it.
+    trial: ``(config, rngs) ->`` runs and their filters; a module's function, since it is sent to
+        other processes. The other arguments: see `Part`.
 
     >>> trial = lambda config, rngs: problem.trial(filters, rngs)
     >>> part = celnav.study.monte_carlo(trial, ("ukf",), None, runs=400)
@@ -179,21 +177,20 @@ def _evaluate(
 
 @dataclass(frozen=True, eq=False)
 class Study:
-    """What is computed for a paper, and what is said of it.
+    """The computations for a paper, and the ledger about it.
 
     Attributes
     ----------
-    name: of the paper. groups: what is judged. rows: the ledger.
-    trial: ``(config, rngs) ->`` runs and their filters, see `celnav.study.trial`; None where
-        nothing is drawn.
-    parts: ``(effort) ->`` parts by name; ``effort``, in (0, 1], may shorten what is long. Runs are
-        scaled by it elsewhere.
-    says, found: what the paper claims as a whole, and our answer, each sentence with the verdicts
-        that it rests on.
-    figure: stem of the one that decides.
-    windows: ``(config, times) ->`` parts of the time by name, as slices of the epochs that are
-        judged.
-    source: hash of the file that it comes from, where that is none of celnav's.
+    name: of the paper. groups: components that are judged. rows: the ledger.
+    trial: ``(config, rngs) ->`` runs and their filters, see `celnav.study.trial`; None if nothing
+        is drawn.
+    parts: ``(effort) ->`` parts by name. ``effort``, in (0, 1], may shorten long runs; the number
+        of runs is scaled by it elsewhere.
+    says, found: the main claim of the paper, and our answer, each sentence with the verdicts that
+        it rests on.
+    figure: stem of the decisive figure.
+    windows: ``(config, times) ->`` intervals of time by name, as slices of the judged epochs.
+    source: hash of the study's file, if it is not a file of celnav.
     """
 
     name: str
@@ -223,10 +220,10 @@ class Study:
         engine: str = "",
         **inputs: Any,
     ) -> list[Unit]:
-        """The work to be done; ``only``: names of the parts wanted, all if empty; ``inputs``: what
-        else `parts` takes.
+        """The units of work of the study.
 
-        engine: that of `celnav.run`; empty: the one that is set.
+        only: names of the parts to do, all if empty. engine: that of `celnav.run`; empty: the one
+        that is set. inputs: further arguments of `parts`.
         """
         parts = self.parts(effort, **inputs)
         for name in only:
@@ -247,8 +244,8 @@ class Study:
     def results(
         self, units: Sequence[Unit], blocks: Iterable[dict[str, Array]], *, effort: float = 1.0
     ) -> Results:
-        """The arrays of units, in their order, joined over runs. One part is joined before the next
-        is asked for: they are large.
+        """The results from the arrays of units, in their order. Parts are joined one after the
+        other, since they are large.
         """
         parts = groupby(zip(units, blocks, strict=True), lambda pair: pair[0].part)
         works = {unit.part: unit.work for unit in units}
@@ -258,8 +255,8 @@ class Study:
     def reproduce(
         self, *, effort: float = 1.0, out: str | Path | None = None, **options: Any
     ) -> Results:
-        """Do all `units` here and now, but for those that ``celnav reproduce --out`` has done with
-        this code; nothing is written.
+        """The results of all `units`, computed in this process without writing anything. Results
+        that ``celnav reproduce --out`` has stored with this code are reused.
 
         >>> results = csrukf.STUDY.reproduce(effort=0.1, only=["0", "I"], out="out")
         """
@@ -272,11 +269,11 @@ class Study:
         return self.results(units, arrays, effort=effort)
 
     def at_hand(self, out: str | Path = "out", *, small: float = 0.02) -> Results:
-        """All results, if ``celnav reproduce --out`` has computed them with this code; else those
-        of a ``small`` part of the runs.
+        """All results, if ``celnav reproduce --out`` has stored them with this code; else those of
+        a ``small`` part of the runs.
 
-        ``CELNAV_EFFORT``, where it is set, says how large a part is taken, whatever is there;
-        ``CELNAV_OUT`` stands for ``out``.
+        If ``CELNAV_EFFORT`` is set, it gives the part of the runs in any case. If ``CELNAV_OUT`` is
+        set, it replaces ``out``.
         """
         out = os.environ.get("CELNAV_OUT", out)
         store = existing(Path(out) / self.name / RESULTS)
@@ -285,9 +282,9 @@ class Study:
 
 
 class Unit(NamedTuple):
-    """Some runs of a part: what a process does at a time.
+    """Some runs of a part, which a process does at a time.
 
-    about: what else it depends on. units: of the part.
+    about: other inputs of the result, as text. units: number of units of the part.
     """
 
     study: str
@@ -301,7 +298,7 @@ class Unit(NamedTuple):
 
     @property
     def cost(self) -> float:
-        """CPU seconds, roughly."""
+        """Approximate CPU seconds."""
         return START_S + self.work.cost * len(self.runs) / self.work.runs
 
     @property
@@ -311,17 +308,17 @@ class Unit(NamedTuple):
 
     @property
     def key(self) -> str:
-        """Hash of everything that determines the result, but the code."""
+        """Hash of everything that determines the result, except the code."""
         return sha256(f"{self.title}, seed {self.seed}, {self.about}".encode()).hexdigest()[:24]
 
     def check(self, arrays: dict[str, Array]) -> None:
-        """Raise ValueError unless they are of such a part."""
+        """Raise ValueError unless the arrays are those of this unit's part."""
         if not arrays:
             raise ValueError(f"{self.title}: expected arrays, got none")
         self.work.join([arrays])
 
     def do(self) -> dict[str, Array]:
-        """Arrays of the part, and ``cpu_s (1, 1)``; warnings of models and filters are errors."""
+        """Arrays of the part, and ``cpu_s (1, 1)``. Warnings of models and filters are errors."""
         start, token = process_time(), ENGINE.set(self.engine)
         rngs = [generator(self.seed, self.work.number, run) for run in self.runs]
         try:
@@ -335,7 +332,7 @@ class Unit(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Results:
-    """The arrays of a study's parts; figures, tables and the ledger read nothing else.
+    """The arrays of a study's parts, from which figures, tables and the ledger are made.
 
     Attributes
     ----------
@@ -367,7 +364,7 @@ class Results:
         return self.data[part][f"{filter}/{what}"][..., self.group(group).part]
 
     def at(self, part: str, when: When) -> int | slice:
-        """An epoch or some of them, that of a name as the study has it."""
+        """An epoch or some epochs; a name is that of one of the study's windows."""
         if not isinstance(when, str):
             return when
         windows = (
@@ -378,23 +375,25 @@ class Results:
         return windows[choice("at", when, windows)]
 
     def squares(self, part: str, filter: str, group: str, at: When = -1) -> Array:
-        """Squared errors ``(runs, k)`` of a group's components at an epoch, or means over some."""
+        """Squared errors ``(runs, k)`` of a group's components at an epoch, or their mean over some
+        epochs.
+        """
         square = np.square(self.error(part, filter, group)[self.at(part, at)])
         return square if isinstance(at, int) else np.asarray(square.mean(0))
 
     def nees(self, part: str, filter: str, at: When = -1, what: str = "nees") -> Array:
         """NEES, or with ``what="nis"`` NIS, of each run ``(runs,)`` at an epoch, or its mean over
-        some of them.
+        some epochs.
         """
         values = self.data[part][f"{filter}/{what}"][self.at(part, at)]
         return values if isinstance(at, int) else np.asarray(values.mean(0))
 
     def group(self, name: str) -> Group:
-        """The group of a name."""
+        """The group with a name."""
         return next(group for group in self.study.groups if group.name == name)
 
     def first(self, part: str) -> Trial:
-        """The first run of a part alone, with its filters, to be run again in full."""
+        """A trial of the first run of a part, to run its filters again in full."""
         config, number = self.parts[part].config, self.parts[part].number
         assert self.study.trial is not None, "a study that draws nothing has no runs to run again"
         return self.study.trial(config, [generator(self.seed, number, 0)])
@@ -405,7 +404,9 @@ class Results:
         return self.effort == 1.0
 
     def claims(self, rows: Sequence[Row] = ()) -> list[Claim]:
-        """All rows of the ledger, or some, judged; not those that need a part which is absent."""
+        """The claims of all rows of the ledger, or of some. Rows that need an absent part are left
+        out.
+        """
         return [
             row.judged(self, self.full)
             for row in rows or self.study.rows

@@ -1,8 +1,8 @@
-"""A trial: simulated runs of one configuration, the filters that may run on them, and how their
-estimates are judged.
+"""A trial: simulated runs of one configuration, the filters for them, and the evaluation of their
+estimates.
 
-Each paper has a function ``trial(config, rngs) -> Trial``; missions, campaigns and the linear bound
-need nothing else of it.
+Each paper has a function ``trial(config, rngs) -> Trial``. Missions, campaigns and the linear bound
+use nothing else of the paper.
 """
 
 from __future__ import annotations
@@ -35,14 +35,17 @@ __all__ = [
 ]
 
 TOGETHER = 8
-"""Epochs whose roots are evaluated at once; with more the filter's own arrays leave the cache."""
+"""Epochs whose square roots are evaluated at once; more would displace the filter's arrays from the
+cache.
+"""
 
 
 class Group(NamedTuple):
     """Components of the error that are judged together, such as a position.
 
-    ``part`` of the error's components, times ``scale`` (a number, or one for each of them), are in
-    ``unit``. axes: names of the components, for recordings; x, y and z, or numbers, if empty.
+    part: slice of the error's components. scale: factor from the state's units to ``unit``, a
+    number or one for each component. axes: names of the components, for recordings; x, y and z, or
+    numbers, if empty.
 
     >>> position = celnav.Group("position", "m", slice(0, 3), 1000.0)  # of errors in km
     """
@@ -55,7 +58,7 @@ class Group(NamedTuple):
 
     @property
     def names(self) -> Sequence[str]:
-        """Of the components, one for each."""
+        """Names of the components, one for each."""
         count = self.part.stop - self.part.start
         return self.axes or ("xyz" if count == 3 else [str(i + 1) for i in range(count)])
 
@@ -63,15 +66,15 @@ class Group(NamedTuple):
 class Trial(NamedTuple):
     """Simulated runs of a configuration.
 
-    groups: what is judged. filters: by name. prior: of all runs, ``(runs, n)``.
-    epochs: ``name ->`` epochs for the filter of that name, from the start at every call. Those with
-        a ``truth`` are judged.
+    groups: components that are judged. filters: by name. prior: of all runs, ``(runs, n)``.
+    epochs: ``name ->`` epochs for the filter with that name, from the start at every call. Epochs
+        with a ``truth`` are judged.
     compare: ``(truth, belief) ->`` errors ``(runs, n)`` and roots ``(runs, n, n)`` of the
         covariance that the belief predicts.
-    reference: name of a filter that is as good as can be where errors are small, for `bound`; empty
-        if there is none.
-    place: position ``(..., 3)`` km about the Earth's center of a state ``(..., n)``; None if it is
-        no orbit.
+    reference: name of a filter that is optimal for small errors, for `bound`; empty if there is
+        none.
+    place: position ``(..., 3)`` km from the Earth's center for a state ``(..., n)``; None if the
+        state is not an orbit.
     """
 
     groups: tuple[Group, ...]
@@ -84,7 +87,7 @@ class Trial(NamedTuple):
 
 
 def check_groups(groups: Any, n: int) -> None:
-    """Groups of components, of which there are ``n``; ValueError names what is none."""
+    """Raise ValueError unless all are groups of the ``n`` components."""
     for group in sequence("groups", groups, "[Group('position', 'm', slice(0, 3))]"):
         instance("groups", group, Group, "each a Group")
         if not isinstance(group.part, slice) or not len(range(n)[group.part]):
@@ -105,11 +108,10 @@ def trial_from_arrays(
     space: Space = EUCLIDEAN,
     reference: str = "",
 ) -> Trial:
-    """A trial of runs that were drawn: of the states themselves, which are judged as their space
-    has it.
+    """A trial from arrays of runs, whose errors are the differences in the space of the states.
 
-    prior: of one run. times: ``(T,)`` s. z, u: as `celnav.epochs` takes them. truth: ``(T, runs,
-        N)``. The rest: see `Trial`.
+    prior: of one run. times: ``(T,)`` s. z, u: as for `celnav.epochs`. truth: ``(T, runs, N)``. The
+        other arguments: see `Trial`.
 
     >>> truth, z = celnav.simulate(motion, radar, prior, times, runs=rngs)
     >>> filters = {"ukf": celnav.ukf(motion, radar)}
@@ -126,21 +128,23 @@ def trial_from_arrays(
     def compare(truth: Any, belief: Belief) -> tuple[Array, Array]:
         return -space.minus(
             truth, belief.mean
-        ), belief.sqrt_cov  # the root is that of tangents at the mean
+        ), belief.sqrt_cov  # the square root of the covariance of tangents at the mean
 
     start = Gaussian(np.tile(prior.mean, (states.shape[1], 1)), prior.cov)
     return Trial(tuple(groups), filters, start, lambda _name: every, compare, reference)
 
 
 def squares(groups: Sequence[Group], values: Array) -> Array:
-    """Sums of squares ``(..., groups)`` of errors or deviations ``(..., n)``, in their units."""
+    """Sums of squares ``(..., groups)`` of errors or standard deviations ``(..., n)``, in the
+    groups' units.
+    """
     parts = [np.square(values[..., group.part] * np.asarray(group.scale)) for group in groups]
     # One by one: reductions over so few numbers take several times as long.
     return np.stack([reduce(np.add, np.moveaxis(part, -1, 0)) for part in parts], -1)
 
 
 def scales(groups: Sequence[Group], n: int) -> Array:
-    """What takes ``n`` components of an error to the units of the groups."""
+    """Factors ``(n,)`` from the components of an error to the units of the groups."""
     factors = np.ones(n)
     for group in groups:
         factors[group.part] = group.scale
@@ -148,7 +152,7 @@ def scales(groups: Sequence[Group], n: int) -> Array:
 
 
 class Noiseless:
-    """A generator of zeros: the run that it gives is the undisturbed one."""
+    """A generator of zeros, which gives the undisturbed run."""
 
     def standard_normal(self, shape: tuple[int, ...]) -> Array:
         """Zeros."""
@@ -156,13 +160,13 @@ class Noiseless:
 
 
 class Evaluation(NamedTuple):
-    """A filter's runs at the ``K`` epochs that were judged; nan where a run has no estimate.
+    """Results of a filter at the ``K`` judged epochs; nan where a run has no estimate.
 
-    times: ``(K,)`` s. error: ``(K, runs, n)``, and std: the deviations that the filter predicts.
+    times: ``(K,)`` s. error: ``(K, runs, n)``. std: the predicted standard deviations, likewise.
     nees, nis, dof: ``(K, runs)``; ``dof`` is the number of measured components behind ``nis``.
     cov: ``(K, n, n)``, the covariance that it predicts for the first run.
-    lost: ``(run, t, why)`` of each run whose estimate ceased to be finite. epochs: of the filter,
-        judged or not.
+    lost: ``(run, t, why)`` of each run whose estimate ceased to be finite. epochs: number of the
+        filter's epochs, judged or not.
     """
 
     times: Array
@@ -177,8 +181,8 @@ class Evaluation(NamedTuple):
 
 
 def evaluate_filter(trial: Trial, name: str, every: int = 1) -> Evaluation:
-    """Run the filter of a name and judge it at each ``every``-th of the epochs that have a truth,
-    and at the last.
+    """Results of the filter with a name, at each ``every``-th epoch that has a truth and at the
+    last.
     """
     instance("trial", trial, Trial, "a Trial, such as problem.trial(filters, rngs)")
     filter, every = trial.filters[choice("name", name, trial.filters)], integer("every", every)
@@ -199,7 +203,7 @@ def evaluate_filter(trial: Trial, name: str, every: int = 1) -> Evaluation:
             count += 1
             why = ""
             if any_lost(state.belief):
-                # Newly lost: a filter of single epochs may have had no estimate before.
+                # Newly lost: filters without memory may have had no estimate before either.
                 start = filter.start(trial.prior) if before is None else before
                 if (state.belief.lost() & ~start.belief.lost()).any():
                     why = explain(filter, start, state, epoch)
@@ -232,7 +236,7 @@ def evaluate_filter(trial: Trial, name: str, every: int = 1) -> Evaluation:
 
 
 def _row(trial: Trial, epoch: Epoch, belief: Belief, infos: tuple[Info, ...]) -> tuple[Any, ...]:
-    """Time, errors and their roots, NIS and the components behind it, at an epoch."""
+    """Time, errors, roots of their covariances, NIS and its degrees of freedom at an epoch."""
     with np.errstate(invalid="ignore"):
         error, root = trial.compare(epoch.truth, belief)
     runs = error.shape[:-1]
@@ -244,7 +248,9 @@ def _row(trial: Trial, epoch: Epoch, belief: Belief, infos: tuple[Info, ...]) ->
 def _note_lost(
     lost: dict[int, tuple[float, str]], epoch: Epoch, belief: Belief, why: str = ""
 ) -> None:
-    """Note the runs without an estimate; forget those that have one again, as single epochs may."""
+    """Note the runs without an estimate, and forget those that have one again. Filters without
+    memory may recover.
+    """
     is_finite = np.atleast_1d(np.isfinite(belief.mean).all(-1))
     for i in np.flatnonzero(~is_finite).tolist():
         lost.setdefault(i, (float(epoch.t), why or "the estimate is not finite"))
@@ -253,12 +259,12 @@ def _note_lost(
 
 
 def bound(trial: Trial, every: int = 1) -> Array | None:
-    """Linearized posterior Cramer-Rao bound, from a trial of one `Noiseless` run: mean squares
-    ``(K, groups)``, or None.
+    """Linearized posterior Cramer-Rao bound: mean squares ``(K, groups)``, or None without a
+    reference filter.
 
-    These are the variances of the reference filter along the undisturbed run: for small process
-    noise and errors in the linear range, no filter with this model and these measurements has
-    smaller mean squares.
+    ``trial`` has one `Noiseless` run. The bound is the variance of the reference filter along this
+    undisturbed run. For small process noise and errors in the linear range, no filter with the same
+    model and measurements has smaller mean squares.
     """
     instance("trial", trial, Trial, "a Trial, such as problem.trial(filters, rngs)")
     return (

@@ -172,7 +172,7 @@ def test_where_no_redundancy_is_left_it_is_said(noisy, left, state):
         == state
     )
     words = (
-        "1 epochs not used whose ranges contradict each other"
+        "ranges of 1 epochs and rates of 0 not used, as they contradict each other"
         if left == 5
         else "1 without redundancy, which nothing tests"
     )
@@ -321,7 +321,10 @@ def test_sets_that_are_none_and_epochs_out_of_order_are_in_the_summary(noisy):
     found = positioning.prepare(replace(obs, out_of_order=2), replace(nav, left_out={"C05": 3}))
     lines = positioning_report.summary(positioning_report.position(found, "ls", None))
     assert "2 epochs out of order" in lines
-    assert "3 broadcast sets that are incomplete or hold what no message can (C05 3)" in lines
+    assert (
+        "3 broadcast sets that are incomplete or have a number that no message can hold (C05 3)"
+        in lines
+    )
 
 
 def test_positions_far_from_the_earth_are_none(noisy):

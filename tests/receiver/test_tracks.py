@@ -250,7 +250,7 @@ def test_a_height_where_no_receiver_is_is_marked(found, height, word):
     assert result.doubtful.tolist() == [k == 1 and word != "tested" for k in range(6)]
     text = report.summary(result).splitlines()[0]
     assert text.startswith("NOT SOUND    do not trust 1 of 6 positions") == (word != "tested")
-    assert ("1 implausible height (where no receiver is)" in text) == (word != "tested")
+    assert ("1 implausible height (no receiver can be there)" in text) == (word != "tested")
     assert (",A,U*" in tracks.nmea(result)) == (word != "tested")
 
 

@@ -439,8 +439,8 @@ NIS 0    z0: 0.2726, conservative (95 % of consistent ones: 0.4992 to 1.672); of
          rejected
 NIS 1    z1: 0.3197, conservative (95 % of consistent ones: 0.5325 to 1.612); of 26 components used, 1
          rejected
-events   10 components missing, 2 components rejected, 1 of 5 runs lost, the first (run 4) at 2 s; what was
-         before counts"""
+events   10 components missing, 2 components rejected, 1 of 5 runs lost, the first (run 4) at 2 s; earlier
+         epochs count"""
     )
 
 
