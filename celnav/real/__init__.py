@@ -1,13 +1,14 @@
-"""Studies on real data: one module each, with the names of a paper's module (see `celnav.papers`).
-They judge no statements of others.
+"""Studies on real data, one module each. They test no published statements.
 
 ``CITATION``: the source of the data. ``TITLE``, ``STUDY``, ``FIGURES``, ``TABLES``, ``RECORDINGS``
-and ``record`` are as in a paper's module. ``INPUTS`` has the name of the study, under which
-``STUDY.parts`` takes the folder of its data. ``FILES`` are the patterns of files without which the
-folder is refused. The ledger has checks, and findings with intervals from blocks of time
-(`celnav.study.ledger.estimate`, ``block=``). Filters run once, and arrays are ``(T, 1, ...)``. The
-data are not part of the package: without a folder a study does not run, and its rows are not on the
-page.
+and ``record`` are as in a paper's module (see `celnav.papers`). ``INPUTS`` has the name of the
+study; under this name ``STUDY.parts`` takes the folder of the data. ``FILES``: patterns of the
+files that the folder must have.
+
+The ledger has checks and findings. Findings have intervals from a bootstrap over blocks of time
+(`celnav.study.ledger.estimate`, ``block=``). Filters run once, so arrays are ``(T, 1, ...)``. The
+data are not part of the package. Without a folder a study does not run, and the page omits its
+rows.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ STUDIES = REAL
 
 
 def found(folder: str | Path, patterns: Sequence[str]) -> list[Path]:
-    """The first file of a folder that matches each pattern, such as ``["*.pos.gz"]``.
+    """First file of a folder that matches each pattern, such as ``["*.pos.gz"]``.
 
     Raises
     ------

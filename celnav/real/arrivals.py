@@ -1,15 +1,15 @@
-"""Arrival times of millisecond pulsars, what their timing models know of the years before, fixes of
-the Earth; ephemerides.
+"""Arrival times of millisecond pulsars, their timing models, fixes of the Earth, and ephemerides.
 
-An Earth that is ``d`` from where its ephemeris has it meets pulses ``n.d`` km early. Each pulsar
-has a timing model: phase, spin and spin-down, position, proper motion and parallax, each a column
-    of a linear model, with white noise beyond the claimed one and
-a spin that walks at random, sized by restricted likelihood. What a fit of them takes for its own it
-hides: a constant or yearly error of the Earth, and most of a slow one [Blandford1984].
+``n`` is the direction of a pulsar, and ``d`` the error of the Earth's position in its ephemeris.
+Pulses then arrive ``n.d`` km early. The timing model of a pulsar has phase, spin and spin-down,
+position, proper motion and parallax. Each is a column of a linear model. The noise is white noise
+in addition to the reported noise, and a random walk of the spin. The size of both maximizes the
+restricted likelihood. The fit absorbs errors of the Earth that resemble its columns: a constant or
+yearly error, and most of a slow error [Blandford1984].
 
-Residuals are as released [Agazie2023], of models fitted on all years. Refitting on some of them
-undoes that for the columns above, exactly; orbits of binaries and dispersion keep what all years
-gave.
+Residuals are used as released [Agazie2023], from models fitted to all years. For the columns above,
+a new fit to some years undoes the first fit exactly. Binary orbits and dispersion still depend on
+all years.
 """
 
 from __future__ import annotations
@@ -32,13 +32,16 @@ from celnav.real import found
 
 YEAR, WEEK, AU_S = 365.25, 7.0, 499.00478384
 LEAST_DAYS, LEAST_YEARS = 30, 3.0
-"""Of the observations before, for a pulsar to take part."""
+"""Minimum number of days, and minimum time, of a pulsar's earlier observations."""
 
 
 # -- arrival times and timing models ---------------------------------------------------------------
 class Arrivals(NamedTuple):
-    """Daily averages of a pulsar: its direction ``n (3,)``; days (MJD), lateness and that one's
-    deviation (km), ``(N,)``; where the Earth was, ``(N, 3)`` AU."""
+    """Daily averages of a pulsar.
+
+    n: direction ``(3,)``. day: ``(N,)``, MJD. late, sigma: ``(N,)`` km, delay and its standard
+    deviation. earth: position of the Earth, ``(N, 3)`` AU.
+    """
 
     name: str
     n: Array
@@ -50,12 +53,11 @@ class Arrivals(NamedTuple):
 
 @lru_cache(maxsize=2)
 def read(folder: Path) -> tuple[Arrivals, ...]:
-    """The pulsars of ``daily_averages.npz`` in a folder.
+    """Read the pulsars of ``daily_averages.npz`` in a folder.
 
     Raises
     ------
-    FileNotFoundError: naming the folder. InputError: naming the file, and the first row that cannot
-    be.
+    FileNotFoundError: naming the folder. InputError: naming the file, and the first invalid row.
     """
     (path,) = found(folder, ["daily_averages.npz"])
     try:
@@ -78,10 +80,10 @@ def read(folder: Path) -> tuple[Arrivals, ...]:
     right = {
         "finite numbers": np.isfinite(rows).all(1),
         "days after 1990 (MJD)": (rows[:, 0] > 47892.0) & (rows[:, 0] < 1e5),
-        "a pulsar by its place among the names": (which >= 0)
+        "an index of a pulsar among the names": (which >= 0)
         & (which < len(names))
         & (which == np.round(which)),
-        "a deviation above 0 and below 1 s": (rows[:, 3] > 0.0) & (rows[:, 3] < 1.0),
+        "a standard deviation above 0 and below 1 s": (rows[:, 3] > 0.0) & (rows[:, 3] < 1.0),
         "a direction of length 1": np.abs(np.linalg.norm(rows[:, 4:7], axis=1) - 1.0) < 1e-6,
         "the Earth within 0.97 to 1.03 AU of the barycenter": (far > 0.97) & (far < 1.03),
     }
@@ -117,21 +119,19 @@ def model(a: Arrivals) -> Array:
 
 
 def walk(a: Arrivals) -> Array:
-    """Covariance ``(N, N)`` of the phase where the spin walks at random, 1 km / year in each
-    year."""
+    """Covariance ``(N, N)`` of the phase for a random walk of the spin, 1 km/year in each year."""
     t = (a.day - a.day[0]) / YEAR
     low, high = np.minimum.outer(t, t), np.maximum.outer(t, t)
     return np.asarray(low * low * (3.0 * high - low) / 6.0)
 
 
 class Clock(NamedTuple):
-    """A pulsar of which the past is known.
+    """A pulsar as a clock, with a timing model fitted to its past.
 
-    arrivals: all of them. before, after: which are known, and which are predicted, ``(N,)`` bool.
-        early: ``(k,)`` km, how much
-    sooner than predicted the latter come. cov: ``(k, k)`` of that. weights: ``(k, N0)``, predicted
-    is ``weights @ late[before]``.
-    noise: white noise beyond the claimed (km), walk of the spin (km / year in a year).
+    arrivals: all arrivals. before, after: ``(N,)`` bool, arrivals used in the fit, and predicted
+    arrivals. early: ``(k,)`` km, how much earlier than predicted the latter arrive. cov: ``(k,
+    k)``, covariance of ``early``. weights: ``(k, N0)``; the prediction is ``weights @
+    late[before]``. noise: additional white noise (km), random walk of the spin (km/year in a year).
     """
 
     arrivals: Arrivals
@@ -143,10 +143,10 @@ class Clock(NamedTuple):
     noise: tuple[float, float]
 
     def seen(self, moved: Array, learned: bool) -> Array:
-        """By how much ``(k, ...)`` km arrivals come sooner than predicted with an Earth that is
-        ``moved (N, 3, ...)`` km.
+        """How much earlier than predicted ``(k, ...)`` km pulses arrive, if the Earth is displaced
+        by ``moved (N, 3, ...)`` km.
 
-        learned: whether the timing model was fitted with the same.
+        learned: whether the timing model was fitted with the same displacement.
         """
         sooner = np.tensordot(self.arrivals.n, moved, (0, 1))
         return np.asarray(
@@ -155,8 +155,8 @@ class Clock(NamedTuple):
 
 
 def sized(late: Array, sigma: Array, M: Array, K: Array) -> tuple[float, float]:
-    """White noise and walk of the spin of largest restricted likelihood, which knows nothing of the
-    model's parameters.
+    """White noise and random walk of the spin with the largest restricted likelihood. This
+    likelihood does not depend on the parameters of the timing model.
     """
 
     def loss(logs: Array) -> float:
@@ -183,7 +183,7 @@ def sized(late: Array, sigma: Array, M: Array, K: Array) -> tuple[float, float]:
 
 @lru_cache(maxsize=4)
 def clocks(folder: Path, split: float, end: float) -> tuple[Clock, ...]:
-    """The pulsars that were observed long enough before ``split`` (MJD), with their models, until
+    """Pulsars with enough observations before ``split`` (MJD), with their timing models, until
     ``end``.
     """
     out = []
@@ -214,8 +214,10 @@ def clocks(folder: Path, split: float, end: float) -> tuple[Clock, ...]:
 
 # -- fixes -----------------------------------------------------------------------------------------
 class Weeks(NamedTuple):
-    """Weeks with a fix: middle (MJD) ``(T,)``; ``y (T, 3, ...) = R (T, 3, 3) d`` and noise of unit
-    covariance; pulsars ``(T,)``.
+    """Weeks with a fix.
+
+    day: middle (MJD) ``(T,)``. R, y: equations ``y (T, 3, ...) = R (T, 3, 3) d`` plus noise of unit
+    covariance. heard: number of pulsars ``(T,)``.
     """
 
     day: Array
@@ -225,14 +227,12 @@ class Weeks(NamedTuple):
 
     @property
     def fix(self) -> Array:
-        """Least squares: places ``(T, 3, ...)`` km, as far as from where the ephemeris has the
-        Earth.
-        """
+        """Least-squares positions of the Earth ``(T, 3, ...)`` km, relative to its ephemeris."""
         return np.linalg.solve(self.R, self.y.reshape(*self.y.shape[:2], -1)).reshape(self.y.shape)
 
     @property
     def std(self) -> Array:
-        """Claimed deviation ``(T,)`` km of the fix's length."""
+        """Predicted σ ``(T,)`` km of the fix, over all three axes."""
         return np.asarray(
             np.linalg.norm(
                 np.linalg.solve(self.R, np.broadcast_to(np.eye(3), self.R.shape)), axis=(1, 2)
@@ -243,7 +243,7 @@ class Weeks(NamedTuple):
 def weekly(
     heard: Sequence[Clock], early: Sequence[Array], start: float, end: float, least: int = 6
 ) -> Weeks:
-    """Fixes by least squares of what each clock shows, ``(k, ...)`` km."""
+    """Weekly least-squares fixes from the early arrivals of each clock, ``(k, ...)`` km."""
     day, R, y, count = [], [], [], []
     days = [c.arrivals.day[c.after] for c in heard]
     for first in np.arange(start, end, WEEK):
@@ -255,9 +255,8 @@ def weekly(
         H = np.concatenate([np.tile(c.arrivals.n, (len(k), 1)) for c, k, _ in there])
         z = np.concatenate([z[k] for _, k, z in there])
         Q, upper = np.linalg.qr(solve_triangular(L, H, lower=True))
-        sign = np.copysign(
-            1.0, upper.diagonal()
-        )  # or components of one week are not those of the next
+        # A positive diagonal, so that the components of successive weeks correspond.
+        sign = np.copysign(1.0, upper.diagonal())
         Q, upper = Q * sign, upper * sign[:, None]
         white = solve_triangular(L, z.reshape(len(z), -1), lower=True)
         day.append(first + 0.5 * WEEK)
@@ -274,10 +273,13 @@ def weekly(
 def remembered(
     heard: Sequence[Clock], early: Sequence[Array], day: Array, moves: Array
 ) -> tuple[Array, Array]:
-    """Arrivals less what earlier ones of the same pulsar said of its timing model:
-    ``y (T, 12) = H (T, 12, 12) x`` and unit noise.
+    """Weekly equations of arrivals, whitened by earlier arrivals of the same pulsar: ``y (T, 12) =
+    H (T, 12, 12) x`` plus unit noise.
 
-    moves: ``(T, 12, 12)``, from the first of the weeks ``day (T,)`` to each of them.
+    The earlier arrivals carry the information about the error of the timing model.
+
+    moves: transition matrices ``(T, 12, 12)`` from the first of the weeks ``day (T,)`` to each of
+    them.
     """
     rows, weeks = [], []
     for c, z in zip(heard, early, strict=True):
@@ -296,8 +298,8 @@ def remembered(
 # -- ephemerides -----------------------------------------------------------------------------------
 @lru_cache(maxsize=1)
 def differences() -> dict[str, CubicSpline]:
-    """``data/ephemeris_years.npz``: DE440 less an older ephemeris, ``(T, 3)`` km at days (MJD), of
-    Earth and Sun: "de405/sun".
+    """DE440 minus an older ephemeris, from ``data/ephemeris_years.npz``: splines of ``(T, 3)`` km
+    by day (MJD). Keys name ephemeris and body (Earth or Sun), such as "de405/sun".
     """
     t = read_npz(data("ephemeris_years.npz"))
     new = {body: t[f"de440-de421/{body}"] for body in ("earth", "sun")}
@@ -311,8 +313,8 @@ def differences() -> dict[str, CubicSpline]:
 
 
 def transition(start: float, end: float) -> Array:
-    """What becomes of a small error of the Earth's orbit about the Sun ``(6, 6)``, from one day
-    (MJD) to another.
+    """Transition matrix ``(6, 6)`` of a small error of the Earth's orbit about the Sun, from one
+    day (MJD) to another.
     """
     steps = max(1, round(2.0 * (end - start)))
     at = Tdb(2400000.5, start + (end - start) * np.arange(2 * steps + 1) / (2 * steps))
@@ -321,7 +323,7 @@ def transition(start: float, end: float) -> Array:
     A[:, :3, 3:] = np.eye(3)
     A[:, 3:, :3] = GM["sun"] * (3.0 * r[:, :, None] * r[:, None] / size**5 - np.eye(3) / size**3)
     Phi, h = np.eye(6), (end - start) * DAY_S / steps
-    for a, b, c in zip(A[:-1:2], A[1::2], A[2::2], strict=True):  # Runge and Kutta
+    for a, b, c in zip(A[:-1:2], A[1::2], A[2::2], strict=True):  # Runge-Kutta of order 4
         k1 = a @ Phi
         k2 = b @ (Phi + 0.5 * h * k1)
         k3 = b @ (Phi + 0.5 * h * k2)

@@ -1,21 +1,27 @@
-"""BROAD [Laidig2021]: attitude from gyro, accelerometer and magnetometer in a hand, judged by
-cameras.
+"""Attitude from gyro, accelerometer and magnetometer in a hand, compared with cameras: BROAD
+[Laidig2021].
 
-Settings. No truth chose a number. The reach is half an arm's, renewed each second, and the gyro's
-scale factors change by 0.1 %. The noise of gyro and accelerometer, the field and the gyro's matrix
-are where the innovations of the trials `TUNED`, three of the six undisturbed ones, were most
-probable in the model of before; the noise of the magnetometer is what its noise, bias and
-misalignments came to there. The deviation of the accelerometer's bias is the RMS by which the
-specific force differs from gravity while those three are at rest.
+Settings. The true attitude chose none of them. The position of the hand has a σ of half an arm's
+length, measured anew each second. The scale factors of the gyro change by 0.1 %. The other settings
+come from the trials `TUNED`, which are three of the six undisturbed trials:
 
-The model is not blind: the errors of these eight trials, and of VQF in them, had been seen when it
-was made. On 2026-11-26 it replaced one with colored acceleration, whose inclination erred by twice
-what it claimed. Three things were found wrong with that: low frequencies of the acceleration, of
-which a hand that stays in place has hardly any; a magnetometer that corrected inclination with
-errors of the field that do not average out; and a start that made the filter learn a heading at
-rest, wrong by up to 4 deg, from linearization alone. Its total RMSE was 2.10 deg, its inclination
-0.91 deg. The new model's total is larger, by the heading of one fast rotation: there the field
-itself is off by 4 deg.
+- The noise of gyro and accelerometer, the field's disturbance and the gyro's matrix maximize the
+  likelihood of the innovations in the previous model.
+- The noise of the magnetometer combines its noise, bias and misalignments in that fit.
+- The σ of the accelerometer's bias is the RMS difference between specific force and gravity while
+  the sensor is at rest.
+
+This is not a blind test. The errors of these eight trials, and those of VQF, were known when the
+model was made. On 2026-11-26 it replaced a model with colored acceleration, whose inclination error
+was twice its predicted σ. That model had three faults:
+
+- It modeled low frequencies of the acceleration, which a hand that stays in place hardly has.
+- Its magnetometer corrected inclination, with errors of the field that do not average out.
+- At rest its filter estimated a heading, wrong by up to 4 deg, from linearization alone.
+
+The RMSE of the previous model was 2.10 deg in total and 0.91 deg in inclination. The total RMSE of
+the new model is larger because of the heading in one fast rotation. There the direction of the
+field itself is off by 4 deg.
 """
 
 from __future__ import annotations
@@ -81,15 +87,17 @@ FILES = (*(f"{name}.mat" for name in TRIALS), *ERRORS)
 VQF_INSTALLED = installed("vqf")
 
 
-# -- what is flown, and what is found --------------------------------------------------------------
-BLOCK_S = 10.0  # of the bootstrap: errors of heading are correlated over seconds
+# -- parts and rows --------------------------------------------------------------------------------
+BLOCK_S = 10.0  # block of the bootstrap: heading errors are correlated over seconds
 LOOSE, KINDS = ("reach", "turning", "mag"), ("total", "heading", "inclination")
 UNDISTURBED = range(6)
 
 
 def run_filters(name: str, config: Flight, _rngs: Sequence[Any]) -> dict[str, Array]:
-    """A filter on all trials, see `celnav.study.study.evaluate_filters`; and ``judged (T, trials,
-    3)`` deg, nan where the benchmark does not.
+    """Run a filter on all trials (see `celnav.study.study.evaluate_filters`).
+
+    Also returns ``judged (T, trials, 3)``: total, heading and inclination errors in deg, nan where
+    the benchmark does not evaluate them.
     """
     out = evaluate_filters(trial(config), [name])
     moving = np.stack([log.moving for log in config.logs()], 1)[..., None]
@@ -97,8 +105,9 @@ def run_filters(name: str, config: Flight, _rngs: Sequence[Any]) -> dict[str, Ar
 
 
 def run_vqf(installed: bool, config: Flight, _rngs: Sequence[Any]) -> dict[str, Array]:
-    """VQF [Laidig2023] with its default settings: ``judged`` as of `run_filters`; nan where its
-    package is not installed.
+    """Run VQF [Laidig2023] with its default settings.
+
+    Returns ``judged`` as `run_filters` does; nan if the package of VQF is not installed.
     """
     logs = config.logs()
     out = np.full((len(logs[0].rate), len(logs), 3), np.nan)
@@ -116,9 +125,15 @@ def run_vqf(installed: bool, config: Flight, _rngs: Sequence[Any]) -> dict[str, 
 
 
 def published(config: Flight, _rngs: Sequence[Any]) -> dict[str, Array]:
-    """RMSE of the total error ``(trials,)``, deg, of each published filter, with the one setting
-    that truth finds best in the mean over all 39 trials: "tagp_parameters" of the files that come
-        with the data."""
+    """Total RMSE ``(trials,)``, deg, of each published filter.
+
+    The files that come with the data have it under "tagp_parameters". The filter has one setting,
+    which minimizes the mean RMSE over all 39 trials and so uses the true attitude.
+
+    Raises
+    ------
+    InputError: naming the file, if it lacks the RMSE of a trial.
+    """
     out = {}
     for name, path in zip(PUBLISHED, found(config.folder, ERRORS), strict=True):
         try:
@@ -137,8 +152,10 @@ def published(config: Flight, _rngs: Sequence[Any]) -> dict[str, Array]:
 
 
 def sensitive(config: Flight, _rngs: Sequence[Any]) -> dict[str, Array]:
-    """Mean RMSE of inclination in the undisturbed trials, deg, at the settings, and with each of
-    `LOOSE` twice as large, then half.
+    """Mean inclination RMSE (deg) in the undisturbed trials with different settings.
+
+    The first value belongs to `SETTINGS`. The others follow with each of `LOOSE` doubled, then
+    halved.
     """
     tried = [SETTINGS]
     tried += [
@@ -160,8 +177,8 @@ def sensitive(config: Flight, _rngs: Sequence[Any]) -> dict[str, Array]:
 
 
 def parts(effort: float, broad: Path) -> dict[str, Part]:
-    """A part for each filter; ``effort`` shortens the trials, but for the minute at rest at their
-    start.
+    """A part for each filter; ``effort`` shortens the trials, except for the minute at rest at
+    their start.
     """
     config = Flight(Path(broad), part=0.3 + 0.7 * effort)
     every = {name: Part(partial(run_filters, name), config, 0, 1, 1, 20.0) for name in filters()}
@@ -171,23 +188,23 @@ def parts(effort: float, broad: Path) -> dict[str, Part]:
 
 
 def squares(r: Results, name: str, trials: Sequence[int], kind: int = 0) -> Array:
-    """Squares of the errors that are judged, deg^2, of some trials one after the other."""
+    """Squared errors (deg^2) that the benchmark evaluates, of some trials one after the other."""
     values = r.get(name, "judged")[:, list(trials), kind].T.ravel()
     return np.asarray(np.square(values[np.isfinite(values)]))
 
 
 def beside_vqf(trials: Sequence[int], kind: int = 0) -> Decided:
-    """RMSE of the headline filter over that of VQF, if it is installed."""
-    label = f"{KINDS[kind]} RMSE over VQF's"
+    """RMSE of the MEKF with Student's t over that of VQF, if VQF is installed."""
+    label = f"{KINDS[kind]} RMSE over that of VQF"
     if not VQF_INSTALLED:
-        return lambda _r: Number(f"{label}, which is not installed", np.nan, (None, 1.0))
+        return lambda _r: Number(f"{label} (VQF is not installed)", np.nan, (None, 1.0))
     return over(label, "robust", "vqf", trials, (None, 1.0), kind)
 
 
 def over(
     label: str, name: str, other: str | float, trials: Sequence[int], accept: Bounds, kind: int = 0
 ) -> Decided:
-    """RMSE of a filter over that of another, or over a number of degrees."""
+    """RMSE of a filter over that of another filter, or over a value in deg."""
 
     def number(r: Results) -> Number:
         both = [
@@ -207,7 +224,7 @@ def over(
 
 
 def claimed(label: str, name: str, trials: Sequence[int], part: slice, accept: Bounds) -> Decided:
-    """RMS error of components on Earth axes over what a filter takes for it."""
+    """RMS error of components on Earth axes over their predicted σ."""
 
     def number(r: Results) -> Number:
         there = np.isfinite(r.get(name, "judged")[..., 0])[:, list(trials)].T
@@ -228,7 +245,7 @@ def claimed(label: str, name: str, trials: Sequence[int], part: slice, accept: B
 
 
 def better(i: int, name: str) -> Decided:
-    """A filter against the better one of those published."""
+    """Total RMSE of a filter over that of the better published filter."""
 
     def number(r: Results) -> Number:
         level, least = min((r.value("published", one, i), one) for one in PUBLISHED)
@@ -238,28 +255,34 @@ def better(i: int, name: str) -> Decided:
 
 
 def count(r: Results) -> list[Number]:
-    """In how many undisturbed trials the filter is better than both published ones, and in how many
-    of them beyond chance.
+    """Number of undisturbed trials in which the filter has a smaller RMSE than both published
+    filters.
+
+    Also the number of these trials with an interval below 1, and the number of all trials.
     """
     each = [better(i, "robust")(r) for i in UNDISTURBED]
     return [
-        Number("better", sum(one.value < 1.0 for one in each), (0.5 * len(each) + 1.0, None)),
-        Number("beyond chance", sum(one.holds is True for one in each)),
+        Number(
+            "trials with a smaller RMSE",
+            sum(one.value < 1.0 for one in each),
+            (0.5 * len(each) + 1.0, None),
+        ),
+        Number("trials with an interval below 1", sum(one.holds is True for one in each)),
         Number("trials", len(each)),
     ]
 
 
 WHY = (
-    "below 1 the filter is better; each published one has one setting for all trials, too, but "
-    "one that was chosen by truth"
+    "the RMSE ratio is below 1. Each published filter also has one setting for all trials, but "
+    "that setting was chosen with the true attitude"
 )
 EXPECTED = ("not shown", "shown", "not shown", "shown", "shown", "shown")
 ROWS = [
     *(
         finding(
             f"better-{TRIALS[i][:2]}",
-            f"{TRIALS[i][3:].replace('_', ' ')}: the MEKF with Student's t is better than both "
-            "published filters.",
+            f"{TRIALS[i][3:].replace('_', ' ')}: the MEKF with Student's t has a smaller RMSE "
+            "than both published filters.",
             better(i, "robust"),
             why=WHY,
             expected=EXPECTED[i],
@@ -269,16 +292,20 @@ ROWS = [
     ),
     finding(
         "better",
-        "So it is in most of them.",
+        "In most undisturbed trials the MEKF with Student's t has a smaller RMSE than both "
+        "published filters.",
         count,
-        why="more than half",
-        found="In {0:.0f} of {2:.0f}, beyond chance in {1:.0f}.",
+        why="in more than half of the trials",
+        found="It has a smaller RMSE in {0:.0f} of {2:.0f} trials. In {1:.0f} of them the 95 % "
+        "interval of the ratio lies below 1.",
         figure="figure_01",
-        revised="2026-11-23: a count of the rows above, written when they were known",
+        revised="2026-11-23: this row counts the rows above; their results were known when it was "
+        "written",
     ),
     finding(
         "disturbed",
-        "Tapped upon, and beside a magnet, it is better than both, too.",
+        "In both disturbed trials (tapping, and a magnet beside the sensor) the MEKF with "
+        "Student's t has a smaller RMSE than both published filters.",
         all_of(better(6, "robust"), better(7, "robust")),
         why=WHY,
         expected="undecided",
@@ -294,46 +321,65 @@ ROWS = [
             revised="2026-11-26: the model was changed when the errors of all trials were known",
         )
         for name, says, trials, kind, expected in (
-            ("vqf", "Where nothing disturbs it errs less than VQF.", UNDISTURBED, 0, "undecided"),
-            ("vqf-disturbed", "So it does where something disturbs.", (6, 7), 0, ""),
-            ("vqf-tilt", "Its inclination alone errs less.", UNDISTURBED, 2, ""),
+            (
+                "vqf",
+                "In the undisturbed trials the MEKF with Student's t has a smaller total RMSE than "
+                "VQF.",
+                UNDISTURBED,
+                0,
+                "undecided",
+            ),
+            (
+                "vqf-disturbed",
+                "In the disturbed trials the MEKF with Student's t has a smaller total RMSE than "
+                "VQF.",
+                (6, 7),
+                0,
+                "",
+            ),
+            (
+                "vqf-tilt",
+                "In the undisturbed trials the MEKF with Student's t has a smaller inclination "
+                "RMSE than VQF.",
+                UNDISTURBED,
+                2,
+                "",
+            ),
         )
     ),
     finding(
         "student",
-        "Where nothing disturbs, Student's t changes little.",
-        over("total RMSE over the MEKF's", "robust", "mekf", UNDISTURBED, (0.9, 1.1)),
+        "In the undisturbed trials Student's t changes the total RMSE by less than 10 %.",
+        over("total RMSE over that of the MEKF", "robust", "mekf", UNDISTURBED, (0.9, 1.1)),
     ),
     finding(
         "heading",
-        "Heading errs by no more than the filter claims.",
-        claimed("RMS error over claimed deviation", "mekf", UNDISTURBED, slice(2, 3), (None, 1.0)),
+        "The RMS heading error is not larger than its predicted σ.",
+        claimed("RMS error over predicted σ", "mekf", UNDISTURBED, slice(2, 3), (None, 1.0)),
         expected="not shown",
         figure="figure_03",
     ),
     finding(
         "inclination",
-        "Inclination errs by what the filter claims, within a quarter.",
-        claimed(
-            "RMS error over claimed deviation", "robust", UNDISTURBED, slice(0, 2), (0.8, 1.25)
-        ),
+        "The RMS inclination error agrees with its predicted σ within 25 %.",
+        claimed("RMS error over predicted σ", "robust", UNDISTURBED, slice(0, 2), (0.8, 1.25)),
         figure="figure_03",
-        revised="2026-11-26: with the model of before, inclination in a slow translation erred by "
-        "more than twice what was claimed",
+        revised="2026-11-26: with the previous model the inclination error in a slow translation "
+        "was more than twice its predicted σ",
     ),
     check(
         "settings",
-        "Twice or half of any of three settings changes inclination by less than a tenth.",
+        "Doubling or halving any of three settings changes the inclination RMSE by less than 10 %.",
         of(
             "settings",
             "rmse",
-            "largest change of the RMSE of inclination",
+            "largest relative change of the inclination RMSE",
             (None, 0.1),
             lambda x: np.max(np.abs(x[1:] / x[0] - 1.0)),
         ),
         needs="settings",
-        revised="2026-11-26: in place of a likelihood, which a model without a spectrum of the "
-        "acceleration does not have",
+        revised="2026-11-26: this row replaces a likelihood, which does not exist for a model "
+        "without a spectrum of the acceleration",
     ),
 ]
 STUDY = Study(
@@ -342,14 +388,14 @@ STUDY = Study(
     trial,
     parts,
     ROWS,
-    "Eight trials of a benchmark: an inertial and magnetic sensor in a hand, judged by cameras, "
-    "beside two published filters.",
+    "In eight trials of a benchmark a hand moves an inertial and magnetic sensor, and cameras "
+    "measure its attitude. How accurate is an MEKF, compared with published filters?",
     (
         Sentence(
-            "With settings that no truth has chosen, an MEKF of a hand that stays within reach, "
-            "with Student's t, errs less than both published filters in "
-            "{better[0]:.0f} of {better[2]:.0f} undisturbed trials, beyond chance in "
-            "{better[1]:.0f}.",
+            "An MEKF with Student's t has a smaller RMSE than both published filters in "
+            "{better[0]:.0f} of {better[2]:.0f} undisturbed trials. In {better[1]:.0f} of them the "
+            "95 % interval of the ratio lies below 1. The filter models a hand that stays within "
+            "reach, and the true attitude chose none of its settings.",
             {"better": "shown"},
         ),
     ),
@@ -357,7 +403,7 @@ STUDY = Study(
 )
 
 
-# -- shown -----------------------------------------------------------------------------------------
+# -- figures, table, recording ---------------------------------------------------------------------
 LINES = {
     "mekf": Line("MEKF", colors.ESTIMATE),
     "robust": Line("MEKF, Student's t", colors.REFERENCE),
@@ -366,17 +412,17 @@ TICKS = [
     name.replace("_disturbed_", " ").replace("_undisturbed_", " ").replace("_", " ")
     for name in TRIALS
 ]
-SHOWN = 4  # a trial that was held out
+SHOWN = 4  # a trial that is not in `TUNED`
 
 
 def level_of(r: Results, name: str, i: int, kind: int = 0) -> float:
-    """RMSE of a trial, deg; nan for VQF where it is not installed."""
+    """RMSE in a trial, deg; nan for VQF if it is not installed."""
     values = squares(r, name, [i], kind)
     return rms(values) if len(values) else np.nan
 
 
 def beside(r: Results) -> Figure:
-    """RMSE of each trial."""
+    """Total RMSE in each trial, for all filters."""
     ours = {
         line.label: ([level_of(r, name, i) for i in range(8)], line.color)
         for name, line in LINES.items()
@@ -400,11 +446,11 @@ def beside(r: Results) -> Figure:
 
 
 def over_time(r: Results) -> Figure:
-    """Errors about Earth axes in one trial, with what the filter claims."""
+    """Errors about Earth axes in one trial, with the predicted ±2 σ."""
     known = np.flatnonzero(np.isfinite(r.error("mekf", "mekf", "attitude")[:, SHOWN, 0]))
     own = slice(
         round(1.0 / np.diff(r.times("mekf")[:2])[0]), int(known[-1]) + 1
-    )  # from a second on, to the end of the trial
+    )  # from 1 s to the end of the trial
     t = r.times("mekf")[own]
 
     def items(axis: int) -> list[Item]:
@@ -412,7 +458,7 @@ def over_time(r: Results) -> Figure:
             r.error("mekf", "mekf", "attitude", what)[own, SHOWN, axis] for what in ("error", "std")
         )
         bounds = [
-            curve(t, sign * 2.0 * std, Line("±2 claimed deviations", colors.SIGMA, ":"))
+            curve(t, sign * 2.0 * std, Line("predicted ±2 σ", colors.SIGMA, ":"))
             for sign in (1.0, -1.0)
         ]
         return [curve(t, error, LINES["mekf"]), *bounds]
@@ -424,7 +470,7 @@ def over_time(r: Results) -> Figure:
                     TICKS[SHOWN] if axis == 2 else "",
                     items(axis),
                     "time (s)",
-                    f"about {name} (deg)",
+                    f"error about {name} (deg)",
                 )
             ]
             for axis, name in ((2, "the vertical"), (0, "east"))
@@ -435,7 +481,7 @@ def over_time(r: Results) -> Figure:
 
 
 def consistent(r: Results) -> Figure:
-    """RMS errors over what is claimed."""
+    """RMS error over predicted σ in each trial, for heading and inclination."""
 
     def panel(title: str, part: slice) -> Panel:
         every = {
@@ -448,7 +494,7 @@ def consistent(r: Results) -> Figure:
         return Panel(
             title,
             [bars(TICKS, heights, across=True), level(1.0, upright=True)],
-            "RMS error over claimed deviation",
+            "RMS error over predicted σ",
         )
 
     return panels(
@@ -457,7 +503,7 @@ def consistent(r: Results) -> Figure:
 
 
 def table(r: Results) -> Rows:
-    """RMSE of all filters."""
+    """RMSE of each filter in each trial."""
     rows: Rows = []
     labels = {name: line.label for name, line in LINES.items()} | {"vqf": "VQF"}
     for i, name in ((i, name) for i in range(8) for name in labels):
@@ -468,20 +514,22 @@ def table(r: Results) -> Rows:
 
 FIGURES = {
     "figure_01": (
-        "RMSE in eight trials, beside what is published of two filters, and VQF.",
+        "RMSE in eight trials, compared with two published filters and VQF.",
         beside,
     ),
     "figure_02": (
-        "Errors in a trial that was held out, and what the filter takes them to be.",
+        "Errors in a trial that was not used for settings, with the predicted ±2 σ.",
         over_time,
     ),
-    "figure_03": ("How errors compare with what is claimed: 1 is honest.", consistent),
+    "figure_03": ("RMS error over predicted σ; 1 is consistent.", consistent),
 }
 TABLES = {"table_1": ("RMSE of each filter in each trial.", table)}
 RECORDINGS = ["broad.rrd"]
 SPACES = (
     showcase.SceneView(
-        "body", "the sensor on Earth axes (x east, z up): truth, and estimates", (2.0, -2.5, 1.5)
+        "body",
+        "attitude of the sensor on Earth axes (x east, z up): truth and estimates",
+        (2.0, -2.5, 1.5),
     ),
 )
 
@@ -516,7 +564,10 @@ def record(results: Results, outputs: Outputs) -> list[str]:
         scenes.turning(out, "body/sensor", scene, 0.9)
 
     said = answer(STUDY.found, map(written, results.claims()))
-    notes = f"# {TITLE}\n\n{said}\n\n{TICKS[SHOWN]}: what the cameras lost stands still."
+    notes = (
+        f"# {TITLE}\n\n{said}\n\nTrial: {TICKS[SHOWN]}. "
+        "The true attitude is held where the cameras lost the sensor."
+    )
     shown = showcase.Showcase(
         "broad",
         notes,

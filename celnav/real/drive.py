@@ -1,7 +1,7 @@
-"""Files of a drive with a receiver and an inertial unit: RTKLIB's solutions and time tags, and the
+"""Files of a drive with a receiver and an inertial unit: RTKLIB solutions, time tags, and the
 unit's table of samples.
 
-Times are GPS time in s since 1970 as a calendar counts them, without leap seconds.
+Times are GPS time in s since 1970, counted by the calendar without leap seconds.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ __all__ = ["Samples", "Solution", "read_imu", "read_pos", "read_tags"]
 PLACE = ("latitude(deg)", "longitude(deg)", "height(m)", "Q", "sdn(m)", "sde(m)", "sdu(m)")
 SPEED = ("vn(m/s)", "ve(m/s)", "vu(m/s)", "sdvn", "sdve", "sdvu")
 DOWN = np.array([1.0, 1.0, -1.0])
-"""North, east, up to north, east, down."""
+"""Signs from north, east, up to north, east, down."""
 TAG_BYTES, TAGGED = 60, b"TIMETAG RTKLIB"
-"""Of the header of a file of time tags, and how it begins."""
+"""Length of the header of a time-tag file, and its first bytes."""
 
 
 class Solution(NamedTuple):
     """Fixes of a receiver.
 
     t: ``(T,)`` s. latitude, longitude: ``(T,)`` rad. height_m: ``(T,)``. velocity: ``(T, 3)`` m/s,
-        north, east, down; nan without.
-    sigma_position, sigma_velocity: ``(T, 3)``, as it claims. quality: ``(T,)``, 1 of a fixed
-        solution, 2 of a float one.
+    north, east, down; nan if the file has none.
+    sigma_position, sigma_velocity: ``(T, 3)``, m and m/s, standard deviations reported by the
+    receiver. quality: ``(T,)``, 1 for a fixed solution, 2 for a float solution.
     """
 
     t: Array
@@ -57,13 +57,13 @@ class Samples(NamedTuple):
 
 
 def read_pos(path: str | Path) -> Solution:
-    """Fixes of an RTKLIB solution file, plain or gzipped: GPS time, latitude, longitude, height,
-    with or without velocity.
+    """Read the fixes of an RTKLIB solution file, plain or gzipped. Its columns are GPS time,
+    latitude, longitude, height, and optionally velocity.
 
     Raises
     ------
-    InputError: naming the file, and a column that its header lacks or a line that is no fix.
-        OSError: if it cannot be read.
+    InputError: naming the file, and a column that its header lacks or a line that is not a fix.
+    OSError: if it cannot be read.
 
     >>> fixes = read_pos("rover.pos")
     """
@@ -119,12 +119,12 @@ def read_pos(path: str | Path) -> Solution:
 
 
 def read_tags(path: str | Path) -> tuple[float, float]:
-    """GPS time of the first and of the last tag of a file of RTKLIB's time tags, which say when a
-    stream's bytes came.
+    """GPS times (s) of the first and last tag in an RTKLIB time-tag file. Tags record when the
+    bytes of a stream arrived.
 
     Raises
     ------
-    InputError: naming the file, if it is none. OSError: if it cannot be read.
+    InputError: naming the file, if it is not a time-tag file. OSError: if it cannot be read.
     """
     raw = Path(path).read_bytes()
     count = (len(raw) - TAG_BYTES - 16) // 8
@@ -137,15 +137,15 @@ def read_tags(path: str | Path) -> tuple[float, float]:
 
 
 def read_imu(path: str | Path, tags: str | Path) -> Samples:
-    """Samples of a unit whose stream was tagged, plain or gzipped: lines of three accelerations
-    (g), three rates (deg/s) and its clock (ms).
+    """Read the samples of a unit whose stream has time tags, plain or gzipped. A line has three
+    accelerations (g), three rates (deg/s) and the unit's clock (ms).
 
-    Its clock is stretched so that the first and the last sample fall on the first and the last tag;
-    a first and a last line that the stream cut off are left out.
+    The clock is scaled so that the first and last samples fall on the first and last tags. The
+    first and last lines are dropped, because the stream may have cut them.
 
     Raises
     ------
-    InputError: naming the file, and a line that is no sample. OSError: if it cannot be read.
+    InputError: naming the file, and a line that is not a sample. OSError: if it cannot be read.
 
     >>> samples = read_imu("imu.csv", "imu.csv.tag")
     """

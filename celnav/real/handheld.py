@@ -1,22 +1,21 @@
-"""A gyro, an accelerometer and a magnetometer in a hand, as BROAD [Laidig2021] has them: what is
-read, and what is believed.
+"""Model of a gyro, an accelerometer and a magnetometer in a hand, and files of BROAD [Laidig2021].
 
 Earth axes are east, north (of the magnetic field) and up. The state has the attitude, the drift of
 the gyro, velocity and position of the hand, the disturbance of the field, and constants. A step has
-`STEP` samples: an eighth of a second. Those of the gyro are integrated, the others are turned to
-its end and averaged, those of the magnetometer as of `LAG` samples before, which makes the
-innovations of the trials `TUNED` most probable.
+`STEP` samples and lasts an eighth of a second. Its gyro samples are integrated. The other samples
+are rotated to the axes at its end and averaged. Samples of the magnetometer are treated as `LAG`
+samples old. This delay maximizes the likelihood of the innovations in the trials `TUNED`.
 
-Five facts of physics shape the model:
+The model uses five physical facts:
 
-- A hand stays within reach. The specific force is integrated twice, and a position is measured that
-  is zero within the reach of an arm. No spectrum of the acceleration is assumed.
-- The field differs from place to place, and a hand comes back to the same places, so that errors of
-  the field do not average out. The magnetometer therefore measures heading only, from the
-  horizontal field; inclination is that of gyro and accelerometer.
-- What is left of a calibrated magnetometer's bias and misalignments counts as noise. As constants
-  of the state they are mistaken for a field that changes as the hand turns.
-- The axes of the gyro are not exactly those of the accelerometer: its scale factors and
+- A hand stays within reach. The specific force is integrated twice, and the position is measured as
+  zero, with the σ of an arm's reach. The model has no spectrum of the acceleration.
+- The field differs from place to place, and a hand returns to the same places. Errors of the field
+  therefore do not average out. So the magnetometer measures heading only, from the horizontal
+  field. Gyro and accelerometer determine the inclination.
+- The remaining bias and misalignments of a calibrated magnetometer are treated as noise. A filter
+  with them as constant states confuses them with a field that changes as the hand turns.
+- The axes of the gyro differ slightly from those of the accelerometer. The gyro's scale factors and
   misalignments are constants of the state.
 - A sensor at rest neither turns nor moves.
 """
@@ -59,19 +58,20 @@ TRIALS = (
 TUNED = (TRIALS[0], TRIALS[3], TRIALS[5])
 GRAVITY = 9.8127  # m/s^2, in Berlin
 STEP, LAG = 36, 4  # samples
-QUIET, SLOW = 0.05, 0.03  # m/s^2 and rad/s: what moves less than that for a second is at rest
+QUIET, SLOW = 0.05, 0.03  # m/s^2, rad/s: limits for rest, over a second
 
 
-# -- what was recorded -----------------------------------------------------------------------------
+# -- logs ------------------------------------------------------------------------------------------
 class Log(NamedTuple):
     """A trial in steps of ``dt`` s.
 
-    rate: ``(T, 3)`` rad/s, turns as the samples of a step do together.
-    acc, mag: ``(T, 3)`` m/s^2 and uT, means of the step on the axes at its end.
-    lively: ``(T, 1)`` m/s^2, RMS of the specific force about its mean of the last second, on axes
-        that the gyro keeps.
-    still: ``(T, 3)`` rad/s, the rate where the sensor was at rest for a second, else nan.
-    truth: ``(T, 4)``, nan where the cameras lost it. moving: ``(T,)``, where the benchmark judges.
+    rate: ``(T, 3)`` rad/s; the constant rate that gives the rotation of a step's samples.
+    acc, mag: ``(T, 3)`` m/s^2 and uT, means over the step, on the axes at its end.
+    lively: ``(T, 1)`` m/s^2, standard deviation of the specific force over the last second, on axes
+    held fixed by the gyro.
+    still: ``(T, 3)`` rad/s, the rate if the sensor was at rest for a second, else nan.
+    truth: ``(T, 4)`` quaternions, nan where the cameras lost the sensor. moving: ``(T,)``, whether
+    the benchmark evaluates the error.
     """
 
     rate: Array
@@ -85,8 +85,12 @@ class Log(NamedTuple):
 
 
 class Samples(NamedTuple):
-    """What a file has: rate rad/s, specific force m/s^2 and field uT ``(S, 3)``, quaternions
-    ``(S, 4)``, scalar first, ``(S, 1)`` positive where the benchmark judges, and the rate Hz."""
+    """Contents of a file.
+
+    gyr, acc, mag: ``(S, 3)``, rate (rad/s), specific force (m/s^2) and field (uT). q: quaternions
+    ``(S, 4)``, scalar first. moving: ``(S, 1)``, positive where the benchmark evaluates the error.
+    hz: sampling rate, Hz.
+    """
 
     gyr: Array
     acc: Array
@@ -97,7 +101,7 @@ class Samples(NamedTuple):
 
 
 def read(path: Path, lag: int = LAG) -> Log:
-    """A trial from its MATLAB file in steps; ``lag``: of the magnetometer, samples."""
+    """Read a trial from its MATLAB file, in steps; ``lag``: delay of the magnetometer, samples."""
     gyr, acc, mag, q, moving, hz = samples(path, lag)
     return steps(gyr, acc, mag, hz, lag)._replace(
         truth=_unit(q)[STEP - 1 :: STEP], moving=moving[STEP - 1 :: STEP, 0] > 0.0
@@ -105,16 +109,20 @@ def read(path: Path, lag: int = LAG) -> Log:
 
 
 def samples(path: Path, lag: int = LAG) -> Samples:
-    """A trial from its MATLAB file.
+    """Read the samples of a trial from its MATLAB file.
 
-    Raises InputError, naming the file and the field, for one that is damaged.
+    Raises
+    ------
+    InputError: naming the file and the field, if the file is damaged.
     """
     try:
         every = loadmat(path)
     except FileNotFoundError:
         raise
-    except Exception as error:  # whatever it stumbles over
-        raise InputError(f"{path}: expected a file of MATLAB 5, got another ({error})") from None
+    except Exception as error:  # scipy raises many kinds of errors
+        raise InputError(
+            f"{path}: expected a file of MATLAB 5, got another format ({error})"
+        ) from None
 
     def field(name: str, columns: int, least: int = 2 * STEP + lag) -> Array:
         if name not in every:
@@ -135,8 +143,8 @@ def samples(path: Path, lag: int = LAG) -> Samples:
             )
         if not np.isfinite(values).any(0).all() or np.isinf(values).any():
             raise InputError(
-                f"{path}: {name}: expected finite numbers or nan, got infinite ones or a column of "
-                "nan only"
+                f"{path}: {name}: expected finite numbers or nan, got infinity or a column of nan "
+                "only"
             )
         return np.asarray(values, np.float64)
 
@@ -151,30 +159,30 @@ def samples(path: Path, lag: int = LAG) -> Samples:
             )
     if np.isnan(gyr).any() or not hz > 0.0:
         raise InputError(
-            f"{path}: expected an imu_gyr without nan and a positive sampling_rate, got others"
+            f"{path}: expected an imu_gyr without nan and a positive sampling_rate, got nan or "
+            f"{hz:g} Hz"
         )
     if not (moving > 0.0).any():
-        raise InputError(f"{path}: movement: expected some samples that are to be judged, got none")
+        raise InputError(f"{path}: movement: expected some samples above 0, got none")
     return Samples(gyr, acc, mag, q, moving, hz)
 
 
 def _unit(q: Array) -> Array:
-    """Quaternions, which files have scalar first; nan where there is none."""
+    """Unit quaternions, scalar last, from those of a file, scalar first; nan if there is none."""
     norm = np.linalg.norm(q, axis=-1, keepdims=True)
     return np.asarray(np.roll(q, -1, -1) / np.where(norm > 0.5, norm, np.nan))
 
 
 def steps(gyr: Array, acc: Array, mag: Array, hz: float, lag: int = LAG) -> Log:
-    """Samples ``(S, 3)`` in steps of `STEP`, without their truth."""
+    """Combine samples ``(S, 3)`` into steps of `STEP` samples; their truth is nan."""
     T = len(gyr) // STEP
     turned = np.concatenate(
         [np.tile(attitude.IDENTITY, (lag, 1)), attitude.exp(gyr[: T * STEP] / hz)]
     )
     turn, sums = np.tile(attitude.IDENTITY, (T, 1)), np.zeros((2, T, 3))
     rate = np.zeros((T, 3))
-    for i in range(
-        STEP - 1, -lag - 1, -1
-    ):  # of a sample in its step, or before it; `turn` leads from there to the end
+    # i: index of a sample in its step, negative before it. `turn`: rotation from there to the end.
+    for i in range(STEP - 1, -lag - 1, -1):
         for total, values, late in zip(sums, (acc, mag), (0, lag), strict=True):
             if 0 <= i + late < STEP:
                 total += attitude.rotate(turn, values[i + late : T * STEP : STEP])
@@ -195,25 +203,25 @@ def steps(gyr: Array, acc: Array, mag: Array, hz: float, lag: int = LAG) -> Log:
 
 
 def _last(values: Array, width: int, before: Any) -> Array:
-    """The last values ``(T, 3, width)`` at each epoch, with a value before the first."""
+    """The last values ``(T, 3, width)`` at each epoch; ``before`` fills in before the first."""
     values = np.concatenate([np.zeros((width - 1, 3)) + before, values])
     return np.lib.stride_tricks.sliding_window_view(values, width, axis=0)
 
 
-# -- what is believed ------------------------------------------------------------------------------
+# -- the model -------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Settings:
-    """Deviations and times, each one for all trials (or one for each run, ``(runs, 1)``).
+    """Standard deviations and rates, the same for all trials (or one for each run, ``(runs, 1)``).
 
-    gyro: angle random walk, rad/s^(1/2). turning: that of errors which grow with the rate, for each
-        rad/s: 0.1 % for a second.
-    acc, shaking: white noise of a step, m/s^2, and that for each 1 m/s^2 of `Log.lively`.
-    reach: m s^(1/2), deviation of the position from zero, if it is anew each second.
+    gyro: angle random walk, rad/s^(1/2). turning: angle random walk from errors that grow with the
+    rate, for each rad/s; 0.001 gives 0.1 % over a second.
+    acc, shaking: white noise of a step, m/s^2, and its increase for each 1 m/s^2 of `Log.lively`.
+    reach: m s^(1/2), σ of the position about zero, if it is measured anew each second.
     mag: white noise of a step, uT.
-    field, stir: deviation, uT, of the field's disturbance on Earth axes; the rate, 1/s, at which
-        it is forgotten for each m/s^2 of `Log.lively`.
-    acc_bias: deviation, m/s^2, of a constant on the sensor's axes.
-    scale: that of scale factors and misalignments of the gyro.
+    field, stir: uT, σ of the field's disturbance on Earth axes; 1/s, its decay rate for each m/s^2
+    of `Log.lively`.
+    acc_bias: m/s^2, σ of the accelerometer's constant bias, on the sensor's axes.
+    scale: σ of the gyro's scale factors and misalignments.
     """
 
     gyro: Any
@@ -228,8 +236,8 @@ class Settings:
     scale: Any
 
 
-DRIFT, DRIFT_WALK = 0.01, 1e-5  # rad/s at the start, and rad/s^(3/2)
-TREMOR, SWAY = 1e-3, 0.01  # rad/s and m/s, of a sensor at rest
+DRIFT, DRIFT_WALK = 0.01, 1e-5  # σ at the start, rad/s; random walk, rad/s^(3/2)
+TREMOR, SWAY = 1e-3, 0.01  # rad/s, m/s: σ for a sensor at rest
 SETTINGS = Settings(
     gyro=7.43e-05,
     turning=0.001,
@@ -252,9 +260,10 @@ Q, BIAS, V, P, D, H, ACC, SCALE = (
     slice(17, 20),
     slice(20, 29),
 )
-"""Of a state ``(..., 29)``: attitude, drift (rad/s), velocity (m/s) and position (m) of the hand,
-disturbance and horizontal part of the field (uT), bias of the accelerometer, matrix of the gyro by
-rows. Of deviations ``(..., 28)`` those of the attitude are three."""
+"""Parts of a state ``(..., 29)``: attitude, gyro drift (rad/s), velocity (m/s) and position (m) of
+the hand, disturbance and horizontal component of the field (uT), accelerometer bias (m/s^2), gyro
+matrix by rows. In deviations ``(..., 28)`` the attitude has three components.
+"""
 N, NOISY = 28, np.eye(28)[:, [*range(9), *range(12, 15)]]
 
 
@@ -262,12 +271,12 @@ VECTORS = (V, P, D)
 
 
 def together() -> Space:
-    """Space of states whose deviations turn the vectors on Earth axes along with the attitude,
-    ``(..., 41)``: about Earth axes.
+    """Space of states whose deviations rotate the `VECTORS` on Earth axes with the attitude.
 
-    What a sensor sees of a vector then does not depend on the attitude's deviation, and a turn of
-    everything about the vertical, of which nothing but the mean of the field tells, is the same
-    deviation whatever the vectors are estimated to be [Barrau2017].
+    Deviations of the attitude are about Earth axes. The measurement of a vector by a sensor then
+    does not depend on the attitude's deviation. A rotation of everything about the vertical is then
+    the same deviation for all estimates of the vectors [Barrau2017]. Only the mean of the field
+    measures this rotation.
     """
 
     def plus(x: Array, d: Array) -> Array:
@@ -279,7 +288,7 @@ def together() -> Space:
         ]
         q = attitude.multiply(
             q * (1.5 - 0.5 * (q * q).sum(-1)[..., None]), turn
-        )  # round-off does not add up
+        )  # normalized, against accumulation of round-off
         return side_by_side(
             [q, x[..., BIAS] + d[..., 3:6], *turned, x[..., D.stop :] + d[..., D.stop - 1 :]]
         )
@@ -300,19 +309,21 @@ def together() -> Space:
 
 
 def apart() -> Space:
-    """Space of states whose attitude deviates on the sensor's axes, and the rest by itself."""
+    """Space of states with attitude deviations on the sensor's axes; the others are additive."""
     return product((attitude.attitude(), 4, 3), (EUCLIDEAN, N - 3, N - 3))
 
 
 def by_rows(matrix: Array, vector: Array) -> Array:
-    """Product of matrices, by rows ``(..., 9)``, with vectors ``(..., 3)``."""
+    """Product of matrices, given by rows ``(..., 9)``, with vectors ``(..., 3)``."""
     parts = [(matrix[..., i : i + 3] * vector).sum(-1)[..., None] for i in (0, 3, 6)]
     return side_by_side(parts)
 
 
 def motion(s: Settings, space: Space) -> Motion:
-    """How a state goes on; ``epoch.u`` is rate ``(..., 3)``, `Log.lively` ``(..., 1)``, specific
-    force and field ``(..., 3)``, and whether the force was measured ``(..., 1)``.
+    """Motion model of the state.
+
+    ``epoch.u`` is rate ``(..., 3)``, `Log.lively` ``(..., 1)``, specific force and field ``(...,
+    3)``, and 1 if the force was measured, else 0 ``(..., 1)``.
     """
     perfect = Gyro(0.0, 0.0)
 
@@ -343,19 +354,21 @@ def motion(s: Settings, space: Space) -> Motion:
 
 
 def on_earth(x: Array, vector: Array) -> Array:
-    """Vectors ``(..., 3)`` on the sensor's axes, turned to Earth axes by the states' attitudes."""
+    """Rotate vectors ``(..., 3)`` from the sensor's axes to Earth axes, by states' attitudes."""
     return attitude.rotate(attitude.inverse(x[..., Q]), vector)
 
 
 def sensors(s: Settings) -> tuple[Sensor, ...]:
-    """Reach, velocity at rest, horizontal field, and gyro at rest; the first three measure 0."""
+    """Sensors for reach, velocity at rest, horizontal field, and gyro at rest. The first three
+    measure zero.
+    """
 
     def horizontal(x: Array, epoch: Epoch) -> Array:
         field = on_earth(x, epoch.u[3]) - x[..., D]
         return side_by_side([field[..., :1], field[..., 1:2] - x[..., H]])
 
     def by_heading(mean: Array, epoch: Epoch) -> Array:
-        """Derivative of the horizontal field ``(..., 2, N)``, but none by an inclination."""
+        """Derivative of the horizontal field ``(..., 2, N)``, without its part from inclination."""
         field = on_earth(mean, epoch.u[3]) - mean[..., D]
         turned = side_by_side([-field[..., 1:2], field[..., :1]])
         return np.asarray(turned[..., None] * np.eye(N)[2] - np.eye(N)[[12, 13]] - NORTH)
@@ -376,7 +389,7 @@ def sensors(s: Settings) -> tuple[Sensor, ...]:
 
 
 def on_sensor(part: slice, x: Array, _epoch: Epoch) -> Array:
-    """A vector of states, on the sensor's axes: there it tells nothing of the attitude."""
+    """Vector of states on the sensor's axes, where it gives no information about the attitude."""
     return attitude.rotate(x[..., Q], x[..., part])
 
 
@@ -384,7 +397,7 @@ NORTH = np.outer([0.0, 1.0], np.eye(N)[H.start - 1])
 
 
 def filters(s: Settings = SETTINGS) -> dict[str, Sequential]:
-    """The filters that are compared, by name, of the same model."""
+    """The compared filters by name; all have the same model."""
     move, measured = motion(s, together()), sensors(s)
     doubted = [[], [], [student_t()], []]
     return {
@@ -394,9 +407,7 @@ def filters(s: Settings = SETTINGS) -> dict[str, Sequential]:
 
 
 def prior(logs: Sequence[Log], s: Settings = SETTINGS) -> Gaussian:
-    """What is believed at the start of each trial, made of its first second, at rest, and of the
-    field in a building.
-    """
+    """Initial estimate of each trial, from its first second at rest and the field in a building."""
     count = round(1.0 / logs[0].dt)
     up, mag = (
         np.stack([np.nanmean(values[:count], 0) for values in each])
@@ -412,7 +423,8 @@ def prior(logs: Sequence[Log], s: Settings = SETTINGS) -> Gaussian:
     )
     mean = np.zeros((len(logs), N + 1))
     mean[:, Q] = Rotation.from_matrix(axes.mT).as_quat()
-    mean[:, H] = (mag * axes[..., 1]).sum(-1)[:, None]  # that of the data: no heading is learned
+    # From the data, so that the start gives no information about heading.
+    mean[:, H] = (mag * axes[..., 1]).sum(-1)[:, None]
     std = [0.1, 0.1, 0.3, DRIFT, SWAY, SWAY, s.field, 4.0, s.acc_bias, s.scale]
     each = side_by_side([np.zeros((len(logs), 1)) + part for part in std])
     return Gaussian(
@@ -422,7 +434,7 @@ def prior(logs: Sequence[Log], s: Settings = SETTINGS) -> Gaussian:
 
 @dataclass(frozen=True)
 class Flight:
-    """Trials that are flown together, as runs, in a ``folder``; ``part`` of their time. ``lag``:
+    """Trials in a ``folder`` that run together, as runs; ``part``: fraction of their time. ``lag``:
     see `read`.
     """
 
@@ -432,11 +444,11 @@ class Flight:
     part: float = 1.0
 
     def paths(self) -> list[Path]:
-        """Their files."""
+        """Files of the trials."""
         return found(self.folder, [f"{name}.mat" for name in self.trials])
 
     def logs(self) -> list[Log]:
-        """The trials, as long as the longest: nothing is measured after the end of the others."""
+        """The trials, padded to the longest; after the end of a trial nothing is measured."""
         logs = [read(path, self.lag) for path in self.paths()]
         if max(log.dt for log in logs) > 1.001 * min(log.dt for log in logs):
             raise InputError(
@@ -473,13 +485,11 @@ GROUPS = (Group("attitude", "deg", slice(0, 3), 180.0 / np.pi),)
 
 
 def measured(logs: Sequence[Log]) -> Epochs:
-    """Epochs of logs of the same length, as runs: what the filters measure, and what they are
-    given.
-    """
+    """Epochs of logs with equal length, as runs: measurements and inputs of the filters."""
     rate, acc, mag, lively, still, truth = (
         np.stack(part, 1) for part in list(zip(*logs, strict=True))[:6]
     )
-    acc[0] = mag[0] = np.nan  # the start is made of it
+    acc[0] = mag[0] = np.nan  # the prior already uses it
     known = np.isfinite(acc).all(-1, keepdims=True) * 1.0
     u = rate, lively, np.nan_to_num(acc), np.nan_to_num(mag), known
     z = 0.0 * acc, 0.0 * still, 0.0 * mag[..., :2], still
@@ -488,7 +498,7 @@ def measured(logs: Sequence[Log]) -> Epochs:
 
 
 def trial(config: Flight, _rngs: Sequence[Any] = (), *, s: Settings = SETTINGS) -> Trial:
-    """The trials, with the filters; errors are rotation vectors on Earth axes."""
+    """The trials with their filters; errors are rotation vectors on Earth axes."""
     logs = config.logs()
     every = measured(logs)
 
@@ -500,8 +510,8 @@ def trial(config: Flight, _rngs: Sequence[Any] = (), *, s: Settings = SETTINGS) 
 
 
 def judged(error: Array) -> Array:
-    """Total, heading and inclination errors ``(..., 3)`` deg of rotation vectors ``(..., 3)`` deg
-    on Earth axes [Laidig2021].
+    """Total, heading and inclination errors ``(..., 3)`` deg, from rotation vectors ``(..., 3)``
+    deg on Earth axes [Laidig2021].
     """
     q = np.abs(attitude.exp(np.radians(error)))
     inclined = 2.0 * np.arccos(np.minimum(np.hypot(q[..., 2], q[..., 3]), 1.0))

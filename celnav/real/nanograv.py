@@ -10,7 +10,7 @@ These rules were written before any result of the test years was seen:
 - A week has a fix if at least six pulsars were observed. With solitary pulsars alone, four suffice;
   they are tested separately because the orbits of the others were fitted to all years.
 - Filters start with errors of 10 km and 0.1 m/s on each axis and a prior σ of 100 km for the Sun's
-  error. They are judged after their first year.
+  error. They are evaluated after their first year.
 
 DE440 is treated as the truth. The filters are given older ephemerides as wrong ones. Their
 barycenter is displaced by 117 km, because DE440 includes bodies beyond Neptune [Park2021]. Relative
@@ -94,7 +94,7 @@ year (km)."""
 FILTERS = ("ekf", "tkf", "tdkf", "tstdkf", "aug")
 
 
-# -- flights ---------------------------------------------------------------------------------------
+# -- parts -----------------------------------------------------------------------------------------
 class Flight(NamedTuple):
     """The Earth around the Sun, with pulsars timed with DE440. old: ephemeris of the filters, DE440
     if empty.
@@ -119,7 +119,7 @@ def trial(c: Flight, _rngs: Rngs) -> Trial:
     The Earth's orbit about the Sun replaces the satellite's orbit about the Earth, and the Sun's
     ephemeris error that of the Earth. "drift" models a Sun's error that grows linearly. "clocks"
     also uses arrival times instead of fixes, and so models that the error of a timing model
-    persists. The barycentric position is judged: orbit plus Sun's error.
+    persists. The barycentric position is evaluated: orbit plus Sun's error.
     """
     heard, years = clocks(c.folder, FLOWN, END), differences()
     seen = weekly(heard, [k.early for k in heard], FLOWN, END)
@@ -247,7 +247,7 @@ def window(folder: Path, _rngs: Rngs) -> Arrays:
     return out | {"share": np.sqrt(left / whole)}
 
 
-# -- what is found ---------------------------------------------------------------------------------
+# -- rows ------------------------------------------------------------------------------------------
 SHOWN = ("tkf", "tstdkf", "drift")
 FLIGHTS = {"DE440": "", "DE405": "de405", "DE421": "de421"}
 BLOCK, LONG = 8, 26
@@ -530,7 +530,7 @@ STUDY = Study(
 )
 
 
-# -- shown -----------------------------------------------------------------------------------------
+# -- figures, table, recording ---------------------------------------------------------------------
 AXES, SHADES = ("x", "y", "z"), (colors.COMPARISON, colors.ESTIMATE, colors.TRUTH)
 LINES = {
     "ekf": Line("EKF", colors.OPEN_LOOP),

@@ -1,5 +1,5 @@
-"""Photons of an X-ray pulsar, the orbit of the satellite that caught them, the pulsar's timing
-model: what their files hold.
+"""Files of a pulsar observation in X-rays: photons, orbit of the satellite, timing model of the
+pulsar.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from celnav.models.pulsar import LIGHT_KM_S, Pulsar, Timing
 from celnav.real import found
 
 CHANNELS, LEAST_PHOTONS, LEAST_S = (5, 49), 1000, 480.0
-"""Channels of the detector that are taken; fewer photons, or a shorter time, are refused."""
+"""Detector channels in use; minimum number of photons, and minimum time."""
 
 
 class Spin(NamedTuple):
-    """A timing model: pulsar; epoch (MJD, TDB); frequency and its derivatives ``(k,)``, 1/s, 1/s^2,
-    ...
+    """A timing model: pulsar; epoch (MJD, TDB); frequency and its derivatives ``rates (k,)``, 1/s,
+    1/s^2, ...
     """
 
     pulsar: Pulsar
@@ -36,16 +36,20 @@ class Spin(NamedTuple):
     rates: Array
 
     def cycles(self, t: Array) -> Array:
-        """Pulses since the epoch, ``t`` s after it at the barycenter."""
+        """Cycles since the epoch, ``t`` s after it at the barycenter."""
         out = np.zeros_like(t)
-        for order in range(len(self.rates), 0, -1):  # Horner's scheme of t f0 + t^2 f1 / 2 + ...
+        for order in range(len(self.rates), 0, -1):  # Horner's scheme for t f0 + t^2 f1 / 2 + ...
             out = t / order * (self.rates[order - 1] + out)
         return out
 
 
 class Photons(NamedTuple):
-    """Photons: seconds since the first, and since the spin's epoch (TDB), ``(N,)``; where the
-    satellite was, from the Earth's center, Earth and Sun from the barycenter, ``(N, 3)`` km."""
+    """Photons of an observation.
+
+    t, since: ``(N,)`` s, since the first photon, and since the spin's epoch (TDB). place: ``(N,
+    3)`` km, position of the satellite from the Earth's center. earth, sun: ``(N, 3)`` km, positions
+    from the barycenter.
+    """
 
     t: Array
     since: Array
@@ -56,12 +60,12 @@ class Photons(NamedTuple):
 
     @property
     def along(self) -> Array:
-        """How far the satellite was toward the pulsar, ``(N,)`` km."""
+        """Position of the satellite toward the pulsar, ``(N,)`` km."""
         return np.asarray(self.place @ self.spin.pulsar.direction)
 
     def cycles(self, part: float | None) -> Array:
-        """Pulses ``(N,)`` with the satellite at a part of its way from the Earth's center; None: as
-        its own clock has them.
+        """Cycles ``(N,)`` with the satellite at a fraction of its way from the Earth's center;
+        None: uncorrected times of its own clock.
         """
         if part is None:
             return self.spin.cycles(self.since)
@@ -72,12 +76,12 @@ class Photons(NamedTuple):
 def table(
     path: Path, extension: str, columns: tuple[str, ...]
 ) -> tuple[Mapping[str, Any], list[Array]]:
-    """Header and columns ``(N,)``, as float64, of a binary table of a FITS file.
+    """Header and columns ``(N,)``, as float64, of a binary table in a FITS file.
 
     Raises
     ------
-    ImportError: where astropy is missing; the message says how to get it. InputError: naming the
-    file, if it is none or damaged.
+    ImportError: if astropy is missing; the message says how to install it. InputError: naming the
+    file, if it is damaged or not a FITS file.
     """
     with requires_extra(f"{path}: a FITS file", "real"):
         from astropy.io import fits
@@ -93,7 +97,7 @@ def table(
                     key: hdu.header[key] for key in ("MJDREFI", "MJDREFF", "TIMEZERO", "TIMESYS")
                 }
                 offsets = [float(header[key]) for key in ("MJDREFI", "MJDREFF", "TIMEZERO")]
-    except Exception as error:  # astropy raises whatever the bytes lead it to
+    except Exception as error:  # astropy raises many kinds of errors
         raise InputError(
             f"{path}: expected a FITS file with a table {extension} of {', '.join(columns)} "
             f"({error})"
@@ -109,23 +113,22 @@ def table(
 
 
 def read_par(path: Path) -> Spin:
-    """A timing model of tempo's form.
+    """Read a timing model in the format of tempo.
 
     Raises
     ------
-    InputError: naming the file, and the line or the name that is missing; for a pulsar with a
-    companion.
+    InputError: naming the file, and the line or the missing name; for a pulsar with a companion.
     """
     try:
         words = [line.split() for line in path.read_text(encoding="ascii").splitlines()]
     except UnicodeDecodeError as error:
         raise InputError(
-            f"{path}: expected a timing model, lines of a name and a value ({error})"
+            f"{path}: expected a timing model, with a name and a value on each line ({error})"
         ) from None
     told = {word[0].upper(): word[1] for word in words if len(word) > 1}
     if "BINARY" in told or "PB" in told:
         raise InputError(
-            f"{path}: expected a pulsar without companion, whose orbit is not modeled here"
+            f"{path}: expected a pulsar without a companion; orbits of companions are not modeled"
         )
     if missing := {"RAJ", "DECJ", "F0", "PEPOCH"} - told.keys():
         raise InputError(f"{path}: expected a timing model with {', '.join(sorted(missing))}")
@@ -153,7 +156,7 @@ def read_par(path: Path) -> Spin:
     while (name := f"F{len(rates)}") in told:
         rates.append(value(name))
     if not 1e-3 < rates[0] < 1e4:
-        raise InputError(f"{path}: expected F0 as pulses in a second, got {rates[0]!r}")
+        raise InputError(f"{path}: expected F0 in pulses per second, got {rates[0]!r}")
     try:
         pulsar = Pulsar(
             told.get("PSRJ", path.stem),
@@ -172,12 +175,12 @@ def read_par(path: Path) -> Spin:
 
 @lru_cache(maxsize=2)
 def read(folder: Path) -> Photons:
-    """Events (``*.fits*``), orbit (``FPorbit*``) and timing model (``*.par``) of a folder.
+    """Read events (``*.fits*``), orbit (``FPorbit*``) and timing model (``*.par``) of a folder.
 
     Raises
     ------
-    FileNotFoundError: naming the folder. ImportError, InputError: see `table` and `read_par`; where
-    the orbit is not that of the events, or there are too few of them.
+    FileNotFoundError: naming the folder. ImportError, InputError: see `table` and `read_par`.
+    InputError also if the orbit does not cover the events, or if there are too few events.
     """
     events, orbit, model = found(folder, ["*.fits*", "FPorbit*", "*.par"])
     spin = read_par(model)
@@ -203,7 +206,7 @@ def read(folder: Path) -> Photons:
     radius = np.linalg.norm(r, axis=1)
     if radius.min() < 6378.0 or radius.max() > 1e6:
         raise InputError(
-            f"{orbit}: expected places (m) above the Earth, got {radius.min():.0f} to "
+            f"{orbit}: expected positions (m) above the Earth, got {radius.min():.0f} to "
             f"{radius.max():.0f} km from its center"
         )
     near = slice(np.searchsorted(at, met[0], "right") - 1, np.searchsorted(at, met[-1]) + 1)

@@ -1,17 +1,18 @@
 """Position of a satellite along the line of sight to a pulsar, from its X-ray photons alone.
 
-RXTE and PSR B1509-58, an hour of 15 January 2011 [Luo2021]. The time of a photon is transformed to
-the barycenter with the delay of `celnav.models.pulsar.Timing` (Roemer, parallax, Shapiro) and from
-TT to TDB (Einstein). Three positions of the satellite are compared: none (its own clock), the
-Earth's center, and its orbit. The H-test tells which folds best [DeJager1989].
+The data are an hour of PSR B1509-58, observed by RXTE on 15 January 2011 [Luo2021]. The time of a
+photon is transformed to the barycenter with the delay of `celnav.models.pulsar.Timing` (Roemer,
+parallax, Shapiro) and from TT to TDB (Einstein). Three positions of the satellite are compared:
+none (its own clock), the Earth's center, and its orbit. The H-test measures which of them folds
+best [DeJager1989].
 
 These rules were written before any result was seen. The hour is divided into pieces of two minutes.
 Every other piece contributes to a light curve, with the satellite on its orbit and as many
 harmonics as the H-test selects. The pieces between are then shifted relative to the Earth's center,
 by maximum likelihood with that light curve. The two sets of pieces then exchange their roles. The
 predicted variance of a shift follows from the Fisher information of the light curve and the number
-of photons, with the uncertainty of the light curve itself. No orbit is used for a shift. Channels 5
-to 49 are used.
+of photons. It includes the uncertainty of the light curve itself. No orbit is used for a shift.
+Channels 5 to 49 are used.
 
 The timing model comes from a .par file: direction, spin and its derivatives. Pulsars with
 companions are not supported.
@@ -132,7 +133,7 @@ def shifted(light: Light, phase: Array) -> tuple[float, Array]:
     ), logs - top
 
 
-# -- what is computed ------------------------------------------------------------------------------
+# -- parts -----------------------------------------------------------------------------------------
 def folded(folder: Path, _rngs: Rngs) -> Arrays:
     """`harmonics` of short blocks for each of `PLACES`, and for fractions of the way from the
     Earth's center to the orbit.
@@ -154,8 +155,11 @@ def folded(folder: Path, _rngs: Rngs) -> Arrays:
 
 
 def placed(folder: Path, _rngs: Rngs) -> Arrays:
-    """Position from each piece with the light curve of the other set: middle (s), position, truth
-    and predicted σ (km), ``(T,)``; and the largest log-likelihood minus that of the truth."""
+    """Position from each piece, with the light curve of the other set.
+
+    Returns ``(T,)``: middle (s); position, truth and predicted σ (km); the largest log-likelihood
+    minus that of the truth; the number of photons.
+    """
     p = read(folder)
     piece = (p.t // PIECE_S).astype(int)
     center, orbit, km = p.cycles(0.0), p.cycles(1.0), LIGHT_KM_S * p.spin.pulsar.period_s
@@ -178,7 +182,7 @@ def placed(folder: Path, _rngs: Rngs) -> Arrays:
     )
 
 
-# -- what is found ---------------------------------------------------------------------------------
+# -- rows ------------------------------------------------------------------------------------------
 BLOCK, PIECES = 4, 3
 """Block lengths of the bootstrap: of short blocks, and of pieces."""
 
@@ -307,9 +311,9 @@ STUDY = Study(
             {"rxte-place": "shown"},
         ),
         Sentence(
-            "One hour does not decide whether the error agrees with its prediction "
-            "({rxte-claims[0]:.2f} times), or whether the orbit sharpens the pulse more than the "
-            "Earth's position alone.",
+            "The errors are {rxte-claims[0]:.2f} times their predicted σ; one hour does not decide "
+            "whether they agree with it. It also does not decide whether the orbit sharpens the "
+            "pulse more than the Earth's position alone.",
             {"rxte-claims": "undecided", "rxte-sharper": "undecided"},
         ),
     ),
@@ -317,7 +321,7 @@ STUDY = Study(
 )
 
 
-# -- shown -----------------------------------------------------------------------------------------
+# -- figures, table, recording ---------------------------------------------------------------------
 LOOKS = dict(zip(PLACES, (colors.OPEN_LOOP, colors.COMPARISON, colors.TRUTH), strict=True))
 
 

@@ -334,9 +334,9 @@ def test_the_whole_study_on_made_arrivals(folder, tmp_path):
     [
         (3, 2, np.nan, "expected finite numbers, got row 3"),
         (5, 0, 12.0, "expected days after 1990"),
-        (7, 1, 2.5, "expected a pulsar by its place among the names"),
-        (7, 1, 99.0, "expected a pulsar by its place among the names"),
-        (0, 3, 0.0, "expected a deviation above 0"),
+        (7, 1, 2.5, "expected an index of a pulsar among the names"),
+        (7, 1, 99.0, "expected an index of a pulsar among the names"),
+        (0, 3, 0.0, "expected a standard deviation above 0"),
         (9, 4, 2.0, "expected a direction of length 1"),
         (9, 7, 900.0, "expected the Earth within"),
     ],

@@ -195,11 +195,11 @@ def test_the_whole_study_on_made_photons(folder):
         ("PEPOCH 55308\n", "", "expected a timing model with PEPOCH"),
         ("F0 6.5972528555", "F0 fast", "expected a number as F0, got 'fast'"),
         ("F0 6.5972528555", "F0 nan", "expected a number as F0"),
-        ("F0 6.5972528555", "F0 -1", "expected F0 as pulses in a second"),
+        ("F0 6.5972528555", "F0 -1", "expected F0 in pulses per second"),
         ("15:13:55.62", "15h", "expected RAJ as 15:13:55.62, got '15h'"),
         ("-59:08:09.0", "-99:08:09.0", "declination_deg"),
         ("UNITS TDB", "UNITS TCB", "expected UNITS TDB, got TCB"),
-        ("UNITS TDB", "BINARY ELL1", "expected a pulsar without companion"),
+        ("UNITS TDB", "BINARY ELL1", "expected a pulsar without a companion"),
     ],
 )
 def test_a_timing_model_that_cannot_be_is_named(tmp_path, old, new, message):

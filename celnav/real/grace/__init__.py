@@ -1,9 +1,8 @@
-"""GRACE-A, 1 to 3 August 2008: a satellite's GPS fixes, whose errors are correlated from one to the
-next.
+"""GRACE-A, 1 to 3 August 2008: GPS fixes of a satellite with correlated errors.
 
-`positions`: the files. `settings`: what filters believe, and how that was found. `study`: what is
-flown and what we find. `show`: figures, a table, a recording. Their names are found here as well:
-``celnav.real.grace.STUDY``.
+`positions`: the files. `settings`: models of the filters, and how their settings were found.
+`study`: runs and findings. `show`: figures, a table, a recording. Their names can be imported from
+here, such as ``celnav.real.grace.STUDY``.
 """
 
 from celnav.lazy import modules

@@ -1,4 +1,4 @@
-"""Positions of a satellite in a file, one to a line, and axes along its orbit. Units: m, s;
+"""Positions of a satellite in a file, one per line, and axes along its orbit. Units: m, s;
 Earth-fixed axes.
 """
 
@@ -23,7 +23,7 @@ MOST_BYTES, MOST_EPOCHS = 10_000_000, 100_000
 
 class Positions(NamedTuple):
     """Epochs ``(T,)`` every `STEP_S`, GPS seconds since 2000-01-01 12:00, and positions ``(T, 3)``
-    m, nan where there is none.
+    m, nan in gaps.
     """
 
     times: Array
@@ -31,12 +31,12 @@ class Positions(NamedTuple):
 
 
 def read(path: str | Path) -> Positions:
-    """Positions in a file of lines ``seconds x y z quality``, plain or gzipped.
+    """Read positions from a file of lines ``seconds x y z quality``, plain or gzipped.
 
     Raises
     ------
-    InputError: naming the file and the line that is none, or what is wrong with all of it. OSError:
-    if it cannot be read.
+    InputError: naming the file, and the first invalid line or what is wrong with the whole file.
+    OSError: if it cannot be read.
     """
     content = Path(path).read_bytes()
     if content[:2] == b"\x1f\x8b":
@@ -90,8 +90,8 @@ def aligned(log: Positions, other: Positions) -> Array:
 
 
 def axes(truth: Array) -> Array:
-    """Rotations ``(T, 3, 3)`` from Earth-fixed axes to radial, along and across the track; nan
-    beside a gap.
+    """Rotations ``(T, 3, 3)`` from Earth-fixed axes to radial, along and across the track; nan next
+    to a gap.
     """
     velocity = np.gradient(truth, STEP_S, axis=0) + np.cross([0.0, 0.0, earth.ROTATION_RATE], truth)
     up, across = (

@@ -1,5 +1,5 @@
-"""What filters believe of GRACE-A and its fixes, and how that was found on 2 and 3 August 2008.
-Units: m, s; Earth-fixed axes.
+"""Models of GRACE-A and its fixes, with settings found on 2 and 3 August 2008. Units: m, s;
+Earth-fixed axes.
 """
 
 from __future__ import annotations
@@ -48,13 +48,13 @@ __all__ = [
 
 POLE = (0.24 * np.pi / 648000.0, 0.47 * np.pi / 648000.0)
 TT_GPS_S, GPS_UTC_S, UT1_UTC_S = 51.184, 14.0, -0.458
-"""Motion of the pole, x and y, rad; differences of time scales."""
+"""Differences of time scales; `POLE` is the motion of the pole, x and y, rad."""
 
 
-# -- what is believed ------------------------------------------------------------------------------
+# -- models ----------------------------------------------------------------------------------------
 class Around(NamedTuple):
-    """By epoch, on Earth-fixed axes ``(T, 3)``: how these turn (rad/s), Sun and Moon from the
-    Earth's center (m).
+    """Quantities by epoch on Earth-fixed axes ``(T, 3)``: rotation rate of the axes (rad/s), Sun
+    and Moon from the Earth's center (m).
     """
 
     spin: Array
@@ -71,7 +71,7 @@ def orientation(times: Array) -> tuple[Array, Array]:
 
 
 def around(times: Array) -> Around:
-    """What acts besides gravity at GPS seconds."""
+    """Rotation of the axes, Sun and Moon at GPS seconds."""
     fixed, tt = orientation(np.append(times, times[-1] + STEP_S))
     date, kernel = ephemeris.from_tt(*tt[:-1].T), ephemeris.de421()
     center, *bodies = (kernel.state(body, date).position for body in ("earth", "sun", "moon"))
@@ -80,8 +80,8 @@ def around(times: Array) -> Around:
 
 
 def step(x: Array, epoch: Any, field: gravity.Gravity) -> Array:
-    """State ``(..., 6)`` m, m/s on Earth-fixed axes after an interval: one Runge-Kutta step of
-    order 4 (10 s: 0.01 mm).
+    """State ``(..., 6)`` m, m/s on Earth-fixed axes after an interval, by one Runge-Kutta step of
+    order 4. Its error in 10 s is 0.01 mm.
     """
     h, r, v = epoch.dt, x[..., :3], x[..., 3:]
     spin, sun, moon = epoch.u
@@ -105,8 +105,8 @@ def step(x: Array, epoch: Any, field: gravity.Gravity) -> Array:
 
 
 class Setting(NamedTuple):
-    """Deviation (m) and correlation over a step of a fix's errors; velocity (m/s) that unknown
-    forces add in a step, per axis.
+    """Standard deviation (m) of a fix's errors; their correlation over a step; velocity (m/s) that
+    unmodeled forces add in a step, per axis.
     """
 
     sigma: float
@@ -115,11 +115,11 @@ class Setting(NamedTuple):
 
 
 Settings = Setting | Array
-"""One, or several as runs ``(3, runs)``."""
+"""One setting, or several as runs ``(3, runs)``."""
 
 
 def motion(field: gravity.Gravity, q: Any) -> Motion:
-    """Gravity to a degree, and white accelerations that make ``q`` m/s in a step."""
+    """Gravity up to a degree, and white accelerations that add ``q`` m/s in a step."""
     white = np.array([[STEP_S**2 / 3.0, STEP_S / 2.0], [STEP_S / 2.0, 1.0]])
     return Motion(
         partial(step, field=field), np.square(q)[..., None, None] * np.kron(white, np.eye(3))
@@ -127,14 +127,14 @@ def motion(field: gravity.Gravity, q: Any) -> Motion:
 
 
 def believed(field: gravity.Gravity, setting: Settings) -> tuple[Motion, Sensor, Array]:
-    """Motion, sensor and coefficient of its noise."""
+    """Motion, sensor, and coefficient of the sensor's noise over a step."""
     sigma, phi, q = (np.asarray(part, float)[..., None, None] for part in setting)
     return motion(field, q[..., 0, 0]), Sensor(np.eye(3, 6), sigma**2 * np.eye(3)), phi * np.eye(3)
 
 
 def prior(log: Positions) -> Gaussian:
-    """Position and velocity from a polynomial through the first two minutes, taken for much worse
-    than it is.
+    """Position and velocity from a polynomial through the first two minutes. Its covariance is much
+    larger than its errors.
     """
     there = np.flatnonzero(~np.isnan(log.z[:, 0]))[:13]
     fit = np.polynomial.polynomial.polyfit(log.times[there] - log.times[0], log.z[there], 5)
@@ -143,15 +143,17 @@ def prior(log: Positions) -> Gaussian:
 
 # -- settings, from 2 and 3 August -----------------------------------------------------------------
 DEGREE, TRAINED = 16, 8500
-"""Of gravity; epochs of each day that a likelihood is of."""
+"""Degree of gravity; number of epochs of each day in a likelihood."""
 SCREEN, SCREENED_M = Setting(4.0, 0.95, 1e-4), 6.0
-"""A fix that a filter so set finds this far from where it expects it is left out of the screened
-likelihood.
+"""Setting of a filter that finds outlying fixes, and its limit of an innovation (m). The screened
+likelihood omits fixes with a larger innovation.
 """
 
 
 DOF = 4.0
-"""Of Student's t: that of `celnav.filters.adaptive.student_t`, not chosen by any of these data."""
+"""Degrees of freedom of Student's t: the default of `celnav.filters.adaptive.student_t`, not chosen
+by these data.
+"""
 SETTINGS = {
     "robust": Setting(1.877, 0.9773, 2.545e-4),
     "screened": Setting(1.43, 0.898, 3.83e-4),
@@ -160,17 +162,19 @@ SETTINGS = {
     "white, by NIS": Setting(1.148, 0.0, 2.545e-4),
     "white, by likelihood": Setting(0.519, 0.0, 0.01546),
 }
-"""What filters believe.
+"""Settings of the filters.
 
-robust: where all fixes are most probable, with Student's t of `DOF` for the increments of their
-    errors. colored: the same, with
-the variance of that distribution. screened: by a normal likelihood without those fixes that are
-`SCREENED_M` off. normal: by that
-of all, which a few rule. by correlation: deviation of residuals, and the lag at which their
-correlation is 1/e. white: as colored, without its correlation; inflated: with the R that a mean of
-many fixes so correlated costs, (1 + phi) / (1 - phi) times as large;
-by NIS: with the R that makes NIS right; by likelihood: the R and Q with which all fixes are most
-    probable as white and normal."""
+robust: largest likelihood of all fixes, with Student's t of `DOF` for the increments of their
+errors.
+colored: as robust, with the variance of that distribution.
+screened: largest Gaussian likelihood without fixes that are off by `SCREENED_M`.
+normal: largest Gaussian likelihood of all fixes; a few fixes dominate it.
+by correlation: standard deviation of the residuals, and the lag at which their correlation is 1/e.
+white: as colored, without its correlation.
+white, inflated: R is (1 + phi) / (1 - phi) times as large, for a correct mean of many fixes.
+white, by NIS: R gives a correct NIS.
+white, by likelihood: R and Q with the largest likelihood of white Gaussian errors.
+"""
 _scale, _phi, _q = SETTINGS["robust"]
 _sigma = _scale * float(np.sqrt(DOF / (DOF - 2.0)))
 SETTINGS |= dict.fromkeys(("white", "white, gated"), Setting(_sigma, 0.0, _q))
@@ -179,11 +183,12 @@ SETTINGS["white, inflated"] = Setting(_sigma * float(np.sqrt((1.0 + _phi) / (1.0
 
 
 class Training(NamedTuple):
-    """Two days of fixes as two runs, less a trajectory that lies within meters of the satellite.
+    """Two days of fixes as two runs, relative to a trajectory within meters of the satellite.
 
-    times: seconds ``(T,)``. z: fixes less the trajectory ``(T, 2, 3)``. u: what an interval does to
-    what a state is less the trajectory, ``(T - 1, 2, 6, 6)`` times it plus ``(T - 1, 2, 6)``.
-    prior: of both. far: which fixes are `SCREENED_M` off, ``(T, 2, 1)``.
+    times: s ``(T,)``. z: fixes minus the trajectory ``(T, 2, 3)``.
+    u: transition of the state minus the trajectory over each interval; matrices ``(T - 1, 2, 6,
+    6)`` and offsets ``(T - 1, 2, 6)``.
+    prior: of both runs. far: whether a fix is off by `SCREENED_M`, ``(T, 2, 1)``.
     """
 
     times: Array
@@ -193,15 +198,16 @@ class Training(NamedTuple):
     far: Array
 
     def screened(self) -> Training:
-        """Without fixes that are far."""
+        """The same without outlying fixes."""
         return self._replace(z=np.where(self.far, np.nan, self.z))
 
 
 def training(paths: Sequence[Path], field: gravity.Gravity, count: int) -> Training:
-    """The first ``count`` epochs of two days; the trajectory is that of a filter set as `SCREEN`.
+    """The first ``count`` epochs of two days, relative to the trajectory of a filter with the
+    setting `SCREEN`.
 
-    Over meters a motion is linear to 1e-11 m/s^2. So it is computed once, and not in each flight of
-    a search.
+    Over meters the motion is linear to 1e-11 m/s^2. It is therefore linearized once, and not in
+    each run of a search.
     """
     logs = [read(path) for path in paths]
     each = [prior(log) for log in logs]
@@ -217,9 +223,8 @@ def training(paths: Sequence[Path], field: gravity.Gravity, count: int) -> Train
     track = run(colored(M, S, Phi), both, times, z, u, keep="mean")
     aside = np.repeat([10.0, 1e-2], 3)
     points = np.concatenate([np.diag(aside), -np.diag(aside), np.zeros((1, 6))])
-    pieces = [
-        slice(k, min(k + 200, count - 1)) for k in range(0, count - 1, 200)
-    ]  # all at once take gigabytes
+    # Pieces of 200 epochs, because all epochs together need gigabytes.
+    pieces = [slice(k, min(k + 200, count - 1)) for k in range(0, count - 1, 200)]
     moved = np.concatenate(
         [
             step(
@@ -242,16 +247,16 @@ def training(paths: Sequence[Path], field: gravity.Gravity, count: int) -> Train
 
 
 def linear(believed: tuple[Motion, Sensor, Array]) -> tuple[Motion, Sensor, Array]:
-    """The same of what a state is less the trajectory of `Training`."""
+    """The same model for a state minus the trajectory of a `Training`."""
     M, S, Phi = believed
     return Motion(lambda x, epoch: matvec(epoch.u[0], x) + epoch.u[1], sqrt_Q=M.noise), S, Phi
 
 
 def trained(field: gravity.Gravity, setting: Settings, kind: str = "colored") -> Filter:
-    """A filter of a `Training`.
+    """A filter for a `Training`.
 
-    kind: "colored", "white", or "tails": colored with Student's t for the increments of a fix's
-        errors (see `Weighed`).
+    kind: "colored"; "white"; or "tails", colored with Student's t for the increments of a fix's
+    errors (see `Weighed`).
     """
     M, S, Phi = linear(believed(field, setting))
     if kind == "white":
@@ -262,8 +267,9 @@ def trained(field: gravity.Gravity, setting: Settings, kind: str = "colored") ->
 
 
 def fitted(data: Training, field: gravity.Gravity, start: Setting, kind: str = "colored") -> Tuned:
-    """The most probable ``sigma``, ``q``, and for colored noise ``phi``, by the likelihood of
-    fixes; ``kind``: see `trained`.
+    """Maximum-likelihood ``sigma``, ``q``, and ``phi`` for colored noise.
+
+    kind: see `trained`.
     """
 
     def build(parameters: Array) -> tuple[Filter, Gaussian]:
@@ -281,9 +287,7 @@ def fitted(data: Training, field: gravity.Gravity, start: Setting, kind: str = "
 
 
 def weighing(dof: float) -> list[Any]:
-    """Hooks: the logarithm of an innovation's density under Student's t, then the weights that go
-    with it.
-    """
+    """Hooks: the log-density of an innovation under Student's t, then the corresponding weights."""
 
     def density(_memory: Any, joint: Joint, _epoch: Any) -> tuple[Array, Joint]:
         V: Any = joint.measurement_noise
@@ -306,15 +310,15 @@ def weighing(dof: float) -> list[Any]:
 
 @dataclass(frozen=True, eq=False)
 class Weighed:
-    """A filter with hooks of `weighing`, whose likelihood is that of Student's t."""
+    """A filter with the hooks of `weighing`. Its likelihood is that of Student's t."""
 
     filter: Any
 
     def start(self, prior: Gaussian) -> Any:
-        """As of the filter."""
+        """As in the filter."""
         return self.filter.start(prior)
 
     def step(self, state: Any, epoch: Epoch) -> tuple[Any, tuple[Info, ...]]:
-        """As of the filter, with the density that its first hook found."""
+        """As in the filter, with the density from its first hook."""
         state, (info,) = self.filter.step(state, epoch)
         return state, (info if state.memory is None else info._replace(mixture=state.memory[0]),)

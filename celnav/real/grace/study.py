@@ -248,7 +248,7 @@ def parts(_effort: float, grace: Path) -> dict[str, Part]:
 
 # -- the ledger ------------------------------------------------------------------------------------
 BEST, OUTLIER_M, REVOLUTION, CHI_SQUARE_MEDIAN = f"degree {DEGREE}", 30.0, 564, 2.36597
-"""REVOLUTION: epochs of one orbit. The first orbit is not judged, and the bootstrap draws complete
+"""REVOLUTION: epochs of one orbit. The first orbit is not evaluated. The bootstrap draws complete
 orbits.
 """
 Columns = Callable[[Results], Sequence[Array]]
@@ -591,19 +591,19 @@ STUDY = Study(
             {"colored-honest": "undecided", "white-overconfident": "undecided"},
         ),
         Sentence(
-            "With the correlation from Gaussian likelihoods, without the bursts or with them, it "
-            "is overconfident (NEES / 3 of {tail[0]:.1f} and {tail[1]:.1f}); this is undecided "
-            "too.",
+            "With the correlation from a Gaussian likelihood the filter is overconfident. Its "
+            "NEES / 3 is {tail[0]:.1f} without the bursts and {tail[1]:.1f} with them. This is "
+            "also undecided.",
             {"tail": "undecided"},
         ),
         Sentence(
-            "Student's t in the filter does not help against bursts: its RMSE is "
+            "Student's t in the filter does not help against bursts. The RMSE is then "
             "{robust[0]:.2f} times as large.",
             {"robust": "not shown"},
         ),
         Sentence(
             "A gate rejects {gate-locks[1]:.0%} of the components, and the RMSE is "
-            "{gate-locks[0]:.1f} times as large; this is undecided.",
+            "{gate-locks[0]:.1f} times as large. This is undecided.",
             {"gate-locks": "undecided"},
         ),
     ),
