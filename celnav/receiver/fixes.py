@@ -151,8 +151,9 @@ def fixed(seen: Seen, noise: tuple[Noise, Noise], false_alarm: float) -> Fixed:
 def _white_share(left: Array, unknowns: int) -> float:
     """The part of the variances of measurements that is new at each epoch.
 
-    left: residuals ``(T, S)`` in deviations, nan where there is none. Errors of atmosphere and orbits hardly change from one
-    epoch to the next, so half the squares of differences have the receiver's noise alone.
+    left: residuals ``(T, S)`` in deviations, nan where there is none. Errors of atmosphere and
+    orbits hardly change from one epoch to the next, so half the squares of differences have the
+    receiver's noise alone.
     """
     changes = left[1:] - left[:-1]
     both = np.isfinite(changes)
