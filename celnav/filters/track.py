@@ -210,8 +210,8 @@ class Track:
         return pd.DataFrame(self._columns(names))
 
     def to_xarray(self, names: list[str] | None = None) -> xr.Dataset:
-        """A data set with all that is stored but ``extra``, its axes named: time (s), date, run (run0, run1, ...
-        if there are several batch axes), state, error, measurement. Needs xarray.
+        """A data set with all that is stored but ``extra``, its axes named: time (s), date, run
+        (run0, run1, ... if there are several batch axes), state, error, measurement. Needs xarray.
 
         ``names``: as of `to_dataframe`; ``error`` are the components of deviations and covariances,
         of which an attitude has three.

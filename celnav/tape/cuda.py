@@ -112,8 +112,10 @@ class Device:
             self._idle.append(lane)
 
     def release(self) -> None:
-        """Free the memory of all lanes that are idle."""
-        self.do("cuCtxSetCurrent", self._context)
+        """Free the memory of all lanes that are idle. After a fault no call may succeed, and none
+        of their errors may hide the first one.
+        """
+        self.driver.cuCtxSetCurrent(self._context)
         while self._idle:
             self._idle.pop().close()
 

@@ -433,6 +433,15 @@ def test_faults_are_told_and_nothing_leaks(name, monkeypatch):
     assert fly("numpy").engine == "numpy"
 
 
+def test_a_fault_is_not_hidden_by_those_that_follow(monkeypatch):
+    failing = {"cuStreamSynchronize": (700, 1), "cuCtxSetCurrent": (700, 4)}
+    driver = installed(monkeypatch, Driver(failing=failing))
+    with pytest.raises(cuda.CudaError, match=r"^engine='cuda': cuStreamSynchronize: "):
+        fly()
+    assert driver.calls["cuCtxSetCurrent"] == 4
+    assert left(driver) == (0, 0, 0)
+
+
 def test_what_is_refused_in_words_of_the_package_is_so_here(driver):
     for options, words in (
         (
