@@ -1,7 +1,7 @@
-"""``out/index.html``: a page that opens from disk: what papers say, what we find, every row of
-their ledgers, every figure.
+"""``out/index.html``, a page that opens from disk: claims of papers, our findings, all rows of
+their ledgers and all figures.
 
-Users' studies and those on real data follow the papers.
+Users' studies and studies on real data follow the papers.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from celnav.study.ledger import KINDS, VERDICTS, Sentence
 
 Claims = Sequence[Mapping[str, Any]]
 USER = "study.json"
-"""What the page shows of a user's study, whose file may be gone."""
+"""File with the data of a user's study for the page; the study's own file may no longer exist."""
 
 
 def index(out: Path) -> str:
-    """The page for whatever papers and studies lie under ``out``."""
+    """The page for all papers and studies under ``out``."""
     from celnav.show.page import render
 
     every = {name: _shown(out, name, claims) for name, claims in reproduced(out).items()}
@@ -48,7 +48,7 @@ def index(out: Path) -> str:
 
 
 def reproduced(out: Path) -> dict[str, list[dict[str, Any]]]:
-    """Claims and checks of what lies under ``out``: papers, users' studies, those on real data."""
+    """Claims and checks of all studies under ``out``: of papers, of users, on real data."""
     users = sorted(path.parent.name for path in out.glob(f"*/{USER}"))
     return {
         name: [c for kind in ("claims", "checks") for c in read_claims(out / name / f"{kind}.json")]
@@ -58,7 +58,7 @@ def reproduced(out: Path) -> dict[str, list[dict[str, Any]]]:
 
 
 def page_data(study: Any, file: str) -> str:
-    """What `study_of` reads of a user's study."""
+    """The JSON of a user's study that `study_of` reads."""
     about: dict[str, Any] = {"file": str(Path(file).resolve())}
     about |= {name: getattr(study, name) for name in ("TITLE", "CITATION", "RECORDINGS")}
     for kind in ("FIGURES", "TABLES"):
@@ -68,10 +68,10 @@ def page_data(study: Any, file: str) -> str:
 
 
 def study_of(out: Path, name: str, word: str = "") -> Any:
-    """The module of a study, or of a user's what `page_data` wrote, with the names that a page
-    shows.
+    """The module of a study, or an object from `page_data` of a user's study, with the names that a
+    page shows.
 
-    word: by which it is loaded where nothing was written, its name by default.
+    word: the word that loads the study if there is no such file; by default its name.
     """
     path = out / name / USER
     if not path.exists():
@@ -92,7 +92,9 @@ def summary(
     out: Path = Path("out"),
     claims: Mapping[str, Claims] = MappingProxyType({}),
 ) -> str:
-    """Paragraphs in Markdown: what studies say and what we find; ``claims``: those at hand."""
+    """Paragraphs in Markdown with the claims of studies and our findings; ``claims``: those
+    available.
+    """
     paragraphs = []
     for name in names:
         module = study_of(out, name)
@@ -108,10 +110,10 @@ def summary(
 
 
 def _whose(name: str) -> str:
-    """Who says what is said."""
+    """The words before a study's claim that name its source."""
     if name in papers.PAPERS:
         return "The paper: "
-    return "" if name in papers.REAL else "It is said: "
+    return "" if name in papers.REAL else "The claim: "
 
 
 def cited(citation: str) -> str:
@@ -130,7 +132,7 @@ def cited(citation: str) -> str:
 
 
 def verdicts(studies: Mapping[str, Claims]) -> str:
-    """A table in Markdown of how many statements of each paper have which verdict."""
+    """A table in Markdown with the number of statements of each paper by verdict."""
     counts = {name: tally(_of_kind(claims, "statement")) for name, claims in studies.items()}
     shown = [verdict for verdict in VERDICTS if any(verdict in count for count in counts.values())]
     rows = [["paper", "statements", *shown], ["---", *["---:"] * (len(shown) + 1)]]
@@ -141,7 +143,7 @@ def verdicts(studies: Mapping[str, Claims]) -> str:
 
 
 def deciding(claims: Claims) -> list[Mapping[str, Any]]:
-    """What a study is judged by: its statements; its findings where it has none."""
+    """The claims that judge a study: its statements, or its findings if it has none."""
     return _of_kind(claims, "statement") or _of_kind(claims, "finding")
 
 
@@ -150,7 +152,7 @@ def _of_kind(claims: Claims, kind: str) -> list[Mapping[str, Any]]:
 
 
 def _shown(out: Path, name: str, claims: Claims) -> dict[str, Any]:
-    """What the page shows of a study."""
+    """The data of a study for the page."""
     module, folder = study_of(out, name), out / name
     by_kind = {kind: _of_kind(claims, kind) for kind in KINDS}
     deciding = "statement" if name in papers.PAPERS or by_kind["statement"] else "finding"
@@ -186,13 +188,13 @@ def _shown(out: Path, name: str, claims: Claims) -> dict[str, Any]:
 
 
 def _live(out: Path, recording: str) -> str:
-    """The address of a recording in the browser; "" where the viewer or its script is missing."""
+    """The address of a recording in the browser; "" if the viewer or its script is missing."""
     there = all((out / name).is_file() for name in (viewer.SCRIPT, viewer.script_name(recording)))
     return viewer.address(recording) if there else ""
 
 
 def _notebook(out: Path, name: str, module: Any) -> dict[str, str]:
-    """Of the checkout, if it is there; the file of a user's study."""
+    """Name and address of a paper's notebook, if the checkout has it, or of a user's file."""
     notebooks = Path(celnav.__file__).resolve().parents[1] / "notebooks"
     if name in papers.PAPERS:
         path = notebooks / f"{list(papers.PAPERS).index(name) + 1:02d}_{name}.ipynb"
@@ -211,7 +213,7 @@ def _notebook(out: Path, name: str, module: Any) -> dict[str, str]:
 
 
 def _record(folder: Path) -> tuple[float, str]:
-    """With what part of its runs a study was reproduced, and with which versions, in which time."""
+    """The part of the runs with which a study was reproduced, and a line with versions and time."""
     try:
         record = read_json(folder / "timings.json")
         versions = ", ".join(f"{name} {version}" for name, version in record["about"].items())
@@ -222,7 +224,7 @@ def _record(folder: Path) -> tuple[float, str]:
 
 
 def partial(out: Path, names: Iterable[str]) -> list[str]:
-    """A line for each part of the runs, less than all, with which studies were reproduced."""
+    """A line for each effort below 1, with the studies that were reproduced with it."""
     by_effort = dict[float, list[str]]()
     for name in names:
         by_effort.setdefault(_record(out / name)[0], []).append(name)
