@@ -39,25 +39,25 @@ BAD_INPUT = (
     NotADirectoryError,
     PermissionError,
 )
-"""What was given cannot be used, files and folders too: the exit status is 2."""
+"""Errors of unusable input, including files and folders: the exit status is 2."""
 PAPERS = ("papers", "jplephem", "erfa", "skyfield_data", "threadpoolctl")
 RESULTS = ("papers", "matplotlib", "PIL", "jinja2", "rich", "filelock", *PAPERS[1:])
 NEEDS = {
     "list": PAPERS,
     "verdicts": (*PAPERS, "rich"),
-    "reproduce": RESULTS,  # without rerun it says that there are no recordings
+    "reproduce": RESULTS,  # without rerun it only warns that there are no recordings
     "run": (*RESULTS, "pyarrow"),
     "campaign": (*RESULTS, "pyarrow"),
     "view": ("record", "rerun", "PIL"),
     "position": ("rinex", "erfa"),
 }
-"""Commands that need more than numpy and scipy: the extra that brings it, and packages without
-which they would end.
+"""Commands that need more than numpy and scipy: their extra, and the packages without which they
+would fail.
 """
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command; returns the exit status."""
+    """The exit status of a command, after it has run."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
@@ -94,7 +94,7 @@ def _failed(why: object, status: int) -> int:
 
 
 def _nobody_reads(error: Exception) -> bool:
-    """Whether the pipe that we write to is closed, which Windows calls an invalid argument."""
+    """Whether the output pipe is closed, which Windows reports as an invalid argument."""
     windows = (
         sys.platform == "win32"
         and isinstance(error, OSError)
@@ -105,14 +105,14 @@ def _nobody_reads(error: Exception) -> bool:
 
 
 def _sentence(error: Exception) -> str:
-    """The error as a sentence, with the file first: without numbers of the operating system."""
+    """The error as a sentence, with the file first and without the operating system's number."""
     if isinstance(error, OSError) and error.filename is not None and error.strerror:
         return f"{error.filename}: {error.strerror[0].lower()}{error.strerror[1:]}"
     return str(error)
 
 
 class _Parser(argparse.ArgumentParser):
-    """Its mistakes are one line, like all others."""
+    """A parser whose errors are one line, like all others."""
 
     def error(self, message: str) -> NoReturn:
         form = r"argument (\S+): invalid choice: (.*) \(choose from (.*)\)"
@@ -123,7 +123,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 def _options(words: Sequence[str]) -> argparse.Namespace:
-    """What the words ask for; UsageError names what is nearest to one that is unknown."""
+    """The options of a command line; for an unknown word, UsageError names the nearest one."""
     parser, commands = _parser()
     if not words:
         parser.print_help()
@@ -149,7 +149,7 @@ def _options(words: Sequence[str]) -> argparse.Namespace:
 
 
 def _parser() -> tuple[_Parser, dict[str, _Parser]]:
-    """The parser, and those of the commands by name, of what ``commands/options.toml`` says."""
+    """The parser, and the parsers of commands by name, from ``commands/options.toml``."""
     parser = _Parser(
         prog="celnav",
         description="Navigation filters, batched and in square-root form, and five papers judged.",

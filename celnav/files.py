@@ -1,8 +1,7 @@
-"""Files: written whole or not at all, and never over somebody else's.
+"""Files that are written completely or not at all, and never replace files of others.
 
-`Outputs` is a folder of celnav's own files. A small manifest remembers the contents that celnav
-wrote, so that a file which it did not make, or which was changed since, is refused instead of
-replaced.
+`Outputs` is a folder of celnav's own files. A small manifest has hashes of the contents that celnav
+wrote. So files that celnav did not make, or that were changed since, are refused, not replaced.
 """
 
 from __future__ import annotations
@@ -37,7 +36,7 @@ CURES = {
     errno.EFBIG: "larger than the limit of file sizes; raise the limit (ulimit -f), or choose "
     "another file system",
 }
-"""Of errors of writing."""
+"""Messages with a cure for errors of writing."""
 DAMAGE = (
     OSError,
     ValueError,
@@ -47,36 +46,36 @@ DAMAGE = (
     AttributeError,
     RuntimeError,
 )
-"""What damaged archives raise; of OSError a seek to nowhere."""
+"""Exceptions from damaged archives; OSError comes from an invalid seek."""
 MOST_UNPACKED = 100
-"""Times the size of a file: no honest archive of numbers unpacks to more."""
+"""Largest unpacked size over the file's size; no regular archive of numbers exceeds it."""
 
 
 Contents = Mapping[str, str] | Mapping[str, bytes]
-"""Of files by name, that were made before they are written."""
+"""Contents of files by name, all made before the first is written."""
 
 
 class ForeignFileError(OSError):
-    """A file is in the way that celnav did not make."""
+    """A file that celnav did not make is in the way."""
 
 
 class InputError(ValueError):
-    """A file that was given cannot be used; the message names it, and the line if there is one."""
+    """An input file cannot be used; the message names the file, and the line if there is one."""
 
 
 def did_you_mean(word: str, words: Iterable[str]) -> str:
-    """The end of an error about an unknown word: the known one that is nearest, if one is near."""
+    """The end of an error about an unknown word: the nearest known word, or "" if none is near."""
     near = difflib.get_close_matches(word, list(words), 1)
     return f"; did you mean {near[0]}?" if near else ""
 
 
 @contextmanager
 def replacing(path: str | Path) -> Iterator[Path]:
-    """A path of the same name in a temporary folder beside ``path``; it takes the place of ``path``
-    at the end, or is removed.
+    """A path of the same name in a temporary folder beside ``path``. At the end it replaces
+    ``path``, or it is removed after an error.
 
-    A device or a pipe, such as /dev/null, stays and is written to. OSError names ``path``, and the
-    cure where the disk is full.
+    A device or a pipe, such as /dev/null, is written to directly. OSError names ``path``, and the
+    cure if the disk is full.
     """
     target = Path(path)
     target.parent.mkdir(parents=True, exist_ok=True)
@@ -112,7 +111,7 @@ def write_text(path: str | Path, text: str) -> None:
 
 
 def read_npz(path: str | Path) -> dict[str, NDArray[Any]]:
-    """Arrays of an npz file. Objects are refused: nothing in the file is ever run.
+    """Arrays of an npz file. Objects are refused, so no code from the file is ever run.
 
     Raises
     ------
@@ -133,12 +132,12 @@ def read_npz(path: str | Path) -> dict[str, NDArray[Any]]:
 
 @contextmanager
 def locked(folder: str | Path) -> Iterator[None]:
-    """Keep other processes that ask for the same out of an existing folder; the lock ends with this
-    process, however it ends.
+    """A lock on an existing folder against other processes that lock it. It ends with this process,
+    even if the process is killed.
 
     Raises
     ------
-    BlockingIOError: naming the folder, if another process is there.
+    BlockingIOError: naming the folder, if another process has locked it.
     """
     with requires_extra("the lock of a folder", "papers"):
         from filelock import FileLock, Timeout
@@ -157,10 +156,10 @@ def locked(folder: str | Path) -> Iterator[None]:
 
 
 def remove_leftovers(*folders: str | Path) -> None:
-    """Remove what processes left that were killed while they wrote into folders. Only for who has
-    them `locked`.
+    """Remove temporary files of processes that were killed while writing into folders.
 
-    What celnav did not make stays, whatever its name begins with.
+    The caller must have the folders `locked`. Files that celnav did not make stay, whatever their
+    names.
     """
     for folder in folders:
         for path in Path(folder).glob(f"{TEMPORARY}*"):
@@ -170,24 +169,24 @@ def remove_leftovers(*folders: str | Path) -> None:
 
 
 def _temporary_name(token: str) -> str:
-    """How the name of a temporary folder begins: with a check of its random part, which nobody else
-    writes there by chance.
+    """The beginning of a temporary folder's name. It includes a hash of the random part, so that no
+    other program's folder has such a name by chance.
     """
     return f"{TEMPORARY}{token}-{hashlib.sha256(f'celnav {token}'.encode()).hexdigest()[:16]}-"
 
 
 def read_json(path: str | Path) -> Any:
-    """What a JSON file holds.
+    """The contents of a JSON file.
 
     Raises
     ------
-    InputError: naming the file, if it is not JSON, or lists lie within one another too deeply.
-        OSError: if it cannot be read.
+    InputError: naming the file, if it is not JSON, or if lists are nested too deeply. OSError: if
+        it cannot be read.
     """
     try:
         return json.loads(Path(path).read_text(encoding="utf-8"))
     except RecursionError:
-        raise InputError(f"{path}: lists or tables within one another too deeply") from None
+        raise InputError(f"{path}: lists or tables are nested too deeply") from None
     except ValueError as error:
         raise InputError(f"{path}: not a JSON file ({error})") from None
 
@@ -207,13 +206,13 @@ class Outputs:
         self.directory.mkdir(parents=True, exist_ok=True)
         try:
             with tempfile.TemporaryFile(dir=self.directory):
-                pass  # fails here, before anything is computed, where nothing can be written
+                pass  # an unwritable folder raises here, before anything is computed
         except OSError as error:
             raise OSError(error.errno, error.strerror, str(self.directory)) from None
         self._manifest()
 
     def _manifest(self) -> dict[str, list[str]]:
-        """Hashes of files by name, as they are now: another celnav may have written since."""
+        """Hashes of files by name, read each time, since another celnav may have written files."""
         manifest = self.directory / MANIFEST
         if not manifest.exists():
             return {}
@@ -243,7 +242,7 @@ class Outputs:
             path.exists() and _sha256(path) not in self._manifest().get(name, [])
         ):
             raise ForeignFileError(
-                f"{path}: exists and was not made, or was changed since, by celnav; move it away "
+                f"{path}: exists, and celnav did not make it or it was changed since; move it away "
                 "first"
             )
         return path
@@ -254,8 +253,8 @@ class Outputs:
         path = self._owned(name)
         with replacing(path) as temporary:
             yield temporary
-            # Both contents are owned before the old one is replaced: a crash in between leaves no
-            # foreign file.
+            # The manifest lists old and new contents before the file is replaced, so a crash in
+            # between leaves no foreign file.
             manifest = self._manifest()
             manifest[name] = [*manifest.get(name, [])[-1:], _sha256(temporary)]
             write_text(
@@ -272,7 +271,7 @@ class Outputs:
         self.bytes(name, text.encode("utf-8"))
 
     def publish(self, *contents: Contents) -> None:
-        """Write files; where one of their names is refused, see `check`, none is written."""
+        """Write files; if `check` refuses one of their names, none is written."""
         self.check(name for some in contents for name in some)
         for name, content in (file for some in contents for file in some.items()):
             self.bytes(name, content.encode("utf-8") if isinstance(content, str) else content)

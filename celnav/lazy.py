@@ -1,7 +1,6 @@
-"""What is imported only when it is asked for: modules of a package [PEP 562], scipy, and packages
-that only extras of celnav bring.
+"""Imports on first use: modules of a package [PEP 562], scipy, and packages of celnav's extras.
 
-``import celnav`` is fast, enough, and needs numpy and scipy alone.
+So ``import celnav`` is fast, is the only import that users need, and requires only numpy and scipy.
 """
 
 from __future__ import annotations
@@ -20,12 +19,11 @@ PIP = r".venv\Scripts\pip" if sys.platform == "win32" else ".venv/bin/pip"
 def modules(
     package: str, *doors: str, **late: str
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
-    """``__getattr__`` and ``__dir__`` of a package that imports its modules when they are asked
-    for.
+    """``__getattr__`` and ``__dir__`` of a package that imports its modules on first use.
 
-    doors: modules of which the public names are the package's own as well, the first that has a
-        name.
-    late: names of the package, and the modules that have them.
+    doors: modules whose public names are also names of the package; the first module with a name
+        provides it.
+    late: further names of the package, and the modules that have them.
     """
 
     def getattribute(name: str) -> Any:
@@ -37,7 +35,7 @@ def modules(
             try:
                 return import_module(f"{package}.{name}")
             except MissingError as error:
-                # No attribute where its package is not installed: `help` and `hasattr` ask for all.
+                # AttributeError if it is not installed, since `help` and `hasattr` try all names.
                 raise AttributeError(str(error), name=name, obj=parent) from error
             except ModuleNotFoundError as error:
                 if error.name != f"{package}.{name}":
@@ -60,7 +58,7 @@ def modules(
 
 
 class LazyModule:
-    """A module that is imported when a name of it is first asked for."""
+    """A module that is imported when one of its names is first used."""
 
     def __init__(self, module: str):
         self._module = module
@@ -71,7 +69,7 @@ class LazyModule:
 
 
 class MissingError(ImportError):
-    """A package of an extra of celnav is not installed; the message is the command that does so."""
+    """A package of an extra of celnav is not installed; the message has the cure."""
 
     def __init__(self, what: str, module: str, extra: str):
         cure = f'{PIP} install -c constraints.txt -e ".[{extra}]"'
@@ -82,8 +80,8 @@ class MissingError(ImportError):
 
 @contextmanager
 def requires_extra(what: str, extra: str) -> Iterator[None]:
-    """Around imports of packages that an extra brings. MissingError names ``what`` needs the first
-    that is not installed.
+    """A context for imports of packages from an extra. If one is not installed, MissingError names
+    it and ``what`` needs it.
     """
     try:
         yield
@@ -103,5 +101,5 @@ def installed(package: str) -> bool:
     """Whether a package of an extra is installed."""
     try:
         return find_spec(package) is not None
-    except ModuleNotFoundError:  # from a finder that refuses it
+    except ModuleNotFoundError:  # raised by an import finder that refuses the package
         return False

@@ -262,7 +262,7 @@ def test_view_without_a_display_says_what_to_do(study, tmp_path, monkeypatch, ca
         ),
         (
             ["--at", "1"],
-            "--at: expected --picture FILE.png with it; in a window the time is moved by hand",
+            "--at: expected --picture FILE.png with it; in a window you move the time by hand",
         ),
     ],
 )

@@ -1,8 +1,8 @@
-"""Campaigns: sweeps of thousands of configurations and runs, on one machine or on a cluster,
-resumable and bit for bit the same.
+"""Campaigns: sweeps of thousands of configurations and runs, on one machine or on a cluster. They
+are resumable, and results are identical bit for bit.
 
-`campaign` computes a study, in memory or with a store in a folder. `units` says what a piece of
-work is, `engine` hands the pieces out to one of `executors`, `celnav.study.store` stores them,
+`campaign` computes a study, in memory or with a store in a folder. `units` defines the work units,
+`engine` hands them out to one of `executors`, and `celnav.study.store` stores their results.
 `table` lists the scores, `figures` and `page` show them, and `showcase` records a mission's first
 run.
 """
@@ -41,17 +41,17 @@ __all__ = [
 ]
 
 Progress = Callable[[int, int], None]
-"""``(runs done, runs in all)``, at the start and whenever a unit is done."""
+"""Called with ``(runs done, runs in all)`` at the start and whenever a unit is done."""
 Say = Callable[[str], None]
-"""Takes a line that a user should read."""
+"""Called with a line for the user."""
 
 
 def _ignore(*_: object) -> None:
-    """Nobody reads it."""
+    """The default for `Progress` and `Say`: do nothing."""
 
 
 MOST_DRAWN = 6
-"""Configurations whose errors over time are drawn: the first that could be simulated."""
+"""Largest number of configurations with figures over time: the first that could be simulated."""
 
 
 class CampaignResult(NamedTuple):
@@ -69,7 +69,7 @@ class CampaignResult(NamedTuple):
 
     @property
     def groups(self) -> tuple[tuple[str, str], ...]:
-        """Name and unit of what is judged; empty if no configuration could be simulated."""
+        """Name and unit of each judged group; empty if no configuration could be simulated."""
         return self.first[0][1].groups if self.first else ()
 
 
@@ -81,11 +81,11 @@ def campaign(
     progress: Progress = _ignore,
     say: Say = _ignore,
 ) -> CampaignResult:
-    """Compute what is missing of a study whose store is ``folder``, and merge all of it.
+    """The merged scores of a study, after its missing units are computed.
 
-    Where the folder has the same study with fewer runs, or fewer values of what is swept, only the
-    others are computed; a last block that was not whole is computed anew. The table is that of the
-    whole study computed at once, byte for byte.
+    The folder may have the same study with fewer runs, or with fewer values of swept keys. Then
+    only the rest is computed, and a last block that was incomplete is computed again. The table is
+    identical, byte for byte, to that of the whole study computed at once.
 
     Parameters
     ----------
@@ -96,8 +96,8 @@ def campaign(
     Raises
     ------
     StoreError: if the folder belongs to another study, or was begun with another celnav.
-    BlockingIOError: if another process is at work there. OSError: if it cannot be written, or the
-        executor is lost. UnfinishedError: if units failed; the others are stored.
+    BlockingIOError: if another process is using the folder. OSError: if the folder cannot be
+        written, or the executor is lost. UnfinishedError: if units failed; the others are stored.
     VersionError: if workers have another celnav.
     """
     if folder is None:

@@ -1,4 +1,4 @@
-"""The engine: hand out missing units, keep what comes back, begin again where a worker died."""
+"""The engine: hand out missing units, keep their results, and restart after a worker's death."""
 
 from __future__ import annotations
 
@@ -20,16 +20,15 @@ from celnav.study.store import code
 from celnav.study.study import Unit
 
 ATTEMPTS = 3
-"""How often in a row workers may die, and no unit be finished, before units are tried one by one.
-"""
+"""Deaths of workers in a row, without a finished unit, after which units are tried one by one."""
 
 R = TypeVar("R")
 
 
 class UnfinishedError(WorkError):
-    """Units that could not be done; everything else is kept.
+    """Some units could not be done; the results of all others are kept.
 
-    causes: what they raised, as far as they lived to.
+    causes: exceptions of the failed units; units whose worker died have none.
     """
 
     def __init__(self, message: str, causes: Sequence[Exception] = ()):
@@ -38,7 +37,7 @@ class UnfinishedError(WorkError):
 
 
 def _nothing() -> None:
-    """Nobody asked."""
+    """The default for ``opened``: do nothing."""
 
 
 def compute(
@@ -47,8 +46,8 @@ def compute(
     keep: Callable[[Unit, dict[str, Array]], None],
     opened: Callable[[], None] = _nothing,
 ) -> None:
-    """Do all units and give each result to ``keep`` as it comes, in any order; ``opened()`` is
-    called once there are workers.
+    """Do all units and give each result to ``keep`` as it arrives, in any order. ``opened()`` is
+    called once workers are available.
 
     Raises
     ------
@@ -61,7 +60,7 @@ def compute(
     causes: list[Exception] = []
     deaths = 0
     while missing:
-        # One at a time, it is clear whose worker it is that dies.
+        # With one unit at a time it is clear which unit kills its worker.
         alone = deaths >= ATTEMPTS
         try:
             with workers.open() as executor:
@@ -80,7 +79,7 @@ def compute(
         except BrokenExecutor as error:
             if not workers.again:
                 raise OSError(
-                    f"the executor is broken ({_message(error)}); what is finished is kept"
+                    f"the executor is broken ({_message(error)}); finished work is kept"
                 ) from None
             deaths += 1
             if alone:
@@ -109,8 +108,8 @@ def results(
     ahead: int,
     *arguments: Any,
 ) -> Iterator[tuple[Unit, R | Exception]]:
-    """Results and exceptions of ``function(unit, *arguments)``, as they come; ``ahead`` units are
-    handed out before their turn.
+    """Results and exceptions of ``function(unit, *arguments)`` in the order of their arrival; up to
+    ``ahead`` units are handed out in advance.
 
     Raises
     ------
@@ -125,13 +124,13 @@ def results(
             while len(waiting) < ahead and (unit := next(left, None)) is not None:
                 waiting[executor.submit(function, unit, *arguments)] = unit
         except BrokenExecutor as broken:
-            fatal = broken  # what is finished already is kept all the same
+            fatal = broken  # results that are already finished are kept
         if not waiting and fatal is None:
             return
         done = wait(waiting, 0.0 if fatal else None, return_when=FIRST_COMPLETED).done
         finished = [future for future in waiting if future in done]
         del done
-        while finished:  # a result may be large: none is held here while the next are waited for
+        while finished:  # results may be large: none is held here while waiting for the next
             future = finished.pop(0)
             unit = waiting.pop(future)
             error = CancelledError() if future.cancelled() else future.exception()

@@ -1,4 +1,4 @@
-"""Where the work is done: here, in processes, or on a Dask cluster. Anything with ``submit`` of
+"""Executors of the work: this process, several processes, or a Dask cluster. Any executor of
 `concurrent.futures` will do.
 """
 
@@ -21,14 +21,17 @@ from celnav.gaussian.checks import integer
 from celnav.lazy import requires_extra
 
 MOST_PROCESSES = 61 if sys.platform == "win32" else 1_000_000
-"""Windows waits for no more at once."""
+"""Largest number of processes; Windows cannot wait for more at once."""
 PATIENCE_S = 10.0
 """How long a scheduler may take to answer."""
 
 
 class Workers(NamedTuple):
-    """``open()`` gives an executor; ``ahead``: how many units are handed out before their turn;
-    ``again``: whether a new one is given where the last one broke."""
+    """How to get an executor.
+
+    open: ``() ->`` an executor. ahead: number of units that are handed out in advance. again:
+        whether a new executor can be opened if the last one broke.
+    """
 
     open: Callable[[], AbstractContextManager[Executor]]
     ahead: int
@@ -36,7 +39,7 @@ class Workers(NamedTuple):
 
 
 class _Serial(Executor):
-    """Does the work when it is submitted."""
+    """An executor that does the work when it is submitted."""
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         future: Future[Any] = Future()
@@ -48,17 +51,17 @@ class _Serial(Executor):
 
 
 def serial() -> Workers:
-    """This process."""
+    """Workers that are this process itself."""
     return Workers(_Serial, 1)
 
 
 def from_executor(executor: Executor) -> Workers:
-    """A given executor, such as ``mpi4py.futures.MPIPoolExecutor``; it stays open."""
+    """Workers of a given executor, such as ``mpi4py.futures.MPIPoolExecutor``; it stays open."""
     return Workers(lambda: contextlib.nullcontext(executor), 1000, again=False)
 
 
 def processes(jobs: int) -> Workers:
-    """Spawned processes of this machine. They end with this one, however it ends.
+    """Workers that are processes on this machine. They end with this process, even if it is killed.
 
     Raises
     ------
@@ -78,7 +81,7 @@ def _pool(jobs: int) -> Iterator[Executor]:
         yield pool
         pool.shutdown()
     except BaseException:
-        _kill_but(others)  # a unit may take minutes, and nobody waits for it any more
+        _kill_but(others)  # a unit may take minutes, and its result is no longer needed
         pool.shutdown(cancel_futures=True)
         raise
 
@@ -97,8 +100,10 @@ class _Pool(ProcessPoolExecutor):
 
 @contextmanager
 def _deaf_children() -> Iterator[None]:
-    """Processes that are started in here never hear of interrupts from the keyboard, which are for
-    the parent alone: it hears of them at the end."""
+    """A context whose child processes ignore keyboard interrupts.
+
+    Interrupts are for the parent alone, which receives them at the end of the context.
+    """
     if sys.platform == "win32":
         yield
     else:
@@ -111,7 +116,7 @@ def _deaf_children() -> Iterator[None]:
 
 
 def _end_with_the_parent() -> None:
-    """In a new process: leave interrupts to the parent, and end when it does, however it does."""
+    """In a new process: leave interrupts to the parent, and end when the parent ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = parent_process()
 
@@ -124,14 +129,14 @@ def _end_with_the_parent() -> None:
 
 
 def dask(address: str | None = None, jobs: int = 1) -> Workers:
-    """A running Dask scheduler (``tcp://host:port``), or one of ``jobs`` processes that is started
-    on this machine.
+    """Workers of a running Dask scheduler (``tcp://host:port``), or of a new one with ``jobs``
+    processes on this machine.
 
     Opening it raises ImportError without ``distributed``, OSError if no scheduler answers.
 
     Raises
     ------
-    ValueError: for an address that is none.
+    ValueError: if ``address`` is invalid.
     """
     if address is not None and not _is_address(address):
         raise ValueError(f"address: expected tcp://HOST:PORT, got {address!r}")
@@ -178,7 +183,7 @@ def _cluster(address: str | None, jobs: int) -> Iterator[Executor]:
 
 @contextmanager
 def _closing(resource: Any) -> Iterator[Any]:
-    """Close within two seconds, whatever is still going on."""
+    """Close the resource within two seconds, even if work is still running."""
     try:
         yield resource
     finally:

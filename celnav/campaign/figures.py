@@ -1,4 +1,4 @@
-"""Figures of a campaign: accuracy and consistency over the swept keys, and over time."""
+"""Figures of a campaign: accuracy and consistency over the swept keys, and errors over time."""
 
 from __future__ import annotations
 
@@ -30,19 +30,21 @@ BOUND: Any = {
     "zorder": 0,
 }
 Common = Callable[[Array, Array], Item]
-"""What is drawn once in a panel: of places along the x axis, and columns of the first filter."""
+"""An item that is drawn once in a panel: ``(places along the x axis, columns of the first filter)
+->`` item.
+"""
 
 
 def stems(study: MissionStudy) -> list[str]:
-    """Of everything that `figures` may draw."""
+    """File stems of all figures that `figures` may draw."""
     judged = load(study.paper).JUDGED
     each = [f"{kind}_{name}" for kind in ("accuracy", "time") for name in judged]
     return [*each, "consistency", "failures"]
 
 
 def figures(outcome: CampaignResult) -> dict[str, Figure]:
-    """Drawings by file stem: the accuracy of each group, the consistency, failures if there are
-    any, and errors over time.
+    """Figures by file stem: accuracy of each group, consistency, failures if some runs failed, and
+    errors over time.
     """
     out = {f"accuracy_{name}": accuracy(outcome, name, unit) for name, unit in outcome.groups}
     if outcome.groups:
@@ -54,13 +56,13 @@ def figures(outcome: CampaignResult) -> dict[str, Figure]:
 
 
 def _look(study: MissionStudy, filter: str) -> dict[str, Any]:
-    """Of a filter, the same in all figures."""
+    """Look of a filter, the same in all figures."""
     return look(study.filters.index(filter)) | {"label": filter}
 
 
 def _axis(study: MissionStudy) -> tuple[str, Sequence[Any], bool]:
-    """The key along the x axis, which has the most values (numbers before words), its values, and
-    whether they are numbers.
+    """The key along the x axis, its values, and whether they are numbers. It is the key with the
+    most values, numbers before words.
     """
     if not study.swept:
         return "", ("",), False
@@ -75,7 +77,8 @@ def _axis(study: MissionStudy) -> tuple[str, Sequence[Any], bool]:
 def _over_keys(
     outcome: CampaignResult, label: str, title: str, names: Sequence[str], common: Common
 ) -> Figure:
-    """A panel for each combination of the other keys, a curve for each filter over the first.
+    """A panel for each combination of the other keys, with a curve for each filter over the key of
+    the x axis.
 
     names: columns of the table: value, low and high (or the value alone), then those of ``common``.
     """
@@ -97,7 +100,7 @@ def _over_keys(
             ]
             at = np.array([row[key] if numeric else words.index(row.get(key, "")) for row in rows])
             order = np.argsort(at)
-            # Words leave room for filters side by side.
+            # Places of words have room for several filters side by side.
             beside = 0.0 if numeric else 0.6 * ((number + 0.5) / len(study.filters) - 0.5)
             places = at[order] + beside
             columns = np.array([[rows[i].get(name, np.nan) for i in order] for name in names])
@@ -128,10 +131,10 @@ def _ticks(values: Sequence[Any], numeric: bool) -> Item:
 def _figure(
     drawn: list[Panel], total: int, title: str, what: str, size: tuple[int, float, float, float]
 ) -> Figure:
-    """Panels, of ``total`` that there are, on a common y axis, which is logarithmic where values
-    are far apart.
+    """A figure of panels with a common y axis, which is logarithmic if values are far apart.
 
-    size: most columns, inches of each, least inches of all, inches of a row.
+    total: number of all panels, of which some may be left out. size: most columns, width of a
+        column, least total width, height of a row; inches.
     """
     most, wide, least, high = size
     rows = grid(drawn, min(len(drawn), most))
@@ -146,7 +149,7 @@ def _figure(
 
 
 def _interval(at: Array, values: Array, look: dict[str, Any]) -> Item:
-    """Values with intervals: rows value, low and high; or values alone."""
+    """Item of values with intervals, as rows value, low and high; or of values alone."""
     reach = np.nan_to_num(np.abs(values[1:] - values[0])) if len(values) > 1 else None
     return lambda ax: ax.errorbar(at, values[0], reach, capsize=2, **look)
 
@@ -158,7 +161,7 @@ def accuracy(outcome: CampaignResult, group: str, unit: str) -> Figure:
         (bound,) = columns
         if not np.isfinite(bound).any():
             return curve([], [])
-        alone = len(at) == 1  # a level, then
+        alone = len(at) == 1  # then the bound is drawn as a level
         return curve([-0.35, 0.35] if alone else at, [*bound, *bound] if alone else bound, **BOUND)
 
     names = [column(group, statistic, unit) for statistic in ("rms", "low", "high", "bound")]
@@ -181,7 +184,7 @@ def consistency(outcome: CampaignResult) -> Figure:
 
 
 def _failures(outcome: CampaignResult) -> Figure:
-    """How many runs failed."""
+    """Figure of the number of failed runs."""
     runs = outcome.study.runs
 
     def full(*_: Array) -> Item:
@@ -191,8 +194,8 @@ def _failures(outcome: CampaignResult) -> Figure:
 
 
 def over_time(outcome: CampaignResult, group: int) -> Figure:
-    """Root mean square errors at each epoch of the first configurations, what the filters
-    predict, and the bound.
+    """Root mean square errors of the first configurations over time, with the filters' predictions
+    and the bound.
     """
     study = outcome.study
     name, unit = outcome.first[0][1].groups[group]
@@ -202,7 +205,7 @@ def over_time(outcome: CampaignResult, group: int) -> Figure:
         )
         for point, scored in outcome.first
     ]
-    title = f"{name} over time; dotted: what the filter takes it for"
+    title = f"{name} over time; dotted: predicted by the filter"
     total = len(study.configurations)
     return _figure(drawn, total, title, "configurations", (3, 4.0, 5.0, 2.8))
 

@@ -1,4 +1,4 @@
-"""Missions and studies: one TOML file over a paper's models and filters.
+"""Missions and studies: a TOML file that configures a paper's models and filters.
 
 A file names a paper, may start from one of its presets, and overrides any parameter of its
 ``Config``::
@@ -11,9 +11,9 @@ A file names a paper, may start from one of its presets, and overrides any param
     inclination_deg = 98.2
     phi = 0.95
 
-A list where a parameter is one value makes it a study: every combination of the lists is a
-configuration. In place of a paper may stand a user's study, ``paper = "study.py"``, a file beside
-this one (`celnav.papers.own`).
+A list of values for a parameter makes the file a study: every combination of the lists is a
+configuration. Instead of a paper the file may name a user's study, ``paper = "study.py"``, which
+lies in the same folder (`celnav.papers.own`).
 """
 
 from __future__ import annotations
@@ -40,12 +40,14 @@ LARGEST_FILE = 1_000_000
 """Bytes."""
 MOST_CONFIGURATIONS = 100_000
 MOST_UNITS = 1_000_000
-"""Blocks of runs in all."""
+"""Largest total number of blocks of runs."""
 MOST_SAMPLES = 200_000_000
-"""Of all runs of a block, which are simulated at once: more take tens of gigabytes."""
+"""Largest number of steps of all runs of a block, which are simulated at once. More would take tens
+of gigabytes.
+"""
 BLOCK = 100
-"""Runs of a work unit, unless a file says otherwise: larger ones are hardly faster, and a campaign
-grows by whole ones.
+"""Runs of a work unit by default. Larger units are hardly faster, and a campaign grows by whole
+units.
 """
 KEYS = (
     "title",
@@ -68,7 +70,7 @@ class MissionError(InputError):
 
 
 class Configuration(typing.NamedTuple):
-    """One point of a study: the values of the swept keys there, and the whole configuration."""
+    """One point of a study: the values of its swept keys, and the whole configuration."""
 
     values: dict[str, Any]
     config: Any
@@ -76,16 +78,15 @@ class Configuration(typing.NamedTuple):
 
 @dataclass(frozen=True)
 class MissionStudy:
-    """What a file asks for; a mission is a study of one configuration.
+    """The contents of a mission or study file; a mission is a study of one configuration.
 
     Attributes
     ----------
-    title, paper: as given, and the title determines nothing. filters: names. runs: of each
-        configuration.
-    seed: all configurations share the random numbers.
-    block: runs of a work unit. every: how many judged epochs lie from one that is scored to the
-        next.
-    settle_s: where means over time begin; None: in the middle. limits: largest error at the end, by
+    title, paper: as given; the title does not affect results. filters: names. runs: number of runs
+        of each configuration.
+    seed: of the random numbers, which all configurations share.
+    block: runs of a work unit. every: each ``every``-th judged epoch is scored.
+    settle_s: start of means over time; None: in the middle. limits: largest error at the end, by
         group.
     engine: that of `celnav.run`.
     swept: dotted key -> values. configurations: every combination, the last key changing fastest.
@@ -106,11 +107,13 @@ class MissionStudy:
 
     @property
     def may_grow(self) -> set[str]:
-        """Keys of `to_dict` whose values a store may have less of: of the rest it is reused."""
+        """Keys of `to_dict` whose values may be smaller in a store that is reused."""
         return {"runs", *(f"config.{key}" for key in self.swept)}
 
     def to_dict(self) -> dict[str, Any]:
-        """All that determines results, in plain types, by which stores are compared. No title."""
+        """Everything that determines the results, in plain types, to compare stores. It has no
+        title.
+        """
         first = {
             k: v
             for k, v in flat(asdict(self.configurations[0].config)).items()
@@ -130,7 +133,7 @@ class MissionStudy:
 
 
 def flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Nested tables with dotted keys."""
+    """Nested tables as one table with dotted keys."""
     out: dict[str, Any] = {}
     for key, value in values.items():
         out |= (
@@ -140,13 +143,13 @@ def flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 
 def read(path: str | Path, effort: float = 1.0) -> MissionStudy:
-    """Read a mission or study; ``effort``, in (0, 1], is the part of its runs to do, at least 2.
+    """The mission or study of a file. ``effort``, in (0, 1], is the part of its runs to do, at
+    least 2.
 
     Raises
     ------
     MissionError: naming file and key, what was expected and what came. OSError: if the file cannot
-        be read. ValueError: for an
-    ``effort`` that cannot be.
+        be read. ValueError: if ``effort`` is invalid.
     """
     source = Path(path)
     with source.open("rb") as file:
@@ -170,7 +173,7 @@ def read(path: str | Path, effort: float = 1.0) -> MissionStudy:
     return whole if effort == 1.0 else replace(whole, runs=run_count(whole.runs, None, effort))
 
 
-_DEEP = "lists or tables within one another too deeply"
+_DEEP = "lists or tables are nested too deeply"
 
 
 def study(table: Mapping[str, Any]) -> MissionStudy:
@@ -243,7 +246,7 @@ _OPTIONS: dict[str, Any] = {
 
 
 def _check_flights(points: Sequence[Configuration], options: Mapping[str, Any]) -> None:
-    """Refuse what cannot be settled, or cannot be held in memory."""
+    """Raise ValueError if runs end before ``settle_s``, or if a block does not fit into memory."""
     settle, runs = options["settle_s"], min(options["runs"], options["block"])
     if settle is not None and settle < 0.0:
         raise ValueError(f"settle_s (s): expected a number that is not negative, got {settle!r}")
@@ -251,7 +254,7 @@ def _check_flights(points: Sequence[Configuration], options: Mapping[str, Any]) 
         where = f" where {at}" if (at := ", ".join(f"{k} = {v}" for k, v in values.items())) else ""
         if settle is not None and settle > config.end_s:
             raise ValueError(
-                f"settle_s (s): expected at most {config.end_s:g}, when the flight ends{where}, "
+                f"settle_s (s): expected at most {config.end_s:g}, the end of the run{where}, "
                 f"got {settle:g}"
             )
         if config.samples * runs > MOST_SAMPLES:
@@ -263,7 +266,7 @@ def _check_flights(points: Sequence[Configuration], options: Mapping[str, Any]) 
 
 
 def _with_name(name: str, make: Any) -> Any:
-    """``make()``, with the name before what it complains of."""
+    """The result of ``make()``; its errors get the name in front."""
     try:
         return make()
     except ValueError as error:
@@ -273,7 +276,7 @@ def _with_name(name: str, make: Any) -> Any:
 
 
 def _check_keys(where: str, table: Mapping[str, Any], names: Sequence[str]) -> None:
-    """Refuse keys that are not among the names, and hint at the nearest."""
+    """Raise ValueError for keys that are not among the names, with a hint at the nearest name."""
     for key in table:
         if key not in names and where and key in KEYS:
             raise ValueError(
@@ -309,7 +312,9 @@ def _limits(table: Mapping[str, Any], judged: Mapping[str, str]) -> dict[str, fl
 def _filters(
     module: ModuleType, table: Mapping[str, Any], points: Sequence[Configuration]
 ) -> tuple[str, ...]:
-    """The names asked for, which all exist in some configuration; by default those of the first."""
+    """The requested names, each of which exists in some configuration; by default those of the
+    first.
+    """
     available: dict[str, Any] = _with_name("config", lambda: module.filters(points[0].config))
     names = [
         typed("filters", name, str)
@@ -389,7 +394,7 @@ def _point(start: Any, fixed: Mapping[str, Any], values: dict[str, Any]) -> Conf
 
 
 def _replaced(config: Any, values: Mapping[str, Any]) -> Any:
-    """A configuration with values of dotted keys in it."""
+    """A configuration with new values for dotted keys."""
     inner: dict[str, dict[str, Any]] = {}
     changes: dict[str, Any] = {}
     for key, value in values.items():

@@ -1,4 +1,4 @@
-"""Everything that a study leaves in its folder: tables, figures, and a page that shows them."""
+"""The outputs of a study in its folder: tables, figures, and a page that shows them."""
 
 from __future__ import annotations
 

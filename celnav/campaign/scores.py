@@ -1,7 +1,7 @@
-"""Scores: sums over runs, enough for every statistic of a campaign, so that no track is ever kept.
+"""Scores: sums over runs that suffice for every statistic of a campaign, so that no track is kept.
 
-A block of runs is scored, scores of blocks are merged by adding, in whatever number they come, and
-`summarize` makes statistics of the sum.
+Each block of runs is scored, and the scores of any number of blocks are added. `summarize` computes
+statistics from the sum.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ from celnav.study.trial import Evaluation, Group, squares
 Scores = dict[str, Array]
 """Sums over runs that did not fail.
 
-times ``(K,)`` s. dimension ``()``: of the error. settled ``(K,)``: which epochs statistics are of.
-runs ``()``. count, nis, dof ``(K,)`` and square ``(K, groups)``: at each epoch, over the runs that
-have an estimate there. predicted ``(K,)``, variance ``(K, groups)``: over those with a covariance
-too. run_square ``(2, groups)``, run_nees ``(2,)``: of each run's mean over the settled epochs, and
-of its square; judged ``()``: how many runs have a NEES there. nees_beyond, nis_beyond ``(2,)``:
-single values above their 95 % quantile, and all.
+times ``(K,)`` s. dimension ``()``: of the error. settled ``(K,)``: epochs of the statistics. runs
+``()``: number of runs. count, nis, dof ``(K,)`` and square ``(K, groups)``: at each epoch, over the
+runs with an estimate. predicted ``(K,)``, variance ``(K, groups)``: over the runs that also have a
+covariance. run_square ``(2, groups)``, run_nees ``(2,)``: sums of each run's mean over the settled
+epochs, and of the square of this mean. judged ``()``: how many runs have a NEES there. nees_beyond,
+nis_beyond ``(2,)``: number of single values above their 95 % quantile, and number of all.
 """
 CONSTANT = ("times", "dimension", "settled")
-"""Scores that are no sums."""
+"""Scores that are not sums."""
 
 
 class Failure(NamedTuple):
-    """A run that is not scored: when its estimate was lost, and why."""
+    """A run that is not scored, with the time and the reason of its failure."""
 
     run: int
     t: float
@@ -45,11 +45,10 @@ def score(
     settle_s: float | None,
     limits: Mapping[str, float],
 ) -> tuple[Scores, list[Failure]]:
-    """Scores of a block, and its runs that failed: lost their estimate, or ended with an error
-    above the limit of its group.
+    """Scores of a block, and its failed runs: without an estimate, or with a final error above the
+    limit of a group.
 
-    ``settle_s``: the mean over time begins here, not after the last epoch; None: in the middle of
-        the run.
+    ``settle_s``: start of the mean over time, at most the last epoch; None: the middle of the run.
     """
     times, end = evaluation.times, float(evaluation.times[-1])
     if settle_s is not None and settle_s > end:
@@ -109,7 +108,7 @@ def score(
 
 
 def _only(values: Array, there: Array) -> Array:
-    """Zero where nothing is; ``there`` has the first axes of the values."""
+    """The values where ``there``, else 0; ``there`` has the first axes of the values."""
     return (
         values
         if there.all()
@@ -118,7 +117,7 @@ def _only(values: Array, there: Array) -> Array:
 
 
 def _mean(values: Array, there: Array) -> Array:
-    """Mean over time of what is there, for each run; zero where nothing is."""
+    """Mean over time of the values where ``there``, for each run; 0 if a run has none."""
     count = np.maximum(there.sum(0), 1)
     return np.asarray(_only(values, there).sum(0) / count.reshape(-1, *(1,) * (values.ndim - 2)))
 
@@ -138,8 +137,8 @@ def _beyond(values: Array, dof: Array) -> Array:
 
 
 def check_scores(scores: Scores, groups: int, bound: Array | None) -> None:
-    """Raise ValueError unless these are numbers of the names and shapes that `score` makes for so
-    many groups, with their bound.
+    """Raise ValueError unless scores and bound have the names and shapes of `score` for ``groups``
+    groups.
     """
     K, G = scores.get("times", np.empty(0)).shape[:1], (groups,)
     shapes: dict[str, tuple[int, ...]] = dict.fromkeys(("dimension", "runs", "judged"), ())
@@ -157,7 +156,7 @@ def check_scores(scores: Scores, groups: int, bound: Array | None) -> None:
 
 
 def merge(parts: Iterable[Scores]) -> Scores:
-    """Sum of scores of the same epochs, one or more, in the order given."""
+    """Sum of one or more scores of the same epochs, in the given order."""
     total: Scores = {}
     for part in parts:
         if total and not np.array_equal(part["times"], total["times"]):
@@ -172,9 +171,9 @@ def merge(parts: Iterable[Scores]) -> Scores:
 
 
 STATISTICS = ("rms", "low", "high", "final", "sigma", "bound", "efficiency")
-"""Of each group: root mean square error over the settled epochs with its 95 % interval; at the last
-epoch; the filter's prediction; `celnav.study.trial.bound`, and that over rms. The interval comes
-from how the runs differ: no errors need be Gaussian.
+"""Statistics of each group: root mean square error over the settled epochs with its 95 % interval,
+and at the last epoch; the filter's prediction; `celnav.study.trial.bound`, and the bound over rms.
+The interval comes from the differences between runs, so errors need not be Gaussian.
 """
 
 
@@ -193,10 +192,10 @@ def summarize(
 
     Returns
     -------
-    runs: that were scored. The `STATISTICS` of each group.
+    runs: number of scored runs. The `STATISTICS` of each group.
     anees, anees_low, anees_high: NEES averaged over runs and settled epochs, over its dimension (1
-        if consistent), with a 95 % interval from how the runs differ. band_low, band_high: where
-        the mean over the runs at a single epoch lies with 95 %, if consistent.
+        if consistent), with a 95 % interval from the differences between runs. band_low, band_high:
+        95 % range of a consistent filter for the mean over the runs at a single epoch.
     nis: NIS over its degrees of freedom, averaged over the settled epochs.
     nees_beyond, nis_beyond: part of single values above their 95 % quantiles, .05 if consistent.
     """

@@ -1,4 +1,4 @@
-"""A mission's first run, filter by filter: errors within three deviations, drawn and recorded."""
+"""A mission's first run, filter by filter: errors with bounds at 3σ, drawn and recorded."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ BOUNDS = Line("±3σ, the largest of them", colors.SIGMA, width=0.8)
 
 
 def first_run(study: MissionStudy) -> Showcase | None:
-    """The first run of a mission with the filters that can; None if it cannot be simulated, or no
-    filter can.
+    """The first run of a mission with all filters that do not fail; None if all fail, or if the run
+    cannot be simulated.
     """
     filters: dict[str, Evaluation] = {}
-    with contextlib.suppress(Exception):  # what went wrong is among the reasons in the table
+    with contextlib.suppress(Exception):  # the table has the error among its reasons
         config = study.configurations[0].config
         trial: Trial = load(study.paper).trial(config, [generator(study.seed, STUDY, 0)])
         for name in study.filters:
@@ -70,7 +70,7 @@ def _shades(study: MissionStudy) -> dict[str, str]:
 
 
 def errors(shown: Showcase) -> Figure:
-    """Errors of the first run, a row for each group and a column for each filter."""
+    """Figure of the first run's errors: a row for each group, a column for each filter."""
     rows: list[list[Panel]] = []
     late = slice(len(shown.times) // 4, None)
     for group in shown.groups:
@@ -129,11 +129,11 @@ def record(shown: Showcase, outcome: CampaignResult, path: str | PathLike[str]) 
 
 
 def _rms(shown: Showcase, outcome: CampaignResult) -> dict[str, Plot]:
-    """Errors of all runs, at the epochs that were scored, by group."""
+    """Plots of the RMS errors of all runs at the scored epochs, by group."""
     study, scored, plots = outcome.study, outcome.first[0][1], {}
 
     def spread(values: Array) -> Array:
-        """Values of scored epochs, at the recording's epochs; nan between."""
+        """Values of scored epochs on the epochs of the recording; nan at the others."""
         out = np.full(len(shown.times), np.nan)
         out[np.unique([*range(0, len(out), study.every), len(out) - 1])] = values
         return out

@@ -18,8 +18,9 @@ from celnav.lazy import requires_extra
 MOST_LINES = 40
 TIME = "us_per_run_step"
 TableRow = dict[str, Any]
-"""A filter in a configuration, by column: the swept keys, "filter", "runs" that were scored,
-"failed", the statistics of `summarize` if a run is left, "reasons" of the failures and `TIME`.
+"""Cells of a filter in a configuration, by column: the swept keys, "filter", the number of scored
+"runs" and of "failed" runs, the statistics of `summarize` if a run was scored, the "reasons" of the
+failures, and `TIME`.
 """
 
 
@@ -42,19 +43,19 @@ def rows_of(study: MissionStudy, point: Configuration, scored: Scored) -> Iterat
 
 
 def plain(value: Any) -> Any:
-    """A parameter's value for a cell: lists become words."""
+    """A parameter's value for a cell; lists become text."""
     return " ".join(str(plain(v)) for v in value) if isinstance(value, tuple) else value
 
 
 def swept(row: TableRow) -> list[str]:
-    """The keys that are swept."""
+    """The swept keys of a row."""
     return list(takewhile(lambda name: name != "filter", row))
 
 
 def columns(rows: Sequence[TableRow]) -> dict[str, list[Any]]:
     """The table by column; None where there is no value.
 
-    No times: the same study gives the same table. They are in `costs`.
+    It has no CPU times, so that the same study gives the same table. `costs` has the times.
     """
     return _columns(rows, [name for name in max(rows, key=len) if name != TIME])
 
@@ -73,7 +74,7 @@ def _cell(value: Any) -> Any:
 
 
 def to_csv(table: dict[str, list[Any]]) -> str:
-    """CSV, every number with all its digits."""
+    """The table as CSV, with all digits of each number."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(table)
@@ -85,7 +86,7 @@ def to_csv(table: dict[str, list[Any]]) -> str:
 
 
 def to_parquet(table: dict[str, list[Any]]) -> bytes:
-    """The same as a Parquet file."""
+    """The table as a Parquet file."""
     with requires_extra("a table as Parquet", "papers"):
         import pyarrow as pa
         import pyarrow.parquet as pq

@@ -1,4 +1,4 @@
-"""Values of a file as types of Python, and the units that names of parameters end in."""
+"""Values of a file as Python types, and units from the endings of parameter names."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _DIMENSIONS = (
     "sqrt_hz",
 )
 LARGEST = 1e300
-"""Numbers beyond it cannot be meant."""
+"""Largest magnitude of a number in a file."""
 _PRINTED = {
     "hz": "Hz",
     "m2": "m^2",
@@ -37,8 +37,8 @@ _PRINTED = {
 
 
 def unit_of(key: str) -> str:
-    """Unit that a parameter's name ends in, ``sigma_km`` -> "km", ``drift_deg_per_h`` -> "deg/h";
-    empty if it has none.
+    """Unit from the ending of a parameter's name, ``sigma_km`` -> "km", ``drift_deg_per_h`` ->
+    "deg/h"; empty if there is none.
     """
     above, per, below = key.rpartition(".")[2].rpartition("_per_")
     if not per:
@@ -52,18 +52,18 @@ def unit_of(key: str) -> str:
 
 
 def depth(value: Any) -> int:
-    """How many lists lie within one another."""
+    """Nesting depth of lists in a value."""
     return 1 + max((depth(v) for v in value), default=0) if isinstance(value, list) else 0
 
 
 def type_depth(hint: Any) -> int:
-    """How many lists lie within one another in a value of a type."""
+    """Nesting depth of lists in values of a type."""
     return 1 + type_depth(typing.get_args(hint)[0]) if typing.get_origin(hint) is tuple else 0
 
 
 def described(of: type) -> dict[str, tuple[str, str, tuple[Any, ...]]]:
-    """What the parameters of a configuration mean, where they come from, and what words they can
-    be; nested ones are dotted.
+    """Meaning, source and possible words of each parameter of a configuration; nested parameters
+    have dotted names.
     """
     parameters: dict[str, tuple[str, str, tuple[Any, ...]]] = {}
     hints = typing.get_type_hints(of)
@@ -92,7 +92,7 @@ _WORDS = {
 
 
 def typed(name: str, value: Any, hint: Any) -> Any:
-    """A value of a file as a type of Python.
+    """A value of a file, checked and converted to a Python type.
 
     Raises
     ------

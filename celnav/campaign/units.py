@@ -1,4 +1,4 @@
-"""Work units of a campaign: blocks of runs of a configuration, which are scored and forgotten."""
+"""Work units of a campaign: blocks of runs of a configuration, of which only scores are kept."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ with requires_extra("a campaign or a mission", "papers"):
     from threadpoolctl import threadpool_limits
 
 STUDY = 0
-"""Of `celnav.study.montecarlo.generator`, for all configurations: they share their random numbers,
-so differences are sharp.
+"""Study number for `celnav.study.montecarlo.generator`. All configurations share it, and so their
+random numbers, which makes differences between them precise.
 """
 EXPECTED = 8
-"""Units with equal filters that a worker is taken to do; not counted, for the engine of a unit must
-not depend on the others.
+"""Assumed number of units with equal filters per worker. It is not counted, since the engine of a
+unit must not depend on other units.
 """
 
 
@@ -56,15 +56,14 @@ class VersionError(WorkError):
 
 @dataclass(frozen=True, eq=False)
 class Scored:
-    """What runs of a configuration come to, some or all of them: `+` joins those of other runs, or
-    of another filter.
+    """Scores of some or all runs of a configuration; `+` adds those of other runs or filters.
 
     Attributes
     ----------
-    groups: name and unit of what is judged; empty if nothing could be simulated.
-    scores: of each filter that has a run left. reasons: (filter, why) of runs that failed.
+    groups: name and unit of each judged group; empty if nothing could be simulated.
+    scores: of each filter with at least one scored run. reasons: (filter, why) of failed runs.
     cpu_s, steps: of each filter: CPU seconds, and run-steps done in them.
-    bound: mean squares ``(K, groups)``, which the first run alone brings.
+    bound: mean squares ``(K, groups)``, computed with the first run only.
     trace: where the first exception came from, if there was one.
     """
 
@@ -91,7 +90,7 @@ class Scored:
         )
 
     def arrays(self, filters: Sequence[str]) -> dict[str, Array]:
-        """The same as arrays, for an npz file."""
+        """The scores as arrays, for an npz file."""
         arrays = {
             f"{filters.index(name)}/{stat}": value
             for name, scores in self.scores.items()
@@ -105,7 +104,7 @@ class Scored:
 
 
 def read(arrays: dict[str, Array], filters: Sequence[str]) -> Scored:
-    """The inverse of `Scored.arrays`; ValueError if these are not such arrays."""
+    """The scores from `Scored.arrays`; ValueError if these are not such arrays."""
     try:
         groups, reasons, cpu_s, steps, trace = json.loads(str(arrays["about"]))
         scores: dict[str, Scores] = {}
@@ -134,7 +133,7 @@ def read(arrays: dict[str, Array], filters: Sequence[str]) -> Scored:
 @dataclass(frozen=True)
 class Scoring:
     """The work on a block of runs: each filter is run and scored. Exceptions of models and filters
-    are failures of their runs.
+    count as failures of their runs.
     """
 
     paper: str
@@ -144,11 +143,11 @@ class Scoring:
     limits: tuple[tuple[str, float], ...]
 
     def __call__(self, config: Any, rngs: Rngs) -> dict[str, Array]:
-        """Arrays of what is `Scored`: all filters, and with the first run the bound."""
+        """Arrays of the `Scored` of all filters, and with the first run the bound."""
         make = partial(load(self.paper).trial, config)
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # said once, where the study is read
-            trial, trace = _attempt(make, rngs)  # where it fails, fewer runs at once are tried
+            warnings.simplefilter("ignore")  # they were shown when the study was read
+            trial, trace = _attempt(make, rngs)  # if it fails, fewer runs at once are tried
             total = Scored(trace=trace)
             for name in self.filters:
                 total += self.score_filter(make, name, rngs, trial)
@@ -160,7 +159,9 @@ class Scoring:
     def score_filter(
         self, make: Callable[[Rngs], Trial], name: str, rngs: Rngs, trial: Trial | None = None
     ) -> Scored:
-        """A filter on some runs. A batch that raises is halved until the runs are found that do."""
+        """Scores of a filter on some runs. A batch that raises is halved until the failing runs are
+        found.
+        """
         groups = tuple[tuple[str, str], ...]()
         try:
             trial = trial or make([renewed(rng) for rng in rngs])
@@ -188,16 +189,16 @@ class Scoring:
         return Scored(groups, {name: scores}, reasons, Counter({name: seconds}), steps)
 
     def join(self, blocks: Iterable[dict[str, Array]]) -> dict[str, Array]:
-        """The sum of blocks in their order; ValueError if they are no such arrays, or not alike."""
+        """The sum of blocks in their order; ValueError for invalid or incompatible arrays."""
         return self.read(blocks).arrays(self.filters)
 
     def read(self, blocks: Iterable[dict[str, Array]]) -> Scored:
-        """The same as an object. Only one of the blocks is in memory at a time."""
+        """The sum of blocks as a `Scored`. Only one block is in memory at a time."""
         return reduce(add, (read(arrays, self.filters) for arrays in blocks))
 
 
 def _attempt(make: Callable[..., T], *arguments: Any) -> tuple[T | None, str]:
-    """What a model or filter gives, or None and where its exception came from."""
+    """The result of a model or filter, or None and the place of its exception."""
     try:
         return make(*arguments), ""
     except (MemoryError, CudaError):
@@ -213,7 +214,7 @@ def units_of(study: MissionStudy) -> list[list[Unit]]:
     parts = {}
     for point in study.configurations:
         table = asdict(point.config)
-        del table["runs"]  # how many there are in all matters to none of them
+        del table["runs"]  # results of a unit do not depend on the total number of runs
         name = sha256(json.dumps(table, sort_keys=True).encode()).hexdigest()[:16]
         parts[name] = Part(work, point.config, STUDY, study.runs, study.block, 1.0, work.join)
     source = json.dumps([identity(study.paper), *list(asdict(work).values())[1:]])
@@ -224,11 +225,12 @@ def units_of(study: MissionStudy) -> list[list[Unit]]:
 
 
 def execute(unit: Unit, made_by: dict[str, str]) -> dict[str, Array]:
-    """Do a unit, on one thread of linear algebra: the same numbers wherever it runs.
+    """Arrays of a unit, computed with one thread of linear algebra for identical results
+    everywhere.
 
     Raises
     ------
-    VersionError: if this is another celnav than ``made_by``. Whatever the unit raises.
+    VersionError: if this celnav differs from ``made_by``. Whatever the unit raises.
     """
     if made_by != code():
         theirs, ours = (

@@ -1,4 +1,4 @@
-"""The commands of `celnav.cli`, one module each: ``run(options) -> exit status``."""
+"""The commands of `celnav.cli`, one module each, with ``run(options) -> exit status``."""
 
 from celnav.lazy import modules
 

@@ -1,4 +1,4 @@
-"""What commands make of the words they are given."""
+"""Conversion and checks of the arguments of commands."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ if TYPE_CHECKING:
     from celnav.campaign.table import TableRow
 
 MOST_PER_CORE = 4
-"""Processes."""
+"""Largest number of processes per core."""
 
 
 class UsageError(Exception):
-    """The command was given something it cannot use: one line, exit 2."""
+    """An argument of a command cannot be used: one line is printed, and the exit status is 2."""
 
 
 def check_name(study: str) -> None:
-    """UsageError for a file that is called as a study of celnav."""
+    """Raise UsageError for a file with the name of a study of celnav."""
     name = name_of(study)
     if is_file(study) and name in (*papers.PAPERS, *papers.REAL):
         raise UsageError(
@@ -37,7 +37,7 @@ def check_name(study: str) -> None:
 
 
 def load(study: str) -> ModuleType:
-    """`celnav.papers.load`, or UsageError."""
+    """The module of a study by `celnav.papers.load`, or UsageError."""
     check_name(study)
     try:
         return papers.load(study)
@@ -57,8 +57,8 @@ def whole(name: str, text: str, least: int) -> int:
 
 
 def workers(jobs: str | None, units: int | None = None) -> Workers:
-    """Processes as ``--jobs`` has it (None: one for each core), but at most ``units``, or this one
-    alone, or UsageError.
+    """Workers for ``--jobs`` (None: one for each core), but at most ``units``; for 1, this process.
+    UsageError for an invalid number.
     """
     from celnav.campaign.executors import processes, serial
 
@@ -66,7 +66,7 @@ def workers(jobs: str | None, units: int | None = None) -> Workers:
     most = MOST_PER_CORE * cores()
     if count > most:
         warn(
-            f"--jobs: {count} processes on {cores()} cores would only be in each other's way; "
+            f"--jobs: {count} processes on {cores()} cores would only slow each other down; "
             f"{most} are started"
         )
     count = min(count, most, units or most)
@@ -74,7 +74,7 @@ def workers(jobs: str | None, units: int | None = None) -> Workers:
 
 
 def fraction(text: str | None) -> float:
-    """The effort that was given, or that of the environment, or UsageError."""
+    """The given effort, or that of the environment, or UsageError."""
     try:
         return effort(text)
     except ValueError as error:
@@ -95,12 +95,12 @@ def cores() -> int:
 
 
 def warn(line: str) -> None:
-    """A line for who uses the command, beside what it prints."""
+    """Print a line for the user to stderr."""
     print(f"celnav: {line}", file=sys.stderr)
 
 
 def done(rows: Sequence[TableRow]) -> int:
-    """Exit status of runs: 1, with a line that says so, where all of them failed."""
+    """Exit status of runs: 1, with a warning, if all of them failed; else 0."""
     if any(row["runs"] for row in rows):
         return 0
     warn("every run of every filter failed")
@@ -108,5 +108,5 @@ def done(rows: Sequence[TableRow]) -> int:
 
 
 def folder_of(kind: str, file: str) -> Path:
-    """Where the results of a file go, by default: ``out/KIND/NAME``."""
+    """Default folder for the results of a file: ``out/KIND/NAME``."""
     return Path("out", kind) / (re.sub(r"[^\w.-]+", "-", Path(file).stem).strip(".-") or "mission")

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Do what is missing of a study and write what it comes to."""
+    """Compute the missing units of a study and write its outputs; returns the exit status."""
     from celnav.campaign import WorkError, campaign
     from celnav.campaign.figures import figures, stems
     from celnav.campaign.missions import read
@@ -47,7 +47,7 @@ def run(options: argparse.Namespace) -> int:
         warn(f"{error}; the others are kept in {folder}")
         return 1
     except KeyboardInterrupt:
-        warn(f"interrupted; what is finished is kept in {folder}, the same command goes on")
+        warn(f"interrupted; finished work is kept in {folder}; the same command resumes")
         return 130
     paragraph(summary(outcome.rows, outcome.groups), 4)
     with locked(folder):

@@ -26,7 +26,9 @@ EMPTY = ("", "nan", "null", "none", "na", "-")
 
 
 class Table(NamedTuple):
-    """Residuals ``(T, runs, m)`` at ``times (T,)``, and their predicted σ where columns have it."""
+    """Residuals ``(T, runs, m)`` at ``times (T,)``, and their predicted σ if the file has columns
+    for it.
+    """
 
     times: Array
     residuals: Array
@@ -36,7 +38,7 @@ class Table(NamedTuple):
 
 
 def run(options: argparse.Namespace) -> int:
-    """Everything is computed before anything is written."""
+    """Print a diagnosis, and write it if asked, after everything is computed."""
     from celnav.analysis.diagnose import diagnose
     from celnav.analysis.diagnosis_text import WIDTH, page
     from celnav.commands.terminal import columns
@@ -71,10 +73,10 @@ def run(options: argparse.Namespace) -> int:
 
 
 def read(path: Path, time: str | None = None, columns: Sequence[str] | None = None) -> Table:
-    """A table with a line of names, then one for each epoch (and run).
+    """The table of a file that has a line of names, then one line for each epoch (and run).
 
     A line has a time that increases, a ``run`` if there are several, and components. A component
-    ``x`` may have its predicted σ beside it, as ``std_x``. What is empty or nan is missing.
+    ``x`` may have a column ``std_x`` with its predicted σ. Empty cells and nan are missing values.
 
     time: the column of times; None: the first one of that name.
     columns: the components; None: those with a predicted σ, or else all that are numbers.
@@ -140,7 +142,7 @@ def _cells(path: Path) -> tuple[list[str], list[list[str]], list[int]]:
     try:
         text = path.read_bytes().decode("utf-8-sig")
     except UnicodeDecodeError:
-        raise InputError(f"{path}: expected a table of text, got bytes that are none") from None
+        raise InputError(f"{path}: expected a table of text, got bytes that are not text") from None
     lines = {
         i: line
         for i, line in enumerate(text.splitlines(), 1)
@@ -170,7 +172,7 @@ def _cells(path: Path) -> tuple[list[str], list[list[str]], list[int]]:
 
 
 def _value(cell: str) -> float:
-    """The number of a cell, nan where it is empty, infinite where it is none."""
+    """The number of a cell, nan if it is empty, infinite if it is not a number."""
     if cell.lower() in EMPTY:
         return np.nan
     try:

@@ -1,7 +1,7 @@
-"""``out/index.html``: a page that opens from disk: what papers say, what we find, every row of
-their ledgers, every figure.
+"""``out/index.html``, a page that opens from disk: claims of papers, our findings, all rows of
+their ledgers and all figures.
 
-Users' studies and those on real data follow the papers.
+Users' studies and studies on real data follow the papers.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ from celnav.study.ledger import KINDS, VERDICTS, Sentence
 
 Claims = Sequence[Mapping[str, Any]]
 USER = "study.json"
-"""What the page shows of a user's study, whose file may be gone."""
+"""File with the data of a user's study for the page; the study's own file may no longer exist."""
 
 
 def index(out: Path) -> str:
-    """The page for whatever papers and studies lie under ``out``."""
+    """The page for all papers and studies under ``out``."""
     from celnav.show.page import render
 
     every = {name: _shown(out, name, claims) for name, claims in reproduced(out).items()}
@@ -70,7 +70,7 @@ def _opening(studies: Sequence[Mapping[str, Any]], statements: Mapping[str, Clai
 
 
 def reproduced(out: Path) -> dict[str, list[dict[str, Any]]]:
-    """Claims and checks of what lies under ``out``: papers, users' studies, those on real data."""
+    """Claims and checks of all studies under ``out``: of papers, of users, on real data."""
     users = sorted(path.parent.name for path in out.glob(f"*/{USER}"))
     return {
         name: [c for kind in ("claims", "checks") for c in read_claims(out / name / f"{kind}.json")]
@@ -80,7 +80,7 @@ def reproduced(out: Path) -> dict[str, list[dict[str, Any]]]:
 
 
 def page_data(study: Any, file: str) -> str:
-    """What `study_of` reads of a user's study."""
+    """The JSON of a user's study that `study_of` reads."""
     about: dict[str, Any] = {"file": str(Path(file).resolve())}
     about |= {name: getattr(study, name) for name in ("TITLE", "CITATION", "RECORDINGS")}
     for kind in ("FIGURES", "TABLES"):
@@ -90,10 +90,10 @@ def page_data(study: Any, file: str) -> str:
 
 
 def study_of(out: Path, name: str, word: str = "") -> Any:
-    """The module of a study, or of a user's what `page_data` wrote, with the names that a page
-    shows.
+    """The module of a study, or an object from `page_data` of a user's study, with the names that a
+    page shows.
 
-    word: by which it is loaded where nothing was written, its name by default.
+    word: the word that loads the study if there is no such file; by default its name.
     """
     path = out / name / USER
     if not path.exists():
@@ -114,7 +114,9 @@ def summary(
     out: Path = Path("out"),
     claims: Mapping[str, Claims] = MappingProxyType({}),
 ) -> str:
-    """Paragraphs in Markdown: what studies say and what we find; ``claims``: those at hand."""
+    """Paragraphs in Markdown with the claims of studies and our findings; ``claims``: those
+    available.
+    """
     paragraphs = []
     for name in names:
         module = study_of(out, name)
@@ -130,10 +132,10 @@ def summary(
 
 
 def _whose(name: str) -> str:
-    """Who says what is said."""
+    """The words before a study's claim that name its source."""
     if name in papers.PAPERS:
         return "The paper: "
-    return "" if name in papers.REAL else "It is said: "
+    return "" if name in papers.REAL else "The claim: "
 
 
 def cited(citation: str) -> str:
@@ -171,7 +173,7 @@ def _counts(studies: Mapping[str, Claims]) -> list[list[str]]:
 
 
 def deciding(claims: Claims) -> list[Mapping[str, Any]]:
-    """What a study is judged by: its statements; its findings where it has none."""
+    """The claims that judge a study: its statements, or its findings if it has none."""
     return _of_kind(claims, "statement") or _of_kind(claims, "finding")
 
 
@@ -180,7 +182,7 @@ def _of_kind(claims: Claims, kind: str) -> list[Mapping[str, Any]]:
 
 
 def _shown(out: Path, name: str, claims: Claims) -> dict[str, Any]:
-    """What the page shows of a study."""
+    """The data of a study for the page."""
     module, folder = study_of(out, name), out / name
     by_kind = {kind: _of_kind(claims, kind) for kind in KINDS}
     deciding = "statement" if name in papers.PAPERS or by_kind["statement"] else "finding"
@@ -228,7 +230,7 @@ def _live(out: Path, recording: str) -> str:
 
 
 def _notebook(out: Path, name: str, module: Any) -> dict[str, str]:
-    """Of the checkout, if it is there; the file of a user's study."""
+    """Name and address of a paper's notebook, if the checkout has it, or of a user's file."""
     notebooks = Path(celnav.__file__).resolve().parents[1] / "notebooks"
     if name in papers.PAPERS:
         path = notebooks / f"{list(papers.PAPERS).index(name) + 1:02d}_{name}.ipynb"
@@ -247,7 +249,7 @@ def _notebook(out: Path, name: str, module: Any) -> dict[str, str]:
 
 
 def _record(folder: Path) -> tuple[float, str]:
-    """With what part of its runs a study was reproduced, and with which versions, in which time."""
+    """The part of the runs with which a study was reproduced, and a line with versions and time."""
     try:
         record = read_json(folder / "timings.json")
         versions = ", ".join(f"{name} {version}" for name, version in record["about"].items())
@@ -258,7 +260,7 @@ def _record(folder: Path) -> tuple[float, str]:
 
 
 def partial(out: Path, names: Iterable[str]) -> list[str]:
-    """A line for each part of the runs, less than all, with which studies were reproduced."""
+    """A line for each effort below 1, with the studies that were reproduced with it."""
     by_effort = dict[float, list[str]]()
     for name in names:
         by_effort.setdefault(_record(out / name)[0], []).append(name)

@@ -1,4 +1,4 @@
-"""``celnav list``: what there is."""
+"""``celnav list``: the studies, and the contents of a study."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ MORE = "celnav list NAME lists figures, tables, statements, filters and paramete
 
 
 def run(options: argparse.Namespace) -> int:
-    """Print a line for each study, or what one study has."""
+    """Print a line for each study, or the contents of one study."""
     if options.paper is None:
         for name in (*papers.PAPERS, *papers.REAL):
             title = load(name).TITLE + " (real data)" * (name in papers.REAL)
@@ -43,7 +43,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _show(heading: str, entries: Mapping[str, str]) -> None:
-    """A heading and what stands below it; nothing where nothing does."""
+    """Print a heading and its entries; nothing if there are no entries."""
     if entries:
         print(f"\n{heading}")
         for name, text in entries.items():
@@ -51,7 +51,7 @@ def _show(heading: str, entries: Mapping[str, str]) -> None:
 
 
 def _parameters(study: ModuleType) -> None:
-    """What a mission may say, with units and what each preset changes."""
+    """Print the parameters of a mission with units, and the changes of each preset."""
     from celnav.campaign.missions import flat
     from celnav.campaign.typed import described, unit_of
 
@@ -94,7 +94,7 @@ TOP = {
     "runs": "",
     "seed": "of the random numbers, which all configurations share (0)",
     "block": "runs of a work unit (100); a campaign grows by whole units",
-    "every": "judge one epoch in so many, and the last one (1)",
+    "every": "interval of judged epochs, in epochs; the last one is judged too (1)",
     "settle_s": "start of averages over time; the middle of the run if it is left out",
     "limits": "a table of largest errors at the end; a run beyond one of them has failed",
 }
@@ -105,7 +105,7 @@ def _assigned(values: dict[str, Any]) -> str:
 
 
 def _written(value: Any) -> str:
-    """As TOML has it."""
+    """A value in TOML."""
     if isinstance(value, tuple):
         return f"[{', '.join(_written(v) for v in value)}]"
     if isinstance(value, bool):

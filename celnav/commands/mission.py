@@ -14,11 +14,11 @@ from celnav.show.progress import Progress
 
 RECORDING = "mission.rrd"
 ORIGIN = "mission.json"
-"""Which file the folder's mission is of."""
+"""File that names the source of the mission in a folder."""
 
 
 def run(options: argparse.Namespace) -> int:
-    """Everything is computed before anything is written."""
+    """Run a mission and write its outputs; everything is computed before anything is written."""
     from celnav.campaign import WorkError, campaign
     from celnav.campaign.figures import figures, stems
     from celnav.campaign.missions import read
@@ -62,7 +62,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _check_origin(folder: Path, file: str) -> None:
-    """Another mission's results, or a campaign's, are not overwritten."""
+    """Raise InputError if the folder holds another mission or a campaign, which stay."""
     from celnav.study.store import MANIFEST
 
     if (folder / MANIFEST).exists():
@@ -73,7 +73,7 @@ def _check_origin(folder: Path, file: str) -> None:
         other = str(read_json(folder / ORIGIN)["file"])
     except (ValueError, KeyError, TypeError):
         other = str(folder / ORIGIN)
-    # A folder that moved with its file is its own.
+    # A folder that moved together with its mission file still belongs to it.
     if other != str(Path(file).resolve()) and Path(other).exists():
         raise InputError(
             f"{folder}: holds the mission of {other}; choose another --out, or remove the folder"

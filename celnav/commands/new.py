@@ -1,4 +1,4 @@
-"""``celnav new``: a user's study to begin with."""
+"""``celnav new``: a template for a user's study."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from celnav.papers import is_file
 
 
 def run(options: argparse.Namespace) -> int:
-    """Write the file, which must not be there."""
+    """Write the file, which must not exist yet."""
     path = Path(options.file)
     if not is_file(options.file):
         raise UsageError(f"{path}: expected the name of a file that ends in .py, such as study.py")
@@ -24,7 +24,7 @@ def run(options: argparse.Namespace) -> int:
             file.write(template.replace("study.py", path.name))
     except FileExistsError:
         raise UsageError(
-            f"{path}: is there already, and nothing is overwritten; choose another name, or move "
+            f"{path}: exists already, and nothing is overwritten; choose another name, or move "
             "it away"
         ) from None
     print(f"wrote {path}; run it with: celnav reproduce {path} --effort 0.1")

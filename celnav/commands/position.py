@@ -18,11 +18,11 @@ if TYPE_CHECKING:
     from celnav.gaussian.linalg import Array
 
 NO_TRACKS = (".kml", ".gpx", ".json", ".txt")
-"""Nobody means a folder by these."""
+"""Suffixes that are refused, since they are neither a format nor likely a folder's name."""
 
 
 def run(options: argparse.Namespace) -> int:
-    """Everything is computed before anything is written."""
+    """Position a receiver and write the outputs after everything is computed."""
     import numpy as np
 
     from celnav.filters.records import FilterError
@@ -84,7 +84,7 @@ def run(options: argparse.Namespace) -> int:
     log = positioning.prepare(
         observations, navigation, systems=systems, mask_deg=mask, sigma=sigma, false_alarm=alarm
     )
-    # A receiver that moves has no error from the one position in its header.
+    # A receiver that moves cannot be compared with the single position in its header.
     reference = None
     if given is not None or not log.moved:
         reference = observations.reference(given)
@@ -104,7 +104,7 @@ def run(options: argparse.Namespace) -> int:
         )
     except FilterError as error:
         raise InputError(
-            f"{options.filter} is lost on {options.observations}: "
+            f"{options.filter} failed on {options.observations}: "
             f"{str(error).partition(' (on_failure')[0]}"
         ) from None
     paragraph(positioning_report.summary(result), 13)
@@ -119,14 +119,14 @@ def run(options: argparse.Namespace) -> int:
     try:
         with outputs.path_for(positioning_report.RECORDING) as path:
             positioning_report.record_positioned(result, path)
-    except (ImportError, OSError, RuntimeError, ValueError) as error:  # of one epoch there is none
+    except (ImportError, OSError, RuntimeError, ValueError) as error:  # e.g. a single epoch
         warn(f"no recording ({error}); everything else is written")
     print(f"wrote {outputs.directory}")
     return status
 
 
 def _ionosphere(given: str) -> tuple[Array, Array]:
-    """Klobuchar's coefficients, of a file's header or of eight numbers."""
+    """Klobuchar's coefficients from a file's header or from eight numbers."""
     from celnav.receiver.rinex import ionosphere, read_ionosphere
 
     parts = given.split(",")
@@ -141,7 +141,7 @@ def _ionosphere(given: str) -> tuple[Array, Array]:
 
 
 def _checked(option: str, check: Callable[[], object]) -> None:
-    """What the library says of an argument, said of the option."""
+    """Run a check, and raise its ValueError as a UsageError that names the option."""
     try:
         check()
     except ValueError as error:

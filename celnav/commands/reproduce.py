@@ -1,4 +1,4 @@
-"""``celnav reproduce``: do studies, and write everything that they show."""
+"""``celnav reproduce``: compute studies and write their outputs."""
 
 from __future__ import annotations
 
@@ -38,13 +38,13 @@ from celnav.study.study import Results, Unit
 from celnav.tape.cuda import device
 
 WRITING_S = {"ledger": 1.0, "figures": 5.0, "recordings": 4.0}
-"""CPU seconds of what is made of a paper's results, roughly, whatever the effort."""
+"""Approximate CPU seconds of a paper's outputs, at any effort."""
 FILES = ("claims.json", "checks.json", "timings.json", "result.npz", USER)
 T = TypeVar("T")
 
 
 class Task(NamedTuple):
-    """A study that is to be reproduced; ``file``: of a user's study, else None."""
+    """A study to be reproduced; ``file``: that of a user's study, else None."""
 
     name: str
     module: ModuleType
@@ -52,7 +52,7 @@ class Task(NamedTuple):
     outputs: Outputs
 
     def check(self) -> None:
-        """Refuse what could not be written before anything is computed."""
+        """Raise an error before anything is computed if the outputs could not be written."""
         tables = (f"tables/{stem}.csv" for stem in self.module.TABLES)
         figures = picture_names(f"figures/{stem}" for stem in self.module.FIGURES)
         scripts = map(viewer.script_name, self.module.RECORDINGS)
@@ -60,7 +60,10 @@ class Task(NamedTuple):
 
 
 def run(options: argparse.Namespace) -> int:
-    """Do the studies side by side where there are several processes; write each when it is done."""
+    """Compute the studies, in parallel with several processes, and write each when it is done.
+
+    Returns the exit status.
+    """
     start, words = monotonic(), list(dict.fromkeys(options.papers))
     if not words:
         real = (name for name in papers.REAL if getattr(options, name) is not None)
@@ -73,7 +76,7 @@ def run(options: argparse.Namespace) -> int:
     pool = workers(options.jobs)
     _check_inputs(modules, options)
     if options.engine == "cuda":
-        device()  # an error at once, not of each unit
+        device()  # raises at once, instead of in each unit
     if effort < 1.0:
         paragraph(
             f"celnav: {effort:.3g} of the runs: intervals are wide, "
@@ -107,8 +110,9 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _check_inputs(modules: Mapping[str, ModuleType], options: argparse.Namespace) -> None:
-    """UsageError where no study takes a folder that is given, or one is missing that it needs;
-    FileNotFoundError where a folder lacks the files that a study names.
+    """Raise UsageError if no study takes a given folder, or if a needed folder is missing.
+
+    FileNotFoundError if a folder lacks the files that a study needs.
     """
     takers = {name: f"the study {name}" for name in papers.REAL}
     takers["rinex"] = "a paper that takes a receiver's log (aukf)"
@@ -137,7 +141,7 @@ def _units(task: Task, options: argparse.Namespace, **chosen: Any) -> list[Unit]
 def _do(
     tasks: Mapping[str, Task], options: argparse.Namespace, effort: float, seed: int, pool: Any
 ) -> list[Claim]:
-    """Compute what is missing, and write each study once all of it is there; the claims of all."""
+    """The claims of all studies, after missing results are computed and each study is written."""
     stores = {name: resumed(task.outputs.directory / RESULTS) for name, task in tasks.items()}
     units = {name: _units(task, options, effort=effort, seed=seed) for name, task in tasks.items()}
     left = {
@@ -168,21 +172,21 @@ def _do(
         for name in [name for name, some in left.items() if not some]:
             write(name)
         todo = [unit for some in left.values() for unit in some]
-        # The longest first: the end is made of short ones, and all processes are busy until it.
+        # Longest first, so that short units fill the end and all processes stay busy.
         todo.sort(key=lambda unit: -unit.cost)
         try:
             compute(todo, pool, keep)
         except UnfinishedError as error:
             if len(set(map(str, error.causes))) == 1 and isinstance(error.causes[0], InputError):
-                raise error.causes[0] from None  # of one damaged file, which all units read
+                raise error.causes[0] from None  # a damaged file that all units read
             raise OSError(
-                f"{error}; what is finished is kept: the same command goes on from there"
+                f"{error}; finished work is kept: the same command goes on from there"
             ) from None
     return claims
 
 
 def _write(task: Task, results: Results, progress: Progress) -> list[Claim]:
-    """Write everything that a study shows. Returns its claims."""
+    """The claims of a study, after all its outputs are written."""
     name, module, outputs = task.name, task.module, task.outputs
     timings = {
         f"cpu_s {part}": float(arrays["cpu_s"].sum()) for part, arrays in results.data.items()
@@ -202,7 +206,7 @@ def _write(task: Task, results: Results, progress: Progress) -> list[Claim]:
         "checks.json": dumps(claim for claim in claims if claim.kind == "check"),
     }
     for stem, (_, table) in module.TABLES.items():
-        if rows := table(results):  # none without what a person may give
+        if rows := table(results):  # empty without an optional input
             texts[f"tables/{stem}.csv"] = _csv(rows)
     if task.file is not None:
         texts[USER] = page_data(module, task.file)
@@ -256,8 +260,8 @@ def write_viewer(top: Outputs, tasks: Mapping[str, Task]) -> None:
 
 
 def _arrays(data: Mapping[str, Mapping[str, Array]]) -> dict[str, Array]:
-    """What is stored: times, and over the runs the root mean squares of errors and the means of
-    NEES and NIS.
+    """Arrays for the results file: times, RMS errors over the runs, and mean NEES and NIS over the
+    runs.
     """
     out = {}
     for part, arrays in data.items():

@@ -1,4 +1,4 @@
-"""What fits the terminal; in a pipe or a file a line is as long as what it says."""
+"""Text that fits the width of the terminal; in a pipe or a file lines are not wrapped."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ LOOKS = {
 
 
 def columns() -> int:
-    """Width of the terminal; outside of one there is no limit."""
+    """Width of the terminal; practically unlimited if the output is not a terminal."""
     return shutil.get_terminal_size().columns if sys.stdout.isatty() else UNLIMITED
 
 
 def entry(name: str, text: str) -> None:
-    """Print a name and what it is; what does not fit follows below, indented."""
+    """Print a name and its text, whose further lines are indented."""
     head, width = f"  {name}".ljust(INDENT - 1) + " ", columns()
     if len(head) > INDENT and width < UNLIMITED:
         print(*textwrap.wrap(head, width, subsequent_indent="    "), sep="\n")
@@ -47,7 +47,7 @@ def entry(name: str, text: str) -> None:
 
 
 def paragraph(text: str, indent: int = 0) -> None:
-    """Print a text, each of its lines wrapped at words; what does not fit is indented."""
+    """Print a text with its lines wrapped at words; continuations are indented."""
     for line in text.splitlines():
         hanging = " " * indent
         wrapped = textwrap.wrap(line, columns(), subsequent_indent=hanging, break_on_hyphens=False)

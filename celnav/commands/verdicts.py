@@ -1,5 +1,5 @@
-"""``celnav verdicts``: what studies say and what holds: a table and paragraphs, in a pipe or a file
-in Markdown.
+"""``celnav verdicts``: the claims of studies and their verdicts, as a table and paragraphs. The
+output is Markdown in a pipe or a file.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Count the verdicts of the papers that were reproduced, or list those of one."""
+    """Print the number of verdicts of each reproduced paper, or the verdicts of one paper."""
     out = Path(options.out)
     every = reproduced(out)
     counted = [name for name in every if options.paper is not None or name not in REAL]
@@ -59,7 +59,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _counts(studies: Mapping[str, Claims]) -> Table:
-    """How many statements of each study have which verdict."""
+    """A table with the number of statements of each study by verdict."""
     from rich.text import Text
 
     rows: list[list[Any]] = []
@@ -71,7 +71,7 @@ def _counts(studies: Mapping[str, Claims]) -> Table:
 
 
 def _ledger(claims: Claims) -> Table:
-    """What a study says, a row each."""
+    """A table with a row for each claim of a study."""
     rows = deciding(claims)
     shown = [name for name in columns(rows) if name not in ("place", "verdict")]
     said = [[marked(row["verdict"]), *map(cells(row).get, shown)] for row in rows]

@@ -15,7 +15,7 @@ from celnav.papers.own import name_of
 
 
 def run(options: argparse.Namespace) -> int:
-    """Open a paper's recording, or a file."""
+    """Open a paper's recording or a file; returns the exit status."""
     file = Path(options.paper)
     path = _recording(options, file) if file.suffix in ("", ".py") else _file(options, file)
     at = None if options.at is None else number("at", options.at)
@@ -23,7 +23,7 @@ def run(options: argparse.Namespace) -> int:
         return _picture(path, Path(options.picture), at)
     if at is not None:
         raise UsageError(
-            "--at: expected --picture FILE.png with it; in a window the time is moved by hand"
+            "--at: expected --picture FILE.png with it; in a window you move the time by hand"
         )
     if sys.platform.startswith("linux") and not (
         os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
@@ -36,7 +36,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _picture(path: Path, target: Path, at: float | None) -> int:
-    """A PNG, which needs no display."""
+    """Write a PNG, which needs no display; returns the exit status."""
     if target.suffix.lower() != ".png":
         raise UsageError(f"--picture: expected the name of a .png file, got {str(target)!r}")
     from celnav.show.picture import end, picture
@@ -62,7 +62,7 @@ def _file(options: argparse.Namespace, path: Path) -> Path:
 
 
 def _recording(options: argparse.Namespace, study: Path) -> Path:
-    """The recording of a study that was reproduced."""
+    """The recording of a reproduced study."""
     out = Path(options.out)
     folder = out / name_of(options.paper)
     names = study_of(out, folder.name, options.paper).RECORDINGS

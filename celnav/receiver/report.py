@@ -341,7 +341,7 @@ def summary(result: Positioned) -> str:
         *(["motion       the receiver moved: no single position is right"] if log.moved else []),
         f"clock        {_clock(result)}",
         f"filter       {result.filter}; NIS {result.nis:.3f} per degree of freedom, 1 if noise and "
-        f"motion are as assumed and errors are white; acceleration "
+        f"motion are as assumed and noise is white; acceleration "
         f"{result.acceleration:.3g} m^2/s^3",
         f"mean         {' '.join(f'{v:.3f}' for v in result.place)} m; {latitude:.7f}°, "
         f"{longitude:.7f}°, {height:.2f} m",
@@ -455,9 +455,9 @@ def _modeled(log: Log) -> str:
     """The size of the modeled range errors, which are not the receiver's noise."""
     sizes = np.sqrt(log.modeled[log.used])
     if not sizes.any():
-        return "nothing: the given deviations include all errors"
+        return "nothing: the given deviations include everything"
     return (
-        f"errors of ranges from atmosphere and orbits, {np.median(sizes):.2f} m (median), "
+        f"what atmosphere and orbits leave in ranges, {np.median(sizes):.2f} m (median), "
         f"{sizes.min():.2f} to {sizes.max():.2f} m"
     )
 

@@ -81,7 +81,7 @@ def ellipsoid_axes(covariance: Array, sigmas: float = 3.0) -> tuple[Array, Array
             "covariance: expected positive semidefinite matrices, smallest eigenvalue "
             f"{eigenvalues.min():.3g}"
         )
-    # The eigenvectors may form a reflection. Reversing one axis gives a rotation, same ellipsoid.
+    # The eigenvectors may form a reflection. Reversing one axis then gives a rotation.
     axes[..., 0] *= np.where(np.linalg.det(axes) < 0.0, -1.0, 1.0)[..., None]
     quaternions = (
         Rotation.from_matrix(axes.reshape(-1, 3, 3)).as_quat().reshape(*axes.shape[:-2], 4)

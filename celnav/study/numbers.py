@@ -96,7 +96,7 @@ def rmse(
     each: bool = False,
     **more: Any,
 ) -> Decided:
-    """RMSE of a group's length in its unit, or with ``each`` the RMSE per component."""
+    """RMSE of a group's length in its unit, or with ``each`` the RMS over its components."""
     over = np.mean if each else np.sum
     return lambda r: estimate(
         label, _rms, [over(r.squares(*a, group, at), axis=-1)], accept, **more

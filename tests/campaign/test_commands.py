@@ -304,7 +304,7 @@ def test_a_foreign_file_is_told_before_anything_is_computed(sweep, tmp_path, cap
     path.write_text("mine")
     assert cli.main(["campaign", str(sweep), "--out", "here", "--jobs", "1"]) == 2
     captured = capsys.readouterr()
-    assert f"here/{name}: exists and was not made" in captured.err
+    assert f"here/{name}: exists, and celnav did not make it" in captured.err
     assert "runs" not in captured.out
     assert path.read_text() == "mine"
 
@@ -396,7 +396,7 @@ def test_a_thousand_processes_are_not_started(mission, undrawn, capsys, monkeypa
     assert cli.main(["campaign", str(mission), "--jobs", "1000", "--effort", "0.2"]) == 0
     assert started == [8]
     assert (
-        "--jobs: 1000 processes on 2 cores would only be in each other's way; 8 are started"
+        "--jobs: 1000 processes on 2 cores would only slow each other down; 8 are started"
         in capsys.readouterr().err
     )
 

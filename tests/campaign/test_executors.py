@@ -168,7 +168,7 @@ def test_an_interrupt_ends_it_and_leaves_no_process(file, wanted, tmp_path):
     assert process.returncode == 130
     assert (
         error
-        == f"celnav: interrupted; what is finished is kept in {folder}, the same command goes on\n"
+        == f"celnav: interrupted; finished work is kept in {folder}; the same command resumes\n"
     )
     assert gone(pids)
     assert table(campaign(read(file), folder, serial())) == wanted

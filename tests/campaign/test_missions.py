@@ -176,11 +176,11 @@ def test_everything_else_can_be_chosen():
         ),
         (
             {"paper": "csrukf", "settle_s": 601.0},
-            r"settle_s \(s\): expected at most 600, when the flight ends, got 601",
+            r"settle_s \(s\): expected at most 600, the end of the run, got 601",
         ),
         (
             {"paper": "csrukf", "settle_s": 60.0, "config": {"steps": [100, 50]}},
-            r"settle_s \(s\): expected at most 50, when the flight ends where steps = 50, got 60",
+            r"settle_s \(s\): expected at most 50, the end of the run where steps = 50, got 60",
         ),
         (
             {"paper": "aukf", "config": {"duration_s": 1e9}},

@@ -75,7 +75,7 @@ def test_the_template_runs_as_it_is(folder, capsys):
     ):
         assert text in page
     assert "We find" not in page  # a study without such sentences has no empty ones
-    assert "It is said" not in page
+    assert "The claim:" not in page
     capsys.readouterr()
     assert cli.main(["verdicts"]) == 0
     shown = capsys.readouterr().out
@@ -337,7 +337,7 @@ def test_errors_in_the_file_are_told_with_their_line(folder, capsys, old, new, s
     [
         (
             ["new", "study.py"],
-            "study.py: is there already, and nothing is overwritten; choose another name, or move "
+            "study.py: exists already, and nothing is overwritten; choose another name, or move "
             "it away",
         ),
         (["new", "study"], "study: expected the name of a file that ends in .py, such as study.py"),

@@ -274,6 +274,8 @@ def test_a_damaged_trial_is_told_with_file_and_field(tmp_path, damage, text):
 
 
 def test_what_is_no_trial_is_one_line(folder, tmp_path, capsys):
+    for name in broad.ERRORS:
+        (folder / name).write_text("{}")
     (folder / f"{broad.TRIALS[3]}.mat").write_bytes(
         b"not MATLAB, but long enough to be read as its header" * 10
     )

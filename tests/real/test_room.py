@@ -85,10 +85,10 @@ def test_with_a_folder_papers_and_study_are_done(both, folder, tmp_path, capsys)
     rest = page[heading:]
     assert "A real &lt;clock&gt;" in rest
     assert "How well does it run?" in rest
-    assert "We find: It runs 4.0 well." in rest
+    assert "<b>We find:</b> It runs 4.0 well." in rest
     assert "The paper:" not in rest
     assert "reproduced" not in rest
-    assert "1 findings: 1 shown." in rest
+    assert "1 finding: 1 shown" in rest
     assert re.search(r'<td class="good">shown', rest)
     assert "<th>printed</th>" not in rest
     assert "--clocks DIR" not in page
@@ -140,7 +140,10 @@ def test_one_study_alone(both, folder, tmp_path):
             "clocks: expected --clocks DIR with it, a folder of a clock's log",
         ),
         (["reproduce", "tiny", "--clocks", "."], "--clocks: expected the study clocks, got tiny"),
-        (["reproduce", "--clocks", "nowhere"], "nowhere: expected a folder with a file *.txt"),
+        (
+            ["reproduce", "--clocks", "nowhere"],
+            "--clocks: expected a folder that exists, got 'nowhere'",
+        ),
         (
             ["reproduce", "clock"],
             "unknown paper 'clock': expected one of tiny, clocks, a file FILE.py; did you mean "
@@ -160,7 +163,7 @@ def test_a_mistake_is_one_line(both, tmp_path, monkeypatch, capsys, arguments, t
 def test_they_are_listed(both, capsys):
     assert cli.main(["list", "clocks"]) == 0
     told = capsys.readouterr().out
-    assert "on real data: celnav reproduce clocks --clocks DIR, folder of a clock's log" in told
+    assert "celnav reproduce clocks --clocks DIR: a clock's log" in told
     with pytest.raises(ValueError, match="unknown paper 'grade': expected one of tiny, clocks"):
         real.load("grade")
 
