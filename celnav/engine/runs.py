@@ -50,6 +50,7 @@ MOST_SCHEDULES = 16  # stored for an engine
 APART = 100
 MOST_COMMON = 1 << 25  # results of the common operations in memory
 CHUNK = 1 << 21  # bytes of the measurements of a chunk of runs: they stay in the cache
+HOST = 1 << 32  # bytes of the measurements of all chunks that a device works at
 
 
 def sensors(filter: Any, epochs: Sequence[Epoch] = ()) -> Sequence[Any]:
@@ -262,7 +263,8 @@ def run_compiled(
     sentinels = _sentinels(plan.steps, None if fresh else number)
     states = np.empty((2, len(sentinels), len(watched), plan.size))  # before and after
     if device:
-        begin = _on_device(plan, names, device)
+        lane = device.room(jobs)
+        begin = _on_device(plan, names, device, lane)
     else:
         cells = max(code.cells for code in plan.code)
         begin = _on_host([code.each for code in plan.code], cells, plan.steps)
@@ -305,11 +307,9 @@ def run_compiled(
         tally[members] = state[:, :counts].transpose(0, 2, 1).reshape(width, -1)[:count]
 
     row_size = sum(x.shape[2] for x in rows.values())
-    room = (
-        device.room(jobs) // (8 * (T * M + K * row_size + plan.size))
-        if device
-        else CHUNK // (8 * T * M)
-    )
+    room = (HOST // jobs if device else CHUNK) // (8 * T * M)
+    if device:
+        room = min(room, lane // (8 * (M + row_size + plan.size)))
     chunk = max(unit, min(-(-runs // jobs), room) // unit * unit)
     try:
         if jobs > 1 and runs > chunk:
@@ -398,9 +398,9 @@ def _on_host(
 
 
 def _on_device(
-    plan: Schedule, names: Sequence[str], device: Device
+    plan: Schedule, names: Sequence[str], device: Device, room: int
 ) -> Callable[..., Callable[[int, int], None]]:
-    """The same for a device."""
+    """The same for a device; ``room``: bytes of a piece of the epochs, of its measurements and rows."""
     kernels = (recorded.keeping(names)._replace(flags=frozenset()) for recorded in plan.records)
     entry = device.entry(ptx.program([*kernels], plan.size))
 
@@ -412,7 +412,15 @@ def _on_device(
         rows: dict[str, Array],
         first: int,
     ) -> Callable[[int, int], None]:
+        width = per_run.shape[1] + sum(x.shape[2] for x in rows.values())
+        left = room - state.nbytes
+        most = max(1, left // (8 * width * per_run.shape[2] + shared[0].nbytes))
+
         def through(at: int, end: int) -> None:
+            for first_epoch in range(at, end, most):
+                piece(first_epoch, min(first_epoch + most, end))
+
+        def piece(at: int, end: int) -> None:
             span = slice(at, end)
             places = stored[span]
             written = places[places >= 0]
