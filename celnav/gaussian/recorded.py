@@ -108,6 +108,8 @@ def _reflected(mirror: Mirror, along: Any, rest: list[Any]) -> tuple[Any, list[A
 
 def outer(A: Array) -> Array:
     """``A @ A.mT``: each entry below the diagonal is that above it; a loop if they are many."""
+    if not any(isinstance(x, TracedScalar) for x in A.flat):  # other objects, such as decimals
+        return A @ A.mT
     n, q = A.shape
     rows = [[A[i, j] for j in range(q)] for i in range(n)]
     full: Array = np.array([[not _zero(x) for x in row] for row in rows], float)

@@ -704,9 +704,15 @@ def test_the_page_of_sound_residuals():
 SLOW = """\
 one run, 7500 epochs over 749.9 s, 0.1 s apart; 7200 components missing
 
-component  samples     rms  predicted σ      mean             (95 %)  lag 1    correlation at lag 1  p if white
-fast          7500  0.9959            1  -0.00582  -0.0283 to 0.0166  0.1 s  -0.005 (white: ±0.023)        0.92
-slow           300  0.9142            1    0.0765    -0.203 to 0.356  2.5 s   0.798 (white: ±0.113)     < 1e-15
+component                               fast                   slow
+samples                                 7500                    300
+rms                                   0.9959                 0.9142
+predicted σ                                1                      1
+mean                                -0.00582                 0.0765
+(95 %)                     -0.0283 to 0.0166        -0.203 to 0.356
+lag 1                                  0.1 s                  2.5 s
+correlation at lag 1  -0.005 (white: ±0.023)  0.798 (white: ±0.113)
+p if white                              0.92                < 1e-15
 
 size     fast, slow: as large as predicted (fast 0.996, slow 0.914); NIS per degree of freedom is 0.986,
          expected 0.967 to 1.03 (95 %, correlation counted)

@@ -71,7 +71,7 @@ def test_the_template_runs_as_it_is(folder, capsys):
         "A vehicle by range and bearing",
         'href="../study.py"',
         "study/figures/figure_01.png",
-        "What is said",
+        "judges 1 of their statements",
     ):
         assert text in page
     assert "We find" not in page  # a study without such sentences has no empty ones
@@ -194,7 +194,7 @@ def test_papers_and_own_studies_go_together(folder, monkeypatch, capsys):
     page = (folder / "out/index.html").read_text()
     assert all(
         text in page
-        for text in ("Tiny &lt;study&gt;", "A vehicle by", "Another by", "What papers say")
+        for text in ("Tiny &lt;study&gt;", "A vehicle by", "Another by", "What we find")
     )
     capsys.readouterr()
     cli.main(["verdicts"])
