@@ -400,7 +400,10 @@ def _on_host(
 def _on_device(
     plan: Schedule, names: Sequence[str], device: Device, room: int
 ) -> Callable[..., Callable[[int, int], None]]:
-    """The same for a device; ``room``: bytes of a piece of the epochs, of its measurements and rows."""
+    """The same for a device.
+
+    room: bytes of the measurements and rows of a piece of the epochs.
+    """
     kernels = (recorded.keeping(names)._replace(flags=frozenset()) for recorded in plan.records)
     entry = device.entry(ptx.program([*kernels], plan.size))
 
