@@ -34,17 +34,18 @@ def index(out: Path) -> str:
     """The page for all papers and studies under ``out``."""
     from celnav.show.page import render
 
-    every = {name: _shown(out, name, claims) for name, claims in reproduced(out).items()}
+    found = reproduced(out)
+    every = {name: _shown(out, name, claims) for name, claims in found.items()}
     real = [study for name, study in every.items() if name in papers.REAL]
     studies = [study for name, study in every.items() if name not in papers.REAL]
-    shown = {name: _of_kind(claims, "statement") for name, claims in reproduced(out).items()}
-    shown = {name: claims for name, claims in shown.items() if claims}
+    statements = {name: _of_kind(claims, "statement") for name, claims in found.items()}
+    statements = {name: claims for name, claims in statements.items() if claims}
     return render(
         "index.html",
         title="celnav: what holds",
-        opening=_opening(studies, shown),
-        squares=squares(shown, lambda study, id: f"#{study}-{id}") if shown else "",
-        counts=_counts(shown) if shown else [],
+        opening=_opening(studies, statements),
+        squares=squares(statements, lambda study, id: f"#{study}-{id}") if statements else "",
+        counts=_counts(statements) if statements else [],
         studies=studies,
         real=real,
         papers=any(name in papers.PAPERS for name in every),

@@ -77,15 +77,13 @@ def as_script(recording: bytes) -> bytes:
     return f'celnavRecording("{_text(recording)}");\n'.encode()
 
 
-def address(recording: str, seconds: float | None = None) -> str:
-    """The address that shows a recording at a time (s) since its start; the path is relative to the
-    page.
+def address(recording: str) -> str:
+    """The address that shows a recording, whose path is relative to the page.
 
-    >>> address("csrukf/gaps.rrd", 120.0)
-    'viewer.html?csrukf/gaps@120'
+    >>> address("csrukf/gaps.rrd")
+    'viewer.html?csrukf/gaps'
     """
-    at = "" if seconds is None else f"@{seconds:g}"
-    return f"{PAGE}?{quote(recording.removesuffix('.rrd'))}{at}"
+    return f"{PAGE}?{quote(recording.removesuffix('.rrd'))}"
 
 
 def _patched(module: str) -> str:

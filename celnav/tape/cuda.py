@@ -140,7 +140,7 @@ class Device:
 class Lane:
     """A queue of work on a device, side by side with other lanes.
 
-    It keeps its memory from run to run, because the device waits for all its work before it gives
+    It keeps its memory from call to call, because the device waits for all its work before it gives
     memory back. Results come into memory of the host that is page-locked: the driver copies them at
     once, not by way of a buffer of its own.
     """

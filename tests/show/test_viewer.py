@@ -73,8 +73,7 @@ def test_a_recording_is_a_script_with_its_bytes():
     ("given", "text"),
     [
         (("a.rrd",), "viewer.html?a"),
-        (("csrukf/gaps.rrd", 120.0), "viewer.html?csrukf/gaps@120"),
-        (("my study/a b.rrd", 0.5), "viewer.html?my%20study/a%20b@0.5"),
+        (("my study/a b.rrd",), "viewer.html?my%20study/a%20b"),
     ],
 )
 def test_addresses(given, text):
@@ -171,7 +170,7 @@ console.log(JSON.stringify([loaded[0], document.title]));
 @pytest.mark.parametrize("name", ["a", "a b", "a#b", "a@2", "50%", "a?b", 'it\'s "q"', "ä"])
 def test_the_page_loads_the_script_of_the_recording(name, package):
     recording = f"my study/{name}.rrd"
-    command = ["node", "-e", LOADED, viewer.address(recording, 12.5)]
+    command = ["node", "-e", LOADED, viewer.address(recording)]
     page = viewer.page()
     done = subprocess.run(command, input=page, capture_output=True, check=True)
     source, title = json.loads(done.stdout)
