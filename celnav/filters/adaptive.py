@@ -1,9 +1,9 @@
-"""Hooks that adapt the noise or the components of a measurement before the update: gates, windows,
-weights, parity; and a gain.
+"""Hooks that adapt a measurement before its update (gates, innovation windows, robust weights,
+parity checks), and Schmidt's gain.
 
 A hook gets the `Joint` of measurement and state before the update and may replace it. Hooks act one
-after the other, each with its own memory, and on each run separately. They assume that the noises
-of the components are independent, and that the measurement's (statistical) Jacobian gives the part
+after the other, each with its own memory, and on each run separately. They assume that the noise of
+each component is independent of the others. The measurement's (statistical) Jacobian gives the part
 of an innovation that a correction of the state explains.
 """
 
@@ -51,12 +51,12 @@ __all__ = [
 
 # -- gates -----------------------------------------------------------------------------------------
 def gate(gamma: float) -> Hook:
-    """Leave out each component whose innovation exceeds ``gamma`` of its standard deviations
-    (``inf`` leaves out nothing).
+    """Leave out each component whose innovation exceeds ``gamma`` standard deviations (``inf``
+    leaves out nothing).
 
-    A component that is left out is nan for the hooks that follow and for the update, and counts in
-    ``Track.events["rejected"]``. A gate that is too narrow for the model's errors locks the filter
-    out of its measurements.
+    A rejected component is nan for the hooks that follow and for the update;
+    ``Track.events["rejected"]`` counts it. If the gate is too narrow for the model's errors, the
+    filter rejects all its measurements from then on.
 
     >>> filter = celnav.ukf(motion, sensor, hooks=[celnav.filters.adaptive.gate(4.0)])
     """
@@ -76,8 +76,8 @@ def chi_square_gate(probability: float = 0.999) -> Hook:
     """Leave out the whole measurement of a run whose normalized innovation squared is improbably
     large.
 
-    ``probability``, between 0 and 1, of keeping a measurement that fits the model: the bound is the
-    chi-square quantile with as many degrees of freedom as the run has measured components.
+    probability: between 0 and 1, the probability of keeping a measurement that fits the model. The
+        bound is the chi-square quantile for the number of components measured in the run.
 
     >>> filter = celnav.ukf(motion, sensor, hooks=[celnav.filters.adaptive.chi_square_gate(0.999)])
     """
@@ -118,15 +118,14 @@ class Window(NamedTuple):
 def innovation_window(M: int, gaps: str = "restart") -> Hook:
     """Inflate the measurement noise of each component to match its last ``M`` innovations.
 
-    With C their mean square, the present one included, S0 the innovation's variance without
-    measurement noise and R the variance of that noise, ``C = S0 + A R`` gives the factor
-    ``A = max(1, (C - S0) / R)`` of R; it is 1 until there are M samples. The noise is never
-    reduced, and a maneuver inflates it too: the process noise must cover maneuvers.
+    C is the mean square of the last M innovations, the present one included. S0 is the variance of
+    the innovation without measurement noise, and R the variance of the measurement noise.
+    ``C = S0 + A R`` gives the factor ``A = max(1, (C - S0) / R)`` by which R is multiplied. A is 1
+    until M samples are available. The noise is never reduced. A maneuver inflates it too, so the
+    process noise must cover maneuvers. ``Track.extra["R"]`` has the variances used.
 
-    ``Track.extra["R"]`` has the variances that were used.
-
-    ``gaps``: "restart": a missing sample restarts its component's window. "skip": the last M
-    samples that exist, for sensors that are slower than the epochs.
+    gaps: "restart" restarts a component's window after a missing sample; "skip" uses the last M
+        samples that exist, for sensors that are slower than the epochs.
 
     >>> filter = celnav.ukf(motion, sensor, hooks=[celnav.filters.adaptive.innovation_window(10)])
     """
@@ -147,7 +146,7 @@ def _innovation_window(
 def _moved(
     memory: Window | None, values: Array, epoch: Any, size: int, gaps: str = "restart"
 ) -> Window:
-    """The window of the last ``size`` values, the present ones included."""
+    """The window ``(size, ..., m)`` of the last ``size`` values, the present ones included."""
     k = getattr(epoch, "k", None)
     if memory is None:
         if size * values.size > LIMIT:
@@ -164,7 +163,7 @@ def _moved(
     moved = np.concatenate([ring[1:], np.broadcast_to(values, ring.shape[1:])[None]])
     if gaps == "skip":
         moved = np.where(present(values), moved, ring)
-    # A hook is not called if no run has a measurement: that is a gap of every component, too.
+    # A hook is not called if no run has a measurement: every component has a gap there.
     elif k is not None and memory.k is not None:
         moved[:-1] = np.where(k > memory.k + 1, np.nan, moved[:-1])
     return Window(moved, k)
@@ -172,10 +171,10 @@ def _moved(
 
 # -- robust weights --------------------------------------------------------------------------------
 def huber(threshold: float = 1.345, rounds: int = 6) -> Hook:
-    """Weigh a component by ``min(1, threshold / u)``, with u its residual after the update in
-    standard deviations of its noise [Huber1964].
+    """Weight a component by ``min(1, threshold / u)`` [Huber1964], where u is its residual after
+    the update, divided by the standard deviation of its noise.
 
-    ``rounds`` of reweighting; the noise variance of a component is divided by its weight.
+    rounds: number of reweightings. The noise variance of a component is divided by its weight.
 
     >>> filter = celnav.ukf(motion, sensor, hooks=[celnav.filters.adaptive.huber()])
     """
@@ -187,8 +186,8 @@ def _huber(bound: float, u: Array) -> Array:
 
 
 def student_t(dof: float = 4.0, rounds: int = 6) -> Hook:
-    """Weigh a component by ``(dof + 1) / (dof + u^2)``, as for noise of Student's t distribution;
-    see `huber`.
+    """Weight a component by ``(dof + 1) / (dof + u^2)``, the weight for noise with Student's t
+    distribution; u and rounds as in `huber`.
 
     >>> filter = celnav.ukf(motion, sensor, hooks=[celnav.filters.adaptive.student_t(4.0)])
     """
@@ -200,11 +199,11 @@ def _student_t(nu: float, u: Array) -> Array:
 
 
 def correntropy(bandwidth: float = 2.0, rounds: int = 6) -> Hook:
-    """Weigh a component by ``exp(-u^2 / (2 bandwidth^2))``: the maximum correntropy criterion
-    [Chen2017]; see `huber`.
+    """Weight a component by ``exp(-u^2 / (2 bandwidth^2))``, the maximum correntropy criterion
+    [Chen2017]; u and rounds as in `huber`.
 
-    Chen's filter weighs the prediction in the same way; here only the measurement is doubted. No
-    weight is below 1e-9.
+    Chen's filter also weights the prediction; this hook weights only the measurement. The smallest
+    weight is 1e-9.
 
     >>> filter = celnav.ukf(motion, sensor, hooks=[celnav.filters.adaptive.correntropy()])
     """
@@ -236,8 +235,8 @@ def _reweight(
 
 
 def _noisy(joint: Joint) -> tuple[Array, Array, Array]:
-    """Innovation (0 where unused), variances of the noise (1 where unused), and the mask: measured,
-    and with noise.
+    """Innovation (0 where unused), noise variances (1 where unused), and the mask of the components
+    that are measured and have noise; all ``(..., m)``.
     """
     e, noise = np.asanyarray(joint.innovation), joint.noise_variances()
     used = present(e) & (noise > 0.0)
@@ -245,8 +244,8 @@ def _noisy(joint: Joint) -> tuple[Array, Array, Array]:
 
 
 class Estimated(NamedTuple):
-    """Memory of `sage_husa`: variances of the noise ``(..., m)`` as estimated, and how many epochs
-    they come from.
+    """Memory of `sage_husa`: the estimated noise variances, and the number of samples in each
+    estimate; both ``(..., m)``.
     """
 
     noise: Array
@@ -256,10 +255,10 @@ class Estimated(NamedTuple):
 def sage_husa(forgetting: float = 0.95, least: float = 0.25, smallest: float = 0.01) -> Hook:
     """Estimate the noise's variances from innovations with fading memory [Sage1969].
 
-    ``R_k+1 = (1 - d) R_k + d max(e^2 - S0, smallest R)`` where measured, with
-    ``d = (1 - b) / (1 - b^(k+1))`` and b the ``forgetting``, between 0 and 1. The variance in use
-    is at least ``least R``, with R the nominal variance, so it may be below
-    R: ``Track.extra["R"]``.
+    For a measured component, ``R_k+1 = (1 - d) R_k + d max(e^2 - S0, smallest R)``, with
+    ``d = (1 - b) / (1 - b^(k+1))``; b is ``forgetting``, between 0 and 1, and R the nominal
+    variance. The update uses at least ``least R``, which may be below R. ``Track.extra["R"]`` has
+    the variances used.
 
     >>> filter = celnav.ukf(motion, sensor, hooks=[celnav.filters.adaptive.sage_husa(0.98)])
     """
@@ -299,14 +298,14 @@ def variational_bayes(forgetting: float = 0.95, samples: float = 2.0, rounds: in
     [Sarkka2009; nonlinear: Sarkka2013].
 
     The variance of a component has an inverse-gamma distribution; the update uses
-    ``R = beta / alpha``. A sample turns these into ``(b alpha + 1/2, b beta + E[v^2] / 2)``, with b
-    the ``forgetting``, above 0 and at most 1, and the mean square of the noise v given the
-    innovation e, ``E[v^2] = (R S^-1 e)^2 + R - R S^-1 R``, in ``rounds`` of a fixed-point
-    iteration. (For a linear h these are the paper's terms, ``z - h`` and the variance of h after
-    the update; for a nonlinear h they are its integral, with the statistical linearization of the
-    update.) At the start the nominal variances count as ``samples``. A component that was not
-    measured forgets nothing. The estimates are in the track of the numpy engine,
-    ``Track.extra["R"]``.
+    ``R = beta / alpha``. A sample changes ``(alpha, beta)`` to
+    ``(b alpha + 1/2, b beta + E[v^2] / 2)``; b is ``forgetting``, above 0 and at most 1. The mean
+    square of the noise v given the innovation e is ``E[v^2] = (R S^-1 e)^2 + R - R S^-1 R``; a
+    fixed-point iteration of ``rounds`` rounds solves for R. (For a linear h these are the paper's
+    terms, ``z - h`` and the variance of h after the update; for a nonlinear h they approximate the
+    paper's integral by the statistical linearization of the update.) At the start the nominal
+    variances have the weight of ``samples`` samples. A component without a measurement keeps its
+    estimate. With the numpy engine ``Track.extra["R"]`` has the estimates.
 
     >>> filter = celnav.ukf(motion, sensor, hooks=[celnav.filters.adaptive.variational_bayes(0.98)])
     >>> sigma = np.sqrt(celnav.run(filter, prior, times, z).extra["R"])  # (T, ..., m)
@@ -340,13 +339,14 @@ def _variational_bayes(
 
 # -- underweighting --------------------------------------------------------------------------------
 def underweighting(beta: float = 0.2, share: float = 0.5) -> Hook:
-    """Lear's underweighting: if the prior is poor, ``beta`` times its part of the innovation
-    covariance counts as noise [Carpenter2018].
+    """Lear's underweighting: while the prior is poor, inflate its part of the innovation covariance
+    by the factor ``1 + beta`` [Carpenter2018].
 
-    ``S = (1 + beta) S0 + R``, with S0 the innovation covariance without measurement noise, in runs
-    where S0 is more than ``share``, below 1, of the variance of any measured component (0: always).
-    Precise measurements then improve a poor prior gradually, which leaves room for the error of a
-    linearization. The covariance after the update is the one for the gain used. Put it after gates.
+    ``S = (1 + beta) S0 + R``, where S0 is the innovation covariance without measurement noise. It
+    acts in runs where S0 exceeds the fraction ``share`` (below 1; 0: always) of the innovation
+    variance of any measured component. Precise measurements then improve a poor prior gradually,
+    which leaves a margin for linearization errors. The added covariance is treated as measurement
+    noise, so the updated covariance fits the gain. In ``hooks`` it stands after the gates.
 
     >>> filter = celnav.ukf(motion, sensor, hooks=[celnav.filters.adaptive.underweighting()])
     """
@@ -361,7 +361,7 @@ def _underweight(
     measured = present(joint.innovation)
     poor = np.asanyarray((measured & (prior > least * (prior + noise))).any(-1))
     S0, V = joint.covariances()[0], joint.measurement_noise
-    S0 = np.where(np.abs(S0) < np.inf, S0, 0.0)  # of a run that has failed already
+    S0 = np.where(np.abs(S0) < np.inf, S0, 0.0)  # not finite in a run that has failed
     extra = np.where(poor[..., None, None], semidefinite_root(factor * S0), 0.0)
     return memory, joint._replace(
         measurement_noise=extra if V is None else side_by_side([V, extra])
@@ -370,11 +370,11 @@ def _underweight(
 
 # -- parity ----------------------------------------------------------------------------------------
 def _residual(joint: Joint) -> tuple[Array, Array, Array, Array]:
-    """Residuals of the weighted fit of an innovation by all states, their variances, the variances
-    of the noise, and the mask of components that are used.
+    """Residuals of the weighted fit of an innovation by all states, the variances of the residuals,
+    the noise variances, and the mask of components used; all ``(..., m)``.
 
-    A maneuver, or any other error of the prediction, lies in the range of the measurement matrix
-    and changes nothing here.
+    A maneuver, or any other prediction error, lies in the range of the measurement matrix and
+    leaves these residuals unchanged.
     """
     # r = (I - Q Q') R^-1/2 e in units of the noise, where Q spans R^-1/2 H D, D = diag(sigma).
     e, R, used = _noisy(joint)
@@ -382,26 +382,26 @@ def _residual(joint: Joint) -> tuple[Array, Array, Array, Array]:
     D, W = joint.state.columns, joint.process_noise
     variance = np.einsum("...ij,...ij,j->...i", D, D, np.broadcast_to(joint.sign, D.shape[-1:]))
     std = np.sqrt(np.maximum(variance if W is None else variance + np.square(W[1]).sum(-1), 0.0))
-    # A state that moves a measurement by less than 1e-6 standard deviations of its noise explains
-    # nothing of it.
+    # A state whose standard deviation changes a measurement by less than 1e-6 of the noise's
+    # standard deviation is treated as unobservable.
     Q = range_basis(root[..., None] * joint.measurement.jacobian() * std[..., None, :], 1e-6)
     y = root * e
     left = y - matvec(Q, matvec(Q.mT, y))
-    # Diagonal of I - Q Q': the part of each component that no state explains.
+    # Diagonal of I - Q Q', (..., m): the share of each component that no state explains.
     share = np.maximum(1.0 - np.square(Q).sum(-1), 0.0)
     return np.where(used, left * np.sqrt(R), 0.0), np.where(used, share * R, 0.0), R, used
 
 
 def range_basis(A: Array, least: float) -> Array:
-    """Orthonormal columns ``(..., m, n)`` that span the range of tall matrices ``(..., m, n)``:
-    ``Q @ Q.mT`` projects on it.
+    """Orthonormal columns Q ``(..., m, n)`` that span the range of tall matrices ``(..., m, n)``:
+    ``Q @ Q.mT`` projects onto it.
 
-    Directions in which A is at most ``least`` (a singular value) have a column of zeros; a matrix
-    that is not finite gives nan.
+    A singular value of at most ``least`` gives a column of zeros; a matrix that is not finite gives
+    nan.
     """
     Q, R = np.linalg.qr(A)
-    # QR suffices far from dependence. Near it a column without a direction of its own would get an
-    # arbitrary one: use the singular value decomposition.
+    # QR suffices if the columns are clearly independent. A nearly dependent column would get an
+    # arbitrary direction from QR, so the singular value decomposition replaces it.
     lost = np.asanyarray(~np.isfinite(A).all((-2, -1)))
     clear = lost | (np.abs(R.diagonal(0, -2, -1)).min(-1) > 1e3 * least)
     if clear.all():
@@ -411,13 +411,17 @@ def range_basis(A: Array, least: float) -> Array:
 
 
 def group_parity(groups: Sequence[ArrayLike], unknowns: int, *, deviations: float = 3.0) -> Hook:
-    """Inflate the noise of a whole group of components to match the residual that no error of the
-    state explains, immediately and without a window.
+    """Inflate the noise of a whole group of components to match the residual that no state error
+    explains, immediately and without a window.
 
-    ``groups``: index arrays of components, such as ranges and rates. ``unknowns``: how many states
-    a group determines. For the residuals r of its N measured components
-    ``s = sum r^2 / R / (N - unknowns)``; the noise is inflated by s if s exceeds
-    ``1 + deviations sqrt(2 / (N - unknowns))`` and N is at least ``unknowns + 2``.
+    groups: index arrays of components, such as all ranges and all rates.
+    unknowns: how many states a group determines.
+    deviations: threshold, in standard deviations of s.
+
+    The residuals r of the N measured components of a group give
+    ``s = sum r^2 / R / (N - unknowns)``. The noise variance is multiplied by s if s exceeds
+    ``1 + deviations sqrt(2 / (N - unknowns))`` and N is at least ``unknowns + 2``. ValueError if
+    groups overlap.
 
     >>> hook = celnav.filters.adaptive.group_parity([[0, 1, 2, 3, 4, 5]], unknowns=4)
     """
@@ -427,7 +431,9 @@ def group_parity(groups: Sequence[ArrayLike], unknowns: int, *, deviations: floa
     ]
     every = [i for group in members for i in group]
     if not all(members) or len(set(every)) != len(every):
-        raise ValueError("groups: expected groups of components that do not overlap")
+        raise ValueError(
+            f"groups: expected groups of components that do not overlap, got {members}"
+        )
     unknowns = min(integer("unknowns", unknowns), 10**9)  # no group is as large
     return partial(_group_parity, members, unknowns, number("deviations", deviations, 0.0))
 
@@ -447,7 +453,7 @@ def _group_parity(
     for group in groups:
         spare = used[..., group].sum(-1) - unknowns
         enough, spare = spare >= 2, np.maximum(spare, 1)
-        # (...): a chi-square over its degrees of freedom, of mean 1 and variance 2 / spare.
+        # s (...) is a chi-square divided by its degrees of freedom: mean 1, variance 2 / spare.
         s = squares[..., group].sum(-1) / spare
         bound = 1.0 + deviations * np.sqrt(2.0 / spare)
         factor[..., group] = np.where(enough & (s > bound), s, 1.0)[..., None]
@@ -455,11 +461,11 @@ def _group_parity(
 
 
 def channel_parity(M: int) -> Hook:
-    """Inflate the noise of each component to match its last ``M`` residuals of the fit of
-    `group_parity`: by ``max(1, mean r^2 / C)``.
+    """Inflate the noise of each component to match the last ``M`` residuals of the fit in
+    `group_parity`.
 
-    C is the variance of the residual r. A component has factor 1 until it has M samples of
-    consecutive epochs.
+    The noise variance is multiplied by ``max(1, mean of r^2 / C)``, where C is the variance of the
+    residual r. The factor is 1 until a component has M samples at consecutive epochs.
 
     >>> filter = celnav.ukf(motion, sensor, hooks=[celnav.filters.adaptive.channel_parity(10)])
     """
@@ -470,7 +476,7 @@ def _channel_parity(
     size: int, memory: Window | None, joint: Joint, epoch: Any
 ) -> tuple[Window, Joint]:
     r, variances, R, _ = _residual(joint)
-    spare = variances > 1e-6 * R  # the fit uses up a component below this: it has no residual
+    spare = variances > 1e-6 * R  # below this the fit absorbs the component: no residual
     ratio = np.where(spare, r**2 / np.where(spare, variances, 1.0), np.nan)
     window = _moved(memory, ratio, epoch, size)
     return window, joint.inflated(np.sqrt(np.fmax(1.0, window.samples.mean(0))))
@@ -478,12 +484,13 @@ def _channel_parity(
 
 # -- a gain ----------------------------------------------------------------------------------------
 def consider(n: int, k: int) -> Gain:
-    """Schmidt's gain: optimal for the first ``n`` states, 0 for the ``k`` considered ones after
+    """Schmidt's gain: optimal for the first ``n`` states, 0 for the ``k`` considered states after
     them.
 
-    Considered states (biases, constants of a model) are not estimated, but their uncertainty, and
-    their correlation with the other states, is propagated exactly. A fixed gain needs no function:
-    with ``gain=K (n, m)`` a filter has the covariance for K, optimal or not.
+    Considered states (biases, constants of a model) are not estimated. Their uncertainty, and their
+    correlation with the other states, is propagated exactly. A fixed gain needs no function: with
+    ``gain=K (n, m)`` the filter computes the covariance for K, optimal or not. The filter raises
+    ValueError if the state does not have n + k components.
 
     >>> filter = celnav.ukf(motion, sensor, gain=consider(6, 3))
     >>> alpha_beta = celnav.ukf(motion, sensor, gain=np.array([[0.4], [0.1]]))

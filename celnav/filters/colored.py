@@ -2,12 +2,13 @@
 it in the state.
 
 The difference ``z* = z' - Phi z`` of consecutive measurements has white noise, correlated with the
-process noise. `colored` conditions on it in one transform; `decorrelated` uses the two steps of
-[Sun2015]; `augmented` carries V in the state: the exact reference. All take any rule and both
-forms, and a ``Phi`` that may be full, differ from run to run, or be a function of the epoch.
+process noise. `colored` conditions on the difference in one transform. `decorrelated` uses the two
+steps of [Sun2015]. `augmented` carries V in the state and is the exact reference. All accept any
+rule and both forms. ``Phi`` may be a full matrix, differ from run to run, or be a function of the
+epoch.
 
-A missing sample costs `colored` two differences: the one that ends with it and the one that begins
-with it.
+A missing sample costs `colored` two differences: the one that ends with the sample and the one that
+begins with it.
 """
 
 from __future__ import annotations
@@ -91,59 +92,63 @@ def colored(
     ``z' - Phi z`` directly.
 
     motion, sensor: the models; ``sensor.R`` is the covariance ``(m, m)`` of the colored noise
-        itself. States and measurements must be vectors, because the difference of two angles
-        ignores their seam. For a measured angle use `augmented`.
+        itself. States and measurements must be vectors, because ``z' - Phi z`` does not wrap
+        angles. For a measured angle use `augmented`.
     Phi: ``(..., m, m)``, or a function of the epoch: the transition matrix of the noise from one
         measurement to the next; its spectral radius is at most 1. If R or h is a matrix, a number
         is that multiple of the identity.
     increments: covariance ``(..., m, m)`` of ``V' - Phi V``, or a function ``(mean, epoch)`` of it;
         None: stationary noise, ``R - Phi R Phi'``. If V is not stationary (``Phi = I`` is a random
-        walk) R is the covariance of its first sample.
+        walk), R is the covariance of its first sample.
     first: whether the first measurement updates the prior. Otherwise it only anchors the first
         difference, as in the paper, which is the limit of a large R.
-    rule, options: as in `celnav.sigma_point`. If ``h`` is a function the process noise goes through
-        the points with the state.
+    rule, options: as in `celnav.sigma_point`. If ``h`` is a function, the sigma points cover the
+        process noise too.
+
+    Returns a filter whose belief is about the state alone. ValueError names an argument that does
+    not fit.
 
     >>> filter = celnav.colored(motion, celnav.Sensor(H, R), 0.9 * np.eye(3))
     """
     plain = sigma_point(motion, sensor, rule=rule, **options)
     if type(plain) is not Sequential:
         raise ValueError(
-            "iterations: expected 1, since process and measurement are one function here; "
-            "celnav.augmented takes more"
+            "iterations: expected 1, because process and measurement are one function here; for "
+            "more use celnav.augmented"
         )
     if motion.space != EUCLIDEAN or sensor.space != EUCLIDEAN:
         raise ValueError(
-            "space: expected states and measurements that are vectors; carry the noise in the "
-            "state: celnav.augmented"
+            "space: expected states and measurements that are vectors; for others use "
+            "celnav.augmented, which carries the noise in the state"
         )
     phi, once = coloring(Phi, sensor.m), bool(choice("first", first, (False, True)))
     return Colored(**vars(plain), Phi=phi, zeta=zeta_of(sensor, Phi, increments), first_sample=once)
 
 
 def decorrelated(motion: Motion, sensor: Sensor, Phi: Coloring, **options: Any) -> Decorrelated:
-    """The filter of [Sun2015] with its errata corrected: update the past state, then predict;
+    """The filter of [Sun2015] with its errata corrected: update the previous state, then predict;
     arguments as in `colored`.
 
-    ``x* = f(x) + J (z* - h(x))`` and ``h(x) = H f(x) - Phi H x`` [Sun2015, Eqs. 8, 14]. The state
-    after an epoch holds two estimates: ``belief`` of the present state, and ``lagged`` of the
-    previous one, each given all measurements so far. With a linear model the first equals the
-    estimate that `colored` computes in one step. The measurement is a matrix. Hooks may leave
-    measurements out, as gates do. Hooks that change the noise need `colored`, since here the noise
-    also decides how the measurement enters the prediction.
+    ``x* = f(x) + J (z* - h(x))`` and ``h(x) = H f(x) - Phi H x`` [Sun2015, Eqs. 8, 14]. The
+    filter's state after an epoch has two estimates: ``belief`` of the present state, and ``lagged``
+    of the previous state, each given all measurements so far. With a linear model ``belief`` equals
+    the estimate that `colored` computes in one step. ``h`` must be a matrix. Hooks may leave
+    measurements out, as gates do. Hooks that change the noise need `colored`, because here J,
+    through which the measurement enters the prediction, depends on the noise. ValueError names an
+    argument that does not fit.
 
     >>> filter = celnav.decorrelated(motion, gps, 0.9 * np.eye(3))
     """
     if callable(instance("sensor", sensor, Sensor, "celnav.Sensor(h, R)").h):
         raise ValueError(
-            "sensor: expected a measurement matrix (m, n), got a function; `colored` takes one"
+            "sensor: expected a measurement matrix (m, n), got a function; `colored` accepts one"
         )
     return Decorrelated(**vars(colored(motion, sensor, Phi, **options)))
 
 
 def coloring(Phi: Coloring, m: int | None = None) -> Array | Callable[[Any], Array]:
-    """Phi ``(..., m, m)``, checked, or a function of the epoch that checks it. A random walk has
-    spectral radius 1.
+    """Phi ``(..., m, m)``, checked, or a function of the epoch whose values are checked. A random
+    walk has spectral radius 1.
     """
     shape = (..., m or "m", m or "m")
     if callable(Phi):
@@ -168,8 +173,8 @@ def _coloring_at(Phi: Callable[[Any], Array], shape: Shape, epoch: Any) -> Array
 
 
 def zeta_of(sensor: Sensor, Phi: Coloring, increments: Any) -> Noise:
-    """Columns of the increments: those passed, or those of stationary noise with covariance R; or a
-    function ``(mean, epoch)`` of them.
+    """Columns ``(..., m, r)`` of the increments, as passed or from stationary noise with covariance
+    R; or a function ``(mean, epoch)`` that returns them.
     """
     if increments is not None:
         columns = noise_of("increments", increments, None, sensor.m)
@@ -196,8 +201,8 @@ def _stationary(noise: Noise, Phi: Any, mean: Array, epoch: Any) -> Array:
 
 
 def difference(Phi: Array, z: Array, z_next: Array) -> Array:
-    """``z_next - Phi z (..., m)``. A missing component of z makes nan of the differences that it
-    enters, and of no others.
+    """``z_next - Phi z (..., m)``. A missing component of z makes only those differences nan that
+    it enters.
     """
     absent = ~present(z)
     if is_concretely_true(~absent.any()):
@@ -208,8 +213,8 @@ def difference(Phi: Array, z: Array, z_next: Array) -> Array:
 
 
 class ColoredState(NamedTuple):
-    """State of a filter for colored noise: the estimate, the last measurement, the memory of its
-    hooks.
+    """State of a filter for colored noise: the estimate, the last measurement, and the memory of
+    the hooks.
 
     ``lagged`` is the estimate of the *previous* state given the present measurement (the prior at
     the first epoch, and where a filter does not compute it).
@@ -223,8 +228,8 @@ class ColoredState(NamedTuple):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Colored(Sequential):
-    """The filter of `colored`. ``Phi``, ``zeta``: coefficient, and columns of the increments, or
-    functions of them.
+    """The filter of `colored`, with the transition matrix ``Phi`` and the columns ``zeta`` of the
+    increments, or functions that return them.
     """
 
     _: KW_ONLY
@@ -253,8 +258,9 @@ class Colored(Sequential):
     def advance(
         self, state: Any, Phi: Array, z_star: Array, epoch: Epoch, z: Array
     ) -> tuple[Any, tuple[Info, ...]]:
-        """State after an interval, given the difference ``z_star`` of the measurements at
-        its ends."""
+        """State after an interval, given the difference ``z_star`` of the measurements at both
+        ends.
+        """
         both, (hooks,) = self.fused(state.belief, Phi, z_star, epoch), self.hooks
         belief, info, memory = condition(
             self.form,
@@ -323,7 +329,7 @@ class Colored(Sequential):
     def _measured(self, state: Any, epoch: Epoch) -> Array:
         """The measurement of an epoch, nan where there is none."""
         first = state.z is None
-        # Nothing leads up to the first sample; each later one ends an interval.
+        # The first sample has no interval before it; each later sample ends an interval.
         if is_zero_interval(epoch) is not first:
             expected = (
                 "0 at the first epoch (start from a prior at that time)"
@@ -369,7 +375,7 @@ class Decorrelated(Colored):
 
     @cached_property
     def _constant(self) -> Decorrelation | None:
-        """The decorrelated system, if it is the same at every epoch."""
+        """The decorrelated noise, if it is the same at every epoch."""
         W, Z = self.motion.noise, self.zeta
         if isinstance(W, np.ndarray) and isinstance(Z, np.ndarray):
             return decorrelation(self.sensors[0].h, W, Z)
@@ -381,7 +387,7 @@ class Decorrelated(Colored):
         """Update the past state [Sun2015, Eqs. 24-32], then predict [Sun2015, Eqs. 33-37]."""
         gates = [partial(_leaving_out, hook) for hook in self.hooks[0]]
         noise = self.system(state.belief.mean, epoch, np.ones(1, bool)).sqrt_R
-        # The measurement of the past state is z* = H f(x) - Phi H x; its noise is that of R*.
+        # The measurement of the previous state is z* = H f(x) - Phi H x, with noise covariance R*.
         past = joint(
             self.rule,
             state.belief,
@@ -400,9 +406,10 @@ class Decorrelated(Colored):
             gain=self.gain,
         )
         used = np.asanyarray(info.used)
-        # J z* carries the part of the process noise that the difference has shown.
+        # J z* is the mean of the process noise given the difference z*.
         star = self.system(lagged.mean, epoch, used)
-        # A component that was not used has a column of zeros in J.
+        # A component that was not used has a column of zeros in J; z* is 0 there, so that it is not
+        # nan.
         z_star = np.where(used, z_star, 0.0)
 
         def entering(x: Array, epoch: Epoch) -> tuple[Array]:
@@ -418,8 +425,8 @@ class Decorrelated(Colored):
         return ColoredState(ahead, z, lagged, memory), (info,)
 
     def system(self, mean: Array, epoch: Epoch, used: Array) -> Decorrelation:
-        """The decorrelated system; a row that was not measured does not enter ``J`` (it gets a unit
-        noise of its own).
+        """The decorrelated noise; an unmeasured row does not enter ``J``, because it gets an
+        independent noise of variance 1.
         """
         if is_concretely_true(used.all()) and self._constant is not None:
             return self._constant
@@ -430,7 +437,7 @@ class Decorrelated(Colored):
         )
         if is_concretely_true(used.all()):
             return decorrelation(H, W, Z)
-        # (..., m, 1): rows that were measured.
+        # (..., m, 1): 1 for rows that were measured, 0 for the others.
         unit = used[..., None] * 1.0
         return decorrelation(
             H * unit, W, np.concatenate([Z * unit, np.eye(H.shape[-2]) * (1.0 - unit)], -1)
@@ -448,7 +455,7 @@ def _leaving_out(hook: Hook, memory: Any, joint: Joint, epoch: Any) -> tuple[Any
     ):
         raise ValueError(
             "hooks: expected hooks that only leave measurements out, got one that changes noise; "
-            "`colored` takes it"
+            "`colored` accepts it"
         )
     return memory, after
 
@@ -481,19 +488,22 @@ def augmented(
     rule: Any = UNSCENTED,
     **options: Any,
 ) -> Augmented:
-    """The exact reference for colored noise: a filter on ``[x; V] (n + m)`` with no measurement
-    noise of its own.
+    """The exact reference for colored noise: a filter on ``[x; V] (n + m)`` with no other
+    measurement noise.
 
-    Arguments as in `colored`; the measurement may be an angle, R is a constant. The belief is about
-    ``[x; V]``; start it from a prior of ``x`` alone. Its covariance is singular after each
-    measurement. A missing sample costs only itself.
+    Arguments as in `colored`; the measurement may be an angle, and R is a constant. The filter
+    starts from a prior of ``x`` alone; its belief is about ``[x; V]``, and its covariance is
+    singular after each measurement. A missing sample loses no other sample. ValueError names an
+    argument that does not fit.
 
     >>> filter = celnav.augmented(motion, gps, 0.9 * np.eye(3))
     """
     instance("motion", motion, Motion, "celnav.Motion(f, Q)")
     instance("sensor", sensor, Sensor, "celnav.Sensor(h, R)")
     if motion.space != EUCLIDEAN or motion.augment or sensor.augment:
-        raise ValueError("motion: expected one of vectors, with no noise through the points")
+        raise ValueError(
+            "motion: expected a model of vector states, with no noise through the points"
+        )
     if sensor.m is None:
         got = "a function" if callable(sensor.noise) else "a number"
         raise ValueError(f"R: expected a constant covariance (m, m) of the noise, got {got}")
@@ -506,7 +516,7 @@ def augmented(
     augmented_motion = Motion(
         partial(_augmented_f, motion, phi, m), sqrt_Q=partial(_augmented_noise, motion, zeta, m)
     )
-    # All noise of the measurement is a state: no column of its own.
+    # All the measurement noise is in the state: no noise columns.
     augmented_sensor = Sensor(measured, sqrt_R=np.zeros((m, 0)), space=sensor.space)
     plain = sigma_point(augmented_motion, augmented_sensor, rule=rule, **options)
     return Augmented(**vars(plain), sqrt_V=tria(np.asanyarray(sensor.noise)), Phi=phi)

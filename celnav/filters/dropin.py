@@ -1,8 +1,8 @@
 """A drop-in for filterpy's ``UnscentedKalmanFilter``: change one import, keep the rest.
 
-`SquareRootUKF` carries a root from step to step, `SigmaPointUKF` a covariance; both are thin
-interfaces to the joint and its conditioning. State, covariances and everything else are plain
-attributes, as in filterpy 2.0: assign them, or change them in place.
+`SquareRootUKF` carries a square root from step to step, `SigmaPointUKF` a covariance. Both are thin
+interfaces to `joint` and `condition`. State, covariances and everything else are plain attributes,
+as in filterpy 2.0: assign them, or change them in place.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ with requires_extra("celnav.filters.dropin", "filterpy"):
 __all__ = ["SigmaPointUKF", "SquareRootUKF"]
 
 Function = Callable[..., Any]
-"""One of filterpy's, of one vector."""
+"""A filterpy function of one vector."""
 MaybeFunction = Function | None
 Model = Callable[[Array, Any], Array]
 """``(points (p, n), epoch) -> (p, m)``."""
@@ -60,13 +60,15 @@ class SigmaPointUKF:
     """filterpy's UKF in covariance form, its constructor, attributes and methods; see filterpy's
     documentation for their use.
 
-    ``points``: a filterpy sigma-point object or a celnav `Rule`. ``vectorized``: ``fx`` and ``hx``
-    take all points ``(p, n)`` at once. Points lie along the lower Cholesky root, as with filterpy's
-    default, and every update draws new points (filterpy's reuses those of the prediction), so that
-    a second update in a row accounts for the first. A number as ``Q`` or ``R`` counts in every
-    element, as in filterpy, with a warning; as ``P`` or as the ``R`` of one `update` it is a
-    variance of every component; None is no noise. A call that raises changes nothing. Speed:
-    ``python -m benchmarks.dropin``; many runs: `celnav.run`.
+    points: a filterpy sigma-point object or a celnav `Rule`.
+    vectorized: ``fx`` and ``hx`` are called with all points ``(p, n)`` at once.
+
+    The points lie along the columns of the lower Cholesky root, as with filterpy's default. Every
+    update draws new points (filterpy reuses the points of the prediction), so a second update in a
+    row accounts for the first. A number as ``Q`` or ``R`` counts in every element, as in filterpy,
+    with a warning; as ``P``, or as the ``R`` of one `update`, it is the variance of every
+    component. None means no noise. A call that raises an error changes nothing.
+    ``python -m benchmarks.dropin`` measures the speed; for many runs use `celnav.run`.
 
     >>> points = celnav.unscented(6)
     >>> ukf = celnav.filters.dropin.SquareRootUKF(6, 3, 1.0, lambda x: x[:3], fx, points)
@@ -92,15 +94,15 @@ class SigmaPointUKF:
         vectorized: bool = False,
     ):
         self._dim_x, self._dim_z, self._dt, self._vectorized = dim_x, dim_z, dt, vectorized
-        # What is made when asked for, and what is no array: filterpy's Saver makes arrays of all
-        # other attributes.
+        # Values computed on first read, and values that are not arrays: filterpy's Saver makes
+        # arrays of all other attributes.
         self._made: dict[str, Any] = {
             "log_likelihood": float(np.log(sys.float_info.min)),
             "mahalanobis": 0.0,
         }
         self._roots: dict[
             str, tuple[Any, Array]
-        ] = {}  # by name: a matrix as it was, and what its checks made of it
+        ] = {}  # by name: the matrix as last checked, and its root
         self.points_fn = points
         self.hx, self.fx = hx, fx
         self.msqrt = sqrt_fn or cholesky
@@ -146,7 +148,7 @@ class SigmaPointUKF:
 
     @property
     def rule(self) -> Rule:
-        """Points and weights as a rule of celnav."""
+        """Points and weights as a celnav `Rule`."""
         rule, Wm, Wc = self._made["rule"]
         if Wm is not self.Wm or Wc is not self.Wc:
             Wm, Wc, of = self.Wm, self.Wc, self._points_fn
@@ -192,8 +194,8 @@ class SigmaPointUKF:
         hx: MaybeFunction = None,
         **hx_args: Any,
     ) -> None:
-        """Update with ``z``: None, or all nan, is no measurement; if partly nan, the rest is
-        used.
+        """Update with ``z (m,)``. None, or all nan, means no measurement; if some components are
+        nan, the others are used.
         """
         measured = np.zeros(0) if z is None else numbers("z", z)
         if measured.ndim > 1 and measured.shape != (measured.size, 1):
@@ -228,7 +230,9 @@ class SigmaPointUKF:
         self.x_post, self.P_post = self.x.copy(), self.P.copy()
 
     def _conditioned(self, belief: Any, z: Array, h: Model, root: Array) -> tuple[Any, Array, Any]:
-        """The update by celnav: the belief, the images of the points, and the `Info`."""
+        """The update with celnav's conditioning: the belief, the images of the points ``(p, m)``,
+        and the `Info`.
+        """
         space, measured = self._space(), _space_of(np.add, self.residual_z, self.z_mean)
         images: list[Array] = []
 
@@ -247,7 +251,7 @@ class SigmaPointUKF:
                 measurement_noise=root,
             )
             after, info, _ = condition(self._form, both, space)
-        else:  # a measurement without noise must not repeat what the prior determines
+        else:  # a component without noise must not repeat what the prior determines
             motion = Motion(g, sqrt_Q=np.zeros((self._dim_x, 0)), space=space)
             sensor = Sensor(g, sqrt_R=root, space=measured)
             exact = Sequential(motion, (sensor,), rule=self.rule, form=self._form)
@@ -266,7 +270,7 @@ class SigmaPointUKF:
     def _transformed(
         self, UT: Function, belief: Any, z: Array, h: Model, R: Any
     ) -> tuple[Any, Array, Any]:
-        """The update by a user's transform, which gives a mean and a covariance."""
+        """The update with a user's transform, which returns a mean and a covariance."""
         if np.isnan(z).any():
             raise ValueError("z: expected every component where UT is given, got nan")
         images, predicted, S, gain = self._through(UT, belief, h, R, self.z_mean, self.residual_z)
@@ -280,8 +284,8 @@ class SigmaPointUKF:
     def _through(
         self, UT: Any, belief: Any, function: Model, noise: Any, mean: Any, residual: Any
     ) -> tuple[Any, Any, Any, Any]:
-        """The images of the points, the mean and the covariance that a transform makes of them, and
-        the gain.
+        """The images of the points ``(p, m)``, their mean ``(m,)`` and covariance ``(m, m)`` from a
+        transform, and the gain ``(n, m)``.
         """
         points = self._points(belief)
         images = function(points, None)
@@ -290,7 +294,7 @@ class SigmaPointUKF:
         return images, y, S, np.linalg.solve(S.T, cross.T).T  # the gain solves K S = cross
 
     def compute_process_sigmas(self, dt: Any, fx: MaybeFunction = None, **fx_args: Any) -> None:
-        """Put the propagated points in ``sigmas_f``. (An update always draws its points from the
+        """Store the propagated points in ``sigmas_f``. (An update always draws its points from the
         present state.)
         """
         self.sigmas_f = self._motion(dt, fx, fx_args)(self._points(self._belief()), None)
@@ -303,8 +307,8 @@ class SigmaPointUKF:
         sigmas_h: Array,
         residual: MaybeFunction = None,
     ) -> Array:
-        """Cross covariance ``(n, m)`` of points in the state and in the measurement; ``residual``:
-        instead of ``residual_z``.
+        """Cross covariance ``(n, m)`` of state points and measurement points; ``residual`` replaces
+        ``residual_z``.
         """
         dx = _differences(self.residual_x)(sigmas_f, x)
         dz = _differences(residual or self.residual_z)(sigmas_h, z)
@@ -340,7 +344,7 @@ class SigmaPointUKF:
     ) -> tuple[Array, Array, Array]:
         """Smoothed means ``(T, n)``, covariances and gains ``(T, n, n)``.
 
-        ``dts[k]`` and ``Qs[k]``, which filterpy ignores, lead from k to k + 1.
+        ``dts[k]`` and ``Qs[k]``, which filterpy ignores, belong to the interval from k to k + 1.
         """
         count, n = len(Xs), self._dim_x
         xs, ps = finite("Xs", Xs, (count, n)), finite("Ps", Ps, (count, n, n))
@@ -386,7 +390,7 @@ class SigmaPointUKF:
         return self.__dict__
 
     def _belief(self) -> Any:
-        """The present state, checked; with the stored root, unless P was changed since."""
+        """The present state, checked; with the stored root, unless P has changed since then."""
         n, x, P = self._dim_x, numbers("x", self.x), numbers("P", self.P)
         if x.shape != (n,) or not isfinite(x.dot(x)):
             x = finite("x", x).ravel()
@@ -399,8 +403,8 @@ class SigmaPointUKF:
         return self._form(x, factor)
 
     def _root(self, name: str, cov: Any, n: int) -> Array:
-        """Lower root ``(n, n)`` of a noise as in filterpy, computed anew only if the noise has
-        changed.
+        """Lower root ``(n, n)`` of a noise covariance in filterpy's convention, recomputed only if
+        it has changed.
         """
         matrix = np.zeros((n, n)) if cov is None else numbers(name, cov)
         present = n, matrix.shape, matrix.tobytes()
@@ -422,8 +426,8 @@ class SigmaPointUKF:
 
     def _motion(self, dt: Any, fx: MaybeFunction, options: dict[str, Any]) -> Model:
         dt = self._dt if dt is None else dt
-        # Only numbers are checked here, as in filterpy; fx interprets everything else. Dates of
-        # numpy would count as numbers there.
+        # Only numbers are checked here, as in filterpy; fx interprets everything else. Numpy's
+        # dates are refused, because fx would use them as numbers.
         if isinstance(dt, (np.datetime64, np.timedelta64)) or (
             isinstance(dt, (float, int, np.number)) and not isfinite(dt)
         ):
@@ -438,7 +442,7 @@ class SigmaPointUKF:
         """
 
         def model(points: Array, epoch: Any) -> Array:  # noqa: ARG001
-            x = points.copy()  # which the function may change
+            x = points.copy()  # the function may change its argument
             if self._vectorized:
                 images: Any = function(x, *arguments, **options)
             else:
@@ -495,13 +499,13 @@ class SquareRootUKF(SigmaPointUKF):
 
 # -- filterpy's functions of one vector as functions of all points ---------------------------------
 def _space_of(add: Function, residual: Function, mean: MaybeFunction) -> Space:
-    """The space with filterpy's ``state_add``, residual and mean; None: no special mean."""
+    """The space with filterpy's ``state_add``, residual and mean (None: the ordinary mean)."""
     if add is np.add and residual is np.subtract and mean is None:
         return EUCLIDEAN
 
     def plus(point: Array, tangent: Any) -> Array:
-        """Sums of a point and all tangents; ``add`` may change its first argument. With 0
-        for the tangents, as after a special mean, the point stays.
+        """Sums of a point and all tangents; ``add`` may change its first argument. A scalar 0 for
+        the tangents, as after a special mean, leaves the point unchanged.
         """
         return _by_row(lambda row: add(point.copy(), row), tangent) if np.ndim(tangent) else point
 

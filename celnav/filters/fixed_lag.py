@@ -1,9 +1,9 @@
 """A filter that stores its last epochs: samples may arrive late, and the recent past can be
 smoothed.
 
-A late sample is assigned to its epoch, and the filter runs again from there. The result equals that
-with the sample on time. (Formulas for linear models [BarShalom2002] avoid the second run.)
-`celnav.smooth` of the stored epochs is a fixed-lag smoother [Moore1973].
+A late sample is assigned to its epoch, and the filter runs again from there. The result equals the
+result with the sample on time. (Formulas for linear models [BarShalom2002] avoid the second run.)
+`celnav.smooth` over the stored epochs is a fixed-lag smoother [Moore1973].
 """
 
 from __future__ import annotations
@@ -47,9 +47,10 @@ class FixedLag:
     filter: any filter; its results do not change. lag: how many epochs a sample may be late, and
         how many are smoothed.
 
-    A step costs as much as the filter's; a late sample costs a step for each epoch since its own.
-    The state holds ``lag + 2`` states. Epochs are numbered consecutively, as `celnav.epochs` does.
-    With `celnav.compiled(filter)` steps are machine code.
+    A step costs one step of the filter. A late sample costs one step for each epoch from its own to
+    the present. The state stores ``lag + 2`` states of the filter. Epochs must be numbered
+    consecutively, as from `celnav.epochs`. With `celnav.compiled(filter)` the steps run as machine
+    code.
 
     >>> filter = celnav.filters.fixed_lag.FixedLag(celnav.ukf(motion, gps, camera), lag=20)
     >>> state = filter.start(prior)
@@ -74,11 +75,11 @@ class FixedLag:
 
     @property
     def motion(self) -> Any:
-        """The filter's own `Motion`; None if it has none."""
+        """The `Motion` of the filter; None if it has none."""
         return getattr(self.filter, "motion", None)
 
     def start(self, prior: Gaussian) -> FixedLagState:
-        """State before the first epoch."""
+        """State before the first epoch, from the prior."""
         return FixedLagState((self.filter.start(prior),))
 
     def step(self, state: FixedLagState, epoch: Epoch) -> tuple[FixedLagState, tuple[Info, ...]]:
@@ -93,7 +94,7 @@ class FixedLag:
         epoch = checked._replace(u=_copied(checked.u), z=_copied(checked.z))
         if state.epochs and epoch.k != (expected := state.epochs[-1].k + 1):
             raise ValueError(
-                f"epoch: expected one with k = {expected}, after the last, got {epoch!r:.80}"
+                f"epoch: expected k = {expected}, after the last epoch, got {epoch!r:.80}"
             )
         after, infos = self.filter.step(state.states[-1], epoch)
         if not hasattr(self.filter, "run") and "belief" in getattr(after, "_fields", ()):
@@ -106,15 +107,14 @@ class FixedLag:
         ), infos
 
     def late(self, state: FixedLagState, k: Any, z: Any) -> tuple[FixedLagState, tuple[Info, ...]]:
-        """State as if a sample had come on time, and the `Info` of each sensor in the present
+        """State as if a late sample had been on time, and the `Info` of each sensor at the present
         epoch.
 
-        k: index of the epoch of the sample, ``epoch.k``; ``(...)`` if the samples of the runs are
-            of different epochs.
+        k: index ``epoch.k`` of the sample's epoch; ``(...)`` if it differs between runs.
         z: measurement ``(..., m)``, or a tuple of them, one for each sensor; nan or None where
             there is no sample.
 
-        ValueError if an epoch is no longer stored, or already has a measurement of that component.
+        ValueError if the epoch is no longer stored, or already has a measurement of that component.
         """
         instance("state", state, FixedLagState, "what the filter's last step gave")
         at = numbers("k", k)
@@ -133,7 +133,7 @@ class FixedLag:
         beyond = come & ~np.isin(at, indices)
         if beyond.any():
             span = (
-                f"an epoch that is kept, {indices[0]} to {indices[-1]} (lag = {self.lag})"
+                f"a stored epoch, {indices[0]} to {indices[-1]} (lag = {self.lag})"
                 if indices
                 else "none before the first step"
             )
@@ -158,15 +158,15 @@ class FixedLag:
         return replayed, replayed.infos[-1] if replayed.infos else ()
 
     def track(self, state: FixedLagState) -> Track:
-        """The `Track` of the stored epochs, late samples included; the first epoch of its
-        `celnav.smooth` is the fixed-lag estimate.
+        """The `Track` of the stored epochs, late samples included. The first epoch of
+        `celnav.smooth(track)` is the fixed-lag estimate. ValueError before the first step.
         """
         if not instance("state", state, FixedLagState, "what the filter's last step gave").epochs:
-            raise ValueError("state: expected one after a step, got one before the first")
+            raise ValueError("state: expected a state after a step, got one before the first")
         collector = Collector(1, KEEP["cov"])
         for after, epoch, infos in zip(state.states[1:], state.epochs, state.infos, strict=True):
             collector.add(epoch, after.belief, infos, {})
-        # The filter itself if `filter` is a compiled one.
+        # A compiled filter stores the original filter in `filter`.
         return collector.track(None, getattr(self.filter, "filter", self.filter))
 
 
@@ -201,8 +201,8 @@ def _filled(epoch: Epoch, late: list[Array | None], here: Any) -> Epoch:
 
 
 def _both(on_time: Any, late: Array | None, here: Any, k: int) -> Any:
-    """The measurement of one sensor on time and late, merged; ValueError if a component has
-    both.
+    """The measurement ``(..., m)`` of one sensor with the late sample inserted; ValueError if a
+    component has both.
     """
     if late is None or np.isnan(new := np.where(here[..., None], late, np.nan)).all():
         return on_time
@@ -214,7 +214,7 @@ def _both(on_time: Any, late: Array | None, here: Any, k: int) -> Any:
     if twice.any():
         which = ", ".join(str(int(i)) for i in np.argwhere(twice)[0])
         raise ValueError(
-            f"z: expected what epoch {k} does not have yet, got component [{which}] a second time; "
+            f"z: expected components not yet measured at epoch {k}, got [{which}] a second time; "
             "make it nan"
         )
     return np.where(np.isnan(new), on_time, new)

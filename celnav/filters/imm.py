@@ -1,4 +1,4 @@
-"""Interacting multiple models: a system that switches between models, of which one holds at a time
+"""Interacting multiple models: a filter for a system that switches between several models
 [Blom1988].
 """
 
@@ -20,7 +20,7 @@ from celnav.gaussian.linalg import Array, Belief, SquareRoot, whiten
 from celnav.gaussian.spaces import EUCLIDEAN, Space
 
 __all__ = ["imm"]
-LEAST = -float(np.finfo(float).max)  # a finite stand-in for -inf, which can be subtracted
+LEAST = -float(np.finfo(float).max)  # finite in place of -inf, because -inf - -inf is nan
 
 
 class ImmState(NamedTuple):
@@ -40,7 +40,7 @@ class ImmState(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class InteractingModels:
-    """The filter of `imm`; space and sensors are those of the first model."""
+    """The filter of `imm`; it takes its space and sensors from the first model."""
 
     filters: tuple[Any, ...]
     log_transition: Array = field(repr=False)
@@ -71,8 +71,8 @@ class InteractingModels:
         )
         if not all("belief" in getattr(state, "_fields", ()) for state in states):
             raise ValueError(
-                "filters: expected states with a belief that can be replaced, as those of "
-                "celnav.ukf have"
+                "filters: expected filters whose state has a belief that can be replaced, "
+                "such as celnav.ukf"
             )
         if (
             len(
@@ -84,15 +84,16 @@ class InteractingModels:
             > 1
         ):
             raise ValueError(
-                "filters: expected models of the same state, and filters of the same form"
+                "filters: expected filters with the same state and the same form of covariance"
             )
         return self._state(states, self.log_initial)
 
     def step(self, state: ImmState, epoch: Epoch) -> tuple[ImmState, tuple[Info, ...]]:
-        """State after an epoch, and an `Info` of each sensor; the model may switch at the start of
-        an interval.
+        """State after an epoch, and an `Info` of each sensor; the system may switch models at the
+        start of an interval.
         """
-        # w_j' = sum_i w_i p_ij, and mu_ij = w_i p_ij / w_j' are the mixing weights, in logarithms.
+        # Predicted probabilities w_j' = sum_i w_i p_ij and mixing weights mu_ij = w_i p_ij / w_j',
+        # in logarithms.
         weights, states = state.log_probabilities, state.states
         if not is_zero_interval(epoch):
             stay, chances = np.where(np.eye(len(states)), 0.0, -np.inf), self.log_transition
@@ -100,7 +101,8 @@ class InteractingModels:
                 chances = np.where(np.equal(epoch.dt, 0.0)[..., None, None], stay, chances)
             both = weights[..., :, None] + chances  # (..., i, j)
             ahead = _total(both, -2)[..., None, :]
-            # A model that cannot be reached has weight 0, and any estimate will do for it.
+            # A model that cannot be reached has probability 0: its mixture has no influence, but
+            # must be finite.
             mu = np.exp(
                 np.where(ahead == -np.inf, weights[..., :, None], both - np.maximum(ahead, LEAST))
             )
@@ -110,7 +112,7 @@ class InteractingModels:
                 for j, before in enumerate(states)
             )
             weights = ahead[..., 0, :]
-        # Each model steps from its own mixture of the beliefs of all models.
+        # The filter of each model steps from its mixture of all beliefs.
         stepped = [
             filter.step(before, epoch) for filter, before in zip(self.filters, states, strict=True)
         ]
@@ -132,9 +134,9 @@ class InteractingModels:
 def mixed(space: Space, beliefs: Sequence[Belief], weights: Array) -> Belief:
     """The Gaussian with mean and covariance of a mixture with ``weights (..., k)`` [Blom1988]."""
     mean, form, curved = beliefs[0].mean, type(beliefs[0]), space.transport
-    # On a curved space the mean is the point where the weighted differences cancel: iterate.
+    # On a curved space the weighted differences from the mean sum to zero: iterate for the mean.
     for _ in range(1 if space is EUCLIDEAN else 3):
-        # (..., n, k): the differences of the models' means, one column for each model.
+        # (..., n, k): the difference of each model's mean from the mixture's mean, in columns.
         deviations = np.stack(
             np.broadcast_arrays(*(space.minus(belief.mean, mean) for belief in beliefs)), -1
         )
@@ -156,15 +158,15 @@ def mixed(space: Space, beliefs: Sequence[Belief], weights: Array) -> Belief:
 
 
 def _weighed(infos: Sequence[Any], weights: Array) -> tuple[Info, Array]:
-    """The `Info` of a sensor for the mixture, with its innovation and covariance, and the weights
-    of the models after the update.
+    """The `Info` of a sensor for the mixture, and the log-probabilities ``(..., k)`` of the models
+    after the update.
     """
     # w_i+ = w_i p(z | i) / sum_j w_j p(z | j), in logarithms; density = log p(z).
     if any(info.sqrt_S is None for info in infos):
         return infos[0], weights
     both = weights + np.stack(np.broadcast_arrays(*(info.log_likelihood for info in infos)), -1)
     density, mu = _total(both, -1), np.exp(weights)
-    # A component counts if every model uses it.
+    # A component is used if every model uses it.
     used = reduce(np.logical_and, [info.used for info in infos])
     y = np.stack(np.broadcast_arrays(*(info.innovation for info in infos)), -1)
     innovation = np.add.reduce(y * mu[..., None, :], -1)
@@ -190,8 +192,10 @@ def _weighed(infos: Sequence[Any], weights: Array) -> tuple[Info, Array]:
 
 
 def _total(x: Array, axis: int) -> Array:
-    """Logarithm of a sum of exponentials, scaled by the largest so that it cannot underflow."""
-    # If all terms are -inf the largest is taken as finite, because -inf - -inf is nan.
+    """Logarithm of a sum of exponentials along an axis, scaled by the largest term to avoid
+    underflow.
+    """
+    # If all terms are -inf, LEAST is subtracted instead, because -inf - -inf is nan.
     most = np.maximum(np.maximum.reduce(x, axis, keepdims=True), LEAST)
     with np.errstate(divide="ignore"):
         return np.asanyarray(
@@ -205,15 +209,17 @@ def imm(
     """A filter for several models that alternate as a Markov chain [Blom1988].
 
     filters: one for each model, such as `celnav.ukf`, with the same state, sensors and form. Hooks
-        that leave measurements out must do so for all models alike, since likelihoods are compared.
-    transition: ``(k, k)``, ``[i, j]`` the probability that model j follows model i from one epoch
-        to the next; rows sum to 1. Over an interval of length 0 models do not change.
-    initial: ``(k,)``, probabilities before the first epoch; None: all equal.
+        that leave measurements out must do so for all models alike, because likelihoods are
+        compared.
+    transition: ``(k, k)``; element ``[i, j]`` is the probability that model j follows model i from
+        one epoch to the next, and each row sums to 1. Over an interval of length 0 the model does
+        not change.
+    initial: ``(k,)``, the probabilities before the first epoch; None: all equal.
 
-    The prior may be a list of one for each model. Mean and covariance, innovation and NIS are
-    moments of the mixture; the likelihood is that of the mixture itself.
-    ``state.probabilities (..., k)`` are the probabilities of the models, and ``also`` stores them
-    in a `Track`. A run fails if one of its models fails. ValueError names an invalid argument.
+    The prior may be a list with one Gaussian for each model. Mean, covariance, innovation and NIS
+    come from the moments of the mixture; the likelihood is the exact mixture density.
+    ``state.probabilities (..., k)`` are the probabilities of the models; ``also`` stores them in a
+    `Track`. A run fails if the filter of any model fails. ValueError names an invalid argument.
 
     >>> models = [celnav.ukf(cruise, radar), celnav.ukf(turn, radar)]
     >>> filter = celnav.imm(models, [[0.95, 0.05], [0.1, 0.9]])

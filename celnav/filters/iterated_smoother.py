@@ -3,10 +3,9 @@ smoother, and its extended variant.
 
 A filter linearizes over the beliefs available on the way. The smoothed beliefs are more accurate:
 linearize motion and sensors over them, filter and smooth with these linearizations, and repeat.
-With sigma points this is the iterated posterior linearization smoother [Garcia2017], which
-[Yaghoobi2022] have in square-root form and parallel in time; with Taylor's rule the iterated
-extended Kalman smoother, which is the Gauss-Newton method for the most probable trajectory
-[Bell1994].
+With sigma points this is the iterated posterior linearization smoother [Garcia2017]; [Yaghoobi2022]
+give a square-root form that runs in parallel in time. With Taylor's rule it is the iterated
+extended Kalman smoother, the Gauss-Newton method for the most probable trajectory [Bell1994].
 """
 
 from __future__ import annotations
@@ -51,19 +50,18 @@ def iterated_smoother(
     engine: str | None = None,
     jobs: int = 1,
 ) -> Track:
-    """Estimates of all states given all measurements, from models that are linearized over these
-    estimates.
+    """Estimates of all states given all measurements, with models linearized over these estimates.
 
     filter: one that predicts, then updates, such as `celnav.ukf` or `celnav.ekf`. prior, times, z,
         u: as in `celnav.run`.
-    iterations: forward and backward passes; one is `celnav.smooth` of the filter's own track. A
-        count, not a tolerance, so that the result of a run does not depend on the other runs: check
-        whether more iterations change anything.
+    iterations: number of forward and backward passes; one pass is `celnav.smooth` of the filter's
+        track. It is a count, not a tolerance, so that the result of a run does not depend on the
+        other runs. Check whether more iterations change the result.
     gains, on_failure: as in `celnav.smooth`.
-    engine, jobs: of all passes, as in `celnav.run`; gains need numpy.
+    engine, jobs: for all passes, as in `celnav.run`; gains need numpy.
 
-    Returns the `Track` of the last iteration, smoothed; its innovations, likelihood and events are
-    those of its forward pass.
+    Returns the smoothed `Track` of the last iteration. Its innovations, likelihood and events come
+    from the last forward pass.
 
     >>> filter = celnav.ukf(motion, radar)
     >>> smoothed = celnav.iterated_smoother(filter, prior, times, z, iterations=5)
@@ -78,7 +76,7 @@ def iterated_smoother(
         track = run(
             linearized, prior, epochs, keep="cov", on_failure=on_failure, engine=by, jobs=jobs
         )
-        if track.engine.startswith("numpy: "):  # an engine that refused once is not tried again
+        if track.engine.startswith("numpy: "):  # do not try again an engine that could not compile
             by, why = "numpy", track.engine
         # Only the last pass stores gains, which need numpy.
         last = gains and not left
@@ -92,8 +90,8 @@ def iterated_smoother(
 
 
 def _ends(prior: Gaussian, track: Track) -> tuple[Belief, Belief]:
-    """The beliefs at the start and at the end of each interval; the first interval starts with the
-    prior.
+    """The beliefs at the start and at the end of each interval; the prior is at the start of the
+    first.
     """
     after: Any = track.belief
     form = type(after)
@@ -104,7 +102,7 @@ def _ends(prior: Gaussian, track: Track) -> tuple[Belief, Belief]:
 
 
 def _with_about(epochs: Any, about: Any) -> Any:
-    """The same epochs with their ``about``: rows of a tuple of beliefs, or None."""
+    """The epochs with ``about`` filled in: the rows of a tuple of beliefs, or None."""
     if isinstance(epochs, Epochs):
         return epochs.with_about(about)
     rows = [None] * len(epochs) if about is None else zip(*(map(type(x), *x) for x in about))
@@ -119,7 +117,8 @@ def relinearized(filter: Sequential) -> Relinearized:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Relinearized(Sequential):
-    """A filter whose models are linearized over the beliefs in ``epoch.about`` instead of its own.
+    """A filter whose models are linearized over the beliefs in ``epoch.about`` instead of the
+    present belief.
 
     The first belief is at the start of the interval, the second at its end.
     """
@@ -152,7 +151,7 @@ class Relinearized(Sequential):
     def measured(
         self, model: Motion | Sensor, belief: Belief, z: Array, epoch: Epoch, rule: Any = None
     ) -> Joint:
-        """The joint of a model's values and of the state."""
+        """The joint of a model's values and the state."""
         # The motion starts from the first belief; a sensor measures at the end of the interval.
         start, end = epoch.about
         return linearized_over(

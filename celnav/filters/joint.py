@@ -11,22 +11,23 @@ An update with a linear measurement ``z = H x + v``, in the letters of the books
     y  = z - H x                         L+ L+' = P - K S S' K'
     x+ = x + U (S^-1 y) = x + K y        P+     = L+ L+'
 
-One QR with sigma points and without a downdate is also the way of [Tronarp2024], who factors the
-residual of the regression too; here the joint is factored once, and no residual is formed.
+[Tronarp2024] also uses QR with sigma points and without a downdate, but factors the residual of the
+regression too. Here the joint is factored once, and no residual is formed.
 
-A rule replaces H and the identity by any functions: it gives the columns D of their images. The
-columns of the noise stand to the right::
+A rule replaces H and the identity by any functions, and returns the columns D of their images. The
+noise columns stand to the right::
 
     A = [ D_z  W_z  V ]   m rows         predict:  m = 0, g = f
         [ D_x  W_x  0 ]   n rows         update:   g = (h, identity)
                                          colored:  g = (h(f) - Phi h, f)
                                          smoother: g = (f, identity), z = the next state
 
-The mean of an image lies a shift s from the image of the center c: ``y = z - c - s``. A column of
-negative weight counts with sign -1: the covariance is ``A diag(sign) A'``.
+The mean of an image is its center c plus a shift s: ``y = z - c - s``. A column of negative weight
+has sign -1: the covariance is ``A diag(sign) A'``.
 
-Four things meet here: a rule (how a function becomes columns), a form (how a covariance is stored),
-a space (what a difference is) and hooks (what may be changed before conditioning).
+Four arguments determine the result: a rule (how a function becomes columns), a form (how a
+covariance is stored), a space (what a difference is) and hooks (what may be changed before
+conditioning).
 """
 
 from __future__ import annotations
@@ -70,8 +71,7 @@ from celnav.tape.numbers import each_row, in_model, known_alike
 from celnav.tape.tape import cannot_compile
 
 KEEP: Final = object()
-"""Stands for "the state itself" among the outputs of a function: its columns are then exact, on any
-space.
+"""Marks the state itself among the outputs of a function: its columns are then exact, on any space.
 """
 
 
@@ -86,10 +86,10 @@ class Joint(NamedTuple):
     process_noise: its columns ``(..., m, r)`` in the measurement, 0 for zeros, and ``(..., n, r)``
         in the state; None without.
     measurement_noise: its columns ``(..., m, s)``; None without.
-    prior_factor: the belief's own root or covariance, where the state is that of the belief and no
-        process noise was added; None elsewhere.
-    noise_first: whether the measurement noise stands first among the `columns`; then ``sign`` is
-        one 1.
+    prior_factor: the belief's root or covariance, if the state is the unchanged state of the
+        belief, without process noise; else None.
+    noise_first: whether the measurement noise stands first among the `columns`; ``sign`` is then
+        ``(1,)``, +1.
     """
 
     innovation: Any
@@ -104,9 +104,10 @@ class Joint(NamedTuple):
     def columns(self) -> tuple[Array, Array]:
         """The pre-array ``(..., m + n, q + r + s)``, drawn above, and the signs of its columns.
 
-        In a QR small columns keep their digits after large ones, so the noises stand last. Only in
-        square-root form with a linear measurement the measurement noise stands first: each of its
-        columns has one row, so the reflections are short, and a large noise keeps its digits.
+        In a QR, small columns keep their digits after large columns, so the noises stand last. The
+        exception is the square-root form with a linear measurement: the measurement noise stands
+        first, because each of its columns has one row. The reflections are then short, and a large
+        noise keeps its digits.
         """
         measurement, W, V = self.measurement, self.process_noise, self.measurement_noise
         x_row: list[Any] = [self.state.columns]
@@ -123,8 +124,8 @@ class Joint(NamedTuple):
         return A, sign if len(sign) == 1 else _padded(sign, A.shape[-1] - len(sign))
 
     def covariances(self) -> tuple[Array, Array]:
-        """Covariance of the innovation without measurement noise ``(..., m, m)``, and that of state
-        and innovation ``(..., n, m)``.
+        """Covariance of the innovation without measurement noise ``(..., m, m)``, and cross
+        covariance of state and innovation ``(..., n, m)``.
         """
         A, sign = self._replace(measurement_noise=None).columns()
         m = self.measurement.columns.shape[-2]
@@ -133,7 +134,9 @@ class Joint(NamedTuple):
         return cov[..., :m, :], cov[..., m:, :]
 
     def variances(self) -> tuple[Array, Array]:
-        """Variances ``(..., m)`` of the innovation without measurement noise, and of that noise."""
+        """Variances ``(..., m)`` of the innovation without measurement noise, and of the
+        measurement noise.
+        """
         A, sign = self._replace(measurement_noise=None).columns()
         # The rows of the measurement, (..., m, q); process noise may reach it as well.
         D = A[..., : self.measurement.columns.shape[-2], :]
@@ -149,7 +152,9 @@ class Joint(NamedTuple):
         return self._replace(innovation=np.where(mask, np.nan, self.innovation))
 
     def inflated(self, factor: Array) -> Joint:
-        """The joint with standard deviations of the measurement noise times ``factor (..., m)``."""
+        """The joint with the standard deviations of the measurement noise multiplied by
+        ``factor (..., m)``.
+        """
         V = self.measurement_noise
         return self if V is None else self._replace(measurement_noise=factor[..., None] * V)
 
@@ -186,17 +191,17 @@ def joint(
     measurement_noise: Noise = None,
     augment: Sequence[Array] = (),
 ) -> Joint:
-    """Push a belief through models, and set the noise beside their images.
+    """Push a belief through models, and append the noise columns to their images.
 
     rule: `Rule` or `Taylor`, or a function of the dimension.
     outputs: the measurement (if any) and the state, each a `Motion`, a `Sensor`, `KEEP` (the state
-        itself), or ``(value, matrix)`` where all outputs are linear; or a function
-        ``(points, epoch, *noise points)`` that gives both. One output that is not linear sends all
-        of them through the points.
-    space: of the belief. spaces: of what a function gives; None: vectors.
-    z: ``(..., m)``, what was measured; None: there is no measurement among the outputs.
-    process_noise: columns ``(..., n, r)`` beside the state, a function ``(mean, epoch)`` of them,
-        or a pair of the columns beside the measurement and those beside the state.
+        itself), or ``(value, matrix)`` if all outputs are linear; or a function
+        ``(points, epoch, *noise points)`` that returns both. If one output is not linear, all are
+        evaluated at the points.
+    space: the space of the belief. spaces: the spaces of a function's outputs; None: vectors.
+    z: measurement ``(..., m)``; None: there is no measurement among the outputs.
+    process_noise: columns ``(..., n, r)`` of the state rows, a function ``(mean, epoch)`` that
+        returns them, or a pair: the columns of the measurement rows and of the state rows.
     measurement_noise: columns ``(..., m, s)``, or a function ``(mean, epoch)`` of them. augment:
         roots of the noises that go through the points.
     """
@@ -212,7 +217,8 @@ def joint(
     names = ("Q", "R", *["augment"] * len(augment))
     for name, columns in zip(names, (W_x, V, *augment), strict=True):
         if columns is not None and columns.ndim > 2:
-            # The noise may have axes of runs that the belief lacks, and a model may need them.
+            # The noise may have axes of runs that the belief does not have, and a model may need
+            # them.
             belief = broadcast_to_runs(name, columns.shape[:-2], belief)
     m = None if z is None else z.shape[-1]
     if not callable(outputs) and all(map(by_matrix, outputs, repeat(rule))):
@@ -231,7 +237,7 @@ def joint(
             raise ValueError(
                 f"{name}: expected {rows} rows to go with the model, got {columns.shape[-2]}"
             )
-    # The state is the belief's own: nothing has been pushed through a function or added.
+    # The state is the state of the belief: no function was applied, and no noise added.
     prior_factor = belief[1] if state.center is belief.mean and W is None else None
     if z is None:
         return Joint(None, None, state, sign, W, None, prior_factor)
@@ -252,10 +258,10 @@ def _innovation(z: Array, measurement: Image, space: Space, belief: Belief) -> A
         broadcast_batches("z", z.shape[:-1], belief.mean.shape[:-1], "the belief")
     if space is EUCLIDEAN:
         return np.asanyarray(z - center - shift)
-    if not shift.dtype.hasobject and not shift.any():  # such as that of Taylor's rule
+    if not shift.dtype.hasobject and not shift.any():  # the shift is 0 under Taylor's rule
         return np.asanyarray(space.minus(z, center))
-    # z - (center + shift), as a difference from the center: an angle's mean may lie across the
-    # seam.
+    # z - (center + shift), as a difference from the center: the mean of an angle may be past the
+    # wrap at +-pi.
     return np.asanyarray(space.minus(space.plus(center, space.minus(z, center) - shift), center))
 
 
@@ -270,7 +276,7 @@ def rule_for(rule: Any, belief: Belief, augment: Sequence[Array] = ()) -> Any:
 
 
 def noise_at(noise: Any, mean: Array, epoch: Any) -> Any:
-    """Columns of a noise at an epoch, constant or a function of both."""
+    """Columns of a noise at a mean and an epoch; the noise is constant or a function of both."""
     return in_model(noise, mean, epoch) if callable(noise) else noise
 
 
@@ -285,7 +291,7 @@ def _point_images(
     augment: Sequence[Array],
     m: int | None,
 ) -> list[Image]:
-    """Images of the outputs, from their values at the points of a rule."""
+    """Images of the outputs from their values at the points of a rule."""
     # Points lie along the columns of a root, in either form.
     root, n = belief.sqrt_cov, belief[1].shape[-1]
     x, *noise = rule.points(belief.mean, root, space, augment)
@@ -307,16 +313,16 @@ def evaluate(
 ) -> Array:
     """Values ``(p, ..., m)`` of a model at points ``x (p, ..., N)``, guarded.
 
-    ``m``: number of measured components. A model is checked at its first call: each point and each
-    run must be treated separately. The function may change its argument: the points are made for
-    one call, and a caller that uses them twice passes a copy.
+    ``m``: number of measured components. At its first call a model is checked: it must treat each
+        point and each run separately. A model may change its argument, so a caller that needs the
+        points again passes a copy.
     """
     function: Any = getattr(model, model.name)
     if not callable(function):
         return matvec(function, x)
     if unknown(function, x):
         copies = [array.copy(order="K") for array in (x, *noise)]
-        # The model may return a buffer of its own, which the check would overwrite.
+        # The model may return its internal buffer, which the check would overwrite.
         y = _values(model, x, epoch, noise, m).copy(order="K")
         check_apart(model.name, function, copies, epoch, y)
     else:
@@ -330,8 +336,8 @@ def evaluate(
 def _values(
     model: Motion | Sensor, x: Array, epoch: Any, noise: Sequence[Array], m: int | None
 ) -> Array:
-    """Values of a model as floats of the expected shape; an error carries a note with the arguments
-    of the model.
+    """Values of a model as floats in the expected shape; an error gets a note with the model's
+    arguments.
     """
     name = model.name
     function: Any = getattr(model, name)
@@ -365,8 +371,8 @@ def _values(
 
 # -- by matrices -----------------------------------------------------------------------------------
 def by_matrix(output: Any, rule: Any) -> bool:
-    """Whether the matrix of an output is enough: a model is linear, or has a ``jacobian`` and the
-    rule is Taylor's; `KEEP` and ``(value, matrix)`` are linear.
+    """Whether a matrix describes an output: its model is linear, or the rule is Taylor's and the
+    model has a ``jacobian``. `KEEP` and ``(value, matrix)`` are linear.
     """
     if output is KEEP or type(output) is tuple:
         return True
@@ -376,7 +382,9 @@ def by_matrix(output: Any, rule: Any) -> bool:
 def linear(
     model: Motion | Sensor, rule: Any, mean: Array, epoch: Any, space: Space = EUCLIDEAN
 ) -> tuple[Array, Array]:
-    """Value at the mean and matrix of a model that enters `by_matrix`; ``space`` of the state."""
+    """Value ``(..., k)`` at the mean and matrix ``(..., k, n)`` of a model for which `by_matrix` is
+    true; ``space``: of the state.
+    """
     function: Any = getattr(model, model.name)
     if model.linear:
         matrix = function.at(epoch, mean.shape[-1]) if isinstance(function, Linear) else function
@@ -391,7 +399,7 @@ def linear(
     # One point (1, ..., N), and noise points (1, ..., k) at their mean.
     zero_noise = [np.zeros((1, *center.shape[:-1], E.shape[-2])) for E in model.augment]
     value = evaluate(model, center[None].copy(), epoch, zero_noise)[0]
-    # f(mean) = f(center) + J (mean - center), where center is the point to expand about.
+    # f(mean) = f(center) + J (mean - center), where center is the point of expansion.
     J = matrices_of("jacobian", model.jacobian, center, epoch)
     if J.ndim < 2 or (model.space is EUCLIDEAN and J.shape[-2] != value.shape[-1]):
         raise ValueError(
@@ -412,12 +420,13 @@ def _linear_images(
     space: Space,
     augment: Sequence[Array],
 ) -> list[Image]:
-    """Images of linear functions, from their values at the mean and their matrices."""
+    """Images of linear functions from their values at the mean and their matrices."""
     root, mean, n = belief.sqrt_cov, belief.mean, belief[1].shape[-1]
     images = []
     for output in outputs:
         if output is KEEP:
-            # A function with noises is linear under Taylor's rule only; they do not enter here.
+            # A function with noise arguments is linear only under Taylor's rule; its noises do not
+            # enter here.
             columns = rule.state_columns(root, augment) if augment else root
             images.append(Image(mean, np.zeros(n), columns, partial(np.eye, n)))
         else:
@@ -427,7 +436,7 @@ def _linear_images(
 
 
 def _linear_image(value: Array, J: Array, root: Array, augment: Sequence[Array]) -> Image:
-    """The image of a linear function, by its value at the mean and its matrix
+    """The image of a linear function from its value at the mean and its matrix
     ``(..., k, n + noises)``.
     """
     n, k = root.shape[-1], J.shape[-2]
@@ -446,7 +455,7 @@ def _linear_image(value: Array, J: Array, root: Array, augment: Sequence[Array])
 
 # -- axes of runs ----------------------------------------------------------------------------------
 def broadcast_to_runs(name: str, batch: tuple[int, ...], belief: Belief) -> Belief:
-    """The belief, with a mean for each of the runs of an argument; ValueError names an argument
+    """The belief with its mean broadcast to the runs of an argument; ValueError names an argument
     that does not broadcast with it.
     """
     runs = belief.mean.shape[:-1]
@@ -474,24 +483,24 @@ def broadcast_belief(form: Form, mean: Array, factor: Array) -> Belief:
 
 
 def _belief(form: Form, mean: Array, factor: Array) -> Belief:
-    """The belief; a covariance that all runs share stays one ``(n, n)``."""
+    """The belief; a covariance that all runs share remains a single ``(n, n)``."""
     if factor.ndim == 2 or factor.shape[:-2] == mean.shape[:-1]:
         return form(mean, factor)
     return broadcast_belief(form, mean, factor)
 
 
 def shared_mask(used: Array) -> Array:
-    """A mask ``(..., m)`` as ``(m,)`` if it is the same in all runs, so that what they share stays
-    one for all.
+    """A mask ``(..., m)``, reduced to ``(m,)`` if it is the same in all runs, so that shared
+    matrices need no axis of runs.
     """
-    # Reduced over all axes of runs, (m,): a run with a gap of its own makes them differ.
+    # Reduced over all axes of runs, (m,): the two differ if only some runs have a gap.
     every: Array = np.logical_and.reduce(used, tuple(range(used.ndim - 1)))
     return every if used.ndim == 1 or every.all() or (used == every).all() else used
 
 
 # -- conditioning ----------------------------------------------------------------------------------
 def marginal(form: Form, joint: Joint, space: Space) -> Belief:
-    """The belief about the state, with nothing to condition on: a prediction."""
+    """The belief about the state without conditioning: a prediction."""
     mean = space.plus(joint.state.center, joint.state.shift)
     return _belief(form, mean, form.marginal(*joint.columns()))
 
@@ -508,10 +517,10 @@ def condition(
 ) -> tuple[Belief, Info, Any]:
     """The belief about the state given the innovation, an `Info`, and the hooks' memory.
 
-    `Info` has the innovation as it was before the hooks; all else in it is from after them.
+    `Info.innovation` is the innovation before the hooks; the other fields are from after the hooks.
 
-    Components that are nan are marginalized exactly, in each run by itself. With a prescribed
-    ``gain`` the covariance is that of a filter which uses it, whatever it is.
+    Components that are nan are marginalized exactly, in each run separately. With a prescribed
+    ``gain`` the covariance is correct for this gain, optimal or not.
     """
     measured = joint.innovation
     if hooks:
@@ -522,8 +531,8 @@ def condition(
     A, sign = joint.columns()
     if not complete:
         mask = shared_mask(used)
-        # Rows that were not measured: no columns from the prior, a noise of variance 1 and a zero
-        # innovation, so that they change nothing.
+        # An unmeasured row gets no prior columns, a noise of variance 1 and a zero innovation, so
+        # that it has no effect.
         A = block(
             [[A[..., :m, :] * mask[..., None], np.eye(m) * ~mask[..., None]], [A[..., m:, :], 0]]
         )
@@ -534,7 +543,8 @@ def condition(
         K = gain(A, sign, m) if callable(gain) else gain
         K = numbers("gain", K, (..., A.shape[-2] - m, m))
         K = K if complete else K * mask[..., None, :]
-    # S (..., m, m), U = K S (..., n, m), and the root or covariance of the state given z.
+    # S (..., m, m) with S S' the innovation covariance, U = K S (..., n, m), and the root or
+    # covariance of the state given z.
     S, U, factor = form.condition(
         A, sign, m, K, prior_factor=joint.prior_factor, noise=joint.measurement_noise
     )
@@ -547,23 +557,21 @@ def condition(
     def gain_used() -> Array:
         return solve_right(S, U) if K is None else K
 
-    # After the hooks: what was used, not what the model says.
+    # R after the hooks, as used in the update.
     R = joint.noise_variances() if hooks else None
     info = Info(measured, whitened, used, S, gain_used, joint.measurement.jacobian, R=R)
     return _belief(form, space.plus(joint.state.center, step), factor), info, memory
 
 
 def _copied(image: Image) -> Image:
-    """An image whose arrays may be written into."""
+    """A copy of an image, whose arrays a hook may overwrite."""
     center, shift, columns, jacobian = image
     shift = shift.copy() if isinstance(shift, np.ndarray) else shift
     return Image(center.copy(), shift, columns.copy(), jacobian)
 
 
 def _adapted(joint: Joint, hooks: Sequence[Hook], memory: Any, epoch: Any) -> tuple[Joint, Any]:
-    """The joint after its hooks, and their memories. Hooks may replace its arrays or write into
-    them.
-    """
+    """The joint after the hooks, and their memories. Hooks may replace or overwrite its arrays."""
     columns, memories = joint.state.columns, []
     measurement, state = _copied(joint.measurement), _copied(joint.state)
     W, V = joint.process_noise, joint.measurement_noise
@@ -587,7 +595,7 @@ def _adapted(joint: Joint, hooks: Sequence[Hook], memory: Any, epoch: Any) -> tu
                 f"hooks: expected an innovation of {rows} components, one for each row of the "
                 f"measurement's columns, got {components}"
             )
-    # The shortcut with the prior's own covariance holds only if no hook changed its columns.
+    # The shortcut with the prior's covariance is valid only if no hook changed the columns.
     same = joint.sign is original.sign and joint.process_noise is original.process_noise
     if not same or not known_alike(joint.state.columns, columns):
         joint = joint._replace(prior_factor=None)

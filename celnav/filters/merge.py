@@ -1,4 +1,4 @@
-"""Two clocks become one: `merge` puts an inertial unit and other sensors on common epochs."""
+"""`merge` puts an inertial unit and other sensors, each with its own clock, on common epochs."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from celnav.gaussian.linalg import Array
 __all__ = ["Merged", "merge"]
 
 MOST_PERIODS = 5.0
-"""A longer hole in the inputs, in periods, is refused."""
+"""The longest gap in the inputs, in periods; a longer gap is an error."""
 SAME = 1e-6
-"""Times that are closer, in periods, are one."""
+"""Times closer than this, in periods, are treated as equal."""
 
 
 class Merged(NamedTuple):
     """Arguments of `celnav.run` after filter and prior, see `celnav.epochs`.
 
-    times: ``(T,)`` s. z: ``(T, ..., m)`` of the sensor, or a tuple of such in the order of the
-        sensors; nan where a sensor is silent.
-    u: ``(T - 1, ..., k)``, or a tuple of such: the inputs in the middle of each interval.
+    times: ``(T,)`` s. z: measurements ``(T, ..., m)``, or a tuple of such arrays in the order of
+        the sensors; nan where a sensor has no sample.
+    u: inputs ``(T - 1, ..., k)`` in the middle of each interval, or a tuple of such arrays.
     """
 
     times: Array
@@ -31,19 +31,19 @@ class Merged(NamedTuple):
 
 
 def merge(*, imu: Any, max_gap: float | None = None, trim: bool = False, **sensors: Any) -> Merged:
-    """Common epochs of an inertial unit and of sensors that have clocks, or rates, of their own.
+    """Common epochs of an inertial unit and of sensors with other clocks or rates.
 
     imu: ``(t, u)``: times ``(K,)`` s, increasing, and samples ``(K, ..., k)``, or a tuple of arrays
-        such as ``(rate, force)``. Between samples they are linear; the input of an interval is that
-        in its middle.
+        such as ``(rate, force)``. They are interpolated linearly; the input of an interval is the
+        value in its middle.
     max_gap: the longest interval between samples of the unit, s; None: 5 times their median.
-    trim: whether to leave out measurements before the unit's first sample or after its last; else
-        they are refused.
+    trim: whether to leave out measurements before the unit's first sample or after its last;
+        otherwise they are an error.
     sensors: by name, each ``(t, z)``: times ``(K,)`` s, increasing, and measurements
         ``(K, ..., m)``. The filter's sensors have the same order.
 
     Returns `Merged`: the times of all samples, ``z`` and ``u``. Times closer than a millionth of
-    the unit's period are one. ValueError names the argument that does not fit.
+    the unit's period are treated as equal. ValueError names the argument that does not fit.
 
     >>> merged = celnav.merge(imu=(t, (rate, force)), fixes=(t_fix, z_fix))
     >>> track = celnav.run(filter, prior, *merged)
@@ -99,7 +99,7 @@ def merge(*, imu: Any, max_gap: float | None = None, trim: bool = False, **senso
 
 
 def _stream(name: str, stream: Any) -> tuple[Array, Any]:
-    """Increasing times, and the samples that came with them."""
+    """Increasing times ``(K,)``, and their samples ``(K, ..., k)``."""
     if not isinstance(stream, tuple | list) or len(stream) != 2:
         raise ValueError(f"{name}: expected (times, samples), got {describe(stream)}")
     t = finite(name, stream[0], ("T",))
@@ -123,6 +123,6 @@ def _column(name: str, values: Array, count: int) -> Array:
 
 
 def _between(values: Array, before: Array, weight: Array) -> Array:
-    """Rows between row ``before`` and the next."""
+    """Values interpolated between row ``before`` and the next row."""
     w = weight.reshape(-1, *(1,) * (values.ndim - 1))
     return np.asanyarray((1.0 - w) * values[before] + w * values[before + 1])

@@ -1,10 +1,11 @@
 """Check that a model treats each sigma point, and each run, separately.
 
 ``x[0] += epoch.dt * x[1]`` adds *points*, not components, and ``F @ x`` multiplies runs. Both
-return arrays of the right shape. So each model is checked when a filter first calls it, on copies:
-its values must follow the points when their order is reversed, and some points of one run must give
-the same values as among all others. If a model holds arrays of all runs, so that one run cannot be
-evaluated alone, some runs are exchanged for others instead, and the rest must not change.
+return arrays with the right shape. Each model is therefore checked when a filter first calls it, on
+copies of the points. If the points are reversed, the values must be reversed too; and some points
+of one run must give the same values alone as among all others. A model with arrays of all runs
+cannot be evaluated for one run alone. For such a model some runs are replaced by others, and the
+remaining runs must not change.
 """
 
 from __future__ import annotations
@@ -18,21 +19,23 @@ import numpy as np
 
 from celnav.gaussian.linalg import Array
 
-MOST = 16  # models checked in a run of a filter: some are made anew at every step
+MOST = 16  # models checked in a run: a program may create a new model at every step
 LOOKED_AT: ContextVar[list[Any] | None] = ContextVar("looked_at", default=None)
 """The models checked so far in this run; None if steps are called directly."""
 BY_HAND: set[Any] = set()
-"""The code of models checked in such steps."""
+"""The code objects of the models checked when steps are called directly."""
 WATCH: ContextVar[Callable[[str, Array], Any] | None] = ContextVar("watch", default=None)
-"""Called with the name of each model and its values; it may return other values to use instead."""
+"""Called with the name and the values of each model; it may return other values, which replace
+them.
+"""
 POINTS = "points are (p, ..., n): a component is x[..., 0], a product with a matrix x @ F.T"
 MEANS = "means are (..., n): a component is mean[..., 0]"
-LOOSE = 0.01, 0.01  # of the values and of their range: the error of a solver with adaptive steps
+LOOSE = 0.01, 0.01  # relative to the values and their range: the error of an adaptive solver
 Model = Callable[..., Any]
 
 
 def unknown(function: Model, points: Array) -> bool:
-    """Whether a model needs a check: once in a run, or once if steps are called directly."""
+    """Whether a model needs a check: once in a run, or once in all if steps are called directly."""
     if points.dtype.hasobject or not points.size or points.shape[:-1] in ((), (1,)):
         return False
     models = LOOKED_AT.get()
@@ -65,16 +68,17 @@ def check_apart(
     if not wrong:
         return
     again = _value(function, arrays, epoch, y)
-    if not isinstance(again, str) and np.array_equal(again, y, equal_nan=True):  # else it is random
+    # Values that differ in a second call are random, and prove nothing.
+    if not isinstance(again, str) and np.array_equal(again, y, equal_nan=True):
         raise ValueError(f"{name}: expected values of {wrong}; {hint}")
 
 
 def check_matrices_apart(
     name: str, function: Model, mean: Array, epoch: Any, matrix: Array
 ) -> None:
-    """The same for a function ``(mean, epoch)`` that returned ``matrix (..., k, n)``."""
+    """Like `check_apart`, for a function ``(mean, epoch)`` that returned ``matrix (..., k, n)``."""
     if matrix.shape[:-2] not in ((), mean.shape[:-1]):
-        return  # it has runs that the mean does not have
+        return  # the matrix has axes of runs that the mean does not have
     size = matrix.shape[-2] * matrix.shape[-1]
 
     def values(points: Array, epoch: Any) -> Array:
@@ -87,9 +91,9 @@ def check_matrices_apart(
         for near, same in ((mean + 0.1 * (1.0 + np.abs(mean)), False), (mean, True)):
             value = _value(values, [near[None]], epoch, like)
             if isinstance(value, str) or _same(value, np.broadcast_to(like, value.shape)) != same:
-                return  # it does not depend on the mean, or it is random
+                return  # the matrix does not depend on the mean, or is random
         raise ValueError(
-            f"{name}: expected values of each run by itself, got one matrix of all runs that "
+            f"{name}: expected values of each run by itself, got one matrix for all runs that "
             f"depends on the mean; {MEANS}"
         )
     y = np.broadcast_to(matrix, (*mean.shape[:-1], *matrix.shape[-2:]))
@@ -97,7 +101,7 @@ def check_matrices_apart(
 
 
 def _mixed(function: Model, arrays: Sequence[Array], epoch: Any, y: Array) -> str:
-    """The error, if a value depends on other points or runs; "": none."""
+    """The error message if a value depends on other points or runs; "" if none does."""
     points = "each point by itself, got points that depend on each other"
     other = _value(function, [a[::-1] for a in arrays], epoch, y) if len(y) > 1 else ""
     if not isinstance(other, str) and not _same(other[::-1], y):
@@ -124,7 +128,9 @@ def _mixed(function: Model, arrays: Sequence[Array], epoch: Any, y: Array) -> st
 def _follows(
     function: Model, arrays: Sequence[Array], epoch: Any, y: Array, points: slice, runs: slice
 ) -> bool | None:
-    """Whether some points of some runs give the same values as among all; None: they give none."""
+    """Whether some points of some runs give the same values as among all; None if they cannot be
+    evaluated.
+    """
     at: Any = (points, ..., runs, slice(None)) if y.ndim > 2 else points
     values = _value(function, [a[at] for a in arrays], epoch, y)
     if isinstance(values, str):  # a matrix that is multiplied by one run only does not fit
@@ -136,13 +142,15 @@ def _follows(
 
 
 def _noticed(function: Model, arrays: Sequence[Array], epoch: Any, y: Array) -> bool:
-    """Whether a run changes when others are exchanged.
+    """Whether a run changes when other runs are replaced.
 
-    Indices of components and rows of matrices are small, so any two of the first runs must be
-    distinguished: by one of the bits of their numbers, in both ways.
+    A model that confuses axes uses the index of a component or a row as the index of a run, and
+    these indices are small. So any two of the first runs must differ in one of the exchanges, which
+    select runs by the bits of their indices, in both ways.
     """
     runs = np.arange(y.shape[-2])
-    others = [np.roll(a, (1, 1), (0, -2)) for a in arrays]  # points that are evaluated anyhow
+    # Points of other runs, at which the model is evaluated in any case.
+    others = [np.roll(a, (1, 1), (0, -2)) for a in arrays]
     if all(map(np.array_equal, others, arrays)):
         others = [1.001 * a for a in arrays]
     most = min(y.shape[-2] - 1, max(a.shape[-1] for a in arrays))
@@ -161,8 +169,8 @@ def _noticed(function: Model, arrays: Sequence[Array], epoch: Any, y: Array) -> 
 
 
 def _mixed_inputs(function: Model, arrays: Sequence[Array], epoch: Any, y: Array) -> str:
-    """The error, if a run has the input of another: ``u[0]`` of ``u (..., k)`` is one run's
-    input.
+    """The error message if a run uses the input of another run: ``u[0]`` of ``u (..., k)`` is the
+    input of one run.
     """
     u, runs = getattr(epoch, "u", None), y.shape[1:-1]
     if not runs or runs[-1] == 1 or not any(_of_runs(item, runs) for item in _parts(u)):
@@ -206,8 +214,10 @@ def _of_runs(item: Any, runs: tuple[int, ...]) -> bool:
 
 
 def _value(function: Model, arrays: Sequence[Array], epoch: Any, like: Array) -> Array | str:
-    """Values of a model; its error text, or "", if it cannot be evaluated or has another shape."""
-    points, *noise = (np.array(a, order="K") for a in arrays)  # it may change its argument
+    """Values of a model; the text of its error, or "", if it cannot be evaluated or has another
+    shape.
+    """
+    points, *noise = (np.array(a, order="K") for a in arrays)  # the model may change its argument
     try:
         with np.errstate(all="ignore"):
             values = np.asarray(function(points, epoch, *noise), dtype=np.float64)
@@ -217,7 +227,7 @@ def _value(function: Model, arrays: Sequence[Array], epoch: Any, like: Array) ->
 
 
 def _same(a: Array, b: Array) -> bool:
-    """Whether values are equal up to round-off: that of single precision, if all are single."""
+    """Whether values are equal up to round-off (of single precision if all are single)."""
     least = 1e-4 if np.array_equal(b, b.astype(np.float32), equal_nan=True) else 1e-9
     size = np.nan_to_num(np.abs(b)).max(tuple(range(b.ndim - 1)), keepdims=True)
     return bool(((a == b) | (np.abs(a - b) <= least * size) | (np.isnan(a) & np.isnan(b))).all())

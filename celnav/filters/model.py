@@ -1,8 +1,8 @@
 """The models of a filter: `Motion` and `Sensor`, with their noise, and how they are called.
 
-Models are functions of *points*: ``f(x, epoch)`` takes points ``x (p, ..., N)`` and returns points.
-The point axis comes first, so that the inputs of each run broadcast without further axes; a
-component is ``x[..., 0]``, a product with a matrix ``x @ F.T``.
+Models are functions of *points*: ``f(x, epoch)`` maps points ``x (p, ..., N)`` to points. The point
+axis comes first, so that the inputs of each run broadcast without further axes. A component is
+``x[..., 0]``; a product with a matrix is ``x @ F.T``.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ __all__ = ["Linear", "Motion", "Sensor"]
 Model = Callable[..., Any]
 """``(points (p, ..., N), epoch, *noise points (p, ..., k)) -> (p, ..., M)``."""
 Jacobian = Callable[[Array, Any], Any]
-"""``(mean (..., N), epoch) -> (..., k, n)``; with noise through the points its columns follow those
-of the state.
+"""``(mean (..., N), epoch) -> (..., k, n)``; with noise through the points the noise columns follow
+the state columns.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class Linear:
-    """A linear model whose matrix changes with the epoch: exact and cheap under any rule, as a
-    constant matrix is.
+    """A linear model whose matrix depends on the epoch. Like a constant matrix, it is exact and
+    cheap under any rule.
 
     ``matrix``: ``epoch -> (..., m, n)``.
 
@@ -59,7 +59,7 @@ class Linear:
 @dataclass(frozen=True, eq=False)
 class _Model:
     """The checks that `Motion` and `Sensor` share: a function or a matrix, a valid space, and a
-    noise that is stated.
+    noise.
     """
 
     name: ClassVar[str]
@@ -87,7 +87,7 @@ class _Model:
                     f"{noise}: expected {matrix.shape[-2]} rows to go with {name}, got "
                     f"{columns.shape[-2]}"
                 )
-        # Only the filter knows how many noises go through the function.
+        # How many noises go through the function is decided by the filter.
         elif not any(accepts(model, count) for count in range(2, 10)):
             raise ValueError(
                 f"{name}: expected a function (points, epoch, *noise), got {describe(model)} of "
@@ -122,16 +122,18 @@ class _Model:
 
     @cached_property
     def noise(self) -> Noise:
-        """Columns ``(..., k, r)`` of the noise, or a function ``(mean, epoch)`` of them."""
+        """Columns ``(..., k, r)`` of the noise, or a function ``(mean, epoch)``
+        that returns them.
+        """
         model, name = getattr(self, self.name), self.noise_name
-        # A measurement's values have the rows; a motion's come from the space.
+        # A sensor has as many rows as measured components; a motion as differences in its space.
         rows: Rows = self.space if self.name == "f" else None
         if not callable(model):
             rows = model.shape[-2]
         return noise_of(name, getattr(self, name), getattr(self, f"sqrt_{name}"), rows)
 
     def columns(self, mean: Array, epoch: Any, rows: int) -> Any:
-        """Columns ``(..., rows, r)`` of the noise at an epoch; None: all of it goes through the
+        """Columns ``(..., rows, r)`` of the noise at an epoch; None if all noise goes through the
         points.
         """
         columns = self.noise(mean, epoch) if callable(self.noise) else self.noise
@@ -143,17 +145,20 @@ class Motion(_Model):
     """The model of the dynamics: ``x' = f(x, epoch) + w``, ``w ~ N(0, Q)``.
 
     f: function ``(points (p, ..., N), epoch) -> (p, ..., N)``, or a matrix ``(..., n, n)``, or a
-        `Linear` one of the epoch. ``epoch.dt`` is the interval, ``epoch.u`` the input.
-    Q: covariance ``(..., n, n)`` of the process noise of an interval, or a function
-        ``(mean, epoch)`` of it. Without noise it is ``np.zeros((n, n))``. A number is that multiple
-        of the identity.
-    sqrt_Q: columns ``(..., n, r)`` of the noise instead of ``Q``, or a function of them; a number
-        is a standard deviation.
+        `Linear` matrix that depends on the epoch. ``epoch.dt`` is the interval in s, ``epoch.u``
+        the input.
+    Q: covariance ``(..., n, n)`` of the process noise over an interval, or a function
+        ``(mean, epoch)`` that returns it. Without noise it is ``np.zeros((n, n))``. A number means
+        this multiple of the identity.
+    sqrt_Q: instead of ``Q``: columns ``(..., n, r)`` of the noise, or a function ``(mean, epoch)``
+        that returns them; a number is a standard deviation.
     space: how states are subtracted, if they are not vectors: `celnav.angles`,
         `celnav.gaussian.attitude`.
-    jacobian: ``(mean, epoch) -> (..., n, n)``, which an extended filter uses instead of
+    jacobian: ``(mean, epoch) -> (..., n, n)``, which an extended filter uses instead of numerical
         differences.
     augment: roots ``(k, k)`` of noises that go *through* the points: ``f(x, epoch, *noise)``.
+
+    ValueError names an argument that does not fit.
 
     >>> motion = celnav.Motion(lambda x, epoch: orbit.step(x, epoch.dt), Q=1e-8 * np.eye(6))
     """
@@ -167,18 +172,21 @@ class Motion(_Model):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not callable(self.f) and self.space != EUCLIDEAN:
-            raise ValueError("f: expected a function where states are no vectors, got a matrix")
+            raise ValueError("f: expected a function where states are not vectors, got a matrix")
 
 
 @dataclass(frozen=True, eq=False)
 class Sensor(_Model):
     """The model of a measurement: ``z = h(x, epoch) + v``, ``v ~ N(0, R)``.
 
-    h: function ``(points (p, ..., N), epoch) -> (p, ..., m)``, or a matrix ``(..., m, n)``: a
-        linear measurement is exact and cheap under any rule.
+    h: function ``(points (p, ..., N), epoch) -> (p, ..., m)``, or a matrix ``(..., m, n)``, which
+        is exact and cheap under any rule.
     R, sqrt_R, jacobian, augment: as in `Motion`, with m rows. All the noise may go through the
-    points. space: how measurements are subtracted, if they are not vectors: ``celnav.angles([1])``
-    wraps component 1.
+        points.
+    space: how measurements are subtracted, if they are not vectors: ``celnav.angles([1])`` wraps
+        component 1.
+
+    ValueError names an argument that does not fit.
 
     >>> gps = celnav.Sensor(np.eye(3, 6), R=0.04 * np.eye(3))
     """
@@ -191,19 +199,21 @@ class Sensor(_Model):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        # Evaluated now: while a step is recorded the numbers of R may have no values.
+        # Evaluated now, because R may have no numerical values while a step is recorded.
         _ = self.noisy
 
     @cached_property
     def m(self) -> int | None:
-        """Number of components according to the noise; None if the noise does not tell."""
+        """Number of components, from the rows of the noise; None if the noise is a function or a
+        number.
+        """
         columns = self.noise
         return columns.shape[-2] if isinstance(columns, np.ndarray) and columns.ndim else None
 
     @cached_property
     def noisy(self) -> bool:
-        """Whether each component certainly has noise of its own: only a measurement without noise
-        can repeat what the prior already determines.
+        """Whether each component certainly has noise. Only a component without noise can repeat
+        what the prior already determines.
         """
         return bool(len(self.augment)) or (
             isinstance(self.noise, np.ndarray) and bool(self.noise.any(-1).all())
@@ -211,19 +221,20 @@ class Sensor(_Model):
 
 
 Noise = Array | Callable[[Array, Any], Array] | None
-"""Columns ``(..., k, r)`` of a noise, or a function ``(mean, epoch)`` of them; None: without.
+"""Columns ``(..., k, r)`` of a noise, or a function ``(mean, epoch)`` that returns them; None: no
+noise.
 
-A standard deviation alone, ``()``, is that multiple of the identity, with as many rows as the
+A single standard deviation, ``()``, means this multiple of the identity, with as many rows as the
 model.
 """
 Rows = int | Space | None
 
 
 def noise_of(name: str, cov: Any, sqrt: Any, rows: Rows = None) -> Noise:
-    """Columns of a noise, from a covariance or a root, a constant (checked once) or a function.
+    """Columns of a noise from a covariance or a root: a constant, checked once, or a function.
 
-    rows: number of rows for a standard deviation alone, or the space of the mean; None: it stays a
-        number.
+    rows: number of rows for a single standard deviation, or the space of the mean; None: it remains
+        a number.
     """
     if cov is not None and sqrt is not None:
         raise ValueError(f"{name}: expected one of {name} and sqrt_{name}, got both")
@@ -253,7 +264,9 @@ def _noise_at(model: Any, columns: Any, name: str, rows: Rows, mean: Array, epoc
 
 
 def _widened(columns: Array, rows: Rows, mean: Any = None, _epoch: Any = None) -> Array:
-    """The columns; for a standard deviation alone those of its multiple of the identity."""
+    """The columns ``(..., k, r)``; a single standard deviation becomes a
+    multiple of the identity.
+    """
     if columns.ndim or rows is None:
         return columns
     count = rows.minus(mean, mean).shape[-1] if isinstance(rows, Space) else rows
@@ -261,7 +274,7 @@ def _widened(columns: Array, rows: Rows, mean: Any = None, _epoch: Any = None) -
 
 
 def matrices_of(name: str, function: Any, mean: Array, epoch: Any) -> Array:
-    """Matrices ``(..., k, n)`` of a function ``(mean, epoch)``, which may change its argument."""
+    """Matrices ``(..., k, n)`` from a function ``(mean, epoch)``, which may change its argument."""
     x = mean.copy()
     matrices = in_model(function, x, epoch) if x.dtype.hasobject else function(x, epoch)
     if type(matrices) is not np.ndarray or matrices.dtype != np.float64:
@@ -286,20 +299,20 @@ def check_roots(name: str, roots: Any) -> Sequence[Array]:
 
 
 def check_matrices(N: int, n: int, *models: Motion | Sensor) -> None:
-    """Check matrices of models against a state of N components and n deviations; ValueError names
-    one that does not fit.
+    """Check matrices of models against a state with N components and an n x n covariance;
+    ValueError names a matrix that does not fit.
     """
     for model in models:
         name, matrix = model.name, getattr(model, model.name)
         if n != N and model.linear:
             raise ValueError(
-                f"{name}: expected a function where states have {N} components and {n} deviations, "
+                f"{name}: expected a function where states have {N} components, {n} differences, "
                 "such as lambda x, epoch: x[..., -3:], got a matrix"
             )
         if not callable(matrix) and matrix.shape[-1] != n:
             raise ValueError(
                 f"{name}: expected a matrix ({'n' if name == 'f' else 'm'}, {n}) to go with a "
-                f"state of {n} components, as the prior has, got {matrix.shape[-2:]}"
+                f"state of {n} components, as in the prior, got {matrix.shape[-2:]}"
             )
 
 

@@ -22,8 +22,8 @@ _LOG_2PI = float(np.log(2.0 * np.pi))
 
 
 class FilterError(ArithmeticError):
-    """A run lost definiteness or met numbers that are not finite; the message names the run, the
-    time and the reason.
+    """A covariance lost positive definiteness, or a value is not finite. The message names the run,
+    the time and the reason.
     """
 
 
@@ -32,8 +32,8 @@ class Epoch(NamedTuple):
 
     k: index. t: time, s. dt: length of the interval, s.
     u: the input that acts over the interval.
-    z: one measurement ``(..., m)`` or a tuple of them, one for each sensor; nan or None where there
-        is none.
+    z: a measurement ``(..., m)`` or a tuple of measurements, one for each sensor; nan or None where
+        missing.
     truth: any data that a simulation passes on.
     about: beliefs at both ends of the interval, over which `celnav.iterated_smoother` linearizes;
         nothing else uses them.
@@ -55,21 +55,22 @@ class Info(NamedTuple):
 
     innovation: ``(..., m)`` measurement minus its prediction, before hooks; nan where nothing was
         measured.
-    whitened: ``(..., m)`` ``S^-1 innovation`` with the lower root S of the innovation covariance; 0
-        where not used.
+    whitened: ``(..., m)`` ``S^-1 innovation``, where S is the lower root of the innovation
+        covariance; 0 where not used.
     used: ``(..., m)`` bool, the components that were used.
     sqrt_S: ``(..., m, m)`` S, with unit rows for components not used.
-    gain, jacobian: ``() -> (..., n, m)`` and ``() -> (..., m, n)``, the measurement's (statistical)
-        Jacobian.
+    gain, jacobian: functions ``() -> (..., n, m)`` and ``() -> (..., m, n)``: the gain and the
+        (statistical) Jacobian of the measurement.
     redone: ``(...)`` bool, the runs that the second filter of a `celnav.filters.switching.Fallback`
-        has repeated; None without one.
+        has repeated; None without a `Fallback`.
     silent: whether there was no measurement at all, not even nan.
     R: ``(..., m)`` variances of the measurement noise after the hooks; None without hooks.
-    mixture: ``(...)``, the log-likelihood if ``sqrt_S`` does not give it: after a compiled step,
-        and if the density is not Gaussian (``whitened`` then has its moments); else None.
+    mixture: ``(...)``, the log-likelihood where it does not follow from ``sqrt_S``: after a
+        compiled step, and for a density that is not Gaussian (``whitened`` and ``sqrt_S`` then come
+        from its moments); else None.
 
     >>> (info,) = infos
-    >>> info.innovation, info.gain()  # what was not expected, and what was made of it
+    >>> info.innovation, info.gain()  # the surprise, (..., m), and its weight in the update
     """
 
     innovation: Array | None = None
@@ -92,7 +93,7 @@ class Info(NamedTuple):
 
     @property
     def log_likelihood(self) -> Array | None:
-        """Logarithm of the density of the components used, ``(...)``."""
+        """Logarithm of the probability density of the components used, ``(...)``."""
         if self.whitened is None or self.used is None or self.mixture is not None:
             return self.mixture
         value: Array = -0.5 * (self.nis + np.add.reduce(self.used, -1, int) * _LOG_2PI)
@@ -111,7 +112,7 @@ class State(NamedTuple):
 
 
 class FromFunctions(NamedTuple):
-    """A filter made of two functions, if no class here suffices; see `Filter`.
+    """A filter made from two functions; see `Filter` for what they must return.
 
     >>> filter = celnav.filters.records.FromFunctions(other.start, other.step)
     """
@@ -121,8 +122,8 @@ class FromFunctions(NamedTuple):
 
 
 class Filter(Protocol):
-    """The interface that `celnav.run` needs of a filter. All its memory is in the state, which can
-    be stored, copied and resumed.
+    """The interface of a filter for `celnav.run`. All its memory is in the state, which can be
+    stored, copied and resumed.
     """
 
     def start(self, prior: Gaussian) -> Any:
@@ -133,7 +134,7 @@ class Filter(Protocol):
 
 
 class Inputs(NamedTuple):
-    """Inputs of some epochs: ``(u, about)`` of the epochs ``at (K,)``, as columns ``(K, ...)``."""
+    """Inputs ``(u, about)`` of the epochs with the indices ``at (K,)``, as columns ``(K, ...)``."""
 
     at: Array
     columns: Any
@@ -142,9 +143,9 @@ class Inputs(NamedTuple):
 class Epochs(Sequence[Epoch]):
     """Epochs made from arrays on demand, one at a time; nothing is copied. See `epochs`.
 
-    A slice is of the same kind, with consecutive numbers. Its first epoch keeps the interval that
-    leads up to it, so that ``[k:]`` continues where ``[:k]`` ends. If a stride leaves epochs out,
-    the intervals are those between the remaining ones.
+    A slice is an `Epochs` too, numbered consecutively. Its first epoch keeps the interval before
+    it, so that ``[k:]`` continues where ``[:k]`` ends. If a stride leaves epochs out, the intervals
+    are between the remaining epochs.
     """
 
     def __init__(
@@ -180,8 +181,8 @@ class Epochs(Sequence[Epoch]):
                 raise ValueError(f"epochs: expected a slice that runs forward, got {k}")
             if count > 1 and self._u is not None:
                 raise ValueError(
-                    f"epochs: an interval of {count} epochs has {count} inputs, got one u for "
-                    "each; make epochs anew"
+                    f"epochs: an interval of {count} epochs has {count} inputs, got one u per "
+                    "epoch; create the epochs with celnav.epochs(times[::stride], ...)"
                 )
             at = k.indices(len(self))[0]
             return self._with(
@@ -200,8 +201,8 @@ class Epochs(Sequence[Epoch]):
         return Epoch(self._number(at), t, dt, u, _at(self._z, i), _at(self._truth, i), about)
 
     def columns(self, sensors: int) -> tuple[Array, Array, Array, list[Inputs], tuple[Any, ...]]:
-        """All epochs at once: ``k``, ``t``, ``dt`` ``(T,)``, inputs, and measurements
-        ``(T, ..., m)`` of each sensor.
+        """All epochs at once: ``k``, ``t`` and ``dt``, each ``(T,)``; the inputs; and the
+        measurements ``(T, ..., m)`` of each sensor.
         """
         rows = self._rows
         at = np.arange(rows.start, rows.stop, rows.step)
@@ -225,7 +226,7 @@ class Epochs(Sequence[Epoch]):
 
     @property
     def columnar(self) -> bool:
-        """Whether inputs are arrays of numbers, or a tuple of such."""
+        """Whether the inputs are an array of numbers, or a tuple of such arrays."""
         return _is_columns(self._u)
 
     def unmeasured(self) -> Epochs:
@@ -239,7 +240,7 @@ class Epochs(Sequence[Epoch]):
     def backward(self, about: tuple[Any, ...]) -> Epochs:
         """All epochs but the first, in reverse order, without measurements.
 
-        about: columns to put before the ``about`` that they have already.
+        about: columns to insert before the present ``about``.
         """
         return self.unmeasured()._with(
             _rows=self._rows[:0:-1],
@@ -269,7 +270,7 @@ class Epochs(Sequence[Epoch]):
 
 
 def _at(values: Any, k: Any) -> Any:
-    """A row of each column of a tree, or some rows."""
+    """Row ``k`` of each column in a tree of tuples, or the rows of a slice."""
     if values is None:
         return None
     if isinstance(values, tuple):
@@ -292,11 +293,12 @@ def epochs(times: ArrayLike, z: Any = None, u: Any = None, truth: Any = None) ->
         epoch has ``dt = 0``: it updates the prior.
     z: measurements ``(T, ..., m)``, time-major, nan where missing; a tuple of such arrays for
         several sensors.
-    u: inputs; ``u[k]`` acts from ``times[k]`` to ``times[k + 1]``, so there are T - 1 of them, or
-        T, of which the last is not used. The arrays of a tuple are indexed one by one.
+    u: inputs; ``u[k]`` acts from ``times[k]`` to ``times[k + 1]``, so there are T - 1 inputs, or T
+        if the last is not used. In a tuple each array is indexed separately.
     truth: a sequence of T items of any kind, indexed by the epoch.
 
-    Each may be a table or a column of pandas, whose rows count in their order.
+    Each may be a pandas DataFrame or Series, whose rows are used in their order. ValueError names
+    an argument that does not fit.
 
     >>> track = celnav.run(filter, prior, celnav.epochs(times, z)[:100])
     """
@@ -307,7 +309,7 @@ def epochs(times: ArrayLike, z: Any = None, u: Any = None, truth: Any = None) ->
     if len(back):
         k = int(back[0]) + 1
         raise ValueError(
-            f"times: expected them not to decrease, got {t[k]} after {t[k - 1]} at index {k}"
+            f"times: expected times that do not decrease, got {t[k]} after {t[k - 1]} at index {k}"
         )
     if z is not None:
         z = (
@@ -320,8 +322,9 @@ def epochs(times: ArrayLike, z: Any = None, u: Any = None, truth: Any = None) ->
 
 
 def as_seconds(times: Any) -> Any:
-    """Times as numbers: dates, of any time zone, as seconds since the first, durations as
-    seconds."""
+    """Times as numbers: dates in any time zone become seconds since the first; durations become
+    seconds.
+    """
     try:
         array = np.asarray(times)
         if array.dtype.kind == "M":
@@ -338,15 +341,15 @@ def as_seconds(times: Any) -> Any:
 
 
 def first_date(times: Any) -> np.datetime64 | None:
-    """The first of the dates that `as_seconds` counts from, in UTC; None for numbers. In ns where
-    these reach, from 1678 to 2262, else in µs.
+    """The date in UTC from which `as_seconds` counts; None for numbers. Its resolution is 1 ns from
+    1678 to 2262, else 1 µs.
     """
     if not isinstance(times, list | tuple):
         times = np.asarray(times).reshape(-1)
     first: Any = times[0] if len(times) else None
     if isinstance(first, datetime) and first.tzinfo is not None:
         first = first.astimezone(UTC).replace(tzinfo=None)
-    if isinstance(first, date):  # one of pandas has nanoseconds
+    if isinstance(first, date):  # a pandas Timestamp has nanoseconds
         first = first.to_datetime64() if hasattr(first, "to_datetime64") else np.datetime64(first)
     if not isinstance(first, np.datetime64):
         return None
@@ -357,7 +360,7 @@ def first_date(times: Any) -> np.datetime64 | None:
 
 
 def _rows(name: str, values: Any, times: int) -> Any:
-    """Values with a row ``values[k]`` for each time; ValueError names them if the rows do not fit
+    """Values with a row ``values[k]`` for each time; ValueError if the number of rows does not fit
     the times.
     """
     if isinstance(values, tuple):
@@ -365,12 +368,12 @@ def _rows(name: str, values: Any, times: int) -> Any:
     if values is None:
         return None
     if hasattr(values, "__array__") and not isinstance(values, np.ndarray):
-        array = np.asarray(values)  # a table of pandas has its rows elsewhere
+        array = np.asarray(values)  # iterating a DataFrame gives columns, not rows
         values = array if array.dtype.kind in "biuf" else numbers(name, array)
     try:
         count = -1 if isinstance(values, str) else len(values)
         if count > 0:
-            values[0]  # a set or a dict has none
+            values[0]  # fails for a set or a dict
     except (TypeError, KeyError, IndexError):
         count = -1
     if count < 0:
@@ -386,8 +389,8 @@ def _rows(name: str, values: Any, times: int) -> Any:
 
 
 def _locked(values: Array) -> Array:
-    """A read-only view: a model is called more than once in an epoch, and must not write into
-    it.
+    """A read-only view: a model is called more than once in an epoch and must not overwrite its
+    input.
     """
     view = values.view()
     view.flags.writeable = False
@@ -409,8 +412,8 @@ def _measurements(z: ArrayLike, length: int) -> Array:
 
 
 def without_input(error: Exception, epoch: Any) -> Exception:
-    """The error of a model; if an input that the epoch does not have is the cause, an error that
-    says so.
+    """The error of a model; if it failed because the epoch has no input, an error that names the
+    input.
     """
     names, trace = set[str](), error.__traceback__
     while trace is not None:
@@ -422,15 +425,15 @@ def without_input(error: Exception, epoch: Any) -> Exception:
     if np.any(epoch.dt):
         return ValueError(f"u: expected an input at t = {epoch.t}, where a model uses it, got None")
     return ValueError(
-        f"u: expected models that need no input at t = {epoch.t}: no interval leads up to the "
+        f"u: expected models that need no input at t = {epoch.t}: there is no interval before the "
         "first epoch. "
-        "Make that measurement nan, or let the model use a value of its own where epoch.u is None"
+        "Make its measurement nan, or let the model use a default value if epoch.u is None"
     )
 
 
 def check_interval(filter: Any, epoch: Any, before: Any) -> None:
-    """Raise a ValueError if the interval of an epoch is invalid, or does not lead up to it from the
-    time ``before``.
+    """Raise a ValueError if the interval of an epoch is invalid, or is 0 although time has passed
+    since ``before``.
     """
     dt = getattr(epoch, "dt", None)
     if isinstance(dt, float) and 0.0 < dt < np.inf:
@@ -453,6 +456,6 @@ def check_interval(filter: Any, epoch: Any, before: Any) -> None:
         and not (callable(motion.Q) or callable(motion.sqrt_Q))
     ):
         raise ValueError(
-            "dt: expected an interval for every run or for none where Q is constant, got 0 for "
-            "some of them"
+            "dt: expected an interval in every run or in none if Q is constant, got 0 in "
+            "some runs; let Q be a function (mean, epoch)"
         )

@@ -1,5 +1,5 @@
-"""Statistical linear regression: the linear function nearest to a model over a belief, and the
-residual that it leaves.
+"""Statistical linear regression: the linear function that fits a model best over a belief, and the
+residual of this fit.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ def regressed(joint: Joint, belief: Belief, offset: Array) -> Joint:
     """The joint of a measurement and of a state with prior ``belief``, by the regression
     ``z = A x + b + e`` over another belief.
 
-    joint: the joint over that other belief, by points, with the state unchanged. offset:
-    ``(..., n)``, from its mean to the mean of ``belief``. The residual e of the columns is noise,
-    with their signs [Garcia2015].
+    joint: the joint over the other belief, from sigma points, with the state unchanged. offset:
+        ``(..., n)``, from the other belief's mean to the mean of ``belief``. The residual e of the
+        columns is treated as noise, with the signs of the columns [Garcia2015].
     """
     # A = cov(z, x) cov(x)^+, and E = D_z - A D_x are the columns of e.
     image, root = joint.measurement, belief.sqrt_cov
@@ -38,7 +38,7 @@ def regressed(joint: Joint, belief: Belief, offset: Array) -> Joint:
     A = pseudo_gain(block([[joint.state.columns], [image.columns]]), joint.sign, n)
     E, moved = image.columns - A @ joint.state.columns, matvec(A, offset)
     columns = block([[root, np.zeros((n, E.shape[-1]))]])
-    # Columns: those of the prior, [A L; L], then those of e, which reach the measurement only.
+    # Columns: first the prior's, [A L; L], then the columns of e, which enter only the measurement.
     return joint._replace(
         innovation=joint.innovation - moved,
         measurement=Image(
@@ -53,11 +53,12 @@ def regressed(joint: Joint, belief: Belief, offset: Array) -> Joint:
 def pseudo_gain(
     A: Array, sign: Array, m: int, center: Array | None = None, least: float = 0.0
 ) -> Array:
-    """Gain ``cov(x, y) cov(y)^+ (..., n, m)`` of columns of y and x; the pseudo-inverse where the
-    covariance of y is singular.
+    """Gain ``cov(x, y) cov(y)^+ (..., n, m)`` from columns of y (m rows) and x (n rows), with the
+    pseudo-inverse where the covariance of y is singular.
 
-    ``center``: the value of y, whose round-off is in the columns. ``least``: a direction of y
-        counts as constant if its fraction of a standard deviation is at most this.
+    center: the value of y ``(..., m)``, whose round-off is in the columns.
+    least: a direction of y is treated as constant if its standard deviation is at most this
+        fraction of the standard deviations of the components.
     """
     # With S S' = cov(y): K = D_x sign D_y' S^-T S^-1.
     D_y, D_x = A[..., :m, :], A[..., m:, :]
@@ -66,8 +67,8 @@ def pseudo_gain(
     std = np.sqrt(np.einsum("...ij,...ij->...i", S, S))
     constant = std == 0.0
     unit = np.where(constant, 1.0, std)
-    # Differences of images carry the round-off of the images: a direction of y below it is
-    # constant.
+    # Differences of images contain the round-off of the images: a direction of y below this
+    # round-off is treated as constant.
     if center is None:
         noise: Any = 0.0
     elif center.shape[-1] == S.shape[-1]:
@@ -77,7 +78,7 @@ def pseudo_gain(
     bound = np.maximum(4.0 * (S.shape[-1] * EPS + noise), least)
     singular = np.asanyarray((S.diagonal(0, -2, -1) <= bound[..., None] * unit).any(-1))
     eye, none = np.eye(S.shape[-1]), is_concretely_true(~singular.any())
-    # A recorded step gives nan in a singular run, which the numpy engine then runs again.
+    # A recorded step returns nan in a singular run, and the numpy engine repeats this run.
     recorded = S.dtype.hasobject
     regular = S if none else np.where(singular[..., None, None], np.nan if recorded else eye, S)
     gain = solve_right(regular, signed @ solve_lower(regular, D_y).mT)
@@ -86,7 +87,7 @@ def pseudo_gain(
     u, s, _ = np.linalg.svd(np.where(singular[..., None, None], S / unit[..., None], eye))
     significant = s > bound[..., None]
     inverse = np.where(significant, 1.0 / np.where(significant, s, 1.0), 0.0)[..., None]
-    # S = unit u s v': cov(y)^+ = (u / s) (u / s)' in units of the standard deviations
+    # S = diag(unit) u s v', so in units of the standard deviations cov(y)^+ = (u / s) (u / s)'.
     half = inverse * (u.mT / unit[..., None, :])
     pseudo = (signed @ (half @ D_y).mT) @ half
     return np.where(singular[..., None, None], pseudo, gain)

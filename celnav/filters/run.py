@@ -1,4 +1,4 @@
-"""The one driver: epochs in, a stream of states (`steps`) or a `Track` (`run`) out."""
+"""The driver of all filters: from epochs to a stream of states (`steps`) or a `Track` (`run`)."""
 
 from __future__ import annotations
 
@@ -35,14 +35,13 @@ ENGINES = ("numpy", "compiled", "cuda", "auto")
 ENGINE: ContextVar[str] = ContextVar("engine", default="auto")
 """The default engine of `run` and of the studies; ``celnav reproduce --engine`` sets it."""
 REPEATED: ContextVar[int] = ContextVar("repeated", default=0)
-"""How many runs of equal filters are expected: engine="auto" compiles for all of them. 0: not
-known.
+"""How many runs of equal filters are expected; engine="auto" decides for all of them. 0: unknown.
 """
 
 
 @contextmanager
 def repeated(times: int) -> Iterator[None]:
-    """A context in which engine="auto" expects ``times`` as many runs of equal filters."""
+    """A context in which engine="auto" expects ``times`` times as many runs of equal filters."""
     token = REPEATED.set(times * max(1, REPEATED.get()))
     try:
         yield
@@ -67,25 +66,28 @@ def run(
 ) -> Track:
     """Run a filter over epochs and collect a `Track`.
 
-    filter: any filter. prior: a `celnav.Gaussian` of any batch shape.
+    filter: any filter. prior: a `celnav.Gaussian` with any batch shape.
     times: ``(T,)`` s, or dates, with measurements ``z (T, ..., m)`` (nan where missing; a tuple for
-        several sensors) and inputs ``u``, as for `celnav.epochs`; or, instead of the three, epochs
-        made before, or any iterable of `Epoch`.
-    every: store each ``every``-th epoch (sums, likelihood and reduction use all of them).
+        several sensors) and inputs ``u``, as for `celnav.epochs`; or, instead of the three, the
+        result of `celnav.epochs`, or any iterable of `Epoch`.
+    every: store each ``every``-th epoch (sums, likelihood and reduction use all epochs).
     keep: what to store: "std" (mean, standard deviations, innovations), "cov" (also covariances,
-        for smoothing), "mean" (mean and innovations), or "nothing" (sums and the reduction only);
-        or names of the only rows to store, such as ("mean", "std"), out of "mean", "std", "cov" and
+        for smoothing), "mean" (mean and innovations), or "nothing" (sums and the reduction only). A
+        tuple such as ("mean", "std") names the only rows to store: "mean", "std", "cov",
         "innovation" (with whitened innovations and the mask of used components).
     also: ``(epoch, state, infos) -> dict`` of further arrays to store, as ``Track.extra``.
     reduce: ``(accumulated, epoch, state, infos) -> accumulated``, starting from None; the final
-        value is ``Track.reduced``. With it a study of any length needs the memory of one step.
-    engine: "auto" (unless `ENGINE` is set otherwise): machine code if it is available and repays
-        recording and compiling in this run, or was recorded for the same filter before, else numpy;
-        ``Track.engine`` says which, and why. "numpy"; "compiled": the filter's own step as machine
-        code, see `celnav.compiled`; "cuda": on an NVIDIA device (experimental).
+        value is ``Track.reduced``. With ``reduce`` and keep="nothing" a run of any length needs the
+        memory of one step.
+    engine: "auto" (unless `ENGINE` is set otherwise): machine code if available, and if this run is
+        long enough to repay recording and compiling or the same filter was recorded before; else
+        numpy. ``Track.engine`` names the engine and the reason. "numpy". "compiled": the filter's
+        steps as machine code, see `celnav.compiled`. "cuda": on an NVIDIA device (experimental).
     jobs: threads of compiled code.
-    on_failure: "raise" a `FilterError` for the first run that fails, or "flag" it: it is nan from
-        there on (``Track.failed_at``), and the other runs continue.
+    on_failure: "raise" a `FilterError` for the first run that fails, or "flag" it: the failed run
+        is nan from this epoch on (``Track.failed_at``), and the other runs continue.
+
+    ValueError names an argument that does not fit.
 
     >>> track = celnav.run(celnav.ukf(motion, gps), celnav.Gaussian(x0, P0), times, z)
     """
@@ -118,8 +120,8 @@ def run(
             why = explain(filter, filter.start(prior) if before is None else before, state, epoch)
             where = f", run {lost}" if lost else ""
             raise FilterError(
-                f"step {epoch.k}, t = {epoch.t}{where}: {why} (on_failure='flag' lets the other "
-                "runs go on)"
+                f"step {epoch.k}, t = {epoch.t}{where}: {why} (on_failure='flag' continues "
+                "the other runs)"
             )
         if reduce is not None:
             reduced = reduce(reduced, epoch, state, infos)
@@ -128,9 +130,7 @@ def run(
 
 
 def labeled(track: Track, times: Any, z: Any) -> Track:
-    """The track with the date of its first epoch, and with the names of the measurements' columns
-    if all of them are tables.
-    """
+    """The track with the date of t = 0, and with column names if all measurements are tables."""
     tables = z if isinstance(z, tuple) else (z,)
     columns: tuple[str, ...] = ()
     if all(hasattr(table, "columns") for table in tables):
@@ -143,19 +143,19 @@ def labeled(track: Track, times: Any, z: Any) -> Track:
 
 
 def as_epochs(times: Any, z: Any, u: Any) -> Iterable[Epoch]:
-    """Epochs from arrays, or the epochs passed; a stream is not consumed."""
+    """Epochs from arrays, or the epochs as passed; a stream is not consumed."""
     listed = isinstance(times, list | tuple) and not any(hasattr(item, "dt") for item in times[:1])
     if listed or hasattr(times, "__array__") or np.isscalar(times):
         return epochs(times, z, u)
     if z is not None or u is not None:
-        raise ValueError("z: expected none beside epochs, which have their measurements and inputs")
+        raise ValueError("z: expected none beside epochs, which already have measurements")
     return times  # type: ignore[no-any-return]
 
 
 def steps(
     filter: Filter, prior: Any, epochs: Iterable[Epoch]
 ) -> Iterator[tuple[Epoch, Any, tuple[Info, ...]]]:
-    """Stream ``(epoch, state, infos)`` after each step; ``state.belief`` is the estimate.
+    """Yield ``(epoch, state, infos)`` after each step; ``state.belief`` is the estimate.
 
     >>> for epoch, state, infos in celnav.steps(filter, prior, celnav.epochs(times, z)): ...
     """
@@ -193,8 +193,8 @@ def steps(
 
 
 def explain(filter: Any, before: Any, after: Any, epoch: Epoch) -> str:
-    """Why a run that was sound before an epoch has failed after it, in a sentence: the step is
-    repeated and watched.
+    """One sentence on why a run failed at an epoch; found by repeating the step with a check of
+    each model.
     """
     lost = after.belief.lost() & ~np.broadcast_to(
         before.belief.lost(), after.belief.mean.shape[:-1]
@@ -242,9 +242,9 @@ def explain(filter: Any, before: Any, after: Any, epoch: Epoch) -> str:
         columns = noise_at(sensor.noise, predicted.belief.mean, epoch)
         if not len(sensor.augment) and (columns is None or not columns.any(-1).all()):
             return (
-                f"{why}; a measurement without noise must say what is not known already: of "
-                "redundant sensors, or of a "
-                "constraint that is repeated, leave out all but one (z is nan) or give them a "
+                f"{why}; a measurement without noise must not repeat what is determined already: "
+                "of redundant sensors, or "
+                "repeated constraints, leave out all but one (z is nan), or give them a "
                 "small R"
             )
     return why

@@ -55,17 +55,17 @@ __all__ = [
     "ukf",
 ]
 
-MOST_ITERATIONS = 10_000  # at every step
+MOST_ITERATIONS = 10_000  # in each update
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Sequential:
-    """A filter as data: its models, its rule and the form of its covariance. Make one with `ukf` or
-    its siblings.
+    """A filter as data: its models, its rule and the form of its covariance, made by `ukf`, `ekf`,
+    `ckf`, `ghkf` or `sigma_point`.
 
-    ``start(prior)`` gives a state, ``step(state, epoch)`` the next state and an `Info` of each
-    sensor; ``state.belief`` has ``mean``, ``cov`` and ``std``. An epoch with ``dt == 0`` does not
-    predict: the first one is an update of the prior.
+    ``start(prior)`` returns a state, ``step(state, epoch)`` the next state and an `Info` of each
+    sensor; ``state.belief`` has ``mean``, ``cov`` and ``std``. An epoch with ``dt == 0`` has no
+    prediction: the first epoch updates the prior.
     """
 
     motion: Motion
@@ -89,15 +89,15 @@ class Sequential:
         N, n = belief.mean.shape[-1], belief[1].shape[-1]
         if n != N and self.motion.space == EUCLIDEAN:
             raise ValueError(
-                f"space: expected one for states of {N} components with {n} deviations, got vectors"
+                f"space: expected a space for {N} components, {n} differences, got vectors"
             )
         space = self.motion.space
         if space.check is not None:
             space.check(belief.mean, "prior")
-        # n is the dimension of differences, which need not be N: 3 of a quaternion of 4 components.
+        # n is the dimension of differences, which may differ from N: 3 for a quaternion with N = 4.
         if (tangent := space.minus(belief.mean, belief.mean).shape[-1]) != n:
             raise ValueError(
-                f"prior: expected a covariance ({tangent}, {tangent}) of the deviations of states "
+                f"prior: expected a covariance ({tangent}, {tangent}) of differences of states "
                 f"of {N} components, got ({n}, {n})"
             )
         check_matrices(N, n, self.motion, *self.sensors)
@@ -111,7 +111,7 @@ class Sequential:
         return self.update(self.predict(state, epoch), epoch)
 
     def predict(self, state: State, epoch: Epoch) -> State:
-        """State at the end of the interval, before anything is measured."""
+        """State at the end of the interval, before the measurement."""
         if not isinstance(state, State):
             raise ValueError(
                 "state: expected what the filter's start(prior) or last step gave, got "
@@ -134,7 +134,7 @@ class Sequential:
         ):
             if is_missing(z):
                 infos.append(missing_info(sensor, z))
-                # A measurement that is missing may still have more axes of runs.
+                # A missing measurement may have more axes of runs than the belief.
                 belief = belief if z is None else broadcast_to_runs("z", z.shape[:-1], belief)
                 continue
             hooks = self.hooks[i] if self.hooks else ()
@@ -160,8 +160,8 @@ class Sequential:
     def measured(
         self, model: Motion | Sensor, belief: Belief, z: Array, epoch: Epoch, rule: Any = None
     ) -> Joint:
-        """The joint of a sensor's measurement ``z`` and of the state; ``rule``: instead of the
-        filter's. For smoothing the model is the motion, and ``z`` the state after the interval.
+        """The joint of a sensor's measurement ``z`` and the state; ``rule`` replaces the filter's
+        rule. For smoothing the model is the motion, and ``z`` the state after the interval.
         """
         return joint(
             self.rule if rule is None else rule,
@@ -201,7 +201,7 @@ class Sequential:
     def _reject_redundant(
         self, sensor: Sensor, belief: Belief, joint: Joint, after: Belief, info: Info, epoch: Epoch
     ) -> Belief:
-        """The belief, but nan in runs where a measurement without noise repeats what the prior
+        """The belief, with nan in runs where a measurement without noise repeats what the prior
         already determines.
         """
         # S_ii is the standard deviation of component i given the prior and the components before i.
@@ -216,8 +216,8 @@ class Sequential:
                 np.zeros(1),
             )
         else:
-            # One standard deviation of the state along each axis, (n, ..., n); y[0] is the mean's
-            # image.
+            # axes (n, ..., n): one standard deviation along each axis of the state; y[0] is the
+            # image of the mean.
             axes = np.moveaxis(belief.std[..., None] * np.eye(belief[1].shape[-1]), -1, 0)
             y = evaluate(
                 sensor,
@@ -231,7 +231,7 @@ class Sequential:
             )
         # S below this size is the round-off that remains after cancellation.
         least = 16.0 * (self.form.rounding() * deviation + EPS * size)
-        # (...), one truth value for each run: one redundant component is enough.
+        # (...), bool for each run: one redundant component is enough.
         redundant = (
             exact
             & np.asanyarray(info.used)
@@ -251,10 +251,10 @@ def is_zero_interval(epoch: Any) -> bool:
 
 
 def measurements(z: Any, sensors: int) -> tuple[Any, ...]:
-    """One measurement for each sensor, from the ``z`` of an epoch."""
+    """The measurement of each sensor, from the ``z`` of an epoch."""
     samples = z if isinstance(z, tuple) else (None,) * sensors if z is None or not sensors else (z,)
     if len(samples) != sensors and sensors:
-        raise ValueError(f"z: expected {sensors} measurements, got {len(samples)}")
+        raise ValueError(f"z: expected {sensors} measurements, one a sensor, got {len(samples)}")
     return samples[:sensors]
 
 
@@ -277,10 +277,10 @@ def is_missing(z: Any) -> bool:
 
 
 def missing_info(sensor: Sensor, z: Any) -> Info:
-    """The `Info` of a measurement that is missing as a whole."""
+    """The `Info` of a measurement of which every component is missing."""
     if z is None:
         return Info(silent=True)
-    # The innovation has as many components as differences of measurements: 3 of a quaternion.
+    # The innovation has as many components as a difference of measurements: 3 for a quaternion.
     nan_z = np.full(z.shape[-1], np.nan)
     shape = (*z.shape[:-1], sensor.space.minus(nan_z, nan_z).shape[-1])
     return Info(np.full(shape, np.nan), np.zeros(shape), np.zeros(shape, bool))
@@ -299,19 +299,21 @@ def sigma_point(
     """A filter with any rule, for `celnav.run`.
 
     motion, sensors: the models. Without sensors the filter only predicts (open loop). With several
-        sensors each has its own entry of ``z``, a tuple, which is nan where the sensor has no
-        sample; sensors of different rates need nothing else.
+        sensors ``z`` is a tuple with an entry for each sensor, nan where the sensor has no sample;
+        sensors with different rates need nothing else.
     rule: a `Rule`, `Taylor`, or a function ``n -> rule`` of the dimension of the state and of the
         noise that goes through the points.
-    form: "square root" (QR, half the digits needed) or "covariance" (fewer operations).
+    form: "square root" (QR, needs half the digits) or "covariance" (fewer operations).
     hooks: ``(memory, joint, epoch) -> (memory, joint)``, one after the other at each sensor: each
         gets the `Joint` of measurement and state and may replace it. `celnav.filters.adaptive` has
-        ready ones. A list of lists gives each sensor its own hooks.
-    gain: a prescribed gain ``(..., n, m)`` instead of the optimal one, or ``(A, sign, m) -> gain``;
-        for one sensor.
-    iterations: of each update. More than one relinearizes over the posterior of the previous
-        iteration: the posterior linearization filter [Garcia2015]; with Taylor's rule the iterated
-        EKF [Bell1993].
+        hooks ready for use. A list of lists has the hooks of each sensor.
+    gain: a prescribed gain ``(..., n, m)`` instead of the optimal gain, or a function
+        ``(A, sign, m) -> gain``; only with one sensor.
+    iterations: number of iterations of each update. From the second on, the update is relinearized
+        over the posterior of the previous iteration: the posterior linearization filter
+        [Garcia2015]; with Taylor's rule the iterated EKF [Bell1993].
+
+    ValueError names an argument that does not fit.
 
     >>> hooks = [celnav.filters.adaptive.gate(4.0)]
     >>> celnav.sigma_point(motion, gps, rule=lambda n: celnav.smolyak(n, 3), hooks=hooks)
@@ -320,7 +322,7 @@ def sigma_point(
     for sensor in sensors:
         instance("sensors", sensor, Sensor, "celnav.Sensor(h, R)")
     if gain is not None and len(sensors) != 1:
-        raise ValueError(f"gain: expected one sensor with it, got {len(sensors)}")
+        raise ValueError(f"gain: expected one sensor with a prescribed gain, got {len(sensors)}")
     gain = (
         function("gain", gain, "(A, sign, m)")
         if callable(gain)
@@ -358,7 +360,7 @@ def ukf(
     """The unscented Kalman filter; ``alpha, beta, kappa`` as in `celnav.unscented`, ``options`` as
     in `sigma_point`.
 
-    The defaults have no negative weight: points and weights are then those of `ckf`.
+    The defaults have no negative weight: points and weights equal those of `ckf`.
 
     >>> filter = celnav.ukf(celnav.Motion(f, Q), celnav.Sensor(h, R))
     """
@@ -381,9 +383,9 @@ def ckf(motion: Motion, *sensors: Sensor, degree: int = 3, **options: Any) -> Se
 
 
 def ghkf(motion: Motion, *sensors: Sensor, order: int = 3, **options: Any) -> Sequential:
-    """The Gauss-Hermite Kalman filter of ``order ** n`` points; ``options`` as in `sigma_point`.
+    """The Gauss-Hermite Kalman filter with ``order ** n`` points; ``options`` as in `sigma_point`.
 
-    >>> filter = celnav.ghkf(motion, gps, order=3)  # 729 points of six states
+    >>> filter = celnav.ghkf(motion, gps, order=3)  # 729 points for six states
     """
     # Checks the order before the dimension is known.
     gauss_hermite(1, order)
@@ -411,7 +413,8 @@ def ekf(motion: Motion, *sensors: Sensor, **options: Any) -> Sequential:
     """The extended Kalman filter, iterated with, for example, ``iterations=6``; ``options`` as in
     `sigma_point`.
 
-    It linearizes with the ``jacobian`` of motion and sensors, or by differences if there is none.
+    It linearizes with the ``jacobian`` of motion and sensors, or with numerical differences if
+    there is none.
 
     >>> filter = celnav.ekf(celnav.Motion(f, Q, jacobian=lambda x, epoch: F), gps, iterations=3)
     """
@@ -419,7 +422,7 @@ def ekf(motion: Motion, *sensors: Sensor, **options: Any) -> Sequential:
 
 
 def require_sequential(name: str, filter: Any) -> Sequential:
-    """A filter that predicts, then updates, and does nothing else; ValueError for any other."""
+    """The filter, if it only predicts and updates; ValueError for any other filter."""
     sequential: Sequential = instance(name, filter, Sequential, "celnav.ukf(motion, sensor)")
     if type(sequential).step is not Sequential.step:
         raise ValueError(
@@ -458,14 +461,14 @@ class Iterated(Sequential):
 
     An extended filter expands about the posterior's mean: its updates are Gauss-Newton steps to the
     mode [Bell1993]. A sigma-point filter makes a statistical linear regression over the whole
-    posterior, whose residual is noise [Garcia2015]. If the posterior is narrow this noise is small,
-    and a nonlinearity across the prior's points no longer counts.
+    posterior, whose residual is noise [Garcia2015]. If the posterior is narrow, this noise is
+    small, and a nonlinearity across the prior's points has no effect.
 
-    iterations: linearizations of each update. One with a ``first`` is an update linearized about a
-        point from elsewhere, such as a closed-form solution of the measurements; the prior still
-        counts in full.
-    first: ``(belief, z, epoch) -> (..., N)``, the first point to linearize about; None: the prior's
-        mean.
+    iterations: number of linearizations in each update. With ``first`` and one iteration, the
+        update is linearized about another point, such as a closed-form solution from the
+        measurements; the prior keeps its full weight.
+    first: ``(belief, z, epoch) -> (..., N)``, the first point of linearization; None: the mean of
+        the prior.
     """
 
     _: KW_ONLY
@@ -492,10 +495,11 @@ class Iterated(Sequential):
             about = about._replace(
                 mean=numbers("first", self.first(belief, z, epoch), (..., belief.mean.shape[-1]))
             )
-        # Each update starts from the prior `belief`; only the linearization moves.
+        # Each iteration conditions the prior `belief` again; only the point of linearization
+        # changes.
         for _ in range(self.iterations):
             joint, space = self.relinearized(about, sensor, belief, z, epoch), self.motion.space
-            # Hooks begin from the same memory in each iteration, so that a sample counts once.
+            # Hooks start from the same memory in each iteration, so that a sample enters it once.
             about, info, remembered = condition(
                 self.form, joint, space, hooks=hooks, memory=memory, epoch=epoch, gain=self.gain
             )
@@ -504,7 +508,7 @@ class Iterated(Sequential):
     def relinearized(
         self, about: Belief, sensor: Sensor, belief: Belief, z: Array, epoch: Epoch
     ) -> Joint:
-        """The joint of the measurement and of the state with the prior ``belief``, by a regression
+        """The joint of the measurement and the state with the prior ``belief``, from a regression
         over the belief ``about``.
         """
         space = self.motion.space
@@ -526,7 +530,7 @@ def linearized_over(
     space: Space,
     draw: Callable[[Any, Belief], Joint],
 ) -> Joint:
-    """The joint that ``draw(rule, belief)`` gives: the state has the prior ``belief``, the model is
+    """The joint from ``draw(rule, belief)``, with the prior ``belief`` for the state and the model
     linearized over ``about``.
     """
     if isinstance(rule, Taylor):
@@ -537,22 +541,22 @@ def linearized_over(
     # The matrix of a linear model is the same everywhere.
     if about is belief or by_matrix(model, rule):
         return draw(rule, belief)
-    # The regression is over `about`; the offset moves its line to the mean of the prior.
+    # The regression is over `about`; the offset moves its linear function to the mean of the prior.
     return regressed(draw(rule, about), belief, space.minus(belief.mean, about.mean))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SingleDraw(Sequential):
-    """Predict and update with one set of points: the augmented form of [Merwe2004], without drawing
-    new points in between.
+    """Predict and update with one set of points: the augmented form of [Merwe2004], which draws no
+    new points before the update.
 
     Noise goes through the points: ``f(x, epoch, *noise)`` and ``h(f(x), epoch, *noise)`` both get
-    all the noises of the motion and then of its only sensor. Additive process noise would not reach
-    the measurement, so it is refused. An epoch with ``dt == 0`` is an ordinary update. Make one
-    from a filter: ``SingleDraw.of(celnav.ukf(motion, sensor))``.
+    all noises of the motion and then of its only sensor. Additive process noise is an error,
+    because it would not reach the measurement. An epoch with ``dt == 0`` is an ordinary update.
+    ``SingleDraw.of(celnav.ukf(motion, sensor))`` makes one from a filter.
 
-    joint_noise: roots of noises that reach both functions instead, for process and measurement
-        noises that are correlated.
+    joint_noise: roots of noises that both functions get instead, for correlated process and
+        measurement noise.
 
     >>> filter = celnav.ukf(celnav.Motion(f, augment=[np.eye(6)]), gps)
     >>> filter = celnav.filters.sequential.SingleDraw.of(filter)
@@ -566,7 +570,7 @@ class SingleDraw(Sequential):
 
     @classmethod
     def of(cls, filter: Sequential) -> SingleDraw:
-        """The same filter with a single draw."""
+        """The same filter with a single draw of points; ValueError if it does not allow that."""
         require_sequential("filter", filter)
         if (
             len(filter.sensors) != 1
@@ -574,12 +578,10 @@ class SingleDraw(Sequential):
             or filter.motion.sqrt_Q is not None
         ):
             raise ValueError(
-                "filter: expected one sensor, and process noise through the points only"
+                "filter: expected one sensor, and process noise through the points (augment) only"
             )
         if isinstance(filter, Iterated):
-            raise ValueError(
-                "filter: expected one of a single iteration, since points are drawn once"
-            )
+            raise ValueError("filter: expected iterations=1, because points are drawn once")
         return cls(
             filter.motion,
             filter.sensors,
@@ -637,7 +639,7 @@ class SingleDraw(Sequential):
         return (evaluate(self.motion, x, epoch, noise),)
 
     def outputs(self, x: Array, epoch: Epoch, *noise: Array) -> tuple[Array, Array]:
-        """The measurement and the state at the end of the interval, both from the points at its
+        """The measurement and the state at the end of the interval, both from the points at the
         start.
         """
         y = evaluate(self.motion, x, epoch, noise)

@@ -1,10 +1,10 @@
 """The fixed-interval smoother [Rauch1965; sigma points: Sarkka2008] for every rule, form and space.
 
-It uses the filter's conditioning with ``g = (f, identity)``: the next state is a measurement of the
-present one. Two parts are independent: the belief about the present state given the next state, and
-the remaining uncertainty of the next state, carried back by the gain. Their sum is the smoothed
-belief. No covariances are subtracted, so the smoother stays in square-root form, and a gain that is
-not optimal increases the variance but leaves the covariance consistent.
+It uses the filter's conditioning with ``g = (f, identity)``: the next state acts as a measurement
+of the present state. The smoothed belief is the sum of two independent parts: the belief about the
+present state given the next state, and the remaining uncertainty of the next state, carried back by
+the gain. No covariances are subtracted, so the smoother remains in square-root form. A gain that is
+not optimal increases the variance, but the covariance remains consistent.
 """
 
 from __future__ import annotations
@@ -62,20 +62,20 @@ def smooth(
 ) -> Track:
     """Estimates of all states given *all* measurements, from the track of a filter.
 
-    track: of ``run(..., keep="cov")``, with every epoch stored.
-    filter: the filter of the track; the track has it unless it was pickled. It predicts, then
-        updates, as `celnav.ukf` and its siblings do. Instead of `celnav.colored` smooth
-        `celnav.augmented`, instead of `celnav.two_stage` a filter with the bias as a state, instead
-        of `celnav.imm` one of its models.
-    gains: store the gains ``(T, ..., n, n)``, ``extra["gain"]``: the k-th acts from epoch k + 1 to
-        k, the last is 0.
-    on_failure: "raise" a `FilterError` if the smoother fails in a run, or "flag" it (nan from there
-        *back*, and ``failed_at``).
+    track: the result of ``run(..., keep="cov")``, with every epoch stored.
+    filter: the filter of the track; needed only for a track that was pickled. It must predict, then
+        update, as `celnav.ukf` and the other sigma-point filters do. Instead of `celnav.colored`
+        smooth `celnav.augmented`, instead of `celnav.two_stage` a filter with the bias as a state,
+        instead of `celnav.imm` one of its models.
+    gains: store the gains ``(T, ..., n, n)`` as ``extra["gain"]``: gain k acts from epoch k + 1 to
+        k, and the last is 0.
+    on_failure: "raise" a `FilterError` if the smoother fails in a run, or "flag" the run: it is nan
+        from the failure *back*, and ``failed_at`` is set.
 
-    engine, jobs: of the backward pass, as in `celnav.run`; gains need numpy.
+    engine, jobs: for the backward pass, as in `celnav.run`; gains need numpy.
 
-    Returns the track with smoothed mean, std and covariances; all else remains the filter's. A run
-    in which the filter failed is smoothed up to its last good epoch. Directions in which the
+    Returns the track with smoothed mean, std and covariances; everything else is from the filter. A
+    run in which the filter failed is smoothed up to its last good epoch. Directions in which the
     predicted state has no uncertainty (a singular covariance) carry nothing back.
 
     >>> smoothed = celnav.smooth(celnav.run(filter, prior, times, z, keep="cov"))
@@ -88,7 +88,7 @@ def smooth(
     chosen = track.filter if filter is None else filter
     if chosen is None:
         raise ValueError(
-            "filter: expected that of the track, which was lost when it was pickled: smooth(track, "
+            "filter: expected the track's filter, because a pickled track has none: smooth(track, "
             "filter)"
         )
     chosen = chosen.first if isinstance(chosen, Fallback) else chosen
@@ -97,12 +97,12 @@ def smooth(
             (f", {why}" for of, why in FORWARD_ONLY.items() if isinstance(chosen, of)), ""
         )
         raise ValueError(
-            "filter: expected one that predicts, then updates, such as celnav.ukf, got "
+            "filter: expected a filter that predicts, then updates, such as celnav.ukf, got "
             f"{describe(chosen)}{reason}"
         )
     epochs = track.epochs
     if not isinstance(epochs, Epochs) and any(b.k != a.k + 1 for a, b in pairwise(epochs)):
-        raise ValueError("track: expected every epoch, got some of them; run with every=1")
+        raise ValueError("track: expected every epoch, got some epochs; run with every=1")
 
     form, filtered, failed_at = type(track.belief), track.belief, track.failed_at
     batch, n = failed_at.shape, filtered[1].shape[-1]
@@ -133,7 +133,7 @@ def smooth(
             jobs=jobs,
         )
         assert backward_track.belief is not None
-        # The last belief is the filter's own: it has all measurements already.
+        # The last belief needs no smoothing: it already includes all measurements.
         mean[:-1], cov[:-1] = backward_track.belief.mean[::-1], backward_track.belief[1][::-1]
         if G is not None:
             G[:-1] = backward_track.extra["gain"][::-1]
@@ -146,9 +146,9 @@ def smooth(
             where = f", run {tuple(int(i) for i in first)}" if batch else ""
             raise FilterError(
                 f"smoothing back from step {epoch.k}, t = {epoch.t}{where}: the covariance of the "
-                "predicted state, or the "
-                "smoothed one, is not positive definite (on_failure='flag' lets the other runs go "
-                "on)"
+                "predicted or "
+                "smoothed state is not positive definite (on_failure='flag' continues the other "
+                "runs)"
             )
         failed_at = np.where(broken.any(0) & (failed_at < 0), k, failed_at)
     belief, extra = form(mean, cov), track.extra | ({} if G is None else {"gain": G})
@@ -158,7 +158,7 @@ def smooth(
 
 
 class Smoothed(NamedTuple):
-    """State of the backward pass: the belief given all measurements, and, if stored, its gain."""
+    """State of the backward pass: the belief given all measurements, and the gain if stored."""
 
     belief: Belief
     gain: Array | None = None
@@ -186,8 +186,8 @@ class Backward:
         after, gain = state.belief, np.eye(before[1].shape[-1])
         if not is_zero_interval(epoch):
             after, gain = back(self.filter, before, after, epoch._replace(about=about))
-        # Where the filter failed after the interval, the filter's belief before it is the last good
-        # one.
+        # If the filter failed after the interval, its belief before the interval is the last good
+        # belief.
         lost = np.isnan(mean_after)
         if not is_concretely_true(~lost.any()):
             form, here = self.filter.form, lost[..., None]
@@ -206,30 +206,30 @@ def backwards(filter: Sequential, gains: bool) -> Backward:
 
 
 def back(filter: Sequential, before: Belief, after: Belief, epoch: Epoch) -> tuple[Belief, Array]:
-    """The belief before an epoch's interval given all measurements, and the gain, from the belief
-    given the past and the smoothed belief after the interval.
+    """The smoothed belief before an epoch's interval, and the gain ``(..., n, n)``, from the
+    filter's belief ``before`` the interval and the smoothed belief ``after`` it.
     """
     # x_s = x + G (x_s' - f), and P_s = (P - G S S' G') + G P_s' G' with G = cov(x, f) (S S')^+.
     form, space = filter.form, filter.motion.space
     both = filter.measured(filter.motion, before, after.mean, epoch)
     center = both.measurement.center
     if (both.sign < 0.0).any():
-        # A state that the next one determines exactly, such as a constant, cancels to round-off,
-        # from which negative columns cannot be downdated: the round-off is added as noise.
+        # A state that the next state determines exactly, such as a constant, cancels to round-off.
+        # Negative columns cannot be downdated from it, so the round-off is added as noise.
         size = np.sqrt(np.vecdot(both.state.columns, both.state.columns))
         both = both._replace(
             process_noise=(0, NEGLIGIBLE * size[..., None] * np.eye(size.shape[-1]))
         )
 
-    # P - G S S' G' by the Joseph form for the gain G, which is right for the pseudo-inverse too.
+    # P - G S S' G' in the Joseph form for the gain G, which also holds for the pseudo-inverse.
     inner, info, _ = condition(form, both, space, gain=partial(pseudo_gain, center=center))
     gain = info.gain()
 
     def carried(to: Array, at: Array, root: Array) -> Array:
         return root if space.transport is None else space.transport(space.minus(to, at)) @ root
 
-    # Columns of G P_s' G': deviations at the smoothed next state are carried to the predicted one,
-    # and deviations at the mean before smoothing to the smoothed mean.
+    # Columns of G P_s' G'. On a curved space deviations at the smoothed next state are transported
+    # to the predicted next state, and deviations at the filter's mean to the smoothed mean.
     ahead = carried(inner.mean, before.mean, gain @ carried(center, after.mean, after.sqrt_cov))
     # Conditioning treats nan in the smoothed next state as not measured; here it is a failure.
     lost = ~np.isfinite(after.mean).all(-1, keepdims=True)

@@ -1,5 +1,5 @@
-"""Filters of which one makes each step of a run: `Switching` chooses before the step, `Fallback`
-repeats the runs in which the first filter has failed.
+"""Several filters, one of which makes each step of a run. `Switching` chooses the filter before the
+step; `Fallback` repeats the runs in which the first filter has failed.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ MERGED = ("innovation", "whitened", "used", "sqrt_S", "gain", "jacobian", "R")
 # -- one filter in some runs, another in the rest --------------------------------------------------
 def merged(mask: Array, chosen: Step, otherwise: Step) -> Step:
     """The step ``chosen`` in the runs where ``mask (...)`` is True, and ``otherwise`` in the rest;
-    the memory of hooks is that of ``otherwise``.
+    hooks keep the memory from ``otherwise``.
     """
     (state, infos), (other, others) = chosen, otherwise
     pairs = zip(state.belief, other.belief, strict=True)
@@ -58,8 +58,8 @@ def _pick(mask: Array, chosen: Array, otherwise: Array) -> Array:
 
 # -- chosen before a step --------------------------------------------------------------------------
 class SwitchingState(NamedTuple):
-    """State of a `Switching`; ``chosen (...)``: numbers of the filters of the last step, None
-    before the first.
+    """State of a `Switching`; ``chosen (...)``: number of the filter that made the last step of
+    each run, None before the first step.
     """
 
     belief: Any
@@ -69,16 +69,16 @@ class SwitchingState(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Switching:
-    """Filters of which one makes each step of a run; only mean and covariance pass from one to the
-    next.
+    """Several filters, one of which makes each step of a run; only mean and covariance pass from
+    one filter to the next.
 
-    filters: ``number ->`` filter: of the same motion, sensors and form, with different rules and
-        without hooks. Number 0 starts.
+    filters: ``number ->`` filter; all with the same motion, sensors and form, with different rules,
+        and without hooks. Filter 0 starts.
     choose: ``(belief, epoch, chosen) ->`` numbers ``(...)`` of the filters for a step, from the
-        belief before it; ``chosen``: the numbers of the previous step, None at the first.
+        belief before the step; ``chosen``: the numbers of the previous step, None at the first.
 
-    The step of a run is bit for bit that of its filter. A step costs as much as all the filters
-    chosen by at least one run.
+    The step of a run equals its filter's step bit for bit. A step costs as much as all the filters
+    chosen in at least one run.
 
     >>> filters = [celnav.ghkf(motion, gps), celnav.ekf(motion, gps)]
     >>> narrow = lambda belief, epoch, chosen: (belief.std[..., 0] < 0.1).astype(int)
@@ -92,7 +92,7 @@ class Switching:
 
     @property
     def motion(self) -> Any:
-        """The filters' own, if they have one."""
+        """The motion of the filters, if they have one."""
         return getattr(self.filters(0), "motion", None)
 
     def start(self, prior: Gaussian) -> SwitchingState:
@@ -116,8 +116,8 @@ class Switching:
             step = self.filters(number).step(before, epoch)
             if any(memory is not None for memory in step[0].memory):
                 raise ValueError(
-                    "filters: expected filters without hooks, whose memory would be of one filter "
-                    "only"
+                    "filters: expected filters without hooks, whose memory would belong to one "
+                    "filter only"
                 )
             result = step if result is None else merged(chosen == number, step, result)
         after, infos = result
@@ -128,13 +128,15 @@ class Switching:
 # -- repeated after a failure ----------------------------------------------------------------------
 @dataclass(frozen=True, eq=False)
 class Fallback:
-    """Repeats, with a second filter, the runs in which the first one fails in a prediction or an
+    """Repeat, with a second filter, the runs in which the first filter fails in a prediction or an
     update.
 
-    ``first``, ``second``: filters of the same motion, sensors and hooks with different rules, for
-    example one with negative weights and one without. The other runs keep the first filter's result
-    bit for bit, and the memory of hooks is the first one's. `Info.redone` marks the repeated runs,
-    and the `Track` counts them in ``events["redone"]``. A run fails if both filters fail.
+    first, second: filters with the same motion, sensors and hooks but different rules, for example
+        one with negative weights and one without.
+
+    The other runs keep the first filter's result bit for bit; hooks keep the memory from the first
+    filter. `Info.redone` marks the repeated runs, and the `Track` counts them in
+    ``events["redone"]``. A run fails if both filters fail.
 
     >>> grid, ckf = celnav.sparse_grid_filter(motion, sensor), celnav.ckf(motion, sensor)
     >>> filter = celnav.filters.switching.Fallback(grid, ckf)
@@ -150,7 +152,7 @@ class Fallback:
             self.second.sensors
         ):
             raise ValueError(
-                "second: expected a filter of the same form and as many sensors as the first"
+                "second: expected a filter with the form and the number of sensors of the first"
             )
 
     @property
@@ -161,7 +163,7 @@ class Fallback:
     def start(self, prior: Gaussian) -> State:
 
         state = self.first.start(prior)
-        # Runs are repeated one by one, so each needs its own covariance.
+        # Single runs are repeated, so each run needs a covariance.
         return state._replace(belief=broadcast_belief(self.first.form, *state.belief))
 
     def step(self, state: State, epoch: Epoch) -> Step:
@@ -192,7 +194,7 @@ class Fallback:
 
 
 def _failed(belief: Belief) -> Array:
-    """Runs ``(...)`` whose belief is not finite or, in covariance form too, not definite."""
+    """Runs ``(...)`` whose belief is not finite or, in covariance form, not positive definite."""
     return np.asanyarray(
         ~(np.isfinite(belief.mean).all(-1) & np.isfinite(belief.sqrt_cov).all((-2, -1)))
     )

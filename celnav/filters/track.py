@@ -31,35 +31,35 @@ __all__ = ["Track"]
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """The record of a run, time-major: ``(T, ..., n)``, the batch axes of the runs between time and
+    """The result of a run. Arrays are time-major, ``(T, ..., n)``: time, batch axes of the runs,
     component.
 
     ``print(track.report(truth))`` evaluates it.
 
     times: ``(T,)`` s, of the epochs stored. mean: ``(T, ..., N)``. std: ``(T, ..., n)``. None: not
-        kept.
+        stored.
     belief: means and covariances in the filter's form, if ``run(keep="cov")`` stored them; see
         `cov`.
-    innovation, whitened, used: ``(T, ..., m)`` of all sensors side by side, m the most that they
-        had at an epoch: innovations, nan where not measured; whitened innovations, 0 where not
-        used; bool, the components that were used.
+    innovation, whitened, used: ``(T, ..., m)``, the components of all sensors side by side, each
+        sensor with its largest number at any epoch: innovations, nan where not measured; whitened
+        innovations, 0 where not used; bool, the components that were used.
     sensors: how many of these components each sensor has, in their order.
-    columns: names of the measurements' columns, if they came as a table of pandas. start: the date
-        of t = 0 in UTC, if times came as dates.
+    columns: names of the measurements' columns, if they were passed as a pandas DataFrame. start:
+        the date of t = 0 in UTC, if times were passed as dates.
     log_likelihood: ``(...)`` of all measurements, also of epochs not stored.
     events: counts ``(...)`` over all epochs: "missing" and "rejected" components, "redone" steps.
-        If ``z`` was None, as many are missing as that sensor has at other epochs.
+        Where ``z`` is None, all components that the sensor has at other epochs are missing.
     failed_at: ``(...)`` index of the first epoch at which a run is not finite, -1 for none.
-    extra: the arrays from ``run(also=...)``; and "R" of a filter with hooks: ``(T, ..., m)``, the
-        variances of the measurement noise after the hooks, such as those that `variational_bayes`
-        estimates, of all sensors with hooks side by side.
+    extra: the arrays from ``run(also=...)``; and, for a filter with hooks, "R" ``(T, ..., m)``: the
+        variances of the measurement noise after the hooks, with all sensors with hooks side by
+        side.
     reduced: the final value of ``run(reduce=...)``.
-    engine: the engine that ran it, "numpy", "compiled" or "cuda"; with ``run(engine="auto")`` also
-        why it was not compiled.
+    engine: the engine used, "numpy", "compiled" or "cuda"; with ``run(engine="auto")`` also why it
+        was not "compiled".
     filter, epochs: for `celnav.smooth`; the epochs have no measurements, and a track that was
         pickled has no filter.
 
-    >>> track.nis.sum() / track.dof.sum()  # 1 of a consistent filter
+    >>> track.nis.sum() / track.dof.sum()  # 1 for a consistent filter
     >>> track.to_csv("track.csv")
     """
 
@@ -142,15 +142,16 @@ class Track:
         space: Space | None = None,
         level: float = 0.95,
     ) -> Report:
-        """The accuracy with respect to the truth, a `celnav.show.report.Report`; NEES needs
+        """The accuracy with respect to the truth, as a `celnav.show.report.Report`; NEES needs
         covariances from ``run(keep="cov")``.
 
-        truth: ``(T, ..., N)`` at the track's epochs, nan where it is not known; ``(T, N)`` may
-            serve all runs. For vector states it may have only the first components, without biases
-            and colored noise that a filter estimates besides.
-        names: ``(n,)`` of the components of the error; None: those of a product's parts, if there
-            are, or ``x0, x1, ...``. start: s; earlier epochs are left out.
-        space: of the states; None: the space of the track's filter. level: of intervals and bands.
+        truth: ``(T, ..., N)`` at the track's epochs, nan where unknown; ``(T, N)`` if all runs have
+            the same truth. For vector states it may have only the first components, without biases
+            and colored noise that the filter also estimates.
+        names: ``(n,)``, names of the components of the error; None: the names of a product's parts,
+            or ``x0, x1, ...``. start: s; earlier epochs are left out.
+        space: of the states; None: the space of the track's filter. level: probability of intervals
+            and bands.
 
         Errors are estimate minus truth. Values of a failed run that are not finite are left out;
         values before the failure count.
@@ -159,7 +160,7 @@ class Track:
         >>> print(report)
         >>> report.figure().savefig("report.png")
         """
-        from celnav.show.report import report  # of a higher room, but users look for it here
+        from celnav.show.report import report  # imported here: a higher layer
 
         return report(self, truth, names=names, start=start, space=space, level=level)
 
@@ -171,38 +172,38 @@ class Track:
         names: Sequence[str] | None = None,
         space: Space | None = None,
     ) -> Figure:
-        """A figure of one run: the errors of all components within ±3 predicted deviations, and the
-        whitened innovations within ±3.
+        """A figure of one run: the errors of all components with ±3 predicted standard deviations,
+        and the whitened innovations with ±3.
 
-        truth, names, space: as of `report`; without a truth only the deviations are drawn. run: its
-            number; several batch axes count as one. Needs matplotlib.
+        truth, names, space: as in `report`; without a truth only the standard deviations are drawn.
+        run: index of the run; several batch axes are flattened to one. Needs matplotlib.
 
         >>> celnav.run(filter, prior, times, z).plot(truth).savefig("run.png")
         """
-        from celnav.show.history import figure  # of a higher room, as the report is
+        from celnav.show.history import figure  # imported here: a higher layer
 
         return figure(self, truth, run, names=names, space=space)
 
     @property
     def measured(self) -> list[str]:
-        """Names of the components of the innovation: columns of a table, or ``z0, z1, ...``."""
+        """Names of the components of the innovation: the columns of a table, or ``z0, z1, ...``."""
         count = sum(self.sensors)
         return [*self.columns] if len(self.columns) == count else [f"z{i}" for i in range(count)]
 
     @property
     def dates(self) -> NDArray[np.datetime64] | None:
-        """The epochs' dates ``(T,)`` in UTC, if times came as dates."""
+        """The epochs' dates ``(T,)`` in UTC, if times were passed as dates."""
         if self.start is None:
             return None
         per_second, unit = (1e9, "ns") if np.datetime_data(self.start)[0] == "ns" else (1e6, "us")
         return self.start + np.round(per_second * self.times).astype(f"timedelta64[{unit}]")
 
     def to_dataframe(self, names: list[str] | None = None) -> pd.DataFrame:
-        """A row for each stored epoch and run (batch axes count as one): time (s), date, run,
-        means, standard deviations, NIS. Needs pandas.
+        """A DataFrame with a row for each stored epoch and run (batch axes flattened): time (s),
+        date, run, means, standard deviations, NIS. Needs pandas.
 
-        ``names``: of the state's components; default: those of a product's parts, or ``x0, x1,
-        ...``.
+        names: of the state's components; default: the names of a product's parts, or
+            ``x0, x1, ...``.
         """
         with requires_extra("Track.to_dataframe", "notebooks"):
             import pandas as pd
@@ -210,11 +211,11 @@ class Track:
         return pd.DataFrame(self._columns(names))
 
     def to_xarray(self, names: list[str] | None = None) -> xr.Dataset:
-        """A data set with all that is stored but ``extra``, its axes named: time (s), date, run
+        """A Dataset with everything stored except ``extra``. Its dimensions are time (s), date, run
         (run0, run1, ... if there are several batch axes), state, error, measurement. Needs xarray.
 
-        ``names``: as of `to_dataframe`; ``error`` are the components of deviations and covariances,
-        of which an attitude has three.
+        names: as in `to_dataframe`. ``error`` has the components of standard deviations and
+            covariances: three for an attitude.
 
         >>> data = track.to_xarray()
         >>> data["std"].sel(error="x0").mean("run")
@@ -249,8 +250,7 @@ class Track:
         return xr.Dataset(variables, axes, {"engine": self.engine})
 
     def to_csv(self, path: str | Path, names: list[str] | None = None) -> None:
-        """Write what `to_dataframe` would hold, with 17 significant digits, without needing
-        pandas."""
+        """Write the table of `to_dataframe` with 17 significant digits; does not need pandas."""
         from celnav.files import write_text
 
         columns = self._columns(names)
@@ -295,7 +295,9 @@ class Track:
         return list(names)
 
     def _error_names(self, names: Any) -> list[str]:
-        """Names of the components of a deviation: the mean's, if there are as many."""
+        """Names of the components of a standard deviation: the names for the mean, if the numbers
+        agree.
+        """
         n = self.std.shape[-1]
         if self.mean is not None and self.mean.shape[-1] == n:
             return self._names(names)
@@ -303,7 +305,7 @@ class Track:
 
 
 def _fitting(labels: list[str], count: int, letter: str) -> list[str]:
-    """The labels, if there are so many; else numbered letters."""
+    """The labels, if their number fits; else a letter with numbers."""
     return labels if len(labels) == count else [f"{letter}{i}" for i in range(count)]
 
 
@@ -313,7 +315,7 @@ def _written(value: Any) -> str:
 
 
 def space_of(filter: Any) -> Space:
-    """The space of a filter's states, or of those of the filters within it."""
+    """The space of a filter's states, or of the states of a filter within it."""
     if isinstance(motion := getattr(filter, "motion", None), Motion):
         return motion.space
     for name in ("first", "filter", "filters"):
@@ -344,11 +346,11 @@ NAMED = {
 }
 """Rows that can be requested, and the rows that come with them."""
 _BLANK = {"innovation": np.nan, "whitened": 0.0, "used": False, "R": np.nan}
-"""Values of components that a sensor has only at other epochs."""
+"""Values for components that a sensor has only at other epochs."""
 
 
 def rows_of(keep: Any) -> tuple[str, ...]:
-    """Names of the rows for ``celnav.run(keep=...)``, which is one keyword or names of rows."""
+    """Names of the rows for ``celnav.run(keep=...)``, which is a keyword or a list of names."""
     if isinstance(keep, str) or not isinstance(keep, Iterable):
         return KEEP[choice("keep", keep, tuple(KEEP))]
     asked = list(keep)
@@ -485,7 +487,7 @@ class Collector:
             first, width = next(iter(rows.values())), max(row.shape[-1] for row in rows.values())
             shape = len(self._times), *self._failed_at.shape, *first.shape[-axes:-1], width
             block = np.full(shape, _BLANK.get(name, np.nan), first.dtype)
-            while rows:  # one copy at a time, not two of everything
+            while rows:  # free each row once copied, to save memory
                 k, row = rows.popitem()
                 block[k, ..., : row.shape[-1]] = row
             blocks.append(block)

@@ -1,10 +1,10 @@
 """Two-stage filters: a first filter that ignores the bias, and a second one that estimates the bias
 from the innovations of the first.
 
-The first stage runs as if the bias were zero. A sensitivity ``Lambda`` is the derivative of its
-estimate with respect to the bias. Its innovation, less what the sensitivity explains, is the
-measurement of the second stage [Friedland1969]. For a constant bias, or a bias that is a random
-walk [Hsieh1999], both stages together are the augmented Kalman filter.
+The first stage runs as if the bias were zero. The sensitivity ``Lambda`` is the derivative of its
+estimate with respect to the bias. The innovation of the first stage is the measurement of the
+second stage, with ``Gamma + H Lambda`` as its Jacobian [Friedland1969]. For a constant bias, or a
+bias that is a random walk [Hsieh1999], both stages together are the augmented Kalman filter.
 """
 
 from __future__ import annotations
@@ -41,23 +41,23 @@ from celnav.gaussian.spaces import EUCLIDEAN
 __all__ = ["two_stage"]
 
 Slope = Array | Callable[[Array, Epoch], Array]
-"""``Gamma (..., m, p)``: derivative of the measurement with respect to the bias; constant or
-``(mean, epoch) -> matrix``.
+"""``Gamma (..., m, p)``: derivative of the measurement with respect to the bias, constant or a
+function ``(mean, epoch) -> matrix``.
 """
 LINEAR = Taylor()
-# fraction of a standard deviation below which a direction of the bias counts as known: the
-# round-off of many steps
+# Fraction of a standard deviation below which a direction of the bias is treated as exact: the
+# round-off of many steps.
 KNOWN = 1e-6
 
 
 class Stage(NamedTuple):
-    """What a first stage computed in a step: its innovation ``(..., m)``, the root ``(..., m, m)``
-    of the innovation covariance, the gain ``(..., n, m)``, the measurement's Jacobian
-    ``H (..., m, n)`` and which components were used ``(..., m)``.
+    """Results of a first stage in a step: the innovation ``(..., m)``, the root ``(..., m, m)`` of
+    the innovation covariance, the gain ``(..., n, m)``, the measurement's Jacobian
+    ``H (..., m, n)`` and the mask of used components ``(..., m)``.
 
     Omega: ``(..., n, m)``, how the measurement itself enters the prediction; None if it does not.
-    lag: ``(m, m)``, the factor of the last measurement that is subtracted from this one, and
-        before: ``(..., m, n)``, the H of the last measurement; None without.
+    lag: ``(m, m)``, the matrix Phi of a differenced measurement ``z - Phi z_last``. before:
+        ``(..., m, n)``, the H of the last measurement. None without differencing.
     """
 
     innovation: Array
@@ -72,8 +72,8 @@ class Stage(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Plain:
-    """A first stage made of an ordinary filter of one sensor: any rule, either form, hooks
-    included. Vector states only.
+    """A first stage from an ordinary filter with one sensor: any rule, either form, hooks included.
+    Vector states only; ValueError otherwise.
     """
 
     filter: Sequential
@@ -111,8 +111,8 @@ class Plain:
 
 
 class TwoStageState(NamedTuple):
-    """State of the first stage, bias ``(..., p)``, sensitivity ``(..., n, p)``, Gamma of the last
-    measurement, memory of the boost.
+    """State of the first stage, belief about the bias ``(..., p)``, sensitivity ``(..., n, p)``,
+    Gamma at the last measurement, memory of the boost.
     """
 
     first: Any
@@ -138,8 +138,8 @@ class TwoStageState(NamedTuple):
 
 
 class Boost(NamedTuple):
-    """Arguments of a boost: the innovation less what the bias explains ``(..., m)`` and its
-    covariance; the innovation and covariance of the first stage alone.
+    """Arguments of a boost: the innovation minus its prediction from the bias ``(..., m)`` and its
+    covariance ``(..., m, m)``; the innovation and covariance of the first stage alone.
     """
 
     residual: Array
@@ -159,21 +159,23 @@ def two_stage(
     rule: Any = UNSCENTED,
     **options: Any,
 ) -> TwoStage:
-    """A filter of a state and, in a second stage, a bias of the measurement.
+    """A filter that estimates a state and, in a second stage, a measurement bias.
 
     motion, sensor: the models of the first stage, without the bias.
     Gamma: ``(..., m, p)``, derivative of the measurement with respect to the bias, or a function
-    ``(mean, epoch)`` of it. bias: the prior of the bias ``(p,)``.
+        ``(mean, epoch)`` that returns it.
+    bias: the prior of the bias, ``(p,)``.
     Qb: covariance ``(p, p)`` of the steps of a random-walk bias; None: the bias is constant.
     boost: ``(memory, Boost) -> (memory, factors (..., p))``: the gain of the bias stage is computed
         from a covariance inflated by the factors; the covariance itself is not inflated. For an
         example see `celnav.papers.tstdkf.method.strong_tracking`.
-    rule, options: of the first stage, as in `celnav.sigma_point`.
+    rule, options: for the first stage, as in `celnav.sigma_point`.
 
-    The prior is about the state alone; the filter's belief is about state and bias,
-    ``(..., n + p)``. Innovations, NIS and likelihood are those of both stages, as in the augmented
-    filter; gain and Jacobian are those of the first stage. Covariances and sensitivity that the
-    runs of a linear model share have no axis of runs if the prior's covariance has none.
+    The filter starts from a prior of the state alone; its belief is about state and bias,
+    ``(..., n + p)``. Innovations, NIS and likelihood equal those of the augmented filter; gain and
+    Jacobian are from the first stage. If the runs of a linear model share the prior's covariance,
+    they share all covariances and the sensitivity, which then have no axis of runs. ValueError
+    names an argument that does not fit.
 
     >>> bias = celnav.Gaussian(np.zeros(3), np.eye(3))
     >>> filter = celnav.two_stage(motion, sensor, np.eye(3), bias)
@@ -206,9 +208,10 @@ class TwoStage:
     ) -> TwoStage:
         """A filter from any first stage, such as `Plain`; other arguments as in `two_stage`.
 
-        ``first.start(prior)`` gives a state with a ``belief``, ``first.predict(state, epoch)`` the
-        state after the interval and the transition matrix (None if there is no interval),
-        ``first.update(state, epoch)`` state, `Stage` (None if nothing was measured) and `Info`.
+        ``first.start(prior)`` returns a state with a ``belief``. ``first.predict(state, epoch)``
+        returns the state after the interval and the transition matrix (None if the interval is 0).
+        ``first.update(state, epoch)`` returns the state, a `Stage` (None if nothing was measured)
+        and an `Info`.
         """
         if isinstance(first, Sequential) or not all(
             hasattr(first, name) for name in ("start", "predict", "update")
@@ -238,7 +241,7 @@ class TwoStage:
         runs = np.broadcast_shapes(bias.mean.shape[:-1], bias[1].shape[:-2])
         pairs = zip(runs[::-1], batch[::-1], strict=False)
         if len(runs) > len(batch) or any(a not in (1, b) for a, b in pairs):
-            raise ValueError(f"bias: expected one, or one for each run, {tuple(batch)}, got {runs}")
+            raise ValueError(f"bias: expected one, or one for each run {tuple(batch)}, got {runs}")
         # Covariance and sensitivity get an axis of runs where the models' matrices have one.
         return TwoStageState(
             first, bias._replace(mean=np.broadcast_to(bias.mean, (*batch, p))), np.zeros((n, p))
@@ -248,7 +251,7 @@ class TwoStage:
         first, Phi = self.first.predict(state.first, epoch)
         bias, Lambda = state.bias, state.Lambda
         if Phi is not None:
-            # A bias does not enter the motion, so its effect on the state moves with Phi.
+            # The bias does not enter the motion, so its effect on the state is propagated by Phi.
             Lambda = Phi @ Lambda
             if self.walk is not None:
                 first, bias, Lambda = _walked(first, bias, Lambda, self.walk)
@@ -264,9 +267,10 @@ class TwoStage:
             direct = here - stage.lag @ (state.Gamma + stage.before @ state.Lambda)
         if stage.Omega is not None:
             Lambda = Lambda - stage.Omega @ (direct + stage.H @ Lambda)
-        # S = H Lambda + Gamma, (..., m, p): the derivative of the first innovation to the bias.
+        # S = H Lambda + Gamma, (..., m, p): minus the derivative of the first stage's innovation to
+        # the bias.
         S = np.where(stage.used[..., None], stage.H @ Lambda + direct, 0.0)
-        # The bias given the innovation of the first stage, of which S is the Jacobian.
+        # Condition the bias on the innovation of the first stage, with the Jacobian S.
         bias_joint = joint(
             LINEAR,
             bias,
@@ -294,7 +298,7 @@ class TwoStage:
 
 
 def _boosted(M: Array, d: Array, S: Array, root: Array, residual: Array) -> Array:
-    """The change of a bias of covariance ``D M D`` by a residual:
+    """The change of a bias with covariance ``D M D`` by a residual:
     ``D M (I + D W D M)^-1 D S' R^-1 residual``, with ``W = S' R^-1 S`` and ``D = diag(d)``.
     """
     # Y = S_1^-1 S with R = S_1 S_1', so that W = Y' Y.
@@ -307,20 +311,21 @@ def _boosted(M: Array, d: Array, S: Array, root: Array, residual: Array) -> Arra
 
 
 def _walked(first: Any, bias: Any, Lambda: Array, walk: Array) -> tuple[Any, Any, Array]:
-    """First stage, bias and sensitivity after a step of the bias [Hsieh1999].
+    """First stage, bias and sensitivity after a random-walk step of the bias [Hsieh1999].
 
-    The bias before its step is conditioned on the bias after it: the sensitivity explains a part,
-    and the rest becomes noise of the first stage.
+    The bias before the step is conditioned on the bias after it. The sensitivity explains one part
+    of the old bias, and the rest becomes noise of the first stage.
     """
     form, eye = type(bias), np.eye(bias.mean.shape[-1])
-    # The bias after its step is measured, as it were: noise Q_b, innovation 0, so no mean moves.
+    # The bias after the step acts as a measurement with noise Q_b and innovation 0, so no mean
+    # changes.
     both = joint(LINEAR, bias, ((bias.mean, eye), KEEP), z=bias.mean, measurement_noise=walk)
     left, info, _ = condition(form, both, EUCLIDEAN, gain=partial(pseudo_gain, least=KNOWN))
 
     # Lambda' = Lambda G with G = M (M + Q_b)^+; P' = P + Lambda (M - G M) Lambda'.
     after, less = form(bias.mean, form.sum(bias[1], walk)), Lambda @ info.gain()
     belief = first.belief
-    # The corrected state x + Lambda b stays: x takes over what Lambda gives up.
+    # The corrected state x + Lambda b does not change: x absorbs the change of Lambda.
     free = type(belief)(
         belief.mean + matvec(Lambda - less, bias.mean),
         type(belief).sum(belief[1], Lambda @ left.sqrt_cov),

@@ -84,7 +84,7 @@ def test_a_rule_that_is_none(given, told):
         ),
         (
             lambda: celnav.Motion(EYE, EYE, space=angles()),
-            "f: expected a function where states are no vectors, got a matrix",
+            "f: expected a function where states are not vectors, got a matrix",
         ),
         (
             lambda: celnav.Motion(f, EYE, space=[0]),
@@ -131,7 +131,7 @@ def test_a_rule_that_is_none(given, told):
         ),
         (
             lambda: celnav.ukf(MOTION, SENSOR, SENSOR, gain=EYE),
-            "gain: expected one sensor with it, got 2",
+            "gain: expected one sensor with a prescribed gain, got 2",
         ),
         (
             lambda: celnav.ekf(MOTION, SENSOR, iterations=0),
@@ -162,7 +162,7 @@ def test_a_rule_that_is_none(given, told):
         ),
         (
             lambda: celnav.run(FILTER, PRIOR, celnav.epochs([0.0]), [[0.0, 0.0]]),
-            "z: expected none beside epochs, which have",
+            "z: expected none beside epochs, which already have",
         ),
         (
             lambda: celnav.run(FILTER, PRIOR, [celnav.Epoch(k, float(k)) for k in (0, 1)]),
@@ -215,11 +215,11 @@ def test_a_rule_that_is_none(given, told):
         ),
         (
             lambda: predicted(MOTION, QUATERNION),
-            "space: expected one for states of 4 components with 3 deviations, got vectors",
+            "space: expected a space for 4 components, 3 differences, got vectors",
         ),
         (
             lambda: updated([0.0, 0.0], QUATERNION),
-            "space: expected one for states of 4 components with 3 deviations, got vectors",
+            "space: expected a space for 4 components, 3 differences, got vectors",
         ),
         (lambda: predicted(TRANSPOSED), "jacobian: expected shape (..., 2,"),
         (lambda: predicted(celnav.Motion(np.eye(3), np.eye(3))), "f: expected a matrix"),
@@ -232,7 +232,10 @@ def test_a_rule_that_is_none(given, told):
             lambda: updated(3.0),
             "z: expected shape (..., m), got the number 3.0; one component is [z]",
         ),
-        (lambda: updated((np.zeros(2), np.zeros(2))), "z: expected 1 measurements, got 2"),
+        (
+            lambda: updated((np.zeros(2), np.zeros(2))),
+            "z: expected 1 measurements, one a sensor, got 2",
+        ),
         (lambda: updated([1.0]), "z: expected 2 components"),
         (lambda: updated(np.zeros((2, 1))), "z: expected 2 components"),
         (
@@ -253,7 +256,7 @@ def test_a_rule_that_is_none(given, told):
         ),
         (
             lambda: SingleDraw.of(FILTER),
-            "filter: expected one sensor, and process noise through the points only",
+            "filter: expected one sensor, and process noise through the points (augment) only",
         ),
         (
             lambda: Fallback(FILTER, MOTION),

@@ -60,7 +60,7 @@ def test_why_an_iterated_filter_is_lost_is_told():
         Sensor([[1.0, 0.0], [1.0, 0.0]], np.zeros((2, 2))),
         iterations=3,
     )
-    with pytest.raises(FilterError, match="a measurement without noise must say what is not known"):
+    with pytest.raises(FilterError, match="a measurement without noise must not repeat what"):
         run(filter, PRIOR, TIMES, np.ones((3, 2)))
 
 
@@ -160,7 +160,7 @@ def test_a_matrix_cannot_measure_where_states_are_no_vectors(kind, columns):
     prior, z = Gaussian(MIDDLE, np.eye(6)), np.ones((3, 3))
     sensor = Sensor(kind(np.eye(3, columns)), np.eye(3))
     message = (
-        r"^h: expected a function where states have 7 components and 6 deviations, "
+        r"^h: expected a function where states have 7 components, 6 differences, "
         r"such as lambda x, epoch: x\[..., -3:\], got a matrix$"
     )
     with pytest.raises(ValueError, match=message):
@@ -175,7 +175,7 @@ def test_a_matrix_cannot_measure_where_states_are_no_vectors(kind, columns):
 @pytest.mark.parametrize(
     ("mean", "n", "message"),
     [
-        (MIDDLE, 7, r"prior: expected a covariance \(6, 6\) of the deviations of states of 7 comp"),
+        (MIDDLE, 7, r"prior: expected a covariance \(6, 6\) of differences of states of 7 comp"),
         (MIDDLE[:6], 6, "prior: expected 7 components of a product of spaces, got 6"),
         (2.0 * MIDDLE, 6, "prior: expected unit quaternions, got a norm of 2"),
     ],

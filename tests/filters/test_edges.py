@@ -113,10 +113,10 @@ def test_a_measurement_without_noise_of_what_is_known_is_told(form, h):
     assert np.isnan(again.belief.mean).all()
     why = explain(filter, known, again, epoch)
     assert why.startswith(
-        "the innovation covariance is not positive definite; a measurement without noise must say "
-        "what"
+        "the innovation covariance is not positive definite; a measurement without noise must "
+        "not repeat what"
     )
-    assert why.endswith("leave out all but one (z is nan) or give them a small R")
+    assert why.endswith("leave out all but one (z is nan), or give them a small R")
     with pytest.raises(celnav.FilterError, match="innovation covariance is not positive definite"):
         celnav.run(filter, known.belief, [0.0], [[1.0]])
 
@@ -128,7 +128,7 @@ def test_redundant_perfect_sensors_are_told_with_what_to_do(form):
     """
     twice = exact(lambda x, e: x[..., [0, 0]], form, {"R": np.zeros((2, 2))})
     with pytest.raises(
-        celnav.FilterError, match=r"leave out all but one \(z is nan\) or give them a small R \("
+        celnav.FilterError, match=r"leave out all but one \(z is nan\), or give them a small R \("
     ):
         celnav.run(twice, PRIOR, [0.0], [[1.0, 1.0]])
     np.testing.assert_allclose(updated(twice, PRIOR, [1.0, np.nan])[0].mean, [1.0, 0.0], atol=1e-15)
@@ -285,7 +285,7 @@ def test_an_innovation_stays_on_this_side_of_the_seam():
 def test_some_runs_cannot_stand_still_while_others_move():
     filter, prior = celnav.ukf(MOTION, SENSOR), celnav.Gaussian(np.zeros((2, 2)), EYE)
     with pytest.raises(
-        ValueError, match="dt: expected an interval for every run or for none where Q is constant"
+        ValueError, match="dt: expected an interval in every run or in none if Q is constant"
     ):
         celnav.run(filter, prior, [celnav.Epoch(3, 1.0, np.array([0.0, 1.0]), z=np.ones(2))])
     assert (

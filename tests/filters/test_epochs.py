@@ -189,7 +189,10 @@ def test_dates_keep_their_nanoseconds():
         (["2024-01-01", "2024-01-02"], "times: expected numbers, got "),
         (pd.Series(["a", "b"]), "times: expected numbers, got "),
         (pd.DataFrame({"t": [0.0, 1.0]}), r"times: expected shape \(T,\) with T > 0, got \(2, 1\)"),
-        (pd.DatetimeIndex(NIGHT[::-1]), "times: expected them not to decrease, got -3600.0 after"),
+        (
+            pd.DatetimeIndex(NIGHT[::-1]),
+            "times: expected times that do not decrease, got -3600.0 after",
+        ),
         (np.array(["2024-01", "2024-02"], "M8[M]"), "times: expected numbers, got dates or"),
     ],
 )
@@ -260,9 +263,9 @@ def test_a_sensor_that_uses_the_input_has_none_at_the_first_epoch(place, engine)
     filter, u = celnav.ukf(motion, PLACES[place]), np.array(TURN)
     u = u[:, None] if place == "h of components" else u
     message = (
-        r"^u: expected models that need no input at t = 0.0: no interval leads up to the first "
+        r"^u: expected models that need no input at t = 0.0: there is no interval before the first "
         r"epoch. "
-        r"Make that measurement nan, or let the model use a value of its own where epoch.u is None"
+        r"Make its measurement nan, or let the model use a default value if epoch.u is None"
     )
     with pytest.raises(ValueError, match=message) as error:
         celnav.run(filter, START, times, z, u, engine=engine)

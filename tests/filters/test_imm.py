@@ -443,7 +443,7 @@ def test_smoothing_is_refused():
         ),
         (
             lambda: celnav.imm([models()[0], models("covariance")[1]], PI).start(PRIOR),
-            "filters: expected models of the same state",
+            "filters: expected filters with the same state",
         ),
     ],
 )

@@ -224,11 +224,11 @@ def test_bad_iterations(iterations):
 
 def test_where_there_is_no_posterior_to_go_back_to():
     with pytest.raises(
-        ValueError, match="iterations: expected 1, since process and measurement are one function"
+        ValueError, match="iterations: expected 1, because process and measurement are one"
     ):
         celnav.colored(STILL, celnav.Sensor(h, R), 0.5 * np.eye(2), iterations=2)
     through = celnav.Motion(lambda x, epoch, w: x + w, augment=(np.eye(2),))
-    with pytest.raises(ValueError, match="filter: expected one of a single iteration"):
+    with pytest.raises(ValueError, match="filter: expected iterations=1"):
         SingleDraw.of(
             celnav.ukf(through, celnav.Sensor(lambda x, epoch, *w: h(x), R), iterations=2)
         )

@@ -134,9 +134,7 @@ def test_deviations_are_counted_where_states_are_no_vectors():
     )
     assert_same(found, known)
     alone = celnav.ukf(celnav.Motion(lambda x, e: x, 1e-5, space=celnav.attitude()))
-    with pytest.raises(
-        ValueError, match=r"^prior: expected a covariance \(3, 3\) of the deviations"
-    ):
+    with pytest.raises(ValueError, match=r"^prior: expected a covariance \(3, 3\) of differences"):
         alone.start(celnav.Gaussian([0.0, 0.0, 0.0, 1.0], 0.01))
 
 
@@ -204,6 +202,6 @@ def test_what_a_number_cannot_be(make, message):
 def test_a_run_that_fails_is_explained():
     """Noise of a number may be none at all."""
     twice = celnav.Sensor(lambda x, e: np.stack([x[..., 0], x[..., 0]], -1), R=0.0)
-    message = re.escape("a measurement without noise must say what is not known already")
+    message = re.escape("a measurement without noise must not repeat what is determined already")
     with pytest.raises(celnav.FilterError, match=message):
         celnav.run(celnav.ukf(celnav.Motion(f, 0.01), twice), PRIOR, TIMES, Z[:, 0])

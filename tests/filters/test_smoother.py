@@ -461,7 +461,7 @@ FORWARD_ONLY = {
 def test_what_cannot_be_smoothed_says_why_and_what_can(name):
     filter, reason, instead = FORWARD_ONLY[name]
     z = measurements(np.random.default_rng(14))
-    expected = "filter: expected one that predicts, then updates, such as celnav.ukf, got "
+    expected = "filter: expected a filter that predicts, then updates, such as celnav.ukf, got "
     with pytest.raises(ValueError, match="^" + re.escape(expected) + r"\w+, " + re.escape(reason)):
         smooth(run(filter, PRIOR, np.arange(T), z, keep="cov"))
     prior = Gaussian(np.zeros(5), np.eye(5)) if name == "two stages" else PRIOR
@@ -584,19 +584,19 @@ TWO, THREE = np.eye(2), 0.01 * np.eye(3)
         ),
         (
             lambda: smooth(track_of(PLAIN, every=3)),
-            r"^track: expected every epoch, got some of them; run with every=1",
+            r"^track: expected every epoch, got some epochs; run with every=1",
         ),
         (
             lambda: smooth(pickle.loads(pickle.dumps(track_of(PLAIN)))),
-            r"^filter: expected that of the track, which was lost",
+            r"^filter: expected the track's filter, because",
         ),
         (
             lambda: smooth(track_of(PLAIN), MOTION),
-            r"^filter: expected one that predicts, then updates, such as celnav.ukf, got Motion$",
+            r"^filter: expected a filter that predicts, then updates, such as .*, got Motion$",
         ),
         (
             lambda: smooth(track_of(colored(Motion(linear, THREE), SEEN, 0.5 * TWO))),
-            r"^filter: expected one that predicts, .*, got Colored, whose differences of "
+            r"^filter: expected a filter that predicts, .*, got Colored, whose differences of "
             r"measurements "
             r"share their noise with the motion; smooth a track of celnav.augmented\(motion",
         ),

@@ -233,7 +233,7 @@ def test_a_bias_of_each_run_goes_with_as_many_runs(bias):
     np.testing.assert_allclose(found.mean, expected.mean, rtol=0, atol=1e-12)
     np.testing.assert_allclose(found.cov, expected.cov, rtol=0, atol=1e-12)
     with pytest.raises(
-        ValueError, match=r"^bias: expected one, or one for each run, \(4,\), got \(3,\)$"
+        ValueError, match=r"^bias: expected one, or one for each run \(4,\), got \(3,\)$"
     ):
         filter.start(prior(4))
 

@@ -498,14 +498,14 @@ def hooked(hook):
         ),
         (
             lambda: celnav.smooth(TRACK, MOTION),
-            "filter: expected one that predicts, then updates, such as celnav.ukf, got Motion",
+            "filter: expected a filter that predicts, then updates, such as celnav.ukf, got Motion",
         ),
         (lambda: TRACK.to_dataframe("xy"), "names: expected 2 words, such as ['x', 'y'], got 'xy'"),
         (
             lambda: celnav.two_stage(
                 MOTION, SENSOR, EYE, celnav.Gaussian(np.zeros((3, 2)), EYE)
             ).start(PRIOR),
-            "bias: expected one, or one for each run, (), got (3,)",
+            "bias: expected one, or one for each run (), got (3,)",
         ),
         (
             lambda: flown(

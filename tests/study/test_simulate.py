@@ -370,7 +370,7 @@ def seen(x, _epoch):
         ({"prior": Gaussian(np.zeros(3), np.eye(3))}, r"^(prior|f|h): expected "),
         ({"runs": 0}, r"^runs: expected a positive integer, got 0"),
         ({"runs": 2.5}, r"^runs: expected a positive integer, got 2.5"),
-        ({"times": [1.0, 0.0]}, r"^times: expected them not to decrease"),
+        ({"times": [1.0, 0.0]}, r"^times: expected times that do not decrease"),
         ({"u": np.zeros((3, 1))}, r"^u: expected 11 rows for 12 times .*, got 3"),
         (
             {"motion": Motion(lambda x, _epoch: x[..., :1], Q)},
