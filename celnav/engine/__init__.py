@@ -1,9 +1,9 @@
-"""Machine code for filters: what a step is recorded as, and who runs it.
+"""Machine code for filters: recording, compiling and running a filter's steps.
 
-`recording` a filter's step on a tape · `runs` all runs through all epochs · `stepper` one step at a
-time · `compiled` which engine runs a filter, and machine code that is kept · `sentinels` steps
-compared with numpy's · `memory` rows that are used again · `gradient` slopes of the likelihood ·
-`export` a filter as C.
+`recording`: a filter's step on a tape. `runs`: all runs through all epochs. `stepper`: one step at
+a time. `compiled`: the choice of the engine, and stored machine code. `sentinels`: steps compared
+with numpy's. `memory`: reused memory. `gradient`: the gradient of the likelihood. `export`: a
+filter as C.
 """
 
 from celnav.lazy import modules

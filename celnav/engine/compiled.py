@@ -1,7 +1,7 @@
-"""A filter as machine code: `celnav.compiled`, and what ``celnav.run`` does with
-``engine="compiled"`` or ``"cuda"``.
+"""A filter as machine code: `celnav.compiled`, and ``celnav.run`` with ``engine="compiled"``,
+``"cuda"`` or ``"auto"``.
 
-Runs that fail are run again by the numpy engine, which is the reference and can explain the
+The numpy engine repeats the runs that fail, because it is the reference and can explain the
 failure.
 """
 
@@ -47,23 +47,23 @@ from celnav.tape.tape import MOST, CannotCompile, place_of
 
 __all__ = ["Compiled", "compiled"]
 
-# operations of a step: the most that engine="auto" compiles, in some five seconds, and that a
-# device runs
+# Largest number of operations of a step that engine="auto" compiles (about 5 s), and that a device
+# runs.
 MOST_AUTO = 50_000
 # Constants of engine="auto" in CPU seconds, measured for 1 to 30 states with AVX2 and AVX-512:
-STEP_S = 5e-4  # of a numpy step, for models like those of the five studies
-OPERATION_S = 1.2e-9  # of an operation of it in each run
-COMPILE_OPERATION_S = 6e-5  # of recording and compiling an operation: 4e-5 to 1e-4
-USUAL_KINDS = 2  # steps that a usual run records: with an interval and without
+STEP_S = 5e-4  # of a numpy step, for models as in the five studies
+OPERATION_S = 1.2e-9  # of an operation of a numpy step in each run
+COMPILE_OPERATION_S = 6e-5  # to record and compile an operation: 4e-5 to 1e-4
+USUAL_KINDS = 2  # kinds of steps in a usual run: with an interval and without
 # Estimated operations of a step, times n^2 and times m^2, before the step is recorded:
 EXPECTED_OPERATIONS = 100, 20
-# of an operation's time, where models are matrices: numpy computes one covariance for all runs
+# Fraction of OPERATION_S if models are matrices: numpy computes one covariance for all runs.
 SHARED = 0.02
-MOST_CACHED = 16  # filters whose machine code is stored
-COMPARE_ALL = 262_144  # steps of runs by stored machine code until all sentinels are compared again
-COMPARE_ONE = 4096  # steps, the most between two comparisons with numpy
+MOST_CACHED = 16  # number of filters whose machine code is stored
+COMPARE_ALL = 262_144  # steps times runs by stored code between comparisons of all sentinels
+COMPARE_ONE = 4096  # largest number of steps between two comparisons with numpy
 GROWTH = 4  # factor by which that interval grows each time
-NUMPY_FIRST = 3  # epochs of some runs that numpy runs before a step is recorded
+NUMPY_FIRST = 3  # epochs that numpy runs, for some runs, before a step is recorded
 OTHER = "the model gives other values when it is recorded"
 LOOKS = "it depends on more than the numbers that it is given; engine='numpy' runs it as it is"
 Stepped = tuple[Any, tuple[Info, ...]]
@@ -72,18 +72,18 @@ Stepped = tuple[Any, tuple[Info, ...]]
 class Compiled:
     """A filter as machine code; `celnav.compiled` makes it.
 
-    The recorded steps are stored. For some of the runs, some steps are compared with numpy's: in
-    the first run and in long ones at epochs spread over the whole run; in short ones at one epoch,
-    at first in each run, finally once in 4,096 steps. Steps are recorded again if the contents of
-    the models have changed, such as a global number. A model that changes its own contents whenever
-    it is called cannot be compiled.
+    The recorded steps are stored. Some steps are compared with numpy's. In the first run and in
+    long runs they are spread over all epochs. In later short runs one step is compared: at first in
+    each run, finally once in 4,096 steps. Steps are recorded again if the contents of the models
+    have changed, such as a global number. A model that changes its contents at every call cannot be
+    compiled.
 
     >>> fast = celnav.compiled(celnav.ukf(motion, gps), jobs=2)
     >>> track = fast.run(prior, times, z)
     """
 
     def __init__(self, filter: Any, jobs: int, engine: str, most: int | Callable[[int], int]):
-        # most: operations of a step, or a function of the number of kinds of epochs.
+        # most: largest number of operations of a step, or a function of the number of kinds.
         self.filter, self.jobs, self.engine, self.most = filter, jobs, engine, most
         self._cache, self._watch = StepCache(), Watch(None)
         self._left = 0  # steps of all runs until numpy repeats all sentinels
@@ -97,8 +97,8 @@ class Compiled:
     def limit(self, kinds: int) -> int:
         """The largest number of operations of a step that may be compiled.
 
-        kinds: how many kinds of epochs the run has. After the first run most steps are recorded, so
-        further kinds do not lower the limit.
+        kinds: number of kinds of epochs in the run. After the first run most steps are recorded
+            already, so further kinds do not lower the limit.
         """
         if isinstance(self.most, int):
             return self.most
@@ -112,16 +112,16 @@ class Compiled:
     def adopt(self, other: Compiled) -> Compiled:
         """This filter, with the records of another filter whose models have equal contents.
 
-        Its first run compares all sentinels with this filter's own steps by numpy.
+        Its first run compares all sentinels with this filter's steps by numpy.
         """
         self._cache, self._watch = other._cache.shared(), Watch(self.filter)
         return self
 
     def holds(self, contents: dict[str, Any]) -> bool:
-        """Whether the contents of the models were the same when they were recorded."""
+        """Whether the contents of the models have not changed since they were recorded."""
         return self.recorded and not changed(self._watch.holds, contents)
 
-    def __reduce__(self) -> Any:  # addresses of machine code are of this process
+    def __reduce__(self) -> Any:  # addresses of machine code are valid only in this process
         return Compiled, (self.filter, self.jobs, self.engine, self.most)
 
     def run(
@@ -148,7 +148,7 @@ class Compiled:
         count = len(epochs)
 
         def by_numpy() -> None:
-            """Raise numpy's error; the first epochs suffice once all of them stand in columns."""
+            """Raise numpy's error; the first epochs suffice if all epochs are stored as columns."""
             run(self.filter, prior, epochs[:count], engine="numpy", **options)
 
         with self._recording(by_numpy):
@@ -189,13 +189,15 @@ class Compiled:
         on = device() if self.engine == "cuda" else None
         engine = self._engine(prior, data)
         count = engine.runs
-        # On a device only runs of the first chunk, which alone is run in pieces.
+        # On a device the watched runs must be in the first chunk, because only this chunk runs in
+        # pieces.
         watched = sorted({0, count // 2, count - 1}) if on is None else list(range(min(count, 3)))
-        if fresh or first:  # numpy first: what models store at their first call must be floats
+        # numpy runs first: values that models store at their first call must be floats.
+        if fresh or first:
             few = _of(self.filter, prior, data, engine.batch, watched, NUMPY_FIRST)
             try:
                 run(*few, on_failure="flag", engine="numpy")
-            except Exception:  # a model may hold arrays of all runs
+            except Exception:  # a model may have arrays of all runs
                 run(self.filter, prior, epochs[:NUMPY_FIRST], on_failure="flag", engine="numpy")
             self._watch = Watch(self.filter)
         steps = count * len(data.k)
@@ -228,19 +230,19 @@ class Compiled:
         raise _has_memory(self._watch.holds, path) if path else _differs(self._watch.holds, why)
 
     def _engine(self, prior: Any, data: Data) -> Engine:
-        """The engine that records and compiles steps for such priors and epochs."""
+        """The engine that records and compiles steps for priors and epochs with this signature."""
         key, engines = signature(prior, data), self._cache.engines
         if key not in engines:
             for oldest in [*engines][: 1 - MOST_CACHED]:
                 engines.pop(oldest, None)
             rolled = self.engine != "cuda"
             engines[key] = Engine(self.filter, prior, data, self._cache, rolled=rolled)
-        engine = copy(engines[key])  # for this run
+        engine = copy(engines[key])  # with the data of this run
         engine.most = self.limit(len(data.distinct))
         return engine
 
     def start(self, prior: Any) -> Any:
-        """The filter's own state before the first epoch."""
+        """The state of the original filter before the first epoch."""
         if isinstance(self.filter, FixedLag):
             raise ValueError(
                 "filter: expected one that keeps no epochs; of celnav.compiled(filter) "
@@ -249,16 +251,18 @@ class Compiled:
         return self.filter.start(prior)
 
     def step(self, state: Any, epoch: Epoch) -> Stepped:
-        """State after an epoch, and an `Info` of each sensor with an equal part of the likelihood.
+        """State after an epoch, and an `Info` of each sensor with an equal part of the
+        log-likelihood.
 
-        The first step of a kind is recorded and compiled. It is compared with numpy's, and so are
-        the fourth after it, the 16th, and so on, finally each 4096th; immediately, if the contents
-        of the models have changed. If a run fails in a step, numpy repeats the step.
+        The first step of each kind is recorded and compiled. Numpy repeats it for comparison, and
+        also the fourth step after it, the 16th, and so on, finally each 4096th; and the next step
+        if the contents of the models have changed. If a run fails in a step, numpy repeats the
+        step.
 
         >>> fast = celnav.compiled(filter)
         >>> state, infos = fast.step(fast.start(prior), celnav.Epoch(t=0.0, z=z[0]))
         """
-        if state.belief[0].dtype.hasobject:  # it is being recorded, as a part of another filter
+        if state.belief[0].dtype.hasobject:  # the step is being recorded, inside another filter
             return self.filter.step(state, epoch)  # type: ignore[no-any-return]
         plans = self._local.__dict__
         key, numbers = plan_key(state, epoch)
@@ -277,20 +281,21 @@ class Compiled:
             holds = model_contents(self.filter)
             undo, again = restorer(self.filter), lambda: self.filter.step(state, epoch)
             with recording(holds, again, undo):
-                self.filter.step(state, epoch)  # what models keep of their first call are floats
+                # numpy runs first: values that models store at their first call must be floats.
+                self.filter.step(state, epoch)
                 plan = Plan(self.filter, state, epoch, self.limit(1))
         self._local.__dict__[key] = plan
         return plan
 
     def _compared(self, plan: Plan, state: Any, epoch: Epoch, result: Stepped) -> Stepped:
-        """The result of a step if numpy agrees; computed again if the contents of the models have
-        changed.
+        """The result of a step if numpy agrees; recorded and computed again if the contents of the
+        models have changed.
         """
         if changed(plan.watch.holds, model_contents(self.filter)):
             self._local.__dict__.clear()
             return self.step(state, epoch)
         *tally, failed = np.moveaxis(plan.tally, -1, 0)
-        if (failed >= 0.0).any():  # a run that has failed has no numbers to compare
+        if (failed >= 0.0).any():  # the numbers of a failed run cannot be compared
             return result
         try:
             name = different_quantity(self.filter, state, epoch, result[0], tally)
@@ -301,7 +306,7 @@ class Compiled:
         if path or why:
             self._local.__dict__.clear()
             raise _has_memory(plan.watch.holds, path) if path else _differs(plan.watch.holds, why)
-        if not plan.watch.is_still():  # equal values in other objects
+        if not plan.watch.is_still():  # other objects with equal values
             plan.watch = Watch(self.filter)
         plan.interval = min(GROWTH * plan.interval, COMPARE_ONE)
         plan.left = plan.interval - 1
@@ -355,10 +360,10 @@ class Compiled:
 def recording(
     holds: dict[str, Any], by_numpy: Callable[[], Any], restore: Callable[[], None]
 ) -> Iterator[None]:
-    """Raise an error of a recording as numpy raises it, or else as `CannotCompile`.
+    """Raise the error of a recording as numpy raises it; if numpy raises none, as `CannotCompile`.
 
     holds: the contents of the models. restore: a function that undoes the recording's changes to
-    them, so that numpy starts from the same contents.
+        the models, so that numpy starts from the same contents.
     """
     try:
         yield
@@ -385,7 +390,7 @@ def recording(
 
 
 def _has_memory(holds: dict[str, Any], path: str) -> CannotCompile:
-    """The error for a model that changes its own contents, at a path."""
+    """The error for a model that changes its contents at a path."""
     return CannotCompile(
         f"the model has a memory: {path} changes when it is called; put what changes with "
         f"time into the input u, or use engine='numpy'{functions_of(holds, path)}"
@@ -448,12 +453,12 @@ def _track(
 def _of(
     filter: Any, prior: Any, data: Data, batch: tuple[int, ...], runs: Any, count: int | None = None
 ) -> tuple[Any, Any, Any]:
-    """Filter, prior and the first ``count`` epochs (None: all) of some runs, numbered over all
-    batch axes, or of one run.
+    """Filter, prior and the first ``count`` epochs (None: all) for some runs, or for one; runs are
+    numbered over all batch axes.
     """
 
     select = partial(runs_of, batch=batch, runs=runs)
-    # What all runs share stays shared: the root of a singular covariance depends on how it is
+    # Shared matrices remain shared, because the root of a singular covariance depends on how it is
     # computed.
     mean = prior.mean if prior.mean.ndim == 1 else select(prior.mean, 1)
     form = Covariance if isinstance(prior, Covariance) else SquareRoot
@@ -467,14 +472,14 @@ def compiled(filter: Any, *, jobs: int = 1, engine: str = "compiled") -> Compile
     """A filter as machine code, compiled when it first runs; needs
     ``.venv/bin/pip install -c constraints.txt -e ".[compiled]"``.
 
-    filter: of `celnav.ukf` and its siblings, `celnav.colored`, `augmented`, `two_stage`, `imm`. Its
-        models are recorded unchanged: arithmetic, and numpy's functions of it. Code that needs the
-        value of a number, an ``if`` or a ``float(x)``, cannot be recorded: `CannotCompile` names
-        the line.
-    jobs: threads. The bytes of the result do not depend on them.
+    filter: from `celnav.ukf` or another sigma-point filter, `celnav.colored`, `augmented`,
+        `two_stage` or `imm`. Its models are recorded unchanged if they consist of arithmetic and
+        numpy functions. Code that needs the value of a number, an ``if`` or a ``float(x)``, cannot
+        be recorded: `CannotCompile` names the line.
+    jobs: number of threads; it does not change the result, not even in the last bit.
     engine: "compiled" for this processor; "cuda" for an NVIDIA device (compute capability 7.0 or
-        higher), with a run in each of its threads, while ``jobs`` arrange and copy. RuntimeError
-        says what is missing, or which call of the driver failed.
+        higher), with a run in each of its threads, while ``jobs`` threads arrange and copy data.
+        RuntimeError names what is missing, or the driver call that failed.
 
     >>> flown = celnav.compiled(celnav.ukf(motion, gps)).run(prior, times, z)
     """
@@ -488,8 +493,8 @@ def resolve_engine(engine: str, filter: Any, jobs: int, prior: Any, epochs: Any)
     """A filter with an engine; "auto" raises `CannotCompile` if numpy takes less time. Compiled
     code is stored.
 
-    A filter that runs repeatedly is compiled once its runs together repay the compilation. A device
-    is used only on request.
+    A filter that runs repeatedly is compiled as soon as its runs together repay the compilation. A
+    device is used only on request.
     """
     if isinstance(filter, Compiled):
         return filter
@@ -516,15 +521,17 @@ def resolve_engine(engine: str, filter: Any, jobs: int, prior: Any, epochs: Any)
 
 
 _WORK: WeakKeyDictionary[Any, Array] = WeakKeyDictionary()
-"""Number of epochs, and of epochs times runs, that each filter was given to run."""
+"""For each filter, the number of epochs, and of epochs times runs, in all its runs so far."""
 
 
 def _added(filter: Any, work: Array) -> Array:
-    """The work of all runs of a filter so far, this one included; as much again is expected."""
+    """The work of all runs of a filter so far, the present run included; the same amount is
+    expected to follow.
+    """
     try:
         total: Array = _WORK.get(filter, 0.0) + work
         _WORK[filter] = total
-    except TypeError:  # this filter cannot be a key
+    except TypeError:  # this filter is not hashable
         return work
     return total
 
@@ -532,8 +539,8 @@ def _added(filter: Any, work: Array) -> Array:
 def operation_limit(steps: float, run_steps: float, kinds: int) -> int:
     """The largest number of operations of a step for which compiling saves time.
 
-    steps: epochs. run_steps: epochs times runs. kinds: how many kinds of epochs there are. Each
-    kind is recorded and compiled separately.
+    steps: number of epochs. run_steps: epochs times runs. kinds: number of kinds of epochs, each of
+        which is recorded and compiled separately.
     """
     left = max(kinds, USUAL_KINDS) * COMPILE_OPERATION_S - run_steps * OPERATION_S
     return MOST_AUTO if left <= 0.0 else int(min(MOST_AUTO, steps * STEP_S / left))
@@ -546,7 +553,7 @@ def _sizes(prior: Any, epochs: Any) -> tuple[int, int]:
     try:
         parts = (shape[:-1] for shape in shapes)
         runs = math.prod(np.broadcast_shapes(np.shape(prior.mean)[:-1], *parts))
-    except ValueError:  # the engine will name the axes that do not broadcast
+    except ValueError:  # the engine raises the error for axes that do not broadcast
         runs = 1
     return runs, sum(shape[-1] for shape in shapes if shape)
 
@@ -559,7 +566,9 @@ def _by_matrices(filter: Any) -> bool:
 
 
 def _equal(filter: Any, engine: str) -> Compiled | None:
-    """The last filter whose models have equal contents, such as that of an earlier unit of work."""
+    """The last stored filter whose models have equal contents, such as a filter from an earlier
+    unit of work.
+    """
     candidates = [
         x for x in _CACHE.values() if x.engine == engine and type(x.filter) is type(filter)
     ]
@@ -568,7 +577,7 @@ def _equal(filter: Any, engine: str) -> Compiled | None:
 
 
 def _cached(filter: Any, engine: str, jobs: int, most: int | Callable[[int], int]) -> Compiled:
-    """The filter as machine code, with the records of the same object or of an equal one.
+    """The filter as machine code, with the records of the same object or of an equal filter.
 
     Only records are shared: whether a run is compiled must not depend on other filters.
     """
@@ -579,7 +588,7 @@ def _cached(filter: Any, engine: str, jobs: int, most: int | Callable[[int], int
             fast.most = most
         if not fast.recorded and (other := _equal(filter, engine)) is not None:
             fast.adopt(other)
-        _CACHE[id(filter), engine, fast.jobs] = fast  # the last used stands last
+        _CACHE[id(filter), engine, fast.jobs] = fast  # the most recently used last
         while len(_CACHE) > MOST_CACHED:
             del _CACHE[next(iter(_CACHE))]
     return fast
@@ -587,11 +596,13 @@ def _cached(filter: Any, engine: str, jobs: int, most: int | Callable[[int], int
 
 _CACHE_LOCK = Lock()
 _CACHE: dict[tuple[int, str, int], Compiled] = {}
-"""Filters by their addresses, which stay valid while the filters stand here."""
+"""Filters by their addresses, which remain valid while this dictionary refers to the filters."""
 
 
 def _listed(filter: Any, prior: Any, epochs: Any) -> Epochs | list[Epoch]:
-    """Epochs that can be iterated twice; for other objects numpy's error is raised."""
+    """Epochs as a sequence that can be iterated twice; for other objects
+    numpy's error is raised.
+    """
     if (
         not isinstance(epochs, Epochs)
         and not hasattr(epochs, "__iter__")
@@ -611,14 +622,14 @@ def run_by(
     reduce: Any,
     **options: Any,
 ) -> Track:
-    """`celnav.run` with engine "compiled", "cuda" or "auto": the last uses numpy if the filter
-    cannot be compiled.
+    """`celnav.run` with engine "compiled", "cuda" or "auto"; "auto" uses numpy if the filter cannot
+    be compiled.
     """
     by_numpy: Callable[..., Track] = partial(
         run, also=also, reduce=reduce, engine="numpy", **options
     )
     alone = engine == "auto" and not isinstance(filter, Compiled)
-    if alone and not isinstance(epochs, Epochs | list | tuple):  # a stream, which may have no end
+    if alone and not isinstance(epochs, Epochs | list | tuple):  # a stream, which may be endless
         return replace(by_numpy(filter, prior, epochs), engine="numpy: a stream of epochs")
     epochs = _listed(filter, prior, epochs)
     try:
@@ -638,8 +649,8 @@ def run_by(
 def steps_by(
     engine: str, filter: Any, prior: Any, epochs: Iterable[Epoch]
 ) -> Iterable[tuple[Epoch, State, tuple[Info, ...]]]:
-    """`celnav.steps` likewise; by numpy too if a run fails, so that the failure is explained. An
-    `Info` covers all sensors together.
+    """`celnav.steps` with engine "compiled", "cuda" or "auto". If a run fails, numpy repeats the
+    steps to explain the failure. An `Info` covers all sensors together.
     """
     epochs = _listed(filter, prior, epochs)
     try:

@@ -32,21 +32,21 @@ def export_c(
     dt: float | None = None,
     name: str = "filter",
 ) -> None:
-    """Write a filter's step as one C99 file: no allocation, no loop, no branch, no library but
-    ``math.h``.
+    """Write a filter's step as one C99 file without allocations, loops, branches or libraries
+    except ``math.h``.
 
-    filter: as for `celnav.compiled`. path: of the file. prior: of one run; it becomes
+    filter: as for `celnav.compiled`. path: the file to write. prior: for one run; it becomes
         ``<name>_start``.
-    u: an example of the input, if the models use one. m: length of each measurement, if the
-        sensors' R does not give it.
-    dt: length of every interval, s; None: it is an argument of ``<name>_step``. name: prefix of the
-        functions' names.
+    u: an example of the input, if the models use one. m: number of components of each measurement,
+        if the sensors' R does not determine it.
+    dt: length of every interval, s; None: ``<name>_step`` has it as an argument. name: prefix of
+        the function names.
 
     The functions are ``<name>_start(state)``, ``<name>_first(state, in, z, out)`` for a measurement
     at the time of the prior, and ``<name>_step(state, in, z, out)`` for the end of an interval. The
-    head of the file lists sizes and orders. A component of ``z`` that is nan was not measured. A
-    state of nan is a run that has failed. ValueError names an invalid argument, `CannotCompile` the
-    line of a model that cannot be recorded.
+    head of the file lists sizes and orders. A component of ``z`` is nan if it was not measured. The
+    state is nan after a failure. ValueError names an invalid argument, and `CannotCompile` the line
+    of a model that cannot be recorded.
 
     >>> celnav.export_c(celnav.ukf(motion, gps), "filter.c", celnav.Gaussian(x0, P0), dt=1.0)
     """
@@ -84,7 +84,7 @@ def export_c(
     )
     first = engine.record(engine.begin, before, inputs[before.u])
     step = engine.record(first.after, moving, inputs[moving.u])
-    if step.after != first.after:  # which entries may be nan is known only after a step
+    if step.after != first.after:  # a step determines which entries may be nan
         step = engine.record(step.after, moving, inputs[moving.u])
         if [shape for shape, *_ in step.after.arrays] != [
             shape for shape, *_ in first.after.arrays

@@ -1,9 +1,9 @@
 """The log-likelihood of data and its gradient with respect to parameters of a filter, from one run
 of the compiled step.
 
-The arrays of a filter that depend on the parameters, and its prior, are numbers of the state before
-the first epoch. Their derivatives are differences, which need no run. From there on the step
-propagates them by the chain rule.
+The prior, and the arrays of the filter that depend on the parameters, become part of the state
+before the first epoch. Their derivatives are numerical differences, which need no run. The compiled
+step propagates these derivatives by the chain rule.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from celnav.tape.tape import CannotCompile
 
 STEP = 1e-3
 """Step of the fourth-order differences of arrays: round-off and truncation are below 1e-12."""
-SMOOTH = 1e-3  # largest difference of two steps' derivatives, relative to the largest derivative
+SMOOTH = 1e-3  # largest difference of derivatives from steps h and 2 h, relative to the largest
 COMPILE_S, CALL_S, OPERATION_S = 3e-4, 3e-4, 1.4e-9
 """About how long compiling takes per operation of a step, and numpy per step and per operation of
 it in one run; s.
@@ -46,15 +46,14 @@ Build = Callable[[Array], tuple[Any, Any]]
 
 
 class Gradient:
-    """Log-likelihood and gradient as functions of parameters, for a filter and prior that
-    ``build (d,)`` makes of them.
+    """Log-likelihood and gradient as functions of parameters ``(d,)``, from which ``build`` makes a
+    filter and a prior.
 
     Compiled code is stored. At other parameters the step is recorded again and must be the same,
-    operation by operation, unless the models are known to be the same functions of the same
-    numbers.
+    operation by operation, unless the models are provably the same functions of the same numbers.
 
-    flights: how many runs of the numpy engine one evaluation replaces; a step that takes longer to
-        compile is refused.
+    flights: how many runs of the numpy engine one evaluation replaces; `CannotCompile` if compiling
+        takes longer than these runs.
     """
 
     def __init__(self, build: Build, epochs: Epochs | Sequence[Epoch], flights: float = np.inf):
@@ -65,12 +64,12 @@ class Gradient:
         self.first: Any = None
 
     def __call__(self, x: Array, lengths: Array) -> tuple[Array, Array]:
-        """Value ``(...)`` of each run, nan if it fails, and gradient ``(..., d)``.
+        """Log-likelihood ``(...)`` of each run, nan if it fails, and its gradient ``(..., d)``.
 
-        lengths: ``(d,)``, over which the arrays of a filter are smooth; their differences use
-            thousandths of them. `CannotCompile` says why there is no gradient: a model that cannot
-            be recorded, or that depends on the parameters otherwise than by matrices of the filter.
-            ImportError says that there is no compiler.
+        lengths: ``(d,)``, changes of the parameters over which the arrays of the filter are smooth;
+            the differences use a thousandth of each. `CannotCompile` if a model cannot be recorded,
+            or depends on the parameters other than through matrices of the filter. ImportError if
+            the compiler is not installed.
         """
         built, neighbors = (
             self.build(x),
@@ -79,18 +78,19 @@ class Gradient:
                 for axis in np.diag(lengths)
             ],
         )
-        # Arrays that change with the parameters become numbers of the state, which can have slopes.
+        # Arrays that change with the parameters become part of the state, whose numbers have
+        # derivatives.
         varying = _varying([built[0], *(filter for four in neighbors for filter, _ in four)])
         data = as_data(built[0], self.epochs)
         starts = [[_start(variant, varying, data) for variant in four] for four in neighbors]
-        # A twin at other parameters shows whether the step depends on them in another way.
+        # A second filter at other parameters shows whether the step depends on them in another way.
         other, _ = self.build(x + STEP * lengths * np.linspace(0.5, 1.0, len(x)))
         engine, twin = (
             _WithGradient((_lifted(filter, varying), built[1]), data, self.cache)
             for filter in (built[0], other)
         )
         engine.twin, engine.flight_steps = twin, self.flights * len(data.k)
-        # The derivative of the state before the first epoch, by each parameter: differences.
+        # The derivative of the state before the first epoch to each parameter, by differences.
         slopes = [
             fourth_order(four, STEP, SMOOTH) / length
             for four, length in zip(starts, lengths, strict=True)
@@ -108,7 +108,8 @@ class Gradient:
         for record in () if same_program(self.first, built[0]) else self.recorded:
             engine.check(engine, *record)
         tallies = []
-        # One run for each parameter: the slopes of the state before the first epoch differ.
+        # One run for each parameter: they differ in the derivatives of the state before the first
+        # epoch.
         for engine.slopes in slopes:
             tallies.append(
                 run_compiled(engine, built[1], data, (), 1, 1).tally.reshape(-1, len(COUNTERS), 2)
@@ -127,8 +128,8 @@ class Gradient:
 
 
 class _WithGradient(Engine):
-    """An engine whose state has, beside each number, its derivative; ``slopes (runs, numbers)``
-    before the first epoch.
+    """An engine whose state has the derivative after each number; ``slopes (runs, numbers)`` are
+    the derivatives before the first epoch.
     """
 
     stride = 2
@@ -146,7 +147,7 @@ class _WithGradient(Engine):
 
     def start(self, prior: Any) -> Start:
         start = super().start(prior)
-        # Number i of the state stands at 2 i, its slope at 2 i + 1.
+        # Number i of the state is at 2 i, its derivative at 2 i + 1.
         both = np.stack(np.broadcast_arrays(start.numbers, self.slopes), -1)
         return start._replace(parts=[both.reshape(self.runs, -1)])
 
@@ -175,7 +176,7 @@ class _WithGradient(Engine):
         recorded, step_digest = self.plain(before, kind, u)
         self.check(self.twin, before, kind, u, step_digest)
         size = len(recorded.kernel.tape.ops)
-        # Compiling repays if it takes less time than the numpy runs that it replaces.
+        # Compiling is worthwhile if it takes less time than the numpy runs that it replaces.
         if COMPILE_S * size > self.flight_steps * (
             CALL_S + OPERATION_S * size * float(np.prod(self.batch))
         ):
@@ -203,7 +204,7 @@ def _arrays(filter: Any) -> list[Array]:
 
 
 def _varying(filters: Sequence[Any]) -> set[int]:
-    """Which arrays differ between filters, by the order in which they come."""
+    """For each array of the filters, in order, whether it differs between them."""
     first, *others = map(_arrays, filters)
     if any([x.shape for x in other] != [x.shape for x in first] for other in others):
         raise CannotCompile("the filter's arrays change their shapes with the parameters")
@@ -227,9 +228,8 @@ def _start(built: tuple[Any, Any], varying: set[int], data: Any) -> Array:
 
 
 def same_program(a: Any, b: Any, matrices: bool = True) -> bool:
-    """Whether parts of two filters are known to be the same program: the same data, except the
-    filters' own ``matrices``, and functions of the same code with the same values in their
-    closures.
+    """Whether parts of two filters are provably the same program: the same data, except the
+    filters' ``matrices``, and functions with the same code and the same values in their closures.
     """
     if a is b:
         return True
@@ -247,7 +247,7 @@ def same_program(a: Any, b: Any, matrices: bool = True) -> bool:
         return list(a) == list(b) and all(same_program(a[name], b[name], matrices) for name in a)
     if isinstance(a, partial):
         return same_program((a.func, a.args, a.keywords), (b.func, b.args, b.keywords), matrices)
-    # Functions of the same code are the same if what they close over is.
+    # Functions with the same code are the same if their closures are.
     if isinstance(a, FunctionType):
         x, y = (
             [f.__defaults__, f.__kwdefaults__, [cell.cell_contents for cell in f.__closure__ or ()]]
@@ -268,9 +268,9 @@ def same_program(a: Any, b: Any, matrices: bool = True) -> bool:
 
 def fourth_order(values: Sequence[Array], step: float, smooth: float | None = None) -> Array:
     """The derivative from values at -2, -1, 1 and 2 steps; `CannotCompile` if the derivatives from
-    one step and from two differ too much.
+    one step and from two steps differ by more than `SMOOTH`.
     """
-    # Central differences with steps of 2 h and h; the sum 4/3, -1/3 cancels the error in h^2.
+    # Central differences D(h) and D(2 h); (4 D(h) - D(2 h)) / 3 cancels the error of order h^2.
     far, near = (values[3] - values[0]) / (4.0 * step), (values[2] - values[1]) / (2.0 * step)
     if (
         smooth

@@ -1,10 +1,11 @@
-"""The compiled engine: a filter's own step is recorded on numbers that have no values yet,
-compiled, and run over all epochs.
+"""The compiled engine: a filter's step is recorded on numbers that have no values yet, compiled,
+and run over all epochs.
 
 The recorded function is `Sequential.step`, or the step of another filter, unchanged: there is no
-second implementation. A step is recorded anew for each *kind* of epoch (with an interval or none;
-each sensor complete, partly missing or silent) and each shape that the filter's memory takes. Runs
-that fail are run again by the numpy engine, which is the reference and can explain the failure.
+second implementation. A step is recorded for each *kind* of epoch (with or without an interval;
+each sensor complete, partly missing, all nan or absent) and for each shape of the filter's memory.
+The numpy engine repeats the runs that fail, because it is the reference and can explain the
+failure.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ from celnav.tape.tape import (
 )
 
 COUNTERS = ("log_likelihood", "missing", "rejected", "redone", "failed_at")
-"""What each run counts; the counters come first in its state."""
+"""The sums and counts of each run; they come first in its state."""
 
 
 # -- trees: nested tuples of arrays ----------------------------------------------------------------
@@ -58,7 +59,7 @@ def tree_leaves(tree: Any, role: str = "") -> Iterator[tuple[Any, str]]:
 
 
 def tree_unflatten(tree: Any, parts: Iterator[Any]) -> Any:
-    """The tree with other arrays, in the order of `tree_leaves`."""
+    """The tree with its arrays replaced, in the order of `tree_leaves`."""
     if tree is None:
         return None
     if not isinstance(tree, tuple):
@@ -70,8 +71,8 @@ def tree_unflatten(tree: Any, parts: Iterator[Any]) -> Any:
 
 @cache
 def entries(shape: tuple[int, ...], role: str) -> tuple[tuple[int, ...], ...]:
-    """Indices of the stored numbers of an array: the lower triangle of a root or covariance, all of
-    any other.
+    """Indices of the stored numbers of an array: the lower triangle of a root or covariance, all
+    numbers of any other array.
     """
     places = tuple(np.ndindex(*shape))
     lower = role in ("lower", "symmetric")
@@ -80,15 +81,15 @@ def entries(shape: tuple[int, ...], role: str) -> tuple[tuple[int, ...], ...]:
 
 @cache
 def flat_entries(shape: tuple[int, ...], role: str) -> Array:
-    """Positions of the stored numbers of an array in the array by rows."""
+    """Positions of the stored numbers in the array flattened by rows."""
     index = np.arange(math.prod(shape)).reshape(shape)
     lower = role in ("lower", "symmetric")
     return index[np.tril(np.ones(shape, bool))] if lower else index.ravel()
 
 
 class Shape(NamedTuple):
-    """Shape of a filter's state: its tree with numbers for arrays; and for each array its shape,
-    its role and which entries may be nan.
+    """Shape of a filter's state: its tree, with the index of each array in its place; and for each
+    array the shape, the role and the mask of entries that may be nan.
     """
 
     tree: Any
@@ -112,18 +113,20 @@ class Shape(NamedTuple):
 
 
 def _absent(x: Any) -> bool:
-    """Whether a number may be missing."""
+    """Whether a number depends on an input that may be missing."""
     return x.tape.absent[x.i] if isinstance(x, TracedScalar) else bool(x != x)
 
 
 # -- kinds of epochs -------------------------------------------------------------------------------
 FULL, PART, SILENT, NONE = range(4)
-"""What an epoch has from a sensor: all components of all runs; some; only nan; nothing at all."""
+"""Measurements of a sensor at an epoch: all components of all runs; some components; only nan;
+None.
+"""
 
 
 class EpochKind(NamedTuple):
-    """What must be equal in epochs for one record to serve them. ``z``: what each sensor has;
-    ``u``: the shape of the inputs.
+    """The properties that epochs with the same recorded step share. ``z``: the status of each
+    sensor; ``u``: the shape of the inputs.
     """
 
     moves: bool
@@ -136,8 +139,8 @@ class Data(NamedTuple):
 
     k, t, dt: ``(T,)``. kinds: of each epoch, an index into ``distinct``. z: ``(T, ..., m)`` of each
         sensor.
-    u: by the shape of an input, ``about`` included: the epochs with an input of this shape, and its
-        arrays ``(K, ...)``.
+    u: for each shape of the inputs, ``about`` included: the indices of the epochs with this shape,
+        and the input arrays ``(K, ...)``.
     """
 
     k: Array
@@ -151,10 +154,9 @@ class Data(NamedTuple):
 
     @property
     def interval(self) -> float | None:
-        """The length of the interval if it is always the same: it is then a constant of the
-        program.
+        """The length of the interval if it is always the same, and thus a constant of the program.
 
-        None also for a single epoch, because the next one may differ.
+        None also for a single epoch, because the next interval may differ.
         """
         moving = self.dt[self.dt != 0.0]
         same = len(self.dt) > 1 and moving.size and (moving == moving[0]).all()
@@ -164,9 +166,9 @@ class Data(NamedTuple):
 class Start(NamedTuple):
     """The state before the first epoch.
 
-    shape: of the state. parts: ``(runs, k)`` of the states of all runs, or ``(1, k)`` if they are
-    equal in all runs: the counters, the filter's own matrices per run, then the state, in their
-    stored order. common: entries of the state that are equal in all runs.
+    shape: of the state. parts: ``(runs, k)``, or ``(1, k)`` if equal in all runs, in stored order:
+        the counters, the filter's matrices that differ between runs, then the state. common:
+        entries of the state that are equal in all runs.
     """
 
     shape: Shape
@@ -186,7 +188,7 @@ class Start(NamedTuple):
 
 
 def signature(prior: Any, data: Data) -> tuple[Any, ...]:
-    """What must be equal in priors and epochs for one `Engine` to serve them."""
+    """The properties that priors and epochs share if one `Engine` can run them."""
     cov: Any = prior[1] if isinstance(prior, SquareRoot | Covariance) else getattr(prior, "cov", 0)
     shapes = [np.shape(x) for x in (getattr(prior, "mean", 0), cov)]
     z = tuple(x.shape[1:] for x in data.z)
@@ -206,7 +208,7 @@ class Recorded(NamedTuple):
     columns: dict[str, int]
 
     def keeping(self, names: Sequence[str]) -> Kernel:
-        """The kernel with the rows of some columns only; each column is a field."""
+        """The kernel with the rows of the named columns only; each column is a field."""
         rows, fields, first = list[Any](), list[int](), 0
         for name, size in self.columns.items():
             if name in names:
@@ -221,8 +223,8 @@ class Code(NamedTuple):
     """Machine code of a recorded step.
 
     each: address of the code for each vector of runs. once: address of the code that runs once for
-    all runs; None: there is none. Its ``results`` are shared inputs of ``each``, starting at
-    ``first``. cells: of memory.
+        all runs, or None; its ``results`` are shared inputs of ``each``, starting at ``first``.
+        cells: number of memory cells.
     """
 
     each: int
@@ -233,10 +235,11 @@ class Code(NamedTuple):
 
 
 class StepCache:
-    """The records of a filter's steps, and their machine code, by what they depend on.
+    """The recorded steps of a filter, and their machine code, with the properties that they depend
+    on as keys.
 
-    longer: for steps whose recording stopped at a limit, that limit. Such a step is recorded again
-    only when the limit has doubled.
+    longer: for a step whose recording stopped at a limit, this limit. Such a step is recorded again
+        only after the limit has doubled.
     """
 
     def __init__(self) -> None:
@@ -256,9 +259,9 @@ class StepCache:
 class Engine:
     """Records and compiles the steps of a filter, for runs with the batch axes ``batch``.
 
-    One engine serves all priors and data with the same `signature`. most: operations of a step.
-    rolled: whether long code that is the same for several rows becomes a loop.
-    ``stride``: how many numbers of the compiled state represent one number of the filter's.
+    One engine serves all priors and data with the same `signature`. most: largest number of
+    operations of a step. rolled: whether long code that repeats for several rows becomes a loop.
+    ``stride``: how many numbers of the compiled state represent one number of the filter's state.
     """
 
     stride = 1
@@ -286,7 +289,8 @@ class Engine:
 
         map_run_constants(filter, collect)
         axes = {f"z{i}": z.shape[1:-1] for i, z in enumerate(data.z)}
-        # Runs broadcast: prior, measurements, intervals and run constants may each have them.
+        # The axes of runs are broadcast from the prior, the measurements, the intervals and the
+        # filter's arrays.
         axes |= {f"matrix {i}": array.shape[:-2] for i, array in enumerate(constants)}
         self.batch = together(
             mean=prior.mean.shape[:-1], cov=prior.cov.shape[:-2], dt=data.dt.shape[1:], **axes
@@ -301,7 +305,7 @@ class Engine:
         self.tally[:, COUNTERS.index("failed_at")] = -1.0
         self.state_offset = len(COUNTERS) + sum(math.prod(x.shape[-2:]) for x in constants)
         self.dt = data.interval
-        self.dt_per_run = data.dt.ndim > 1  # each run has an interval of its own
+        self.dt_per_run = data.dt.ndim > 1  # the interval differs between runs
         self.widths = [z.shape[-1] for z in data.z]
         self.innovations = [
             sensor.space.minus(z[:1], z[:1]).shape[-1] if z.shape[-1] else 0
@@ -311,11 +315,11 @@ class Engine:
         self.belief, self.form, self.begin = state.belief, type(state.belief), Shape.of(state)
 
     def started(self, prior: Any) -> tuple[Any, Any]:
-        """The state before the first epoch, of the first run alone and of all runs."""
+        """The state before the first epoch, for the first run alone and for all runs."""
         if not self.batch:
             state = self.filter.start(prior)
             return state, state
-        # The step is recorded for one run: the first represents all.
+        # The step is recorded for the first run, which represents all runs.
         first_run = map_run_constants(self.filter, lambda array: array[(0,) * (array.ndim - 2)])
         return first_run.start(_first_run(prior)), self.filter.start(prior)
 
@@ -328,8 +332,8 @@ class Engine:
         return sizes | {f"R/{i}": self.innovations[i] for i in self.adapted()}
 
     def keeping(self, rows: Collection[str]) -> tuple[str, ...]:
-        """Names of the columns of a track with these rows; with innovations also the noise
-        variances that hooks have set.
+        """Names of the columns that a track with these rows needs; with innovations also the noise
+        variances from hooks.
         """
         wanted = frozenset({*rows, "R"} if "innovation" in rows else rows)
         if wanted not in self.named:
@@ -366,13 +370,13 @@ class Engine:
         return Start(shape, parts, frozenset(common))
 
     def inputs(self, inputs: Inputs, count: int) -> list[tuple[Array, bool]]:
-        """The arrays of an input over ``count`` epochs, zero where there are none, and whether each
-        array has axes of runs.
+        """The arrays of the inputs over ``count`` epochs, zero at epochs without them, and for each
+        array whether it has axes of runs.
         """
         out = []
         for x in inputs.columns:
             values = x
-            # Epochs of another input shape have zeros here.
+            # Epochs with another input shape have zeros here.
             if len(x) < count:
                 values = np.zeros((count, *x.shape[1:]))
                 values[inputs.at] = x
@@ -380,11 +384,11 @@ class Engine:
         return out
 
     def recorded_as(self, before: Shape, kind: EpochKind, u: list[tuple[Array, bool]]) -> Recorded:
-        """The step, recorded."""
+        """The recorded step."""
         key = before, kind, self.forms(u), self.dt, tuple(self.widths), bool(self.batch)
         if key not in self.cache.records:
             longer = self.cache.longer.get(key, 0)
-            if longer and self.most < 2 * longer:  # not recorded again at each run
+            if longer and self.most < 2 * longer:  # do not try again in each run
                 raise self._too_long(f"more than {longer}")
             try:
                 self.cache.records[key] = self.record(before, kind, u)
@@ -398,15 +402,16 @@ class Engine:
         return recorded
 
     def _too_long(self, size: Any) -> TooLong:
-        """The error of a step of some size."""
+        """The error for a step with too many operations."""
         return TooLong(
             f"a step of {size} operations takes longer than it saves: at most {self.most} "
             "are compiled"
         )
 
     def check_length(self, recorded: Recorded) -> None:
-        """Raise `TooLong` for a step that may not be compiled, whether another filter's was
-        or not."""
+        """Raise `TooLong` if a step is too long for this run, even if it was compiled for another
+        filter.
+        """
         if recorded.size > self.most:
             raise self._too_long(recorded.size)
 
@@ -420,7 +425,9 @@ class Engine:
         )
 
     def code(self, recorded: Recorded, lanes: int, names: Sequence[str], split: Any = None) -> Code:
-        """Machine code of a recorded step that stores some columns; ``split``: in its two parts."""
+        """Machine code of a recorded step that stores some columns; ``split``: into the common part
+        and the part of each run.
+        """
         key = id(recorded), lanes, tuple(names), id(split)
         if key not in self.cache.code:
             if split is None:
@@ -439,7 +446,7 @@ class Engine:
         return machine_code
 
     def record(self, before: Shape, kind: EpochKind, u: list[tuple[Array, bool]]) -> Recorded:
-        """The step from a state of a shape over an epoch of a kind."""
+        """Record the step from a state with this shape over an epoch of this kind."""
         tape, inputs = Tape(self.rolled, self.most), list[tuple[str, int]]()
 
         def take(place: str, at: int, absent: bool = False) -> TracedScalar:
@@ -453,7 +460,7 @@ class Engine:
             at: Iterable[int],
             absent: Iterable[bool] = repeat(False),
         ) -> TracedArray:
-            """An array; ``at``: the positions of its stored numbers."""
+            """An array of traced numbers; ``at``: the positions of its stored numbers."""
             x = TracedArray(shape)
             for where, i, missing in zip(entries(shape, role), at, absent, strict=False):
                 x[where] = take(place, i, missing)
@@ -463,8 +470,8 @@ class Engine:
 
         # A state in order: counters, run constants, then the arrays of the filter.
         tally, positions = [take("state", i) for i in range(len(COUNTERS))], count(len(COUNTERS))
-        # Matrices that differ from run to run are inputs too: they stand in the state after the
-        # counters.
+        # Matrices that differ from run to run are inputs too: they follow the counters in the
+        # state.
         filter = map_run_constants(
             self.filter, lambda array: traced_array(array.shape[-2:], "", "state", positions)
         )
@@ -483,7 +490,8 @@ class Engine:
                 z.append(np.full(m, np.nan) if status == SILENT else None)
             first += m
         at_dt, first = first, first + self.dt_per_run
-        # Shared inputs begin after k, t and dt; those of each run after the measurements.
+        # Inputs shared by all runs follow k, t and dt; inputs that differ between runs follow the
+        # measurements.
         shared, inputs_u = 3, []
         for (values, per_run), (_, role) in zip(u, tree_leaves(kind.u[0]), strict=True):
             shape = values.shape[1 + len(self.batch) * per_run :]
@@ -515,9 +523,10 @@ class Engine:
 
         # The filter runs once, on numbers without values: this is the whole recording.
         state, infos = filter.step(state, epoch)
-        if tape.refusal is not None:  # a model caught the error and went on
+        if tape.refusal is not None:  # a model caught the error and continued
             raise tape.refusal
-        # A model of one run must not depend on measurements, whose axis holds all runs.
+        # A recorded model computes one run and must not use measurements, which have an axis of all
+        # runs.
         measured = {x.i for sample in z for x in np.ravel(sample) if isinstance(x, TracedScalar)}
         if self.batch and any(
             tape.modeled[i] and not measured.isdisjoint(operands(op))
@@ -530,7 +539,7 @@ class Engine:
         if "belief" in getattr(state, "_fields", ()):
             state = state._replace(belief=self._mask_failed_mean(state.belief))
         tally = self._count(tally, state.belief, infos, k)
-        # What is written to the state: counters first, then the arrays from the offset on.
+        # Results written to the state: counters first, then the arrays from the offset on.
         stored = [(i, x) for i, x in enumerate(tally)]
         at = self.state_offset
         for array, role in tree_leaves(state):
@@ -541,24 +550,24 @@ class Engine:
         columns = self.columns()
         rows = list(self._rows(state.belief, infos)) if columns else []
         kernel = Kernel(tape, inputs, stored, rows)
-        kernel.results()  # puts its constants on the tape while the limit still holds
+        kernel.results()  # adds its constants to the tape while the limit still applies
         tape.most = MOST
         return Recorded(kernel, after, len(tape.ops), columns)
 
     def _mask_failed_mean(self, belief: Any) -> Any:
-        """A belief whose mean is nan if the run has failed; with a single run the matrix is nan,
+        """The belief, with mean nan if the run has failed; with a single run the matrix becomes nan
         too.
 
-        With several runs the matrix stays, because it may be shared. numpy gives the rows of failed
-        runs.
+        With several runs the matrix does not change, because runs may share it. The numpy engine
+        computes the rows of failed runs.
         """
         if not self.batch:
             return mask_failed(belief)
         return type(belief)(np.where(belief.lost()[..., None], np.nan, belief.mean), belief[1])
 
     def _count(self, tally: list[Any], belief: Any, infos: Sequence[Info], k: Any) -> list[Any]:
-        """Likelihood, missing and rejected components, and the epoch of a failure; see
-        `celnav.filters.track.Collector`.
+        """Log-likelihood, counts of missing and rejected components, and the epoch of a failure; as
+        in `celnav.filters.track.Collector`.
         """
         # The order of `COUNTERS`.
         likelihood, missing, rejected, redone, failed = tally
@@ -592,17 +601,19 @@ class Engine:
 
 
 def is_per_run(x: Array, batch: tuple[int, ...]) -> bool:
-    """Whether an input has axes of runs before its own; an input without other axes is shared."""
+    """Whether an input has axes of runs before its other axes; an input without other axes is
+    shared.
+    """
     return 0 < len(batch) < x.ndim and x.shape[: len(batch)] == batch
 
 
 def _as_scalar(x: Any) -> Any:
-    """A number, also if it came as an array of shape ()."""
+    """A number, also if it was an array of shape ()."""
     return x[()] if isinstance(x, np.ndarray) else x
 
 
 def map_run_constants(thing: Any, function: Callable[[Array], Array]) -> Any:
-    """A filter in which ``function`` has replaced the arrays that differ from run to run: matrices
+    """The filter with ``function`` applied to the arrays that differ from run to run: matrices
     ``(..., n, m)`` with axes of runs.
     """
 
@@ -611,7 +622,7 @@ def map_run_constants(thing: Any, function: Callable[[Array], Array]) -> Any:
 
     def gaussian(belief: Gaussian) -> Gaussian:
         mean = belief.mean
-        if mean.ndim > 1:  # of each run: a matrix (..., n, 1)
+        if mean.ndim > 1:  # differs between runs: a matrix (..., n, 1)
             mean = function(mean[..., None])[..., 0]
         arrays = {"mean": mean, "cov": matrices(belief.cov), "sqrt_cov": matrices(belief.sqrt_cov)}
         same: Gaussian = _changed(belief, arrays)
@@ -625,7 +636,7 @@ def map_constants(
     function: Callable[[Array], Array],
     gaussian: Callable[[Gaussian], Gaussian] = lambda belief: belief,
 ) -> Any:
-    """A filter in which ``function`` has replaced the arrays; the same object if all stay the same.
+    """The filter with ``function`` applied to its arrays; the same object if no array changes.
 
     gaussian: the function for Gaussians.
     """
@@ -658,7 +669,7 @@ def map_constants(
 
 
 def _changed(thing: Any, attributes: dict[str, Any]) -> Any:
-    """A copy with other attributes; the same object if all stay the same."""
+    """A copy with other attributes; the same object if no attribute changes."""
     if all(getattr(thing, name) is value for name, value in attributes.items()):
         return thing
     other = copy(thing)

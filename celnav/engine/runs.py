@@ -1,7 +1,7 @@
-"""A run of a compiled step: epochs as columns, blocks of runs through all epochs, and the rows that
-are stored.
+"""Runs of a compiled step: epochs as columns, blocks of runs through all epochs, and the stored
+rows.
 
-The states of some runs before and after some epochs are stored, too, for comparison with numpy's
+The states of some runs before and after some epochs are also stored, for comparison with numpy's
 steps.
 """
 
@@ -42,20 +42,20 @@ from celnav.tape import llvm, ptx
 from celnav.tape.cuda import Device
 from celnav.tape.tape import CannotCompile, TracedScalar
 
-RANDOM_SENTINELS = 4  # sentinels besides the first, the last and one of each record
-MANY = 20  # sensors; with more, the kinds of epochs would exceed an integer
-SHORT = 10_000  # epochs of the longest run whose schedule is stored
-MOST_SCHEDULES = 16  # stored for an engine
-# operations of a step common to all runs, from which on they are computed once per epoch
+RANDOM_SENTINELS = 4  # sentinels besides the first, the last and one for each recorded step
+MANY = 20  # sensors; more would overflow the integer that encodes the kinds of epochs
+SHORT = 10_000  # most epochs of a run whose schedule is stored
+MOST_SCHEDULES = 16  # schedules stored for an engine
+# Number of operations common to all runs from which on they are computed once per epoch.
 APART = 100
-MOST_COMMON = 1 << 25  # results of the common operations in memory
-CHUNK = 1 << 21  # bytes of the measurements of a chunk of runs: they stay in the cache
-HOST = 1 << 32  # bytes of the measurements of all chunks that a device works at
+MOST_COMMON = 1 << 25  # most results of the common operations in memory
+CHUNK = 1 << 21  # bytes of measurements in a chunk of runs, which fit in the cache
+HOST = 1 << 32  # bytes of measurements in all chunks on a device at the same time
 
 
 def sensors(filter: Any, epochs: Sequence[Epoch] = ()) -> Sequence[Any]:
-    """Sensors of a filter, or of the first filter inside it. For any other filter: stand-ins that
-    accept measurements such as those of the first epoch.
+    """Sensors of a filter, or of the first filter inside it. For any other filter: stand-ins for
+    measurements with the shapes of the first epoch.
     """
     while not hasattr(filter, "sensors"):
         if (filter := getattr(filter, "first", getattr(filter, "filter", None))) is None:
@@ -98,7 +98,7 @@ def as_data(filter: Any, epochs: Epochs | Sequence[Epoch]) -> Data:
         # A number in base 4 identifies the statuses of all sensors.
         code = 4 * code + status  # FULL, PART, SILENT or NONE
         if len(measured) > MANY:
-            code = np.unique(code, return_inverse=True)[1]  # which would overflow
+            code = np.unique(code, return_inverse=True)[1]  # renumbered, to avoid overflow
     codes = sorted(set(code.tolist()))
     kinds, distinct, shapes = np.zeros(len(k), int), list[EpochKind](), list(u)
     for number, value in enumerate(codes):
@@ -121,9 +121,9 @@ def _parts(tree: Any) -> list[Array]:
 
 
 def _group_inputs(groups: list[Any], count: int) -> tuple[Array, dict[Any, Inputs]]:
-    """For each of ``count`` epochs the number of its input shape, and the inputs of each shape.
+    """For each of ``count`` epochs the index of its input shape, and the inputs of each shape.
 
-    groups: epochs, trees, and their arrays ``(K, ...)``.
+    groups: indices of epochs, trees, and their arrays ``(K, ...)``.
     """
     which, same = np.zeros(count, int), dict[Any, list[Any]]()
     for at, tree, parts in groups:
@@ -142,7 +142,7 @@ def _group_inputs(groups: list[Any], count: int) -> tuple[Array, dict[Any, Input
 
 
 def runs_of(x: Array, axes: int, batch: tuple[int, ...], runs: Any) -> Array:
-    """Some runs, numbered over all batch axes, of an array with ``axes`` axes after those of the
+    """Some runs, numbered over all batch axes, of an array with ``axes`` axes after the axes of
     runs.
     """
     if not batch:
@@ -154,8 +154,8 @@ def runs_of(x: Array, axes: int, batch: tuple[int, ...], runs: Any) -> Array:
 def epoch_of(
     data: Data, i: int, select: Callable[[Array, int], Array], batch: tuple[int, ...]
 ) -> Epoch:
-    """The epoch at an index, for the runs that ``select(array, axes)`` takes from an array with
-    ``axes`` axes after those of the runs.
+    """The epoch at an index, for the runs that ``select(array, axes)`` selects from an array with
+    ``axes`` axes after the axes of runs.
     """
     kind = data.distinct[data.kinds[i]]
     z = tuple(
@@ -176,7 +176,7 @@ def epoch_of(
 
 
 def _measured(sensor: Any, samples: Any) -> tuple[Array, Array]:
-    """What a sensor has at each epoch, and its measurements ``(T, ..., m)``."""
+    """The status of a sensor at each epoch, and its measurements ``(T, ..., m)``."""
     count = len(samples)
     present = (
         np.array([sample is not None for sample in samples])
@@ -186,7 +186,7 @@ def _measured(sensor: Any, samples: Any) -> tuple[Array, Array]:
     if not present.any():
         return np.full(count, NONE), np.zeros((count, 0))
     if not isinstance(samples, np.ndarray):
-        # A sensor that is silent at an epoch has nan there.
+        # A sensor without a measurement at an epoch has nan there.
         blank = np.full(np.shape(samples[int(np.argmax(present))]), np.nan)
         samples = np.stack(
             np.broadcast_arrays(
@@ -216,8 +216,8 @@ class Sentinel(NamedTuple):
 class CompiledRun(NamedTuple):
     """The result of a compiled run.
 
-    rows: ``(K, runs, ...)`` by name. tally: ``(runs, 5 stride)``, the counters. sentinels: of the
-        watched runs. fresh: whether a step was recorded for it.
+    rows: ``(K, runs, ...)`` by name. tally: ``(runs, 5 stride)``, the counters. sentinels: for the
+        watched runs. fresh: whether a step was recorded for this run.
     """
 
     rows: dict[str, Array]
@@ -237,11 +237,11 @@ def run_compiled(
     watched: Sequence[int] = (),
     number: int | None = None,
 ) -> CompiledRun:
-    """All runs through all epochs, on a device; without one, on this processor.
+    """Run all runs through all epochs, on a device if there is one, else on this processor.
 
-    names: of the columns to store. watched: the runs whose states are stored before and after the
-        sentinels. number: of a run whose steps were all compared before: it has one sentinel, at an
-        epoch that depends on this number; 0: none.
+    names: the columns to store. watched: the runs whose states are stored before and after the
+        sentinels. number: None: all sentinels; 0: no sentinel; else the number of a run whose steps
+        were all compared before, with one sentinel at an epoch that depends on this number.
     """
     runs, T = engine.runs, len(data.k)
     lanes = 0 if device else 1 if runs == 1 else llvm.lanes()
@@ -253,7 +253,7 @@ def run_compiled(
     stored = np.full(T, -1)
     stored[::every] = np.arange(K)
     unit = lanes or 1
-    padded = -(-runs // unit) * unit  # the last run fills a vector that is not full
+    padded = -(-runs // unit) * unit  # copies of the last run fill the last vector
     columns = engine.columns()
     rows = {
         name: memory.empty((K, padded, columns[name]), bool if name.startswith("used") else float)
@@ -274,14 +274,14 @@ def run_compiled(
         """A chunk of runs."""
         members = slice(first, min(first + chunk, runs))
         count = members.stop - first
-        vector = lanes or count  # a device computes all runs side by side
+        vector = lanes or count  # on a device all runs are side by side
         width = -(-count // vector) * vector
         values, state = np.zeros((T, M, width)), np.zeros((width // vector, plan.size, vector))
         for at, x in per_run:
             values_in = x if x.shape[1] == 1 else x[:, members]
             values[:, at : at + x.shape[-1], :count] += values_in.transpose(0, 2, 1)
         values[..., count:] = values[..., count - 1 : count]
-        # Every part of the state at its place; parts with one row are equal in all runs.
+        # Copy each part of the state to its place; a part with one row is equal in all runs.
         size = 0
         for x in start.parts:
             values_in, k = (x, 1) if len(x) == 1 else (x[members], vector)
@@ -291,7 +291,7 @@ def run_compiled(
                 0, 2, 1
             )
             size += x.shape[1]
-        # Sentinels of the runs in this chunk: the block and the lane of each.
+        # Watched runs in this chunk: the block and the lane of each.
         here = [i for i, run in enumerate(watched) if members.start <= run < members.stop]
         block, lane = np.divmod(np.array([watched[i] - first for i in here], int), vector)
         through = begin(stored, state, shared, values, rows, first)
@@ -340,15 +340,15 @@ def run_compiled(
 
 
 def _pieces(T: int, sentinels: Sequence[int]) -> Iterable[tuple[int, int]]:
-    """The pieces of a run between epochs where the states around the sentinels are read."""
+    """The pieces of a run between the epochs at which states are read for the sentinels."""
     return pairwise(sorted({0, T, *sentinels, *(at + 1 for at in sentinels)}))
 
 
 def _sentinels(steps: Array, number: int | None = None) -> list[int]:
-    """Epochs whose steps are compared with numpy's: the first, the last, one for each record, and
-    some drawn by a hash.
+    """Epochs whose steps are compared with numpy's: the first, the last, one for each recorded
+    step, and some chosen by a hash.
 
-    number: of a run with a single sentinel; 0: none.
+    number: None: all of these; 0: no epoch; else a single epoch that depends on this number.
     """
     if number == 0:
         return []
@@ -361,11 +361,11 @@ def _sentinels(steps: Array, number: int | None = None) -> list[int]:
 def _on_host(
     kernels: Sequence[int], cells: int, steps: Array
 ) -> Callable[..., Callable[[int, int], None]]:
-    """A function that begins a run on this processor and returns another, which advances it from
+    """A function that starts a run on this processor and returns a function that advances it from
     one epoch to another.
 
-    kernels: addresses of machine code. cells: of its memory. steps: the kernel of each epoch. A run
-    writes the rows of its runs from the ``first`` on.
+    kernels: addresses of machine code. cells: number of its memory cells. steps: the kernel of each
+        epoch. Rows are written from run ``first`` on.
     """
     addresses, loop = np.array(kernels, np.uint64), llvm.run_loop()
 
@@ -400,9 +400,9 @@ def _on_host(
 def _on_device(
     plan: Schedule, names: Sequence[str], device: Device, room: int
 ) -> Callable[..., Callable[[int, int], None]]:
-    """The same for a device.
+    """Like `_on_host`, for a device.
 
-    room: bytes of the measurements and rows of a piece of the epochs.
+    room: bytes for the measurements and rows of one piece of the epochs.
     """
     kernels = (recorded.keeping(names)._replace(flags=frozenset()) for recorded in plan.records)
     entry = device.entry(ptx.program([*kernels], plan.size))
@@ -443,12 +443,13 @@ def _on_device(
 
 
 class Schedule(NamedTuple):
-    """The records that a run needs, and the record of each epoch.
+    """The recorded steps that a run needs, and the recorded step of each epoch.
 
-    edges: for each record, the numbers of the shapes before and after it. steps: for each epoch,
-    the number of its record. at: the number of the shape before each epoch, and at the end. shapes:
-    of the state. code: of the records, on this processor. common: for each shape, the entries of
-    the state that all runs have in common. size: of a state. width: of the shared results.
+    edges: for each recorded step, the indices of the shapes before and after it. steps: for each
+        epoch, the index of its recorded step. at: the index of the shape before each epoch, and at
+        the end. shapes: the shapes of the state. code: of the recorded steps, on this processor.
+        common: for each shape, the entries of the state that are equal in all runs. size: numbers
+        in a state. width: number of shared results.
     """
 
     records: list[Recorded]
@@ -493,9 +494,9 @@ def _schedule(
 
 
 def _record_steps(engine: Engine, data: Data, inputs: dict[Any, Any], start: Start) -> Schedule:
-    """The steps of all epochs, recorded."""
+    """Record the steps of all epochs."""
     ids: dict[Shape, int] = {start.shape: 0}
-    numbers: dict[tuple[int, int], int] = {}  # of records, by the shape before and the kind
+    numbers: dict[tuple[int, int], int] = {}  # index of a recorded step, by shape before and kind
     records, edges = list[Recorded](), list[tuple[int, int]]()
     steps, places = list[int](), [0]
     kinds = data.kinds.tolist()
@@ -508,7 +509,8 @@ def _record_steps(engine: Engine, data: Data, inputs: dict[Any, Any], start: Sta
             records.append(recorded)
             edges.append((at, ids.setdefault(recorded.after, len(ids))))
             stays = {k: n for (_, k), n in numbers.items() if edges[n] == (at, at)}
-            if stays.keys() >= set(kinds[i:]):  # from here on the state keeps its shape
+            # From here on the shape of the state does not change.
+            if stays.keys() >= set(kinds[i:]):
                 steps += [stays[k] for k in kinds[i:]]
                 places += [at] * (len(kinds) - i)
                 break
@@ -522,10 +524,10 @@ def _record_steps(engine: Engine, data: Data, inputs: dict[Any, Any], start: Sta
 def _compile_steps(
     engine: Engine, plan: Schedule, start: frozenset[int], lanes: int, names: Sequence[str]
 ) -> tuple[list[Code], list[list[int]]]:
-    """Machine code of all records, and, for each shape, the entries of the state that all runs have
-    in common.
+    """Machine code of all recorded steps, and, for each shape, the entries of the state that are
+    equal in all runs.
 
-    start: those entries before the first epoch.
+    start: these entries before the first epoch.
     """
     one_run = (
         [engine.code(recorded, lanes, names) for recorded in plan.records] if lanes == 1 else []
@@ -554,14 +556,15 @@ def _compile_steps(
 
 
 def _common_entries(engine: Engine, plan: Schedule, start: frozenset[int]) -> list[frozenset[int]]:
-    """For each shape the entries of the state that all runs have in common: the largest sets that
-    every record preserves.
+    """For each shape the entries of the state that are equal in all runs: the largest sets that
+    every recorded step preserves.
     """
     common: dict[int, frozenset[int]] = {0: start}
     while True:
         before = dict(common)
         for recorded, (begin, end) in zip(plan.records, plan.edges, strict=True):
-            # A record comes after the records that lead to it.
+            # A recorded step is listed after the steps that lead to its shape, so `common` has the
+            # shape.
             uniform = recorded.kernel.uniform(common[begin])
             same = frozenset(
                 i
@@ -574,10 +577,10 @@ def _common_entries(engine: Engine, plan: Schedule, start: frozenset[int]) -> li
 
 
 def _run_common(plan: Schedule, shared: Array, start: Array, sentinels: list[int]) -> Array | None:
-    """Run the common part through all epochs, which adds its results to ``shared``.
+    """Run the common part through all epochs and write its results to ``shared``.
 
-    start: the state before the first epoch of any run. Returns the states before and after the
-    sentinels ``(2, sentinels, size)``; None if the runs have nothing in common.
+    start: the state of any run before the first epoch. Returns the states before and after the
+        sentinels ``(2, sentinels, size)``, or None if the runs have nothing in common.
     """
     kernels = [step_code.once for step_code in plan.code if step_code.once is not None]
     if not kernels:
@@ -601,7 +604,7 @@ def _run_common(plan: Schedule, shared: Array, start: Array, sentinels: list[int
 
 def _common_data(data: Data, inputs: dict[Any, list[tuple[Array, bool]]], width: int) -> Array:
     """Data common to all runs at each epoch ``(T, E)``: index, time, interval, inputs, and room for
-    at least ``width``.
+    at least ``width`` results.
     """
     T = len(data.k)
     flat = [
@@ -614,7 +617,7 @@ def _common_data(data: Data, inputs: dict[Any, list[tuple[Array, bool]]], width:
     out[:, 0], out[:, 1] = data.k, data.t
     if data.dt.ndim == 1:
         out[:, 2] = data.dt
-    for x in flat:  # an epoch has one input shape, and zeros in the others
+    for x in flat:  # each epoch has one input shape, and zeros for the other shapes
         out[:, 3 : 3 + x.shape[1]] += x
     return out
 
@@ -622,8 +625,8 @@ def _common_data(data: Data, inputs: dict[Any, list[tuple[Array, bool]]], width:
 def _run_data(
     engine: Engine, data: Data, inputs: dict[Any, list[tuple[Array, bool]]], runs: int
 ) -> list[tuple[int, Array]]:
-    """Data of each run at each epoch, ``(T, runs or 1, ...)``, and their positions: measurements,
-    interval, inputs.
+    """Data that differ between runs at each epoch, ``(T, runs or 1, ...)``, and their positions:
+    measurements, interval, inputs.
     """
     T, out, at = len(data.k), list[tuple[int, Array]](), 0
     values = [*data.z, data.dt[..., None]] if engine.dt_per_run else data.z
@@ -642,7 +645,7 @@ def _run_data(
 
 
 def _flatten_runs(x: Array, batch: tuple[int, ...], runs: int) -> Array:
-    """``(T, runs, k)`` of values ``(T, ..., k)``."""
+    """Values ``(T, ..., k)`` as ``(T, runs, k)``."""
     with_axes = x.reshape(len(x), *(1,) * (len(batch) + 2 - x.ndim), *x.shape[1:])
     every: Array = np.broadcast_to(with_axes, (len(x), *batch, x.shape[-1]))
     return every.reshape(len(x), runs, -1)

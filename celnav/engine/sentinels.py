@@ -1,11 +1,12 @@
 """Comparison of machine code with numpy at some epochs of each run, and detection of models with
 memory.
 
-A recorded step is valid for a whole run only if the model is a function of its arguments, and
-nothing guarantees that. So at a few epochs, spread over the run, numpy computes the same step from
-the same states. Round-off is judged by the state's conditioning: by the change of numpy's own step
-if each number of the state, the measurement and the models' values changes by an ulp or two. The
-contents of a filter's functions must be the same after they were called.
+A recorded step is valid for a whole run only if the model is a function of its arguments, which
+nothing guarantees. So at a few epochs, spread over the run, numpy computes the same step from the
+same states. The tolerance for round-off follows from the conditioning of the step: it is a multiple
+of the change of numpy's step when each number of the state, the measurement and the models' values
+changes by one or two ulp. The contents of a filter's functions must not change when they are
+called.
 """
 
 from __future__ import annotations
@@ -50,28 +51,28 @@ from celnav.gaussian.rules import AnyDimension, Taylor
 from celnav.tape.numbers import TracedArray
 from celnav.tape.tape import TracedScalar
 
-CLOSE = 1e-6  # of a standard deviation, or of the size of any other number
-DIFFERENCED = 1e-4  # likewise where numpy takes differences and machine code has derivatives
-MOVES = 1e3  # times the change of numpy's own step by round-off of its inputs
+CLOSE = 1e-6  # tolerance, relative to the standard deviation, or to the size of any other number
+DIFFERENCED = 1e-4  # tolerance if numpy uses differences and machine code derivatives
+MOVES = 1e3  # tolerance, times the change of numpy's step by round-off of its inputs
 TRIES = 3
-SAMPLE = 4096  # numbers of a large array that identify it
-MOST_NAMED = 3  # functions of a message
-DEEP = 16  # objects within objects
+SAMPLE = 4096  # how many numbers of a large array identify it
+MOST_NAMED = 3  # functions named in a message
+DEEP = 16  # levels of nested objects that are examined
 GENERATES = ("bit_generator", "get_state", "getstate")  # attributes of random generators
 FIXED = (tuple, partial, MethodType, BuiltinFunctionType, ModuleType, type)
-EMPTY = CellType()  # of a name that has no value yet
+EMPTY = CellType()  # stands for a name that has no value yet
 
 
 # -- the same step by numpy --------------------------------------------------------------------
 def difference(
     filter: Any, engine: Engine, data: Data, sentinel: Sentinel, watched: Sequence[int]
 ) -> str:
-    """The quantity in which the numpy engine differs, from the states before a sentinel; "":
-    none.
+    """The quantity in which a numpy step from the states before a sentinel differs; "" if none
+    does.
     """
     failed = COUNTERS.index("failed_at")
     sound = np.flatnonzero((sentinel.before[:, failed] < 0) & (sentinel.after[:, failed] < 0))
-    # Memories need not have the runs as first axes: then each run is computed alone.
+    # Memories need not have the axes of runs first: then each run is computed separately.
     plain = len(sentinel.shape.arrays) == len(sentinel.shape_after.arrays) == 2
     groups: list[Any] = [sound] if plain and engine.batch else list(sound)
     for group in groups if len(sound) else ():
@@ -82,7 +83,7 @@ def difference(
         )
         epoch = epoch_of(data, sentinel.at, take, engine.batch)
         if not plain and _silent(epoch.z, data, sentinel.at):
-            continue  # numpy then calls no hook, unless another run measures something
+            continue  # numpy then calls no hook, unless another run has a measurement
         state = _state(sentinel.shape, sentinel.before[group], engine.state_offset)
         rows = sentinel.after[group]
         tally = (rows - sentinel.before[group])[..., :failed]
@@ -97,7 +98,7 @@ def difference(
 
 
 def _silent(z: Any, data: Data, at: int) -> bool:
-    """Whether a sensor measured nothing in this run, but something in others."""
+    """Whether a sensor has no measurement in this run, but has one in others."""
     parts = z if isinstance(z, tuple) else (z,)
     statuses = data.distinct[data.kinds[at]].z
     return any(
@@ -106,9 +107,9 @@ def _silent(z: Any, data: Data, at: int) -> bool:
 
 
 def different_quantity(filter: Any, state: Any, epoch: Any, after: Any, tally: list[Array]) -> str:
-    """The name of a quantity in which a step by numpy differs; "": none."""
+    """The name of a quantity in which a numpy step differs; "" if none does."""
     stepped, counts = _stepped(filter, state, epoch)
-    # A fixed lag stores nothing in machine code: then beliefs are compared.
+    # With machine code a `FixedLag` stores nothing: only beliefs are compared.
     memory = [role for _, role in tree_leaves(stepped)] == [role for _, role in tree_leaves(after)]
     xs, ys = list(_measured(stepped, counts, memory)), list(_measured(after, tally, memory))
     pairs = [(x, y) for (_, x, _), (_, y, _) in zip(xs, ys, strict=True)]
@@ -126,8 +127,8 @@ def different_quantity(filter: Any, state: Any, epoch: Any, after: Any, tally: l
     for i in wrong:
         x, y = broadcast_pairs[i]
         least = np.max([np.abs(values[i] - x) for values in moved], 0)
-        # Each run is one draw of the same round-off: the largest change, relative to the size,
-        # holds for all.
+        # The runs are samples of the same round-off: the largest relative change of any run bounds
+        # all runs.
         scaled = (sizes[i] > 0.0) & np.isfinite(least)
         relative = np.divide(least, sizes[i], out=np.zeros(x.shape), where=scaled)
         round_off = MOVES * np.maximum(least, relative.max(initial=0.0) * sizes[i])
@@ -138,7 +139,7 @@ def different_quantity(filter: Any, state: Any, epoch: Any, after: Any, tally: l
 
 
 def _moved(filter: Any, state: Any, epoch: Any, memory: bool) -> list[list[Array]]:
-    """The results of numpy's step with each number changed by round-off, several times."""
+    """The results of several numpy steps, with each number of the inputs changed by round-off."""
     rng = np.random.default_rng(0)
     token = WATCH.set(lambda _name, y: _nudged(y, rng))
     try:
@@ -152,7 +153,7 @@ def _moved(filter: Any, state: Any, epoch: Any, memory: bool) -> list[list[Array
 
 
 def _has_taylor(thing: Any) -> bool:
-    """Whether a filter, or a filter inside it, is an extended one."""
+    """Whether a filter, or a filter inside it, is an extended Kalman filter."""
     if isinstance(thing, tuple):
         return any(map(_has_taylor, thing))
     within = fields(thing) if is_dataclass(thing) and not isinstance(thing, type) else ()
@@ -161,7 +162,7 @@ def _has_taylor(thing: Any) -> bool:
 
 
 def _within(least: Array, x: Array, y: Array) -> bool:
-    """Whether two values are that close, or equal, or both nan."""
+    """Whether two values differ by at most the tolerance, or are equal, or both nan."""
     distance = np.abs(x - y)
     if (distance <= least).all():
         return True
@@ -170,7 +171,7 @@ def _within(least: Array, x: Array, y: Array) -> bool:
 
 
 def _stepped(filter: Any, state: Any, epoch: Any) -> tuple[Any, list[Array]]:
-    """The state after an epoch, and what its records add to the counters."""
+    """The state after an epoch, and the increments of the counters."""
     with np.errstate(all="ignore"):
         state, infos = filter.step(state, epoch)
     if "belief" in getattr(state, "_fields", ()):
@@ -189,7 +190,9 @@ def _stepped(filter: Any, state: Any, epoch: Any) -> tuple[Any, list[Array]]:
 
 
 def _measured(state: Any, tally: list[Any], memory: bool) -> Iterator[tuple[str, Array, Array]]:
-    """Names, values and sizes of what must agree; without ``memory``: of the belief alone."""
+    """Names, values and sizes of the quantities that must agree; without ``memory`` only of the
+    belief.
+    """
     mean: Any = None
     for x, role in tree_leaves(state if memory else state.belief):
         if role == "belief":
@@ -210,7 +213,7 @@ def _measured(state: Any, tally: list[Any], memory: bool) -> Iterator[tuple[str,
 
 
 def _state(shape: Shape, rows: Array, state_offset: int) -> Any:
-    """The state of runs stored as ``rows (..., size)``."""
+    """The filter's state from stored ``rows (..., size)``."""
     arrays, at = [], state_offset
     for dims, role, _ in shape.arrays:
         index = flat_entries(dims, role)
@@ -228,7 +231,7 @@ def _state(shape: Shape, rows: Array, state_offset: int) -> Any:
 
 
 def _nudged(tree: Any, rng: np.random.Generator) -> Any:
-    """A tree with each number changed by an ulp or two, covariances symmetrically."""
+    """A tree with each number changed by one or two ulp, covariances symmetrically."""
     moved = []
     for x, role in tree_leaves(tree):
         ulps = rng.choice([-2.0, -1.0, 1.0, 2.0], np.shape(x))
@@ -241,8 +244,8 @@ def _nudged(tree: Any, rng: np.random.Generator) -> Any:
 
 # -- what functions hold -----------------------------------------------------------------------
 def model_contents(filter: Any) -> dict[str, Any]:
-    """The contents of a filter's functions, by path: closures, attributes, and the globals that
-    they name.
+    """The contents of a filter's functions, by path: closures, attributes, and the global variables
+    that they name.
     """
     contents: dict[str, Any] = {}
     _look(filter, "", contents, set(), DEEP)
@@ -295,11 +298,12 @@ def _refill(thing: Any, fill: Callable[[Any], None], contents: Any) -> None:
 
 
 class Watch:
-    """The contents of a filter's models when it was made; `is_still` tells whether they are the
-    same.
+    """The contents of a filter's models at its creation; `is_still` returns whether they are
+    unchanged.
 
-    Names and contents are compared by identity, which takes a microsecond or two. Objects that
-    cannot be compared so, such as an iterator, count as changed: then `model_contents` decides.
+    Names and contents are compared by identity, which takes 1 or 2 µs. Objects that cannot be
+    compared by identity, such as an iterator, are treated as changed: then `model_contents`
+    decides.
     """
 
     def __init__(self, filter: Any):
@@ -334,7 +338,7 @@ class Watch:
         elif any(hasattr(thing, name) for name in GENERATES):
             self._unsure = True
         elif _is_ours(thing) or isinstance(thing, FIXED):
-            pass  # what they hold does not change, and is examined by itself
+            pass  # their contents do not change, and are examined separately
         elif hasattr(thing, "__dict__"):
             self._contain(vars(thing))
         else:
@@ -364,8 +368,8 @@ def changed(before: dict[str, Any], after: dict[str, Any]) -> str:
 
 
 class Function(NamedTuple):
-    """The identity of a function: its code, where it is defined if it is the user's, and how many
-    objects it holds.
+    """The identity of a function: its code, the place of its definition if it is the user's, and
+    the number of objects in it.
     """
 
     code: CodeType
@@ -374,8 +378,8 @@ class Function(NamedTuple):
 
 
 def functions_of(holds: dict[str, Any], path: str = "") -> str:
-    """Where the user's functions are defined, or the one function that holds the object at a
-    path.
+    """Text with the places where the user's functions are defined, or of the function that contains
+    the object at a path.
     """
     functions = {name: mark for name, mark in holds.items() if isinstance(mark, Function)}
     if around := [name for name in functions if path.startswith(name)]:
@@ -394,9 +398,7 @@ def _look(
     deep: int,
     things: dict[str, Any] | None = None,
 ) -> None:
-    """Set the identity of an object and of its contents by path; ``things``: set the objects
-    themselves, too.
-    """
+    """Record the identity of an object and its contents by path; ``things``: also the objects."""
     if isinstance(thing, TracedScalar | TracedArray):  # left by a recording
         contents[path] = id(thing)
         return
@@ -414,7 +416,7 @@ def _look(
     parts = _parts_of(thing)
     if parts is None:
         contents[path] = _mark(thing)
-    else:  # an object that is not examined completely is identified by its address
+    else:  # an object that is not examined further is identified by its address
         contents[path] = type(thing), len(parts), id(thing) if len(parts) >= SAMPLE else 0
     if isinstance(thing, FunctionType):
         code = thing.__code__
@@ -442,7 +444,7 @@ def _mark(thing: Any) -> Any:
 
 
 def _parts_of(thing: Any) -> dict[str, Any] | None:
-    """The contents of an object, by name; None if it counts as a whole."""
+    """The contents of an object, by name; None if it is compared as a whole."""
     ours = _is_ours(thing)
     if isinstance(thing, ModuleType | type | np.ndarray | BuiltinFunctionType):
         return None
@@ -496,7 +498,7 @@ def _is_ours(thing: Any) -> bool:
 
 
 def _names(code: CodeType) -> Iterator[str]:
-    """Names that code, and the functions within it, may take from the module."""
+    """Names that code, and the functions within it, may read from the module."""
     yield from code.co_names
     for inner in code.co_consts:
         if isinstance(inner, CodeType):

@@ -1,7 +1,7 @@
 """Single steps by machine code: a `Plan` is a kernel with permanent buffers.
 
-A step copies the state and the measurement into the buffers, calls the kernel, and copies the state
-out. A robot runs this; so do `celnav.steps` and a fixed lag with a compiled filter.
+A step copies the state and the measurement into the buffers, calls the kernel, and copies the new
+state out. It serves real-time use, `celnav.steps` and a `FixedLag` with a compiled filter.
 """
 
 from __future__ import annotations
@@ -46,9 +46,10 @@ START = tuple(-1.0 if name == "failed_at" else 0.0 for name in COUNTERS)
 
 # -- what a plan is chosen by --------------------------------------------------------------------
 def plan_key(state: Any, epoch: Epoch) -> tuple[Any, list[float]]:
-    """What must be equal in steps for one plan to serve them, and the epoch's numbers, for one run.
+    """The properties that steps with the same plan share, and the numbers of the epoch, for one
+    run.
 
-    The numbers are k, t, the interval, those of the inputs, and those of the measurements.
+    The numbers are k, t, the interval, the inputs and the measurements.
     """
     k, t, dt, u, z, _, about = epoch
     if type(state) is State and state.memory.count(None) == len(state.memory):
@@ -70,7 +71,7 @@ def plan_key(state: Any, epoch: Epoch) -> tuple[Any, list[float]]:
 
 
 def _input_key(u: Any, numbers: list[float]) -> Any:
-    """Shapes of an input, and whether it is finite; its numbers are added to the others."""
+    """Shapes of an input, and whether it is finite; its numbers are appended to ``numbers``."""
     if u is None:
         return None
     if isinstance(u, tuple):
@@ -87,7 +88,7 @@ def _input_key(u: Any, numbers: list[float]) -> Any:
 
 
 def _measurement_key(z: Any, numbers: list[float]) -> Any:
-    """What a measurement has, and its shape; its numbers are added to the others."""
+    """Status and shape of a measurement; its numbers are appended to ``numbers``."""
     if z is None:
         return NONE
     if type(z) is not np.ndarray or z.dtype is not FLOAT:
@@ -107,7 +108,7 @@ def _measurement_key(z: Any, numbers: list[float]) -> Any:
 
 # -- a state whose matrices are whole ------------------------------------------------------------
 class _SingleStep(Engine):
-    """An engine that begins with a state of a filter, and stores whole matrices in it."""
+    """An engine that starts from a given state of a filter, and stores full matrices in it."""
 
     def __init__(self, filter: Any, state: Any, data: Data, most: int):
         self.state = state
@@ -137,15 +138,15 @@ class _SingleStep(Engine):
             for place, at in recorded.kernel.inputs
         ]
         results: list[tuple[int, Any]] = []
-        if before.arrays != recorded.after.arrays:  # a place may hold another quantity afterwards
+        if before.arrays != recorded.after.arrays:  # the places of the state may have changed
             results = [(i, 0.0) for i in range(self.state_offset, end[-1][-1]) if (i,) not in end]
         results += [(place, x) for at, x in recorded.kernel.state for place in end[at]]
         return recorded._replace(kernel=recorded.kernel._replace(inputs=inputs, state=results))
 
 
 def _places(shape: Shape, first: int) -> list[tuple[int, ...]]:
-    """Positions of each number of a state whose matrices are whole: two for an entry off the
-    diagonal of a covariance.
+    """Positions of each number in a state with full matrices: two for an off-diagonal entry of a
+    covariance.
     """
     positions: list[tuple[int, ...]] = [(i,) for i in range(first)]
     for array_shape, role, _ in shape.arrays:
@@ -170,7 +171,7 @@ def _spans(shape: Shape, first: int) -> list[tuple[slice, tuple[int, ...]]]:
 
 # -- the step ------------------------------------------------------------------------------------
 class Plan:
-    """A step of a filter by machine code, from states and over epochs of one `plan_key`.
+    """A step of a filter by machine code, for states and epochs with the same `plan_key`.
 
     Its buffers belong to one thread. ``left``: steps until numpy repeats a step for comparison, one
     in each ``interval``. ``watch``: the contents of the models.
@@ -186,7 +187,7 @@ class Plan:
         columns = {name: m for name, m in every if name.partition("/")[0] in INFO_COLUMNS}
         kernel = recorded.keeping([*columns])
         if engine.batch:
-            kernel = kernel._replace(flags=frozenset())  # truth values as numbers too
+            kernel = kernel._replace(flags=frozenset())  # truth values are stored as numbers too
         self.left, self.interval = 0, 1
         self.batch, self.runs = engine.batch, math.prod(engine.batch)
         self.begin, self.end = (
@@ -207,16 +208,17 @@ class Plan:
                 constants, 1
             )
         self.widths, self.dt_per_run = engine.widths, engine.dt_per_run
-        self.inputs_per_run = [per_run for _, per_run in inputs]  # which inputs are of each run
+        self.inputs_per_run = [per_run for _, per_run in inputs]  # which inputs differ by run
         shared = 3 + sum(x.size for x, per_run in inputs if not per_run)
         input_size = sum(
             math.prod(x.shape[1 + len(self.batch) :]) for x, per_run in inputs if per_run
         )
         run_size = sum(self.widths) + self.dt_per_run + input_size
 
-        # One memory: numbers of the epoch, numbers of each run, states, and the stored columns.
+        # One block of memory: numbers of the epoch, numbers of each run, states, and the stored
+        # columns.
         sizes = [shared, run_size * width, size * width, *(m * width for m in columns.values())]
-        # States begin at a line of the cache.
+        # States are aligned to a cache line.
         first = -(shared + run_size * width) % (llvm.LINE // FLOAT.itemsize)
         ends = first + np.cumsum([0, *sizes])
         parts = [slice(int(a), int(b)) for a, b in pairwise(ends)]
@@ -280,7 +282,7 @@ class Plan:
         return tuple.__new__(State, (belief, self.hooks)), tuple(infos)
 
     def _step_all(self, state: Any, epoch: Epoch) -> tuple[Any, tuple[Info, ...]] | None:
-        """The same for several runs; None if a run fails that had not failed before."""
+        """Like `step`, for several runs; None if a run fails that had not failed before."""
         batch, runs = self.batch, self.runs
 
         def per_run(x: Any, array_shape: tuple[int, ...]) -> Array:
@@ -336,6 +338,6 @@ class Plan:
 
 def _info(innovation: Array, whitened: Array, used: Array, likelihood: Any) -> Info:
     """The `Info` of a sensor after a step by machine code."""
-    # `tuple.__new__` needs a third of the time of `Info`; likewise below.
+    # `tuple.__new__` takes a third of the time of `Info(...)`; likewise below.
     values = (innovation, whitened, used, None, None, None, None, False, likelihood, None)
     return tuple.__new__(Info, values)

@@ -1,4 +1,4 @@
-"""A tape as C: one C99 function without loops, branches or memory of its own, which needs only
+"""A tape as C: one C99 function without loops, branches or static memory, which needs only
 ``math.h``.
 """
 
@@ -25,14 +25,12 @@ _INFIX = {
 
 
 def function(kernel: Kernel, name: str, places: dict[str, str], comment: Sequence[str]) -> str:
-    """The C function of a kernel; ``places``: the names of its arguments for each place, including
-    "rows".
-    """
+    """The C function of a kernel; ``places``: the argument name for each place, also "rows"."""
     tape, results = kernel.tape, kernel.results()
     lines = [f"/* {comment[0]}", *(f" * {line}" for line in comment[1:]), " */"] if comment else []
     lines += [f"void {name}({arguments(places)})", "{"]
     lines += [f"    (void){argument};" for argument in places.values()]
-    # One constant of C for each operation, in an order in which operands come first.
+    # One const variable for each operation; operands come before the operations that use them.
     for i in tape.needed([x for *_, x in results]):
         op, *at = tape.ops[i]
         if op == "in":
@@ -56,7 +54,7 @@ def arguments(places: dict[str, str]) -> str:
 
 
 def _value(tape: Tape, i: int) -> str:
-    """The name of a number, or its value in hexadecimal digits, which are exact."""
+    """The name of a number, or its exact value in hexadecimal digits."""
     op, *at = tape.ops[i]
     if op != "const":
         return f"t{i}"

@@ -1,4 +1,4 @@
-"""An NVIDIA device, through its driver by ctypes: memory, and runs by the programs of
+"""An NVIDIA device, used through its driver with ctypes: memory, and runs of programs from
 `celnav.tape.ptx`.
 """
 
@@ -16,15 +16,17 @@ from numpy.typing import NDArray
 
 from celnav.tape.ptx import TARGET
 
-THREADS = 64  # of a block: registers are the scarce resource
-MOST = 1 << 25  # bytes of the arrays of a lane, which the host holds, too
+THREADS = 64  # threads in a block: few, because registers are the scarce resource
+MOST = 1 << 25  # most bytes in the arrays of a lane, which the host stores too
 _ERROR_LOG, _ERROR_LOG_SIZE = 5, 6  # options of the driver's compiler
 _MAJOR, _MINOR = 75, 76  # attributes of a device: its compute capability
-_NON_BLOCKING = 1  # a stream that does not wait for the default one
+_NON_BLOCKING = 1  # a stream that does not wait for the default stream
 
 
 class CudaError(RuntimeError):
-    """There is no driver or no device, or a call of the driver failed; the message says which."""
+    """There is no driver or no device, or a call of the driver failed; the
+    message names the cause.
+    """
 
 
 @cache
@@ -65,7 +67,7 @@ class Device:
         self.do("cuDevicePrimaryCtxRetain", ctypes.byref(self._context), number)
 
     def entry(self, program: str) -> Any:
-        """The entry of a program, which the driver compiles at its first use."""
+        """The entry of a program, which the driver compiles at the first use."""
         if program not in self._entries:
             self.do("cuCtxSetCurrent", self._context)
             module, entry, log = (
@@ -90,8 +92,8 @@ class Device:
         return self._entries[program]
 
     def room(self, lanes: int) -> int:
-        """Bytes that each of so many lanes may use: all of them half of the free memory, because
-        the memory of the threads comes out of it, too.
+        """Bytes that each of ``lanes`` lanes may use: together half of the free memory, because the
+        threads' memory comes from the free memory too.
         """
         self.do("cuCtxSetCurrent", self._context)
         free, whole = ctypes.c_size_t(), ctypes.c_size_t()
@@ -100,7 +102,7 @@ class Device:
 
     @contextmanager
     def lane(self) -> Iterator[Lane]:
-        """A lane that nobody else uses meanwhile; `release` frees what the lanes hold."""
+        """A lane for exclusive use; `release` frees the memory of the lanes."""
         self.do("cuCtxSetCurrent", self._context)
         try:
             lane = self._idle.pop()
@@ -112,8 +114,8 @@ class Device:
             self._idle.append(lane)
 
     def release(self) -> None:
-        """Free the memory of all lanes that are idle. After a fault no call may succeed, and none
-        of their errors may hide the first one.
+        """Free the memory of all idle lanes. After a fault no call may succeed, so later errors are
+        ignored: they must not hide the first error.
         """
         self.driver.cuCtxSetCurrent(self._context)
         while self._idle:
@@ -140,9 +142,9 @@ class Device:
 class Lane:
     """A queue of work on a device, side by side with other lanes.
 
-    It keeps its memory from call to call, because the device waits for all its work before it gives
-    memory back. Results come into memory of the host that is page-locked: the driver copies them at
-    once, not by way of a buffer of its own.
+    It keeps its memory from call to call, because a device waits for all its work before it frees
+    memory. Results are copied to page-locked memory of the host, which the driver writes directly,
+    without an intermediate buffer.
     """
 
     def __init__(self, device: Device):
@@ -159,10 +161,10 @@ class Lane:
         *arrays: NDArray[np.float64],
         results: int,
     ) -> NDArray[np.float64]:
-        """Call an entry with the contiguous ``arrays`` state, shared and own; the state comes back
+        """Call an entry with the contiguous ``arrays`` state, shared and own; the state is updated
         in place.
 
-        Returns the rows of all fields, ``results`` numbers, which are valid until the next call.
+        Returns the rows of all fields, ``results`` numbers, valid until the next call.
         """
         do, (state, shared, own) = self._device.do, arrays
         inputs: tuple[NDArray[Any], ...] = kinds, at, state, shared, own
@@ -175,7 +177,7 @@ class Lane:
         sizes = shared.shape[1], width, int(at.max()) + 1, runs, steps
         values = [*places, *map(ctypes.c_int64, sizes)]
         pointers = (ctypes.c_void_p * len(values))(*map(ctypes.addressof, values))
-        # Blocks in three dimensions, threads in three dimensions, bytes of shared memory.
+        # Grid size (3 dimensions), block size (3 dimensions), bytes of shared memory.
         grid = (-(-runs // THREADS), 1, 1, THREADS, 1, 1, 0)
         do("cuLaunchKernel", entry, *map(ctypes.c_uint, grid), self._stream, pointers, None)
         for place, x in ((places[2], state), (places[5], rows)):
@@ -194,7 +196,7 @@ class Lane:
         driver.cuStreamDestroy_v2(self._stream)
 
     def _block(self, number: int, size: int) -> ctypes.c_uint64:
-        """A block of device memory of at least a size."""
+        """A block of device memory with at least ``size`` bytes."""
         place, known = self._blocks.get(number, (None, 0))
         if place is None or known < size:
             if place is not None:
@@ -205,7 +207,7 @@ class Lane:
         return place
 
     def _page_locked(self, count: int) -> NDArray[np.float64]:
-        """The host's memory of so many numbers."""
+        """Page-locked memory of the host for ``count`` numbers."""
         size = 8 * count
         if self._size < size:
             if self._locked:

@@ -1,5 +1,5 @@
-"""Derivatives of the operations on a tape, by the chain rule in forward mode: exact, where
-differences would cost half of the digits.
+"""Derivatives of the operations on a tape by the chain rule in forward mode: exact, while
+differences would lose half of the digits.
 
 `along` and `at_zero` differentiate with respect to variables of a model, `with_slopes` a whole step
 with respect to a parameter of its filter.
@@ -19,14 +19,14 @@ from celnav.tape.routine import Loop
 from celnav.tape.tape import Scalar, Tape, TracedScalar, emit, operands
 
 Slopes = dict[int, Scalar]
-"""Derivatives with respect to some variables, by their number; all others are 0."""
+"""Derivatives with respect to some variables, by index; all other derivatives are 0."""
 Carried = tuple[Scalar, Slopes]
 """A value and its derivatives."""
 
 
 def along(center: Any, roots: Sequence[Any]) -> list[Any]:
-    """One point ``(1, n)`` for each root ``(n, q)``: its columns times variables that are 0, with
-    respect to which `at_zero` differentiates.
+    """For each root ``(n, q)`` a point ``(1, n)``: the root times q new variables, which are 0 and
+    with respect to which `at_zero` differentiates.
     """
     tape = tape_of(center, *roots)
     assert tape is not None
@@ -41,8 +41,8 @@ def along(center: Any, roots: Sequence[Any]) -> list[Any]:
 
 
 def at_zero(y: Any) -> tuple[TracedArray, TracedArray]:
-    """Values ``(...)`` of numbers at zero of the tape's last variables, and their derivatives
-    ``(..., count)`` there.
+    """Values ``(...)`` of numbers where the tape's last ``count`` variables are 0, and their
+    derivatives ``(..., count)``.
     """
     first = next((x for x in y.flat if isinstance(x, TracedScalar)), None)
     count = len(first.tape.variables) if first is not None else 0
@@ -65,8 +65,8 @@ def with_slopes(kernel: Kernel, seeds: Collection[int]) -> Kernel:
     """The step that also propagates the derivative of each number of its state with respect to one
     parameter; it stores no rows.
 
-    Number ``i`` of the state stands at ``2 i``, its derivative after it. seeds: the numbers before
-    the step, by index, whose derivative may not be 0.
+    Number ``i`` of the state is at ``2 i``, its derivative at ``2 i + 1``. seeds: indices of the
+    numbers before the step whose derivatives may differ from 0.
     """
     tape, duals = kernel.tape, dict[int, Carried]()
     inputs = [(place, 2 * at if place == "state" else at) for place, at in kernel.inputs]
@@ -80,7 +80,7 @@ def with_slopes(kernel: Kernel, seeds: Collection[int]) -> Kernel:
         slopes = (
             _carried(y, duals, _SMOOTH)[1] if isinstance(y, TracedScalar) and not y.logical else {}
         )
-        # A number that depends on no seed has slope 0.
+        # A number that does not depend on a seed has derivative 0.
         state += [(2 * at, y), (2 * at + 1, slopes.get(0, 0.0))]
     return Kernel(tape, inputs, state, [])
 
@@ -88,10 +88,10 @@ def with_slopes(kernel: Kernel, seeds: Collection[int]) -> Kernel:
 def _carried(
     x: TracedScalar, duals: dict[int, Carried], partials: Mapping[str, Partials] | None = None
 ) -> Carried:
-    """Value and derivatives of a number; ``duals``: those of earlier numbers; ``partials``: partial
-    derivatives of the operations, None: `_PARTIALS`.
+    """Value and derivatives of a number; ``duals``: values and derivatives of earlier numbers;
+    ``partials``: partial derivatives of the operations, None: `_PARTIALS`.
     """
-    # Without recursion: an operation waits on the stack until its operands are done.
+    # Without recursion: an operation remains on the stack until its operands are done.
     tape, stack = x.tape, [x.i]
     memory: dict[int, list[Carried] | None] = {}
     while stack:
@@ -124,7 +124,7 @@ def _carried(
         else:
             values, slopes = [duals[a][0] for a in arguments], [duals[a][1] for a in arguments]
             same = all(_same(tape, a, value) for a, value in zip(arguments, values, strict=True))
-            # The operation is emitted again as it was recorded: within a model, or not.
+            # The operation is emitted with the flag `model` under which it was recorded.
             tape.model = tape.modeled[i]
             value = TracedScalar(tape, i) if same else emit(name, *values)
             tape.model = False
@@ -135,7 +135,7 @@ def _carried(
 def _inside(
     routine: Loop, inputs: Sequence[Carried], partials: Mapping[str, Partials]
 ) -> list[Carried]:
-    """Cells of a routine after it, computed row by row."""
+    """Cells of a routine after its call, computed row by row."""
     cells: list[Any] = [*inputs, *[None] * (routine.cells - len(inputs))]
     for stage in routine.stages:
         # The loop is unrolled: each row is emitted once, on the cells left by the previous row.
@@ -172,7 +172,7 @@ def _chained(
     partials: Mapping[str, Partials],
 ) -> Slopes:
     """Derivatives of an operation: the sum of its partial derivatives times the operands'
-    slopes.
+    derivatives.
     """
     if name == "select":
         # The condition has no derivative.
@@ -181,7 +181,7 @@ def _chained(
             k: emit("select", values[0], a.get(k, 0.0), b.get(k, 0.0))
             for k in sorted(a.keys() | b.keys())
         }
-    # dv = sum over the operands of (partial derivative) times (slope).
+    # dv = sum over the operands x of (dv / dx) times the derivative of x.
     out: Slopes = {}
     for partial, slope in zip(partials.get(name, ()), slopes, strict=False):
         if slope:
@@ -238,4 +238,6 @@ _PARTIALS: dict[str, Partials] = {
 _SMOOTH = _PARTIALS | {
     "sqrt": (lambda v, _a: emit("select", emit("eq", v, 0.0), 0.0, emit("div", 0.5, v)),)
 }
-"""The square root has slope 0 at 0: a row of zeros, which a singular root has, keeps length 0."""
+"""The square root has derivative 0 at 0, because a row of zeros in a singular
+root keeps length 0.
+"""

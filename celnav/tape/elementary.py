@@ -1,11 +1,11 @@
 """Functions of the C library as arithmetic on a tape: for all runs of a vector at once, and on any
 device.
 
-`expand_elementary` rewrites a tape with them. They are within two units in the last place of the C
-library's (three for the tangent and for hyperbolic sine and tangent), a power ``x^y`` within
-``2 + 2 |y log x|`` units. Whole powers of whole numbers, logarithms of powers of 2 and 10 to these
-bases, and remainders are exact. An argument of sine and cosine beyond 1e14 rad, and a remainder of
-2^53 periods, give nan: the run fails, and the numpy engine runs it again.
+`expand_elementary` rewrites a tape with them. They differ from the C library by at most two units
+in the last place (three for the tangent and for hyperbolic sine and tangent); a power ``x^y``
+differs by at most ``2 + 2 |y log x|`` units. Integer powers of integers, logarithms of powers of 2
+and 10 to these bases, and remainders are exact. An argument of sine and cosine beyond 1e14 rad, and
+a remainder of 2^53 periods, give nan: the run fails, and the numpy engine repeats it.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from math import factorial, inf, nan, pi
 
 from celnav.tape.tape import Scalar, Tape, TracedScalar, as_number, emit
 
-FARTHEST = 1e14  # rad; there neighboring floats are a hundredth of a radian apart
+FARTHEST = 1e14  # rad; there neighboring floats differ by a hundredth of a radian
 LOG10_2 = (3.01029995663611771306e-01, 3.69423907715893078616e-13)
 LN2 = (6.93147180369123816490e-01, 1.90821492927058770002e-10)
 HALF_PI = (1.5707963267948966, 6.123233995736766e-17, -1.4973849048591833e-33)
-"""As sums, the first term of which has as many digits as a float holds (those of logarithms end
-with zeros).
+"""Constants as sums of floats; the first term is the nearest float (the first terms of logarithms
+end with zero bits).
 """
 _SINE = (
     -1.66666666666666324348e-01,
@@ -69,7 +69,9 @@ _ATAN_BELOW = (
 def expand_elementary(
     tape: Tape, outputs: Sequence[TracedScalar]
 ) -> tuple[Tape, dict[int, Scalar]]:
-    """A tape without these functions, and the new number for each number that the outputs need."""
+    """A tape without these functions, and for each number that the outputs need its number on the
+    new tape.
+    """
     new = Tape()
     mapped: dict[int, Scalar] = {}
     for i in tape.needed(outputs):
@@ -110,8 +112,8 @@ def _select(condition: Scalar, a: Scalar, b: Scalar) -> Scalar:
 
 
 def _quarters(x: Scalar) -> tuple[Scalar, Scalar, Scalar, Scalar]:
-    """Sine and cosine of the remainder of an angle after whole quarters of a turn, their number
-    modulo 4, and whether it is odd.
+    """Sine and cosine of an angle's remainder after n quarter turns, n modulo 4, and whether n is
+    odd.
     """
     # x = n pi/2 + r; pi/2 is a sum of three floats, so that r keeps its digits.
     n = emit("rint", emit("mul", x, 2.0 / pi))
@@ -167,7 +169,7 @@ def exp(x: Scalar) -> Scalar:
 
 
 def exp2(x: Scalar) -> Scalar:
-    """Two to the power of a number."""
+    """Two to the power x."""
     n = emit("rint", _select(emit("lt", emit("abs", x), 1100.0), x, emit("copysign", 1100.0, x)))
     # 2^x = 2^n exp((x - n) ln 2)
     value = _times_pow2(_polynomial(emit("mul", emit("sub", x, n), 0.6931471805599453), _EXP), n)
@@ -177,13 +179,13 @@ def exp2(x: Scalar) -> Scalar:
 
 
 def _times_pow2(x: Scalar, n: Scalar) -> Scalar:
-    """``x 2^n``, in two factors, since one factor need not be a normal number."""
+    """``x 2^n``, with two factors, because ``2^n`` may not be a normal number."""
     half = emit("floor", emit("mul", n, 0.5))
     return emit("mul", emit("mul", x, emit("pow2", half)), emit("pow2", emit("sub", n, half)))
 
 
 def _less_one(x: Scalar) -> tuple[Scalar, Scalar]:
-    """Numbers m and n, so that the exponential less one is ``m 2^n``: with ``x = n ln 2 + r``,
+    """Numbers m and n with ``e^x - 1 = m 2^n``: for ``x = n ln 2 + r``,
     ``m = (e^r - 1) + (1 - 2^-n)``.
     """
     x = _select(emit("lt", 800.0, emit("abs", x)), emit("copysign", 800.0, x), x)
@@ -204,24 +206,24 @@ def expm1(x: Scalar) -> Scalar:
 
 
 def sinh(x: Scalar) -> Scalar:
-    """Hyperbolic sine: ``t + t / (2 t + 1)``, with t half of the exponential minus one."""
+    """Hyperbolic sine: ``t + t / (2 t + 1)``, with ``t = (e^x - 1) / 2``."""
     size = emit("abs", x)
     m, n = _less_one(size)
     t = _times_pow2(m, emit("sub", n, 1.0))
     rest = _select(emit("lt", t, 1e20), emit("div", t, emit("add", emit("add", t, t), 1.0)), 0.0)
-    # Half of a very small number may have lost a bit: return the number itself.
+    # Half of a very small number may have lost a bit: return the number.
     return emit("copysign", _select(emit("lt", size, 1e-9), size, emit("add", t, rest)), x)
 
 
 def cosh(x: Scalar) -> Scalar:
-    """Hyperbolic cosine: ``h + 1 / (4 h)``, with h half of the exponential."""
+    """Hyperbolic cosine: ``h + 1 / (4 h)``, with ``h = e^x / 2``."""
     m, n = _less_one(emit("abs", x))
     h = emit("add", _times_pow2(m, emit("sub", n, 1.0)), 0.5)
     return emit("add", h, emit("div", 0.25, h))
 
 
 def tanh(x: Scalar) -> Scalar:
-    """Hyperbolic tangent: ``t / (t + 2)``, with t the exponential of 2 x minus one."""
+    """Hyperbolic tangent: ``t / (t + 2)``, with ``t = e^(2 x) - 1``."""
     size = emit("abs", x)
     t = _times_pow2(*_less_one(emit("add", size, size)))
     return emit(
@@ -230,7 +232,9 @@ def tanh(x: Scalar) -> Scalar:
 
 
 def log1p(x: Scalar) -> Scalar:
-    """Logarithm of 1 + x: the logarithm of the rounded sum, plus a correction for its rounding."""
+    """Logarithm of 1 + x: the logarithm of the rounded sum, plus a correction for the rounding
+    error.
+    """
     more = emit("add", 1.0, x)
     inside = emit("and", emit("lt", 0.0, more), emit("lt", more, inf))
     return emit(
@@ -273,7 +277,7 @@ def _near_one(x: Scalar) -> tuple[Scalar, Scalar, Scalar, Scalar]:
 
 
 def _logarithm(x: Scalar, value: Scalar) -> Scalar:
-    """The value if x is positive and finite."""
+    """The logarithm of x, from its ``value`` for positive and finite x."""
     value = _select(emit("lt", x, inf), value, x)
     return _select(emit("lt", 0.0, x), value, _select(emit("eq", x, 0.0), -inf, nan))
 
@@ -302,7 +306,7 @@ def log10(x: Scalar) -> Scalar:
 
 
 def power(x: Scalar, y: Scalar) -> Scalar:
-    """``x^y``: by squares for whole y below 128, by logarithm for others."""
+    """``x^y``: by repeated squaring for integers y with |y| < 128, by logarithm for others."""
     size, whole = emit("abs", x), emit("eq", emit("floor", y), y)
     rest, square, product = emit("abs", y), x, 1.0
     # The bits of |y|, the lowest first; the rest is 0 if |y| < 128.
@@ -313,7 +317,7 @@ def power(x: Scalar, y: Scalar) -> Scalar:
         rest, square = half, emit("mul", square, square)
     product = _select(emit("lt", y, 0.0), emit("div", 1.0, product), product)
     value = _select(emit("eq", size, 1.0), 1.0, exp(emit("mul", y, log(size))))
-    # A negative x needs a whole y, and an odd y makes the result negative.
+    # A negative x needs an integer y, and an odd y makes the result negative.
     half = emit("mul", 0.5, y)
     value = _select(
         emit("lt", x, 0.0),
@@ -326,7 +330,7 @@ def power(x: Scalar, y: Scalar) -> Scalar:
 
 
 def fmod(x: Scalar, y: Scalar) -> Scalar:
-    """Remainder with the sign of x: exact, because a fused multiply-add leaves no rounding."""
+    """Remainder with the sign of x: exact, because a fused multiply-add rounds only once."""
     size, period = emit("abs", x), emit("abs", y)
     ratio = emit("div", size, period)
     # |x| - floor(|x| / |y|) |y|
@@ -338,7 +342,9 @@ def fmod(x: Scalar, y: Scalar) -> Scalar:
 
 
 def hypot(x: Scalar, y: Scalar) -> Scalar:
-    """Length of a vector; numbers are scaled if their squares would leave the range of floats."""
+    """Length of a vector; the components are scaled if their squares would
+    overflow or underflow.
+    """
     square = emit("add", emit("mul", x, x), emit("mul", y, y))
     far, near = emit("lt", 1e300, square), emit("lt", square, 1e-280)
     down, up = (_select(far, c, _select(near, 1.0 / c, 1.0)) for c in (2.0**-600, 2.0**600))
@@ -394,4 +400,4 @@ EXPANSIONS: dict[str, Callable[..., Scalar]] = {
     "tanh": tanh,
     "cbrt": cbrt,
 }
-"""Name of the C library's function -> ours."""
+"""The function here for each function of the C library, by name."""

@@ -14,12 +14,12 @@ from celnav.tape.tape import LOGICAL, Scalar, Tape, TracedScalar, as_number, emi
 class Kernel(NamedTuple):
     """A step on a tape.
 
-    inputs: ``(place, index)`` of each input, place "state", "shared" or "own". state:
-        ``(index, result)`` of the numbers written.
-    rows: results to store. fields: numbers per run in each of the arrays that store them; () for
-        one array.
+    inputs: ``(place, index)`` of each input; the place is "state", "shared" or "own". state:
+        ``(index, result)`` of each number written to the state.
+    rows: results to store. fields: numbers per run in each array that stores rows; () for a single
+        array.
     at: field and place of each row; None: side by side. flags: fields of truth values, which this
-    processor stores as bytes.
+        processor stores as bytes.
     """
 
     tape: Tape
@@ -31,7 +31,7 @@ class Kernel(NamedTuple):
     flags: frozenset[int] = frozenset()
 
     def results(self) -> list[tuple[str, int, TracedScalar]]:
-        """The place of each result, "state" or "rows" and an index, and the result."""
+        """Each result with its place: "state" or "rows", and an index."""
         pairs = [("state", i, x) for i, x in self.state] + [
             ("rows", i, x) for i, x in enumerate(self.rows)
         ]
@@ -39,11 +39,11 @@ class Kernel(NamedTuple):
 
     @property
     def cells(self) -> int:
-        """Numbers in the memory of its routines."""
+        """How many numbers the memory of its routines has."""
         return self.tape.cells
 
     def expanded(self) -> Kernel:
-        """The kernel with elementary functions as arithmetic."""
+        """The kernel with elementary functions replaced by arithmetic."""
         tape, mapped = expand_elementary(self.tape, [x for *_, x in self.results()])
         placed = {(place, i): mapped[x.i] for place, i, x in self.results()}
         state = [(i, placed["state", i]) for i, _ in self.state]
@@ -51,15 +51,15 @@ class Kernel(NamedTuple):
         return self._replace(tape=tape, state=state, rows=rows)
 
     def columns(self) -> Sequence[tuple[int, int]]:
-        """Field of each row, and its place there."""
+        """Field of each row, and its place in the field."""
         if self.at is not None:
             return self.at
         counts = self.fields or (len(self.rows),)
         return [(field, i) for field, count in enumerate(counts) for i in range(count)]
 
     def uniform(self, state: Collection[int]) -> list[bool]:
-        """For each operation whether all runs have the same result, if they have the same ``state``
-        entries.
+        """For each operation, whether all runs have the same result if their ``state`` entries are
+        equal.
         """
         out = list[bool]()
         for op in self.tape.ops:
@@ -76,16 +76,16 @@ class Kernel(NamedTuple):
 
         before, after: entries of the state that all runs have in common before and after the step.
         """
-        tape, results = self.tape, self.results()  # which may put constants on the tape
+        tape, results = self.tape, self.results()  # results() may add constants to the tape
         uniform = self.uniform(before)
         per_run = [(p, i, x) for p, i, x in results if p == "rows" or i not in after]
-        # Common results that the part of each run needs, except constants and inputs.
+        # Common results that the second part needs, except constants and inputs.
         provided = {
             i
             for i in tape.needed([x for *_, x in per_run], {i for i, x in enumerate(uniform) if x})
             if uniform[i] and not self._is_at_hand(i)
         }
-        # Common results come after the shared inputs: index, time, interval, then u.
+        # Common results follow the shared inputs: index, time, interval, then u.
         first = max([3, *(1 + at for place, at in self.inputs if place == "shared")])
         places = {i: ("shared", first + k) for k, i in enumerate(sorted(provided))}
         common = [(i, x) for p, i, x in results if p == "state" and i in after]
@@ -117,10 +117,10 @@ class Kernel(NamedTuple):
         outputs: Sequence[TracedScalar],
         provided: Mapping[int, tuple[str, int]] = MappingProxyType({}),
     ) -> tuple[Tape, list[tuple[str, int]], dict[int, TracedScalar]]:
-        """A tape of the operations that the outputs need, its inputs, and its numbers by the
-        indices of this tape.
+        """A new tape with the operations that the outputs need, its inputs, and its numbers by
+        index on the present tape.
 
-        provided: operations whose results are inputs, and their places.
+        provided: operations whose results become inputs, with their places.
         """
         old, new = self.tape, Tape(self.tape.rolled)
         inputs, mapped = list[tuple[str, int]](), dict[int, TracedScalar]()
@@ -145,10 +145,9 @@ class Kernel(NamedTuple):
 
 
 class Split(NamedTuple):
-    """A step in two parts. The rows of ``once`` are the shared inputs of ``each`` from the
-    ``first`` on.
+    """A step in two parts. The rows of ``once`` are shared inputs of ``each``, from ``first`` on.
 
-    saved: operations of the first part.
+    saved: number of operations in the part that is computed once.
     """
 
     once: Kernel
@@ -158,7 +157,7 @@ class Split(NamedTuple):
 
 
 def digest(kernel: Kernel) -> bytes:
-    """A hash that is equal for kernels that are the same operation by operation."""
+    """A hash, equal for kernels with the same operations."""
     results = tuple((place, i, x.i) for place, i, x in kernel.results())
     layout = kernel.fields, kernel.columns(), sorted(kernel.flags)
     return sha256(repr((kernel.inputs, layout, results, kernel.tape.key)).encode()).digest()

@@ -1,6 +1,6 @@
 """A tape as machine code: straight-line LLVM on vectors of runs, compiled in memory by llvmlite.
 
-A `Kernel` is one step. Its numbers come from, and go to, four places::
+A `Kernel` is one step. Its numbers are read from and written to these places::
 
     state   (blocks, S, lanes)       what a run carries from step to step; read and written
     shared  (steps, E)               inputs that all runs have in common
@@ -9,8 +9,8 @@ A `Kernel` is one step. Its numbers come from, and go to, four places::
     cells   (C, lanes)               the memory of routines
 
 `run_loop` takes blocks of ``lanes`` runs, one after the other, through all steps. Every operation
-is IEEE arithmetic in a fixed order (products and sums fused only where this module says so): a run
-has the same bytes in any block, lane or thread.
+is IEEE arithmetic in a fixed order (a product and a sum are fused only where this module says so).
+So a run has the same result, bit for bit, in any block, lane or thread.
 """
 
 from __future__ import annotations
@@ -32,18 +32,18 @@ from celnav.tape.kernel import Kernel, digest
 from celnav.tape.tape import Tape, TracedScalar, operands
 
 LIBM = tuple(EXPANSIONS)
-LINE = 64  # bytes
-# blocks that go through an epoch together: the stored results of neighbors then share pages of
-# memory
+LINE = 64  # bytes in a cache line
+# Blocks that are computed together through an epoch: the stored results of neighbors then share
+# pages of memory.
 TILE = 16
-# lines of a module above which it is compiled without optimization: a tenth of the time, for code
-# that runs a third longer
+# Lines of a module above which it is compiled without optimization: this takes a tenth of the time,
+# for code that runs a third longer.
 QUICK = 30_000
-BLOCK = 500  # lines of a basic block
+BLOCK = 500  # most lines in a basic block
 SIZE = {"double": 8, "i8": 1}
 """Bytes of a stored number."""
 LOADED = ("in", "part", "const")
-TURNS = 8  # sums that are interleaved: half of the registers of a processor
+TURNS = 8  # sums that are interleaved: half the registers of a processor
 _BINARY = {"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv"}
 _COMPARED = {"lt": "olt", "le": "ole", "eq": "oeq", "ne": "une"}
 
@@ -51,10 +51,10 @@ _COMPARED = {"lt": "olt", "le": "ole", "eq": "oeq", "ne": "une"}
 def source(kernel: Kernel, lanes: int, fused: bool) -> str:
     """LLVM assembly of a kernel: ``step(state, shared, own, rows, runs, cells, at)``.
 
-    rows: pointers to the fields. ``at``: the position of row and run of the first lane; nothing is
-        stored if it is negative.
+    rows: pointers to the fields. ``at``: the position in the rows for the run in the first lane; if
+        it is negative, nothing is stored.
     """
-    if fused:  # without fused products ranges would be reduced less exactly than in the C library
+    if fused:  # fused products make range reduction as exact as in the C library
         kernel = kernel.expanded()
     tape, results = kernel.tape, kernel.results()
     code = _Code(lanes, fused, kernel.inputs)
@@ -62,7 +62,7 @@ def source(kernel: Kernel, lanes: int, fused: bool) -> str:
     for place, at, x in results:
         if place == "state":
             code.store(place, at, x.i)
-    # Without a row to store, the step ends here.
+    # If no row is stored, the step ends here.
     code.lines += ["%none = icmp slt i64 %at, 0", "br i1 %none, label %done, label %keep", "keep:"]
     code.keep(kernel, [x.i for place, _, x in results if place == "rows"])
     called, functions, routines = code.called, list[str](), dict(code.routines)
@@ -117,13 +117,13 @@ def source(kernel: Kernel, lanes: int, fused: bool) -> str:
 
 
 def _suffix(kind: str, lanes: int) -> str:
-    """The suffix of a function's name for a vector of numbers of a kind."""
+    """The suffix of an intrinsic function's name for a vector with elements of this type."""
     name = {"double": "f64", "i8": "i8"}[kind]
     return f"v{lanes}{name}" if lanes > 1 else name
 
 
 def _stage(stage: Any, cells: int, lanes: int, fused: bool) -> _Code:
-    """Lines of a loop over the rows of a stage; ``cells``: those of its routine."""
+    """Lines of a loop over the rows of a stage; ``cells``: the memory of its routine."""
     code = _Code(lanes, fused, stage.inputs, cells)
     code.lines += ["start:", "br label %loop", "loop:", "%r = phi i64 [0, %start], [%r1, %end]"]
     for place, (first, stride) in stage.places.items():
@@ -145,7 +145,9 @@ def _stage(stage: Any, cells: int, lanes: int, fused: bool) -> _Code:
 
 
 def _fused(needed: Sequence[int], tape: Tape, uses: Counter[int]) -> dict[int, int]:
-    """Sums ``i`` whose term ``j`` is a product used nowhere else: both are one operation."""
+    """Sums ``i`` with a term ``j`` that is a product used nowhere else: both
+    become one operation.
+    """
     joined, ops = {}, tape.ops
     for i in needed:
         if ops[i][0] in ("add", "sub") and i not in tape.sharp:
@@ -159,10 +161,10 @@ def _fused(needed: Sequence[int], tape: Tape, uses: Counter[int]) -> dict[int, i
 def _sums(
     needed: Sequence[int], tape: Tape, uses: Counter[int], joined: dict[int, int]
 ) -> list[list[int]]:
-    """Operations in a valid order, with each chain of a sum of products as one unit, at its last
-    product.
+    """Operations in a valid order; each chain that sums products is one unit, at the place of its
+    last product.
     """
-    within, units = set(joined.values()), dict[int, list[int]]()  # by their last operation
+    within, units = set(joined.values()), dict[int, list[int]]()  # units by their last operation
     for i in needed:
         if i in within or tape.ops[i][0] in LOADED:
             continue
@@ -178,8 +180,8 @@ def _sums(
 def _in_turn(units: Sequence[list[int]], tape: Tape, joined: dict[int, int]) -> Iterator[int]:
     """The operations, interleaved for neighboring sums.
 
-    A number that several sums multiply, such as a state that a matrix multiplies, is then loaded
-    once, and no sum waits for its own previous term.
+    A number that several sums multiply, such as a component of the state in a matrix product, is
+    then loaded once, and no sum waits for its previous term.
     """
     group, members = list[list[int]](), set[int]()
 
@@ -192,7 +194,7 @@ def _in_turn(units: Sequence[list[int]], tape: Tape, joined: dict[int, int]) -> 
     for unit in units:
         needs = {a for i in unit for j in (i, joined.get(i, i)) for a in operands(tape.ops[j])}
         same_length = bool(group) and len(unit) == len(group[0])
-        # A unit that needs a result of the group comes after the group.
+        # A unit that needs a result of the group is placed after the group.
         if len(group) == TURNS or not same_length or not needs.isdisjoint(members):
             yield from taken()
         group.append(unit)
@@ -203,8 +205,8 @@ def _in_turn(units: Sequence[list[int]], tape: Tape, joined: dict[int, int]) -> 
 class _Code:
     """Lines of a function, as they are written.
 
-    called: functions of the C library that it calls. routines: those that it calls. cells: how many
-    cells of memory are in use before its first call.
+    called: functions of the C library that it calls. routines: routines that it calls. cells:
+        number of memory cells in use before its first call.
     """
 
     def __init__(self, lanes: int, fused: bool, inputs: Sequence[tuple[str, int]], cells: int = 0):
@@ -224,7 +226,7 @@ class _Code:
         uses.update(x.i for x in outputs)
         joined = _fused(needed, tape, uses) if self.fused else {}
         for i in _in_turn(_sums(needed, tape, uses, joined), tape, joined):
-            # Load operands just before they are used.
+            # Load operands just before their first use.
             for a in (i, *(operands(self.ops[i])), *(operands(self.ops[joined.get(i, i)]))):
                 self.take(a)
             name, *at = self.ops[i]
@@ -249,7 +251,7 @@ class _Code:
             self.load(i, "cells", self.memory[at[0]] + at[1])
 
     def call(self, i: int, routine: Any, *arguments: int) -> None:
-        """Call a routine with its own part of the memory."""
+        """Call a routine with a separate part of the memory."""
         self.routines[routine] = None
         self.memory[i] = self.cells
         if routine.rare:
@@ -277,8 +279,8 @@ class _Code:
         self.cells += routine.cells
 
     def divide(self) -> None:
-        """Start a new basic block after some lines: its compile time grows faster than its
-        length.
+        """Start a new basic block after some lines: the compile time of a block grows faster than
+        its length.
         """
         if len(self.lines) <= BLOCK * (self.blocks + 1):
             return
@@ -328,7 +330,7 @@ class _Code:
         self.lines.append(f"store {self.vector} {self.value(i)}, ptr {name}, align 8")
 
     def keep(self, kernel: Kernel, values: Sequence[int]) -> None:
-        """Store the rows: in each field the numbers of a run stand side by side."""
+        """Store the rows: in each field the numbers of a run are side by side."""
         columns, count = kernel.columns(), kernel.fields or (len(kernel.rows),)
         cell = ["i8" if field in kernel.flags else "double" for field in range(len(count))]
         for field, n in enumerate(count):
@@ -354,7 +356,7 @@ class _Code:
                     f"store {kind} {value}, ptr {slot}",
                 ]
                 continue
-            # The rows of neighboring runs are count[field] numbers apart.
+            # Rows of neighboring runs have a distance of count[field] numbers.
             places = ", ".join(f"i64 {lane * count[field] + j}" for lane in range(self.lanes))
             self.lines += [
                 f"{slot} = getelementptr {kind}, ptr %row{field}, <{self.lanes} x i64> <{places}>",
@@ -364,7 +366,7 @@ class _Code:
             ]
 
     def operation(self, i: int, product: int | None) -> None:
-        """One operation; a sum together with its ``product``."""
+        """Write one operation; a sum together with its ``product``."""
         name, *arguments = self.ops[i]
         value, vector = [self.value(a) for a in arguments], self.vector
         logical = f"<{self.lanes} x i1>" if self.lanes > 1 else "i1"
@@ -408,7 +410,7 @@ class _Code:
             put(f"%t{i} = call {vector} {called}({', '.join(f'{vector} {x}' for x in value)})")
 
     def bits(self, i: int, name: str, x: str) -> None:
-        """Two to a whole number, or the exponent of a number, from the bits of a float."""
+        """Two to the power of an integer, or the exponent of a number, from the bits of a float."""
         whole = f"<{self.lanes} x i64>" if self.lanes > 1 else "i64"
 
         def all_of(kind: str, value: str) -> str:
@@ -417,7 +419,7 @@ class _Code:
             )
 
         put, vector = self.lines.append, self.vector
-        # 1.5 2^52 has the number in its last bits, and 1.0 has the exponent field 1023.
+        # Adding 1.5 2^52 moves the integer to the last bits; the exponent field of 1.0 is 1023.
         if name == "pow2":
             put(f"%w{i} = fadd {vector} {x}, {all_of('double', '0x4338000000000000')}")
             put(f"%x{i} = bitcast {vector} %w{i} to {whole}")
@@ -428,14 +430,14 @@ class _Code:
         put(f"%w{i} = bitcast {vector} {x} to {whole}")
         put(f"%x{i} = lshr {whole} %w{i}, {all_of('i64', '52')}")
         put(f"%y{i} = and {whole} %x{i}, {all_of('i64', '2047')}")
-        # 2^52 with the field in its last bits
+        # 2^52 with the exponent field in its last bits.
         put(f"%z{i} = or {whole} %y{i}, {all_of('i64', '4841369599423283200')}")
         put(f"%v{i} = bitcast {whole} %z{i} to {vector}")
         put(f"%t{i} = fsub {vector} %v{i}, {all_of('double', '0x43300000000003FF')}")
 
 
 def _libm(name: str, lanes: int, vector: str) -> str:
-    """A function of the C library, on each lane."""
+    """Call a function of the C library for each lane."""
     count = 2 if name in ("atan2", "pow", "fmod", "hypot") else 1
     suffix = f"v{lanes}f64" if lanes > 1 else "f64"
     arguments = ", ".join(f"{vector} %x{j}" for j in range(count))
@@ -515,7 +517,7 @@ _CALL = ctypes.CFUNCTYPE(None, ctypes.c_void_p)
 
 @cache
 def toolchain() -> Any:
-    """llvmlite, ready to compile for this processor."""
+    """The binding of llvmlite, initialized for this processor."""
     with requires_extra("machine code", "compiled"):
         import llvmlite.binding as binding
     binding.initialize_native_target()
@@ -539,7 +541,7 @@ def lanes() -> int:
 
 
 def aligned(shape: tuple[int, ...]) -> Any:
-    """An array of floats that begins at a line of the cache, so that no vector lies across two."""
+    """An array of floats that starts at a cache line, so that no vector crosses two lines."""
     size = 8 * int(np.prod(shape))
     memory = np.empty(size + LINE, np.uint8)
     first = -memory.ctypes.data % LINE
@@ -564,9 +566,9 @@ def compiled(text: str, name: str) -> int:
 
 
 _ENGINES: list[Any] = []
-"""The owners of the machine code, which stays as long as the process."""
+"""The owners of the machine code, which lives as long as the process."""
 _ADDRESSES: dict[tuple[bytes, int], int] = {}
-"""Addresses of kernels, by the hash of their operations and the lanes."""
+"""Addresses of kernels, with the hash of their operations and the number of lanes as keys."""
 
 
 def kernel_address(kernel: Kernel, lanes: int) -> int:
@@ -579,13 +581,15 @@ def kernel_address(kernel: Kernel, lanes: int) -> int:
 
 @cache
 def run_loop() -> Any:
-    """The function that takes blocks of runs through steps; it runs without Python's lock."""
+    """The compiled function that advances blocks of runs through steps; it releases Python's global
+    lock.
+    """
     return _FLY(compiled(LOOP.replace("@TILE", str(TILE)), "fly"))
 
 
 @cache
 def _with_arguments() -> Any:
-    """The same with its arguments in one array, which takes a fifth of the time to pass."""
+    """Like `run_loop`, with its arguments in one array, which is passed in a fifth of the time."""
     kinds = ["ptr"] * _POINTERS + ["i64"] * _SIZES
     lines = [LOOP.replace("@TILE", str(TILE)), "define void @call(ptr %given) {"]
     for i, kind in enumerate(kinds):
@@ -602,9 +606,9 @@ def _with_arguments() -> Any:
 def caller(
     kernel: int, state: Any, shared: Any, own: Any, fields: Any, cells: Any
 ) -> Callable[[], None]:
-    """A function that takes all blocks of ``state`` through one step on these buffers.
+    """A function that advances all blocks of ``state`` by one step on these buffers.
 
-    fields: addresses of the rows, of one row each.
+    fields: addresses of the rows, one row each.
     """
     blocks, size, lanes = state.shape
     # One epoch of one kind, stored in row 0.

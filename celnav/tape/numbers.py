@@ -1,8 +1,8 @@
-"""Arrays of numbers whose values are not known yet: numpy code runs on them once, and its
-arithmetic is recorded on a `Tape`.
+"""Arrays of numbers that have no values yet: numpy code runs on them once, and its arithmetic is
+recorded on a `Tape`.
 
-numpy's functions work on a `TracedArray` as they do on floats: products of matrices, sums, sines,
-comparisons, choices with ``np.where``.
+Numpy's functions work on a `TracedArray` as on floats: matrix products, sums, sines, comparisons,
+choices with ``np.where``.
 """
 
 from __future__ import annotations
@@ -29,18 +29,18 @@ from celnav.tape.tape import (
 )
 
 LONG = 1000
-"""Operations below which code that treats rows alike is written out, not looped."""
+"""Number of operations below which code that is the same for all rows is unrolled."""
 LONG_PRODUCT = 10_000
 """The same limit for a product of matrices."""
 SORTED = 64
-"""The most numbers that are sorted; it takes half as many exchanges as their square."""
+"""The most numbers that are sorted; n numbers take n^2 / 2 exchanges."""
 
 
 def _maximum(a: Scalar, b: Scalar) -> Scalar:
-    """The larger number, nan if either is nan."""
+    """The larger number; nan if either number is nan."""
     if type(a) is not TracedScalar:
         a, b = b, a
-    # b is a known number that is not nan: only a may be nan.
+    # b is known and not nan: only a may be nan.
     if type(b) is not TracedScalar and b == b:
         return emit("select", emit("lt", a, b), b, a)
     return emit("select", emit("lt", a, b), b, emit("select", emit("ne", b, b), b, a))
@@ -51,7 +51,7 @@ def _minimum(a: Scalar, b: Scalar) -> Scalar:
 
 
 def _fmax(a: Scalar, b: Scalar) -> Scalar:
-    """The larger number, or the one that is not nan."""
+    """The larger number; if one is nan, the other."""
     # A comparison with nan is false: if a is nan, b is selected.
     return emit("select", emit("or", emit("le", b, a), emit("ne", b, b)), a, b)
 
@@ -59,7 +59,7 @@ def _fmax(a: Scalar, b: Scalar) -> Scalar:
 def _power(x: Scalar, y: Scalar) -> Scalar:
     if type(y) is TracedScalar or type(x) is not TracedScalar:
         return emit("pow", x, y)
-    # Half-integer powers: squares, and a square root for an odd half.
+    # Half-integer powers: repeated squaring, and a square root for an odd half.
     half = 2.0 * float(y)
     if half != int(half) or abs(half) > 128:
         return emit("pow", x, y)
@@ -91,7 +91,7 @@ def _floor_divide(x: Scalar, y: Scalar) -> Scalar:
     opposite = emit("lt", emit("mul", left, emit("copysign", 1.0, y)), 0.0)
     whole = emit("select", opposite, emit("sub", whole, 1.0), whole)
     down = emit("floor", whole)
-    # (x - left) / y is whole up to rounding: take the nearest whole number.
+    # (x - left) / y is an integer up to rounding: take the nearest integer.
     down = emit("select", emit("lt", 0.5, emit("sub", whole, down)), emit("add", down, 1.0), down)
     down = emit("select", emit("eq", whole, 0.0), emit("copysign", 0.0, ratio), down)
     return emit("select", emit("eq", y, 0.0), ratio, down)
@@ -215,13 +215,13 @@ _TRUTH: dict[Any, Callable[..., Scalar]] = {
     np.maximum: _op("or"),
     np.minimum: _op("and"),
 }
-"""Functions of truth values alone, if they differ from those of numbers."""
+"""Functions for which truth values give another result than numbers."""
 
 
 @cache
 def _of_truth(ufunc: Any) -> Callable[..., Scalar]:
-    """A function of truth values alone. numpy chooses the type of its result, which need not be
-    float64.
+    """A function whose operands are all truth values. Numpy determines the type of its result,
+    which may differ from float64.
     """
     try:
         kind = ufunc.resolve_dtypes((np.dtype(bool),) * ufunc.nin + (None,) * ufunc.nout)[-1]
@@ -245,7 +245,7 @@ def _scalar(ufunc: Any) -> Callable[..., Scalar]:
     """A function of single numbers."""
 
     def function(*arguments: Scalar) -> Scalar:
-        if len(arguments) != ufunc.nin:  # from round(x, 2) and pow(x, y, z)
+        if len(arguments) != ufunc.nin:  # for example round(x, 2) and pow(x, y, z)
             raise cannot_compile(f"numpy.{ufunc.__name__} is recorded of {ufunc.nin} operands only")
         truth = all(map(is_logical, arguments))
         return (_of_truth(ufunc) if truth else _UFUNCS[ufunc])(*arguments)
@@ -255,9 +255,7 @@ def _scalar(ufunc: Any) -> Callable[..., Scalar]:
 
 # -- arrays of them --------------------------------------------------------------------------------
 class TracedArray(np.ndarray):
-    """An array of `TracedScalar` and of known floats; numpy's functions treat it like an array of
-    floats.
-    """
+    """An array of `TracedScalar` and floats; numpy's functions treat it like an array of floats."""
 
     def __new__(cls, shape: tuple[int, ...]) -> TracedArray:
         """Zeros."""
@@ -283,8 +281,8 @@ class TracedArray(np.ndarray):
         )
 
     def astype(self, dtype: Any, *arguments: Any, **options: Any) -> Any:  # noqa: ARG002
-        """As floats, whole numbers or truth values. They stay numbers of full precision, so no
-        other type is accepted.
+        """The array as floats, integers or truth values. The numbers remain in float64, so other
+        types raise `CannotCompile`.
         """
         kind = _as_float64(dtype, np.int64, np.int32, np.bool_)
         floats = traced(
@@ -299,7 +297,7 @@ class TracedArray(np.ndarray):
             raise _explained(error, at) from None
 
     def __setitem__(self, at: Any, value: Any) -> None:
-        """As numpy: truth values if the array holds only truth values, floats otherwise."""
+        """Assign as in numpy: to an array of truth values as truth values, otherwise as floats."""
         value = _elementwise(_logical if _is_truth(self) else as_number, _bare(value))
         try:
             super().__setitem__(at, value if value.ndim else value[()])
@@ -324,7 +322,7 @@ class TracedArray(np.ndarray):
 
 
 def _explained(error: IndexError, at: Any) -> Exception:
-    """The error for an index; `CannotCompile` if its value is known only when the filter runs."""
+    """The error for an index; `CannotCompile` if the index is known only when the filter runs."""
     if all(recorded(index) is None for index in (at if isinstance(at, tuple) else (at,))):
         return error
     return cannot_compile(
@@ -334,8 +332,8 @@ def _explained(error: IndexError, at: Any) -> Exception:
 
 
 def _as_float64(dtype: Any, *others: Any) -> Any:
-    """A type that numbers can have. They stay numbers of full precision, so no other type is
-    accepted.
+    """Check a type. The numbers remain in float64, so types other than float, int and bool raise
+    `CannotCompile`.
     """
     kind = np.dtype(dtype)
     if kind not in (np.float64, np.object_, *others):
@@ -348,7 +346,7 @@ def _axis(arguments: Any, options: dict[str, Any]) -> tuple[Any, ...]:
 
 
 def traced(array: Any) -> Any:
-    """An array of objects as `TracedArray`; also a single `TracedScalar`."""
+    """An array of objects, or a single `TracedScalar`, as `TracedArray`."""
     if isinstance(array, TracedScalar):
         array = np.asarray(array, object)
     return (
@@ -359,14 +357,14 @@ def traced(array: Any) -> Any:
 
 
 def tape_of(*arrays: Any) -> Tape | None:
-    """The tape that holds numbers of the arrays; None if all are known."""
+    """The tape of the numbers in the arrays; None if all numbers are known."""
     return next(
         (x.tape for array in arrays for x in _bare(array).flat if isinstance(x, TracedScalar)), None
     )
 
 
 def recorded(value: Any) -> Any:
-    """A value that holds a `TracedScalar`, as `TracedArray`; None for any other."""
+    """A value that contains a `TracedScalar`, as `TracedArray`; None for any other value."""
     if isinstance(value, TracedScalar | TracedArray):
         return np.asanyarray(value, object).view(TracedArray)
     if isinstance(value, list | tuple) or getattr(
@@ -390,19 +388,19 @@ def _elementwise(function: Callable[[Scalar], Scalar], array: Any) -> Any:
 
 
 def _is_truth(array: Any) -> bool:
-    """Whether an array is one of truth values."""
+    """Whether an array has truth values."""
     return array.size > 0 and all(map(is_logical, array.flat))
 
 
 def _operand(x: Any) -> Any:
-    """A plain array of objects, of truth values or of numbers."""
+    """A plain array of objects, either truth values or numbers."""
     bare = _bare(x)
     if not any(map(is_logical, bare.flat)) or _is_truth(bare):
         return bare
     return _elementwise(as_number, bare)
 
 
-# From numpy 2.5 on a comparison with nan within a function of ours would warn.
+# From numpy 2.5 on, a comparison with nan inside one of these functions would warn.
 @np.errstate(all="ignore")
 def _ufunc(ufunc: Any, method: str, inputs: Sequence[Any], options: dict[str, Any]) -> Any:
     outs, where = options.pop("out", None), options.pop("where", True)
@@ -430,7 +428,7 @@ def _ufunc(ufunc: Any, method: str, inputs: Sequence[Any], options: dict[str, An
         raise cannot_compile(f"numpy.{ufunc.__name__}.{method} cannot be recorded")
     if outs is None and where is True:
         return result
-    # With out= or where= the result is written into the caller's array.
+    # With out= the result is written into the caller's array, with where= only in part.
     (out,) = outs or (None,)
     if out is None or not out.dtype.hasobject:
         raise cannot_compile(
@@ -445,7 +443,7 @@ _REDUCED: dict[Any, Callable[..., Scalar]] = {
     **dict.fromkeys((np.add, np.multiply, np.maximum, np.minimum, np.fmax, np.fmin), as_number),
     **dict.fromkeys((np.logical_and, np.logical_or), _logical),
 }
-"""The functions that can be reduced or accumulated, and the conversion of their elements."""
+"""The functions that can reduce or accumulate, and the conversion of their elements."""
 _EMPTY = {np.add: 0.0, np.multiply: 1.0, np.logical_and: True, np.logical_or: False}
 
 
@@ -487,7 +485,7 @@ def _reduced(
 
 
 def _products(ufunc: Any, a: Any, b: Any) -> Any:
-    """Sums of products, without the terms that are known to be zero."""
+    """Matrix products as sums without the terms that are known to be zero."""
     if _is_truth(a) and _is_truth(b):
         raise cannot_compile(
             "products of matrices of truth values are none of floats; multiply by 1.0"
@@ -524,7 +522,9 @@ def _contracted(pair: Sequence[Any]) -> Any:
 
 
 def in_model(function: Callable[..., Any], x: Any, *arguments: Any) -> Any:
-    """The result of a model's function for an array; while it is recorded, with numpy's values."""
+    """The result of a model's function for an array; its recorded operations have exactly numpy's
+    values.
+    """
     tape = tape_of(x) if x.dtype.hasobject else None
     if tape is None or tape.model:
         return function(x, *arguments)
@@ -536,7 +536,7 @@ def in_model(function: Callable[..., Any], x: Any, *arguments: Any) -> Any:
 
 
 def known_alike(a: Any, b: Any) -> bool:
-    """Whether arrays are known to hold the same numbers."""
+    """Whether two arrays provably have the same numbers."""
     if not a.dtype.hasobject:
         return np.array_equal(a, b)
     pairs = zip(_bare(a).flat, _bare(b).flat, strict=False)
@@ -548,10 +548,11 @@ def _key(x: Scalar) -> Any:
 
 
 def each_row(function: Callable[..., Any], *points: Any, least: int = LONG) -> Any:
-    """Values ``(p, m)`` of a function at points ``(p, n)``, each row depending on one point only.
+    """Values ``(p, m)`` of a function at points ``(p, n)``; each row depends on one point only.
 
-    The function is recorded for one point. Code of ``least`` operations or more becomes a loop over
-    the points; shorter code is written out, so that operations common to points are done once.
+    The function is recorded for one point. Code with ``least`` operations or more becomes a loop
+    over the points. Shorter code is unrolled, so that operations common to several points are done
+    once.
     """
     tape, count = tape_of(*points), len(points[0])
     if tape is None or count == 1 or not tape.rolled:
@@ -559,7 +560,7 @@ def each_row(function: Callable[..., Any], *points: Any, least: int = LONG) -> A
     widths = [x.shape[-1] for x in points]
     variables = [tape.node("var", len(tape.ops)) for _ in range(sum(widths))]
     ends = np.cumsum(widths)
-    # One point (1, n) of variables stands for all points.
+    # One point (1, n) of variables represents all points.
     symbols = [
         np.array([variables[end - n : end]], object).view(TracedArray)
         for end, n in zip(ends, widths, strict=True)
@@ -583,10 +584,11 @@ def each_row(function: Callable[..., Any], *points: Any, least: int = LONG) -> A
 def rarely(
     condition: Any, function: Callable[..., Any], arrays: Sequence[Any], usual: Sequence[Any]
 ) -> tuple[Any, ...]:
-    """``np.where(condition, function(*arrays), usual)`` for each matrix, with a rare condition
-    ``(...)``.
+    """``np.where(condition, function(*arrays), usual)`` for each matrix, with a condition ``(...)``
+    that is rarely true.
 
-    The compiled code calls the function only if the condition holds for a run of the vector.
+    The compiled code calls the function only if the condition is true for at least one run of the
+    vector.
     """
     condition, tape = traced(np.asanyarray(condition)), tape_of(condition)
     if tape is None or not tape.rolled:
@@ -596,7 +598,7 @@ def rarely(
         first = 1 + len(inputs)
         # Memory: the condition, the inputs, then the results.
         stage = LoopRecorder(1, inputs=(1, 0), results=(first, 0))
-        # Inside the routine each input stands for the number of the outer tape.
+        # Inside the routine each input represents a number of the outer tape.
         inside = {i: stage.take("inputs", k, tape.absent[i]) for k, i in enumerate(inputs)}
         images = [
             traced(
@@ -624,7 +626,7 @@ def rarely(
 @np.errstate(all="ignore")
 def _where(condition: Any, a: Any, b: Any) -> Any:
     a, b = _operand(a), _operand(b)
-    # Truth values mixed with numbers count as numbers.
+    # Truth values together with numbers are treated as numbers.
     if not (_is_truth(a) and _is_truth(b)):
         a, b = (_elementwise(as_number, x) for x in (a, b))
     choose = np.frompyfunc(lambda c, x, y: emit("select", _logical(c), x, y), 3, 1)
@@ -639,7 +641,7 @@ def _select(conditions: Any, choices: Any, default: Any = 0.0) -> Any:
 
 @np.errstate(all="ignore")
 def _interp(x: Any, xp: Any, fp: Any, left: Any = None, right: Any = None) -> Any:
-    """Linear interpolation, on the line from the last knot that is not beyond x."""
+    """Linear interpolation on the line that starts at the last knot at or below x."""
     xp, fp = _bare(xp).tolist(), _bare(fp).tolist()
     slopes = [
         emit("div", emit("sub", fp[j + 1], fp[j]), emit("sub", xp[j + 1], xp[j]))
@@ -648,7 +650,7 @@ def _interp(x: Any, xp: Any, fp: Any, left: Any = None, right: Any = None) -> An
 
     def interpolated(v: Scalar) -> Scalar:
         y = fp[0] if left is None else left
-        # Each knot at or below v replaces the line of the previous one.
+        # Each knot at or below v replaces the line from the previous knot.
         for knot, f, slope in zip(xp, fp, [*slopes, 0.0], strict=True):
             line = emit("add", emit("mul", slope, emit("sub", v, knot)), f)
             y = emit("select", emit("le", knot, v), line, y)
@@ -659,7 +661,7 @@ def _interp(x: Any, xp: Any, fp: Any, left: Any = None, right: Any = None) -> An
 
 
 def _sort(x: Any, axis: Any = -1) -> Any:
-    """Sorting by exchange of neighbors, nan last."""
+    """Sort by exchanging neighbors, nan last."""
     moved = np.ravel(x) if axis is None else np.moveaxis(x, axis, 0)
     rows = list(moved)
     if len(rows) > SORTED:
@@ -699,13 +701,13 @@ def _nan_to_num(
 
 
 def _einsum(subscripts: str, *operands: Any, **_options: Any) -> Any:
-    """By broadcasting: each operand's axes in the order of all letters, then a product and a
-    sum.
+    """Einstein summation by broadcasting: the axes of each operand in the order of all letters,
+    then a product and a sum.
     """
     left, right = subscripts.replace(" ", "").split("->")
     terms, bare = left.split(","), [_bare(x) for x in operands]
     more = [x.ndim - len(term.replace("...", "")) for term, x in zip(terms, bare, strict=True)]
-    # Capital letters stand for the axes of an ellipsis, counted from the last one.
+    # Capital letters represent the axes of an ellipsis, counted from the last axis.
     free = "".join(chr(ord("A") + i) for i in range(max(more)))
     named = [
         term.replace("...", free[max(more) - count :])
@@ -796,7 +798,7 @@ def _eliminated(A: Any, b: Any) -> Any:
             ]
     n, X = len(rows), np.empty(b.shape, object)
     for k in range(b.shape[-1]):
-        # Back substitution, from the last unknown on.
+        # Back substitution, starting at the last unknown.
         for i in reversed(range(n)):
             left = emit(
                 "sub",
@@ -856,8 +858,8 @@ def _operator(function: Callable[..., Any], swapped: bool = False) -> Any:
 
 
 def _python(ufunc: Any) -> Callable[..., Scalar]:
-    """The operator of single numbers, for which Python's truth values are whole numbers, but
-    numpy's are not.
+    """The operator for single numbers. Python's truth values are integers there, but numpy's are
+    not.
     """
 
     def function(*arguments: Scalar) -> Scalar:
@@ -912,7 +914,7 @@ for _of in _UFUNCS:  # a plain array of objects calls methods of these names
 
 
 def _through(_self: TracedScalar, function: Any, _types: Any, arguments: Any, options: Any) -> Any:
-    """numpy's functions of single numbers: as for arrays without axes."""
+    """Numpy's functions of single numbers, computed as for arrays without axes."""
 
     def whole(x: Any) -> Any:
         return (

@@ -1,8 +1,8 @@
-"""Kernels as PTX, the assembly language of NVIDIA's devices: each thread takes one run through all
+"""Kernels as PTX, the assembly language of NVIDIA devices: each thread computes one run through all
 epochs.
 
-A step is the function that `celnav.tape.llvm` writes, for one run, inside a loop over the epochs
-that all threads go through together. Neighboring threads read and write neighboring numbers::
+A step is the function that `celnav.tape.llvm` writes, for one run, inside a loop over the epochs,
+which all threads execute together. Neighboring threads read and write neighboring numbers::
 
     state   (S, runs)                what a run carries from step to step, in registers meanwhile
     shared  (steps, E)               inputs that all runs have in common
@@ -18,9 +18,7 @@ from celnav.tape import llvm
 from celnav.tape.kernel import Kernel, digest
 
 TARGET, TRIPLE = (7, 0), "nvptx64-nvidia-cuda"
-"""Compute capability of the oldest device that suffices; the driver compiles for the present
-one.
-"""
+"""Lowest compute capability supported; the driver compiles for the present device."""
 _ARGUMENTS = (
     "ptr %kinds, ptr %at, ptr %state, ptr %shared, ptr %own, ptr %rows, "
     "i64 %E, i64 %M, i64 %K, i64 %runs, i64 %steps"
@@ -102,7 +100,7 @@ done:
 
 def program(kernels: Sequence[Kernel], size: int) -> str:
     """PTX of the entry ``entry(kinds, at, state, shared, own, rows, E, M, K, runs, steps)``; equal
-    programs are made once.
+    programs are assembled once.
 
     kernels: ``kinds`` is the kernel of each epoch, and ``at`` the row that it stores, -1 for none.
         size: S.
@@ -117,11 +115,11 @@ _PROGRAMS: dict[tuple[tuple[bytes, ...], int], str] = {}
 
 
 def source(kernels: Sequence[Kernel], size: int) -> str:
-    """LLVM assembly of a program; the steps are inlined in the loop, so that registers are all the
-    memory that a state needs.
+    """LLVM assembly of a program; the steps are inlined in the loop, so that the state needs only
+    registers.
     """
     binding, text = llvm.toolchain(), _FLY + _ENTRY
-    # Templates with the number of their copies; # is the number of the copy.
+    # Templates, each with its number of copies; # becomes the index of the copy.
     parts = {
         "@ARGUMENTS": (_ARGUMENTS, 1),
         "@SIZE": (str(size), 1),
@@ -151,7 +149,7 @@ def source(kernels: Sequence[Kernel], size: int) -> str:
     for function in module.functions:
         if not function.is_declaration and function.name != "entry":
             function.linkage = "internal"
-    # Everything is inlined into the entry, so that the state stays in registers.
+    # Everything is inlined into the entry, so that the state remains in registers.
     for name in ("fly", *(f"step{i}" for i in range(len(kernels)))):
         module.get_function(name).add_function_attribute("alwaysinline")
     module.verify()

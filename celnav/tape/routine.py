@@ -1,8 +1,8 @@
 """Routines that machine code calls: loops, which would be slow to compile unrolled, and rare
 branches.
 
-A `Loop` is called with numbers, which are the first cells of its memory, and leaves its results
-there. On a `Tape` the call is one operation.
+The arguments of a `Loop` are the first cells of its memory, and it writes its results to this
+memory. On a `Tape` the call is one operation.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from celnav.tape.tape import Scalar, Tape, TracedScalar, as_number, operands
 class LoopBody(NamedTuple):
     """Code for ``rows`` rows.
 
-    places: by name ``(first, stride)``: the cell at which a place begins for the first row, and the
-        distance to the next row.
+    places: ``(first, stride)`` by name: the first cell of a place for the first row, and the
+        distance in cells to the next row.
     inputs: ``(place, index)`` of each input of the tape. results: ``(place, index, number)`` of the
         numbers written.
     """
@@ -33,12 +33,12 @@ class LoopBody(NamedTuple):
 
 
 class Loop:
-    """Stages that share a memory. The arguments are in its first cells.
+    """Stages with a common memory, whose first cells are the arguments.
 
-    own_cells: number of cells of the routine. The cells of the routines that it calls follow;
-        ``cells`` is the total.
-    returned: cells that are returned. rare: whether the call is skipped if the first argument is 0
-        for every run of the vector. The returned cells are then undefined.
+    own_cells: number of cells of the routine itself; the cells of the routines that it calls
+        follow, and ``cells`` is the total. returned: cells that are returned. rare: whether the
+        call is skipped if the first argument is 0 for every run of the vector; the returned cells
+        are then undefined.
     """
 
     def __init__(
@@ -58,7 +58,7 @@ class Loop:
 
     @cached_property
     def name(self) -> str:
-        """A name made of its operations: equal routines have equal names."""
+        """A name with a hash of the operations: equal routines have equal names."""
         parts = [
             (s.rows, s.places, s.inputs, [(p, i, x.i) for p, i, x in s.results], s.tape.key)
             for s in self.stages
@@ -76,7 +76,7 @@ class Loop:
         return hash(self.name)
 
     def expanded(self) -> Loop:
-        """The loop with elementary functions as arithmetic."""
+        """The loop with elementary functions replaced by arithmetic."""
         stages = []
         for stage in self.stages:
             tape, mapped = expand_elementary(stage.tape, [x for *_, x in stage.results])
@@ -87,14 +87,15 @@ class Loop:
         return Loop(stages, self.own_cells, self.returned, self.rare)
 
     def __call__(self, tape: Tape, arguments: Iterable[Scalar]) -> list[TracedScalar]:
-        """The returned cells of a call on a tape."""
-        # The call is one operation; each returned cell is another, which reads its memory.
+        """Emit a call on a tape; returns the returned cells."""
+        # The call is one operation; each returned cell is another operation, which reads the
+        # memory.
         call = tape.node("call", self, *(tape.lift(as_number(x)).i for x in arguments))
         return [tape.node("part", call.i, cell) for cell in self.returned]
 
 
 class LoopRecorder:
-    """A stage while it is recorded: numbers are read from places, and written to them."""
+    """Records a stage, which reads numbers from places and writes numbers to places."""
 
     def __init__(self, rows: int, **places: tuple[int, int]):
         self.rows, self.places, self.tape = rows, places, Tape()
@@ -102,14 +103,14 @@ class LoopRecorder:
         self._numbers = dict[tuple[str, int], TracedScalar]()
 
     def take(self, place: str, index: int, absent: bool = False) -> TracedScalar:
-        """The number at an index of a place of the row."""
+        """The number at an index of a place for the present row."""
         if (place, index) not in self._numbers:
             self.inputs.append((place, index))
             self._numbers[place, index] = self.tape.input(absent)
         return self._numbers[place, index]
 
     def put(self, place: str, index: int, value: Scalar) -> None:
-        """Write a number to an index of a place."""
+        """Write a number to an index of a place for the present row."""
         self.results.append((place, index, self.tape.lift(as_number(value))))
 
     def stage(self) -> LoopBody:
@@ -124,10 +125,10 @@ def rolled_loop(
     rows: Sequence[Sequence[Scalar]],
     least: int,
 ) -> list[TracedScalar] | None:
-    """The outputs as functions of the variables, evaluated for rows of values by a loop; None if it
-    is better written out.
+    """The outputs as functions of the variables, evaluated in a loop for rows of values; None if
+    unrolled code is better.
 
-    least: operations of all rows together above which a loop is worth it.
+    least: number of operations in all rows from which on a loop is used.
     """
     body, inside, ops = list[int](), {x.i for x in variables}, tape.ops
     # The body: operations that depend on the variables.
@@ -138,13 +139,13 @@ def rolled_loop(
     if len(body) * len(rows) < least or any(ops[i][0] in ("call", "part") for i in body):
         return None
     n, m = len(variables), len(outputs)
-    # Numbers from outside the body are common to all rows; constants stand in its code.
+    # Numbers from outside the body are common to all rows; constants are part of its code.
     used = {a for i in body for a in operands(ops[i])} | {x.i for x in outputs}
     # Memory: common numbers, then the values (rows, n), then the results (rows, m).
     common = sorted(i for i in used - inside if ops[i][0] != "const")
     at, first = len(common), len(common) + n * len(rows)
     stage = LoopRecorder(len(rows), common=(0, 0), values=(at, n), results=(first, m))
-    # The body is recorded again on the stage's own tape.
+    # The body is recorded again on the tape of the stage.
     mapped = {i: stage.take("common", k, tape.absent[i]) for k, i in enumerate(common)}
     mapped |= {x.i: stage.take("values", k) for k, x in enumerate(variables)}
     mapped |= {i: stage.tape.lift(ops[i][1]) for i in used - inside if ops[i][0] == "const"}

@@ -1,8 +1,8 @@
-"""A tape of operations, and the `TracedScalar` that is the result of one. Operations on known
-numbers are computed immediately, and no operation is recorded twice.
+"""A tape of operations, and `TracedScalar`, the result of an operation. Operations on known numbers
+are computed immediately, and no operation is recorded twice.
 
-Code that needs a value that does not exist yet, an ``if`` or a ``float(x)``, raises
-`CannotCompile`, which names the line.
+Code that needs a value that is not known yet, an ``if`` or a ``float(x)``, raises `CannotCompile`,
+which names the line.
 """
 
 from __future__ import annotations
@@ -24,8 +24,7 @@ Scalar = Any
 
 
 class CannotCompile(ValueError):
-    """A computation is not arithmetic on numbers; the message says what it needed, and on which
-    line.
+    """A computation cannot be recorded as arithmetic; the message names the obstacle and the line.
 
     ``somewhere``: whether the line is unknown.
     """
@@ -38,14 +37,13 @@ class TooLong(CannotCompile):
 
 
 def cannot_compile(message: str) -> CannotCompile:
-    """The error, with the line of the model, or else of the package, that led to it; the tape
-    stores it.
+    """The error, with the line of the model, or else of the package, that caused it.
 
-    A model may catch it: the recording is refused all the same.
+    The tape stores the error, so that the recording fails even if the model catches it.
     """
     frame: Any = sys._getframe(1)
     lines = []
-    # The tape is the local variable of this name in the function that records.
+    # The recording function has the tape in its local variable of this name.
     while frame is not None and not isinstance(frame.f_locals.get("tape"), Tape):
         lines.append((frame.f_code.co_filename, frame.f_lineno))
         frame = frame.f_back
@@ -59,7 +57,7 @@ def cannot_compile(message: str) -> CannotCompile:
 
 
 def place_of(lines: Sequence[tuple[str, int]]) -> str:
-    """The innermost line of the user's code, where a model needed what cannot be recorded."""
+    """The innermost line of the user's code, at which the recording failed."""
     paths = [(Path(name), number) for name, number in lines if not name.startswith("<")]
     package = Path(__file__).parents[1]
     user_lines = [at for at in paths if package not in at[0].parents and not _is_installed(at[0])]
@@ -117,14 +115,14 @@ _FOLD: dict[str, Callable[..., Any]] = {
     "not": np.logical_not,
     "select": lambda c, a, b: a if c else b,
 }
-"""The operations on known numbers; "pow2" is two to a whole number, "exponent" the exponent of a
-normal number.
+"""The operations as functions of known numbers; "pow2" is two to the power of an integer,
+"exponent" the exponent of a normal number.
 """
-MOST = 400_000  # operations on a tape, including those that are not needed in the end
+MOST = 400_000  # most operations on a tape, whether needed for the results or not
 LOGICAL: Final = frozenset(("lt", "le", "eq", "ne", "and", "or", "not"))
-"""Operations whose results are true or false."""
+"""Operations whose results are truth values."""
 _SHARP: Final = LOGICAL | {"floor", "rint", "fmod"}
-"""Operations that jump: there a difference of round-off can become another whole number."""
+"""Discontinuous operations: a difference of round-off may change the result to another integer."""
 _WILD: Final = frozenset(
     (
         "div",
@@ -145,7 +143,7 @@ _WILD: Final = frozenset(
         "fmod",
     )
 )
-"""Operations that can turn moderate numbers into nan or infinity."""
+"""Operations whose result for moderate numbers may be nan or infinite."""
 _OPERANDS: Final = {
     "in": slice(0),
     "const": slice(0),
@@ -157,23 +155,23 @@ _ALL: Final = slice(1, None)
 
 
 def operands(op: tuple[Any, ...]) -> tuple[int, ...]:
-    """Indices of the earlier operations that an operation needs."""
+    """Indices of the operands of an operation."""
     return op[_OPERANDS.get(op[0], _ALL)]
 
 
 class Tape:
     """Operations in the order in which they were first emitted, each once.
 
-    ``ops[i]`` is ``(name, *arguments)``: indices of earlier ones; ``("in", k)`` is the k-th input,
-    ``("const", x)`` a number. ``("call", routine, *arguments)`` leaves a memory, and
-    ``("part", i, cell)`` is a cell of it; ``rolled``: whether such calls are allowed. ``cells``:
-    how many numbers the routines have in memory. ``most``: the number of operations beyond which
-    `TooLong` is raised.
+    ``ops[i]`` is ``(name, *arguments)``, with indices of earlier operations as arguments;
+    ``("in", k)`` is the k-th input, ``("const", x)`` a number. ``("call", routine, *arguments)``
+    fills the memory of a routine, and ``("part", i, cell)`` is a cell of this memory; ``rolled``:
+    whether such calls are allowed. ``cells``: how many numbers the memory of the routines has.
+    ``most``: the number of operations beyond which `TooLong` is raised.
     ``refusal``: the first error of `cannot_compile`. ``absent[i]``: whether the operation depends
-    on an input that may be missing, nan. ``model``: whether the recorded code is a model's own
-    arithmetic, which must have numpy's values; for this code, ``wild[i]``: whether the result may
-    be nan or infinite, and ``sharp``: numbers that decide a jump, whose products and sums are
-    rounded one by one. ``modeled``: the operations of such code.
+    on an input that may be missing, nan. ``model``: whether the recorded code is the arithmetic of
+    a model, which must have exactly numpy's values. For such code ``wild[i]`` is whether the result
+    may be nan or infinite, and ``sharp`` has the numbers that decide a discontinuity, whose
+    products and sums are rounded separately. ``modeled``: the operations of such code.
     """
 
     def __init__(self, rolled: bool = True, most: int = MOST) -> None:
@@ -189,19 +187,21 @@ class Tape:
 
     @property
     def key(self) -> tuple[Any, ...]:
-        """A key that is equal for tapes of the same operations."""
+        """A key, equal for tapes with the same operations."""
         return *self._positions, *sorted(self.sharp)
 
     def input(self, absent: bool = False) -> TracedScalar:
-        """A new input, the next in number; ``absent``: it may be nan for a missing measurement."""
+        """A new input with the next index; ``absent``: whether it may be nan for a missing
+        measurement.
+        """
         self._inputs += 1
         number = self.node("in", self._inputs - 1)
         self.absent[number.i] = self.wild[number.i] = absent
         return number
 
     def node(self, *op: Any) -> TracedScalar:
-        """The result of an operation, recorded unless it is on the tape already."""
-        # The hexadecimal digits distinguish 0.0 from -0.0, and make nan equal to itself.
+        """The result of an operation, which is recorded unless it is on the tape already."""
+        # As keys, hexadecimal digits distinguish 0.0 from -0.0, and make nan equal to nan.
         key = (op[0], op[1].hex()) if op[0] == "const" else op
         at = self._positions.get(key)
         if at is None:
@@ -227,7 +227,7 @@ class Tape:
         return TracedScalar(self, at)
 
     def _sharpen(self, indices: Sequence[int]) -> None:
-        """Mark the numbers that a jump within a model depends on."""
+        """Mark the numbers on which a discontinuity in a model depends."""
         stack = list(indices)
         while stack:
             i = stack.pop()
@@ -236,7 +236,7 @@ class Tape:
                 stack += operands(self.ops[i])
 
     def lift(self, x: Scalar) -> TracedScalar:
-        """The number on this tape; a known number becomes a constant."""
+        """A number as a number on this tape; a known number becomes a constant."""
         if type(x) is not TracedScalar:
             return self.node("const", float(x))
         if x.tape is not self:
@@ -246,12 +246,12 @@ class Tape:
         return x
 
     def needed(self, outputs: Sequence[TracedScalar], provided: Container[int] = ()) -> list[int]:
-        """Operations that the outputs depend on, each as late as possible: few numbers then wait in
-        registers.
+        """Operations on which the outputs depend, each as late as possible, so that few numbers
+        occupy registers.
 
         provided: operations whose results are known, so that their operands are not needed.
         """
-        # Depth first; ~i marks an operation whose operands have been visited.
+        # Depth-first search; ~i marks an operation whose operands have been visited.
         visited, order = set[int](), list[int]()
         stack = [x.i for x in reversed(outputs)]
         while stack:
@@ -267,7 +267,7 @@ class Tape:
 
 
 def emit(name: str, *arguments: Scalar) -> Scalar:
-    """The result of an operation, computed at once if the arguments are known."""
+    """The result of an operation, computed immediately if the arguments are known."""
     for x in arguments:
         if type(x) is TracedScalar:
             recording = x.tape
@@ -286,20 +286,20 @@ def emit(name: str, *arguments: Scalar) -> Scalar:
     if name == "select":
         arguments = (arguments[0], *map(as_number, arguments[1:]))
     at = [recording.lift(x).i for x in arguments]
-    # Commutative operations have one order, so that each is recorded once.
+    # Operands of commutative operations are ordered, so that each operation is recorded once.
     if name in ("add", "mul", "and", "or") and at[0] > at[1]:
         at.reverse()
     return recording.node(name, *at)
 
 
 def is_known(x: Scalar, value: float) -> bool:
-    """Whether a number is known and has this value."""
+    """Whether a number is known and equals this value."""
     return type(x) is not TracedScalar and x == value
 
 
 def _is_zero(x: Scalar, beside: Scalar) -> bool:
-    """Whether a number is a known zero that changes nothing in a sum; in a model 0.0 turns -0.0
-    into 0.0.
+    """Whether a number is a known zero without effect on a sum. (In a model +0.0 changes -0.0 to
+    0.0.)
     """
     return is_known(x, 0.0) and not (beside.tape.model and copysign(1.0, x) > 0.0)
 
@@ -328,7 +328,8 @@ def _mul(a: Scalar, b: Scalar) -> Scalar | None:
     if type(a) is not TracedScalar:
         a, b = b, a
     if type(b) is not TracedScalar:
-        # A structural zero: the filter's own algebra shows numbers that are not finite elsewhere.
+        # A structural zero: 0 times a number is 0 here, because the filter detects numbers that are
+        # not finite elsewhere.
         if b == 0.0:
             return None if a.tape.model and a.tape.wild[a.i] else 0.0
         return a if b == 1.0 else emit("neg", a) if b == -1.0 else None
@@ -336,7 +337,7 @@ def _mul(a: Scalar, b: Scalar) -> Scalar | None:
 
 
 def _div(a: Scalar, b: Scalar) -> Scalar | None:
-    if type(b) is not TracedScalar:  # the reciprocal of a power of two is exact
+    if type(b) is not TracedScalar:  # the reciprocal of a power of 2 is exact
         exact = abs(frexp(b)[0]) == 0.5 and abs(b) > 1e-300
         return emit("mul", a, 1.0 / b) if exact else None
     return 0.0 if is_known(a, 0.0) and not b.tape.model else None
@@ -346,14 +347,14 @@ def _select(c: Scalar, a: Scalar, b: Scalar) -> Scalar | None:
     if type(c) is not TracedScalar:
         return a if c else b
     same = type(a) is type(b) is TracedScalar and a.i == b.i
-    # Among truth values: (c and a) or (not c and b).
+    # For truth values: (c and a) or (not c and b).
     if is_logical(a) and is_logical(b):
         return emit("or", emit("and", c, a), emit("and", emit("not", c), b))
     return a if same else None
 
 
 def _logical_shortcut(neutral: bool) -> Callable[[Scalar, Scalar], Scalar | None]:
-    """The shortcut of "and" or "or"; ``neutral``: the truth value that changes nothing in it."""
+    """The simplification of "and" or "or"; ``neutral``: the operand without effect."""
 
     def short(a: Scalar, b: Scalar) -> Scalar | None:
         for x, y in ((a, b), (b, a)):
@@ -394,7 +395,7 @@ def as_number(x: Scalar) -> Scalar:
 
 
 def total(terms: Any) -> Scalar:
-    """Sum, in order, of the numbers that are not known to be zero."""
+    """The sum, in order, of the numbers that are not known zeros."""
     parts = [x for x in terms if not is_known(x, 0.0)]
     return reduce(partial(emit, "add"), parts) if parts else 0.0
 
@@ -409,7 +410,7 @@ class TracedScalar:
 
     @property
     def name(self) -> str:
-        """The name of the operation that gives it."""
+        """The name of the operation with this result."""
         return str(self.tape.ops[self.i][0])
 
     @property
@@ -421,7 +422,7 @@ class TracedScalar:
         return TracedScalar(self.tape, self.tape.ops[self.i][1 + k])
 
     def any(self, *_arguments: Any, **_options: Any) -> TracedScalar:
-        """Whether it is not 0, as for an array of one; `all` is the same."""
+        """Whether the number is not 0, as for an array with one element; `all` is the same."""
         return self if self.logical else emit("ne", self, 0.0)
 
     def __copy__(self, _memory: Any = None) -> TracedScalar:
