@@ -1,5 +1,5 @@
-"""Logs of a satellite receiver: RINEX files, positions, fixes without a prior (`least_squares`),
-and reports.
+"""Logs of a satellite receiver: RINEX files, filtered positions, fixes without a prior
+(`least_squares`), and reports.
 """
 
 from celnav.lazy import modules

@@ -1,7 +1,7 @@
-"""A synthetic sky: broadcast elements of 32 satellites on two-body orbits.
+"""A synthetic constellation: broadcast elements of 32 satellites on two-body orbits.
 
-Five geostationary, three inclined geosynchronous on one ground track, and a Walker constellation
-24/3/1.
+There are five geostationary satellites, three inclined geosynchronous satellites on one ground
+track, and a Walker constellation 24/3/1.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from celnav.models.gnss import (
 from celnav.models.orbit import Earth, from_elements, to_elements
 
 POINT = Earth(mu=1e-9 * GRAVITY_PARAMETER, j2=0.0)
-"""The Earth as a point mass: orbits are those of two bodies."""
+"""The Earth as a point mass: the orbits are two-body orbits."""
 SYNCHRONOUS_M = (GRAVITY_PARAMETER / ROTATION_RATE**2) ** (1.0 / 3.0)
 MEDIUM_M = 27906.1e3
 GEOSTATIONARY = {
@@ -58,13 +58,11 @@ def geostationary(number: int, elapsed_s: float = 0.0) -> Array:
 
 
 def synthetic(toe: float = TOE_S) -> Broadcast:
-    """Broadcast elements of the 32 satellites at a reference time, s of BDT. Their clocks have no
-    error.
-    """
+    """Broadcast elements of the 32 satellites at a time (s of BDT), without clock errors."""
     toe = checks.number("toe", toe)
     rows: dict[int, tuple[float, ...]] = {}
     for number in GEOSTATIONARY:
-        # Elements that refer to the tilted plane, in which the orbit is never flat.
+        # Elements with respect to the tilted plane, in which the inclination is never 0.
         state = np.concatenate([tilted(v, TILT) for v in np.split(geostationary(number), 2)])
         a, e, i, Omega, omega, nu = to_elements(state, POINT).tolist()
         E = 2.0 * np.arctan(np.sqrt((1.0 - e) / (1.0 + e)) * np.tan(0.5 * nu))
@@ -83,7 +81,7 @@ def synthetic(toe: float = TOE_S) -> Broadcast:
     a, e, i, Omega, omega, M = np.array(list(rows.values())).T
     zeros = {field.name: np.zeros(len(rows)) for field in fields(Broadcast)}
     when = np.full(len(rows), toe)
-    given = {
+    elements = {
         "number": np.array(list(rows), float),
         "toe": when,
         "toc": when,
@@ -94,4 +92,4 @@ def synthetic(toe: float = TOE_S) -> Broadcast:
         "omega": omega,
         "M0": M,
     }
-    return Broadcast(**(zeros | given))
+    return Broadcast(**(zeros | elements))

@@ -1,5 +1,5 @@
-"""Correlated errors of ranges and rates: how long they last, and the true covariance of a filter
-that treats them as white.
+"""Correlated errors of ranges and rates: their correlation times, and the true covariance of a
+filter that treats them as white.
 
 An error of standard deviation ``sigma`` is the sum of three parts. The first is white, the short
 part has the correlation time ``time``, and the long part lasts while a satellite is in view:
@@ -8,12 +8,13 @@ part has the correlation time ``time``, and the long part lasts while a satellit
 
 with ``beta_i`` of unit variance, ``beta_i,k = phi_i beta_i,k-1 + ...``, and ``phi_2 = 1``. A filter
 has the gain K and the state error e. Over a window, m is the mean distance of fixes from
-predictions. Both follow, with ``a = (e, m)``,
+predictions. Both follow from the recursion for ``a = (e, m)``,
 
     a- = Phi a,    a+ = A a- + B eps,    A = [[I - K H, 0], [-g E, (1 - g) I]],    B = [K; g G],
 
-where E picks the position, G gives the fix, and ``g`` is one over the window's length. C_i is the
-cross-covariance of a with ``beta_i``. With the filter's own process noise, the covariance of a is
+where E selects the position, G maps measurements to the fix, and ``g`` is one over the window's
+length. C_i is the cross-covariance of a with ``beta_i``. With the filter's process noise added, the
+covariance of a is
 
     cov+ = A cov- A' + B R B' + sum_i (A C_i- s_i B' + its transpose),    C_i+ = A C_i- + B s_i.
 
@@ -30,7 +31,9 @@ import numpy as np
 from celnav.gaussian.linalg import Array, Belief, block
 
 LEAST_LAGS = 3
-"""Lags that an estimate of the correlation needs; with fewer, the whole error counts as long."""
+"""Least number of lags for an estimate of the correlation; with fewer, the whole error is treated
+as the long part.
+"""
 WINDOW = 30
 """Epochs in the mean of the distances between fixes and predictions."""
 
@@ -46,12 +49,13 @@ class Correlation(NamedTuple):
 
 
 def correlation(times: Array, left: Array, kept: Array, redundancy: int) -> Correlation:
-    """Correlation of the residuals ``left (T, S)`` of fixes, in standard deviations, where
-    ``kept``.
+    """Correlation of the residuals ``left (T, S)`` of fixes, in standard deviations, where the mask
+    ``kept`` is true.
 
-    Their autocorrelation at lags of 1, 2, 4, ... epochs, up to a quarter of the log, is fitted by
-    an exponential and a constant. The constant, the long part, is raised by one standard error,
-    since a value that is too small makes a filter overconfident. ``redundancy``: of all fixes.
+    An exponential and a constant are fitted to the autocorrelation at lags of 1, 2, 4, ... epochs,
+    up to a quarter of the log. The constant, the long part, is raised by one standard error,
+    because a value that is too small makes a filter overconfident. ``redundancy``: total redundancy
+    of the fixes.
     """
     from scipy.optimize import nnls  # takes a second to import
 
@@ -112,8 +116,8 @@ class Errors(NamedTuple):
 
         K: gain ``(n, m)``. H: Jacobian ``(m, n)``. R: variances ``(m,)``.
         slow: ``(2, m)``, standard deviations of the short and the long errors.
-        G: ``(3, m)``, gives the fix from the measurements. distance: ``(3,)`` m of the fix from the
-            prediction; None: there is no fix.
+        G: ``(3, m)``, maps measurements to the fix. distance: ``(3,)`` m, from the prediction to
+            the fix; None: there is no fix.
         """
         n, mean = len(K), self.mean
         A, B = np.eye(n + 3), np.concatenate([K, np.zeros((3, K.shape[1]))])
@@ -130,5 +134,5 @@ class Errors(NamedTuple):
 
     @property
     def squared_mean(self) -> float:
-        """Squared size of `mean` over its covariance: chi-square with three degrees of freedom."""
+        """Squared Mahalanobis length of `mean`: chi-square with three degrees of freedom."""
         return float(self.mean @ np.linalg.lstsq(self.cov[-3:, -3:], self.mean)[0])

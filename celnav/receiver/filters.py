@@ -1,4 +1,6 @@
-"""Filters for a moving receiver's log, by name: EKF and UKF that treat the noise differently."""
+"""Filters for a moving receiver's log, by name: EKF and UKF with different
+treatments of the noise.
+"""
 
 from __future__ import annotations
 
@@ -26,21 +28,23 @@ CRYSTAL = (LIGHT**2 * 2e-19 / 2.0, 2.0 * np.pi**2 * LIGHT**2 * 2e-20)
 for h0 = 2e-19 and h-2 = 2e-20.
 """
 OVEN = (LIGHT**2 * 8e-20 / 2.0, 2.0 * np.pi**2 * LIGHT**2 * 4e-23)
-"""Frequency noise of a crystal in an oven, for h0 = 8e-20 and h-2 = 4e-23. No clock counts as
-better.
+"""Frequency noise of an oven-controlled crystal, for h0 = 8e-20 and h-2 = 4e-23: the least noise
+that is assumed for any clock.
 """
 PHONE = (100.0, 1.0)
-"""Process noise of a phone's clock, which may be set at each epoch: 10 m and 1 m/s in a second."""
+"""Process noise of a phone's clock, which may be reset at each epoch: 10 m and
+1 m/s in one second.
+"""
 CLOCKS = {"crystal": CRYSTAL, "phone": PHONE}
 OFFSET_WALK = 1e-5
-"""Process noise of the offset between two systems' clocks, m^2/s: about a meter a day, since their
-times and orbits wander.
+"""Process noise of the offset between two systems' clocks, m^2/s: about 1 m in a day, because
+system times and orbits drift.
 """
 
 
 COMPACT = ("ekf", "ukf", "gate", "huber", "student")
-"""Filters that give the same result without the unmeasured satellites: they neither remember single
-satellites nor group them.
+"""Filters with the same result if unmeasured satellites are removed: they have neither memories of
+single satellites nor groups.
 """
 
 
@@ -57,7 +61,7 @@ def transition(dt: float) -> Array:
 def process_noise(dt: float, acceleration: float, white: float, walk: float) -> Array:
     """Covariance ``(8, 8)`` of the process noise of an interval ``dt`` (s).
 
-    ``acceleration``: density of the white acceleration, m^2/s^3. ``white``, ``walk``: of the clock,
+    acceleration: density of the white acceleration, m^2/s^3. white, walk: densities of the clock,
         see `CRYSTAL`.
     """
     density = np.diag([0.0, 0.0, 0.0, *[acceleration] * 3, white, walk])
@@ -70,7 +74,7 @@ def process_noise(dt: float, acceleration: float, white: float, walk: float) -> 
 
 def hooks(S: int, window: int = 10, systems: int = 1) -> dict[str, tuple[Hook, ...]]:
     """Hooks of each filter, which change the noise of S ranges and S rates before an update; the
-    ukf has none.
+    ukf has no hooks.
 
     ``systems``: number of satellite systems, each of which has a clock.
     """
@@ -100,13 +104,15 @@ def filters(
     clock: tuple[float, float] = CRYSTAL,
     window: int = 10,
 ) -> dict[str, Sequential]:
-    """Filters for a `Log` by name: ekf, and those of `hooks`. All are EKF except ukf and aukf.
+    """Filters for a `Log` by name: ekf, and the names in `hooks`. All are EKF except ukf and aukf.
 
-    ``second (k, S)``: offsets of the clocks of further systems, as in `celnav.models.pseudorange`;
-    None: there is one system. ``acceleration``: density of the white acceleration, m^2/s^3. Use
-    0.01 for a receiver almost at rest, and ``a^2 T`` for one that turns with the acceleration a and
-    is measured each T seconds. ``clock``: densities of the clock's process noise, such as
-    `CRYSTAL`. Where the clock was set, the step counts as noise too.
+    second: ``(k, S)``, offsets of the clocks of further systems, as in `celnav.models.pseudorange`;
+        None: there is one system.
+    acceleration: density of the white acceleration, m^2/s^3. Use 0.01 for a receiver almost at
+        rest, and ``a^2 T`` for a receiver that maneuvers with the acceleration a and measures every
+        T seconds.
+    clock: densities of the clock's process noise, such as `CRYSTAL`. At an epoch at which the clock
+        was set, the step is added to the noise.
 
     Raises
     ------
@@ -119,13 +125,15 @@ def filters(
 
     def root(_mean: Array, epoch: Epoch) -> Array:
         Q = process_noise(epoch.dt, acceleration, *clock) + epoch.u[3] ** 2 * reset
-        return cholesky(Q if second is None else block([[Q, 0], [0, OFFSET_WALK * epoch.dt * one]]))
+        return cholesky(
+            Q if second is None else block([[Q, 0], [0, OFFSET_WALK * epoch.dt * identity]])
+        )
 
     def matrix(epoch: Epoch) -> Array:
         F = transition(epoch.dt)
-        return F if second is None else block([[F, 0], [0, one]])
+        return F if second is None else block([[F, 0], [0, identity]])
 
-    one = np.eye(0 if second is None else len(second))
+    identity = np.eye(0 if second is None else len(second))
     reset = np.diag([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0])
     motion = Motion(Linear(matrix), sqrt_Q=root)
     sensor = Sensor(
@@ -134,7 +142,7 @@ def filters(
         jacobian=lambda x, epoch: pseudorange.jacobian(x, *_sources(epoch)),
     )
     kinds: dict[str, Sequential] = {"ekf": ekf(motion, sensor, form="covariance")}
-    for name, hook in hooks(S, window, 1 + len(one)).items():
+    for name, hook in hooks(S, window, 1 + len(identity)).items():
         if name in ("ukf", "aukf"):
             kinds[name] = ukf(motion, sensor, beta=2.0, form="covariance", hooks=hook)
         else:

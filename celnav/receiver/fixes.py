@@ -1,10 +1,10 @@
-"""Independent fixes of all epochs at once: position and clock from ranges, velocity and drift from
-rates, without faulty measurements.
+"""Independent fixes at all epochs: position and clock from ranges, velocity and drift from rates,
+without faulty measurements.
 
-The module also estimates the noise from their residuals. With several satellite systems a fix
-includes the offsets of their clocks. The only range of a system says nothing about the position
-and cannot be tested, so it is not used. Epochs ``T`` lead, satellites ``S`` follow. In tuples and
-axes, ranges have index 0 and rates index 1.
+The module also estimates the noise from the residuals of the fixes. With several satellite systems
+a fix includes the offsets of their clocks. A single range of a system contributes nothing to the
+position and cannot be tested, so it is not used. The first axis is the epoch ``T``, the next the
+satellite ``S``. In tuples and axes, ranges have index 0 and rates index 1.
 """
 
 from __future__ import annotations
@@ -22,28 +22,30 @@ from celnav.receiver.least_squares import gauss_newton
 from celnav.receiver.sky import GROUND_M
 
 LEAST_ELEVATION = np.radians(1.0)
-"""Below this elevation, rad, delays and deviations keep their value at it."""
+"""Below this elevation, rad, delays and standard deviations are constant."""
 GIVEN = (1.5, 0.05)
-"""Standard deviations at the zenith, m and m/s, until they are estimated."""
+"""Standard deviations at the zenith, m and m/s, before they are estimated."""
 RESOLUTION = (1e-3, 1e-3 * LIGHT / B1I_HZ)
 """Resolution of a file, m and m/s: smaller noise cannot be observed."""
 QUIETEST, LOUDEST = 0.25, 8.0
-"""Multiples of `GIVEN`. The estimate begins at the quietest, since loud noise would hide faults. No
-receiver is louder than the loudest: then measurements contradict each other.
+"""Least and largest noise as multiples of `GIVEN`. The estimate starts at the least, because large
+noise would hide faults. Noise above the largest is not credible for a receiver: the measurements
+then contradict each other.
 """
 ENOUGH = 100
-"""Redundant measurements that an estimate of the noise needs."""
+"""Least number of redundant measurements for an estimate of the noise."""
 MOST_EPOCHS = 1000
-"""Epochs that an estimate uses at most, evenly spread: more would change little."""
+"""Most epochs that an estimate uses, evenly spread: more would change little."""
 
 
 class Noise(NamedTuple):
     """Noise of ranges or of rates by system. Its variance is
     ``level^2 + (zenith / sin(elevation))^2``.
 
-    ``level``, ``zenith``: m or m/s, for the systems of a log in their order; the last value holds
-        for all that follow. ``redundancy``: number of redundant measurements behind the estimate;
-        0: the values were given, or the measurements were too few.
+    level, zenith: m or m/s, for the systems of a log in their order; the last value applies to all
+        further systems.
+    redundancy: number of redundant measurements in the estimate; 0: the values were given, or there
+        were too few measurements.
     """
 
     level: tuple[float, ...]
@@ -51,7 +53,9 @@ class Noise(NamedTuple):
     redundancy: int = 0
 
     def variance(self, elevation: Array, system: Array) -> Array:
-        """Variance at elevations, rad, of satellites whose systems are counted from 0."""
+        """Variance at elevations, rad, of satellites; ``system`` is the index of a satellite's
+        system.
+        """
         level, zenith = (
             np.array(values)[np.minimum(system, len(values) - 1)]
             for values in (self.level, self.zenith)
@@ -61,11 +65,11 @@ class Noise(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """Measurements ``z (T, 2 S)``, nan where there is none, of satellites ``q, w, elevation`` near
+    """Measurements ``z (T, 2 S)``, nan where missing, of satellites ``q, w, elevation`` from near
     ``position (T, 3)``.
 
-    ``modeled (T, S)``: variance of ranges (m^2) besides the receiver's noise, by atmosphere and
-    orbits. ``offsets (k, S)``: of clocks as in `celnav.models.pseudorange`.
+    modeled: ``(T, S)``, variance of ranges (m^2) from atmosphere and orbits, in addition to the
+        receiver's noise. offsets: ``(k, S)``, clock offsets as in `celnav.models.pseudorange`.
     """
 
     z: Array
@@ -78,7 +82,7 @@ class Seen(NamedTuple):
 
     @property
     def system(self) -> Array:
-        """System of each satellite ``(..., S)``, counted from 0."""
+        """Index of each satellite's system ``(..., S)``, from 0."""
         k = self.offsets.shape[-2]
         return np.asarray(np.arange(1, k + 1) @ self.offsets, dtype=int)
 
@@ -91,12 +95,13 @@ class Seen(NamedTuple):
 class Fixed(NamedTuple):
     """Fixes of all epochs; states, variances and covariances are nan where there is no fix.
 
-    ``states (T, 8 + k)``. ``variances (T, 8 + k)``: from the receiver's noise alone.
-    ``cov (T, 3, 3)`` m^2: of positions. ``sigma (T, 2 S)``: standard deviations of measurements.
-    ``kinds``: which ranges and rates are kept. ``misfit (T,)``: sum of squared range residuals over
-    their variances, nan without a fix. ``residuals``: of ranges and rates ``(T, S)``, in standard
-    deviations, nan of epochs without redundancy and where nothing is kept; and how many are
-    redundant.
+    states, variances: ``(T, 8 + k)``; the variances from the receiver's noise alone.
+    cov: ``(T, 3, 3)`` m^2, of positions. sigma: ``(T, 2 S)``, standard deviations of the
+        measurements.
+    kinds: which ranges and rates are kept. misfit: ``(T,)``, sum of squared range residuals over
+        their variances, nan without a fix.
+    residuals: of ranges and of rates ``(T, S)``, in standard deviations, nan at epochs without
+        redundancy and for measurements that are not kept; and the number of redundant measurements.
     """
 
     states: Array
@@ -113,7 +118,7 @@ class Fixed(NamedTuple):
 
 
 def fixed(seen: Seen, noise: tuple[Noise, Noise], false_alarm: float) -> Fixed:
-    """Fixes of all epochs; the rate of a satellite with a faulty range is not used either."""
+    """Fixes at all epochs; the rate of a satellite with a faulty range is not used either."""
     packed, order = _packed(seen)
     fits = _fits(packed, noise, false_alarm)
     sigma, (T, S) = seen.deviations(noise), seen.elevation.shape
@@ -125,12 +130,12 @@ def fixed(seen: Seen, noise: tuple[Noise, Noise], false_alarm: float) -> Fixed:
         kinds.append(fit.kind._replace(kept=kept, excluded=excluded))
         left = np.zeros((T, S))
         np.put_along_axis(left, order, fit.left[:, :n], -1)
-        # Without a fix they are distances from anywhere, and without redundancy they are zero.
+        # Without a fix the residuals have no meaning, and without redundancy they are zero.
         left = np.where(kept & (fit.spare > 0)[:, None], left, np.nan)
         shares.append(_white_share(left, fit.x.shape[-1]))
         residuals.append((left, int(fit.spare.sum())))
     ranges, rates = fits
-    # Without the first system no offset from its clock can be determined.
+    # Without measurements of the first system no offset from its clock can be determined.
     first = (ranges.kind.kept[:, :n] & (packed.system == 0)).any(-1, keepdims=True)
     apart = np.where(first & ~ranges.kind.kept[:, n:], ranges.x[:, 4:], np.nan)
     states = _states(np.concatenate([ranges.x[:, :4], apart], -1), rates.x)
@@ -150,11 +155,11 @@ def fixed(seen: Seen, noise: tuple[Noise, Noise], false_alarm: float) -> Fixed:
 
 
 def _white_share(left: Array, unknowns: int) -> float:
-    """The part of the variances of measurements that is new at each epoch.
+    """The share of the measurements' variances that is uncorrelated from epoch to epoch.
 
-    left: residuals ``(T, S)`` in standard deviations, nan where there is none. Errors of atmosphere
-    and orbits hardly change from one epoch to the next. So half the mean squared difference is the
-    receiver's noise alone.
+    left: residuals ``(T, S)`` in standard deviations, nan where missing. Errors of atmosphere and
+        orbits hardly change from one epoch to the next. So half the mean squared difference is the
+        variance of the receiver's noise alone.
     """
     changes = left[1:] - left[:-1]
     both = np.isfinite(changes)
@@ -165,15 +170,15 @@ def _white_share(left: Array, unknowns: int) -> float:
 
 
 def _states(ranges: Array, rates: Array) -> Array:
-    """States from the components that ranges and rates determine, ``(..., 4 or more)`` each."""
+    """States from the components that ranges and rates determine, each ``(..., 4 or more)``."""
     return np.concatenate(
         [ranges[..., :3], rates[..., :3], ranges[..., 3:4], rates[..., 3:], ranges[..., 4:]], -1
     )
 
 
 def _packed(seen: Seen) -> tuple[Seen, Array]:
-    """Measurements in as many columns ``n`` as one epoch needs at most, and the indices ``(T, n)``
-    of their satellites. The offsets are then ``(T, k, n)``.
+    """Measurements in ``n`` columns, the largest number at any epoch, and the indices ``(T, n)`` of
+    their satellites. The offsets become ``(T, k, n)``.
     """
     S = seen.elevation.shape[-1]
     ranges, rates = seen.z[:, :S], seen.z[:, S:]
@@ -194,7 +199,8 @@ class _Fit(NamedTuple):
     """Fixes ``x (T, n)`` from ranges or from rates, their covariances, and the kept measurements.
 
     left, G: residuals and Jacobians in standard deviations. Ranges have one more column for each
-    offset, the measurement "it is zero". It is kept where satellites do not determine the offset.
+        offset: a pseudo-measurement that the offset is zero. It is kept where satellites do not
+        determine the offset.
     """
 
     x: Array
@@ -274,8 +280,9 @@ def _fit(
 ) -> _Fit:
     """Fixes from ranges or from rates.
 
-    model: ``(epochs, states) ->`` measurements and Jacobians. possible: replaces impossible states
-        by nan. comparable: removes measurements ``(K, S)`` that are alone in their system.
+    model: ``(epochs, states) ->`` measurements and Jacobians. possible: a function that replaces
+        impossible states by nan. comparable: a function that removes measurements ``(K, S)`` that
+        are alone in their system.
     """
 
     def solve(rows: Array, kept: Array) -> tuple[Array, Array]:
@@ -297,7 +304,8 @@ def _fit(
         lambda rows, kept: solve(rows, kept)[0], linear, used, start, false_alarm=false_alarm
     )
     kept = comparable(kind.kept)
-    # If the only two of a system contradict each other, the faulty one is unknown: both go.
+    # If a system has only two measurements and they contradict each other, both are excluded,
+    # because it is unknown which one is faulty.
     kind = kind._replace(kept=kept, excluded=used & ~kept & ~kind.unusable[:, None])
     x, cov = solve(every, kind.kept)
     return _Fit(x, cov, kind, *linear(every, np.where(np.isfinite(x), x, start)))
@@ -307,7 +315,7 @@ def estimated(seen: Seen, false_alarm: float) -> tuple[Noise, Noise]:
     """Noise of ranges and rates by system and elevation, from the residuals of sound measurements;
     `GIVEN` where they are too few.
 
-    The estimate starts with small noise, which is doubled while most fixes contradict themselves.
+    The estimate starts with small noise, which is doubled as long as most fixes fail the test.
     """
     some = slice(None, None, -(-len(seen.z) // MOST_EPOCHS))
     z, q, w, elevation, position, modeled, offsets = seen

@@ -1,4 +1,4 @@
-"""Latitude, longitude and height on the Earth's ellipsoid, by ERFA."""
+"""Latitude, longitude and height on the Earth's ellipsoid, computed by ERFA."""
 
 from __future__ import annotations
 

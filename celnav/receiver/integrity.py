@@ -2,10 +2,11 @@
 which are excluded.
 
 A fix from m measurements has n unknowns. The sum of its squared residuals over their variances is
-chi-square with m - n degrees of freedom, the redundancy. With 0 nothing can be tested, with 1 a
-fault can be detected, and with 2 or more it can be excluded. The smallest set of measurements is
-excluded that leaves a consistent fix; among equal sizes, the set that leaves the least residuals
-[Parkinson1988; Brown1992]. Fixes ``K`` or ``T`` lead, measurements ``S`` follow.
+chi-square with m - n degrees of freedom, the redundancy. With redundancy 0 nothing can be tested,
+with 1 a fault can be detected, and with 2 or more it can be excluded. The test excludes the
+smallest set of measurements without which the fix is consistent; among sets of equal size, the set
+with the smallest remaining residuals [Parkinson1988; Brown1992]. The first axis is the fix, ``K``
+or ``T``, the next the measurement ``S``.
 """
 
 from __future__ import annotations
@@ -20,21 +21,21 @@ from scipy.special import chdtri
 from celnav.gaussian.linalg import Array
 
 MOST_EXCLUDED = 3
-"""Measurements that are excluded from a fix at most; with more faults no measurement is used."""
+"""Most measurements that are excluded from a fix; with more faults no measurement is used."""
 ROUNDS = 5
-"""Rounds of the search. Each linearizes at the fix without the measurements that the last round
-excluded, since the model is nonlinear far from the truth.
+"""Rounds of the search. Because the model is nonlinear far from the truth, each round linearizes at
+the fix without the measurements excluded in the last round.
 """
 AT_ONCE = 250
 """Fixes whose subsets are compared at a time, which limits the memory."""
 ESSENTIAL = 1e-6
-"""Part of a measurement's noise that must appear in its residual. With less the measurement is
-essential: the fix depends on it alone.
+"""Least share of a measurement's noise in its residual. Below it the measurement is essential: part
+of the fix depends on this measurement alone.
 """
 
 Linear = Callable[[Array, Array], tuple[Array, Array]]
-"""``(fixes (K,), states (K, n)) ->`` residuals ``(K, S)`` and Jacobians ``(K, S, n)``, both in
-deviations of the noise.
+"""``(fixes (K,), states (K, n)) ->`` residuals ``(K, S)`` and Jacobians ``(K, S, n)``, both divided
+by the noise's standard deviations.
 """
 
 
@@ -56,7 +57,7 @@ class Monitored(NamedTuple):
 
 
 def probability(false_alarm: float) -> float:
-    """The probability of a false alarm; ValueError unless it is from 0 to below 1."""
+    """The checked probability of a false alarm; ValueError unless it is from 0 to below 1."""
     if not 0.0 <= false_alarm < 1.0:
         raise ValueError(
             f"false_alarm: expected a probability from 0 to below 1, got {false_alarm!r}"
@@ -83,7 +84,7 @@ def monitored(
     ----------
     fit: ``(fixes (K,), kept (K, S)) -> states (K, n)``, nan where they are not determined.
     linear: see `Linear`. used: ``(T, S)``, the measurements that exist.
-    start: ``(T, n)``, states for the linearization where all measurements together give no fix.
+    start: ``(T, n)``, states for the linearization if all measurements together give no fix.
     false_alarm: probability that a sound fix fails the test, from 0 (nothing is tested) to below 1.
 
     Raises
@@ -125,26 +126,28 @@ def monitored(
 
 
 def _best(left: Array, G: Array, used: Array, size: int) -> Array:
-    """The set E of ``size`` measurements ``(K, S)`` without which the sum of squared residuals is
-    least; empty where all are essential.
+    """The set E of ``size`` measurements, as a mask ``(K, S)``, without which the sum of squared
+    residuals is least; empty if all are essential.
 
-    v are the residuals of the fix with all measurements, and I - Q Q' is their cofactor. Without E
-    the sum is smaller by ``v_E' (I - Q Q')_EE^-1 v_E``.
+    v are the residuals of the fix with all measurements, and I - Q Q' is their cofactor matrix.
+    Without E the sum is smaller by ``v_E' (I - Q Q')_EE^-1 v_E``.
     """
     out = np.zeros(used.shape, bool)
     for first in range(0, len(used), AT_ONCE):
-        part = slice(first, first + AT_ONCE)
-        order = np.argsort(~used[part], axis=-1, kind="stable")[:, : int(used[part].sum(-1).max())]
-        there = np.take_along_axis(used[part], order, -1)
-        its = np.take_along_axis(G[part], order[..., None], 1)
-        v, cofactor = _residuals(np.take_along_axis(left[part], order, -1), its, there)
+        block = slice(first, first + AT_ONCE)
+        order = np.argsort(~used[block], axis=-1, kind="stable")[
+            :, : int(used[block].sum(-1).max())
+        ]
+        there = np.take_along_axis(used[block], order, -1)
+        its = np.take_along_axis(G[block], order[..., None], 1)
+        v, cofactor = _residuals(np.take_along_axis(left[block], order, -1), its, there)
         subsets = np.array(list(combinations(range(order.shape[-1]), size)))
         values, vectors = np.linalg.eigh(cofactor[:, subsets[:, :, None], subsets[:, None, :]])
-        seen = np.square((vectors * v[:, subsets][..., None]).sum(-2))
+        projected = np.square((vectors * v[:, subsets][..., None]).sum(-2))
         can = (values[..., 0] > ESSENTIAL) & there[:, subsets].all(-1)
-        gain = np.where(can, (seen / np.where(values > ESSENTIAL, values, 1.0)).sum(-1), -1.0)
+        gain = np.where(can, (projected / np.where(values > ESSENTIAL, values, 1.0)).sum(-1), -1.0)
         chosen = np.take_along_axis(order, subsets[gain.argmax(-1)], -1)
-        np.put_along_axis(out[part], chosen, gain.max(-1, keepdims=True) >= 0.0, -1)
+        np.put_along_axis(out[block], chosen, gain.max(-1, keepdims=True) >= 0.0, -1)
     return out
 
 
@@ -161,8 +164,8 @@ def noise_components(left: Array, G: Array, used: Array, parts: Array, known: Ar
     """Variances ``(c,)`` of noise with several causes, estimated from the residuals of many fixes.
 
     The expected squared residuals are ``(I - Q Q')^2`` times the variances of the noise. These
-    variances are sums over the causes, plus a known part. The estimate is nonnegative least squares
-    in the squared residuals, each weighted by its own size.
+    variances are sums over the causes, plus a known part. The estimate is a nonnegative
+    least-squares fit to the squared residuals, each divided by its cofactor.
 
     Parameters
     ----------
@@ -178,7 +181,7 @@ def noise_components(left: Array, G: Array, used: Array, parts: Array, known: Ar
     *expected, besides = (np.square(cofactor) @ parts[..., None])[..., 0]
     weight = 1.0 / np.diagonal(cofactor, 0, -2, -1)[there]
     rows = np.stack([part[there] * weight for part in expected], -1)
-    # Normal equations by their root: hundreds of thousands of rows become two.
+    # R of a QR replaces hundreds of thousands of rows by one row for each cause.
     Q, R = np.linalg.qr(rows)
     variances, _ = nnls(R, Q.T @ ((np.square(v) - besides)[there] * weight))
     return np.asarray(variances)

@@ -16,10 +16,11 @@ from celnav.gaussian.checks import instance, integer, numbers, together, unmaske
 from celnav.gaussian.linalg import Array, Covariance, matvec, outer
 
 RANK = 1e-10
-"""Part of a Jacobian's column that must be independent of the others, or the state is undetermined.
+"""Least share of a Jacobian's column that is independent of the others; below it the state is
+undetermined.
 """
 AT_REST = 1e-4
-"""Step, in standard deviations, after which a further round would change nothing that matters."""
+"""Size of a step, in standard deviations, below which the iteration stops."""
 
 
 def least_squares(sensor: Sensor, *, rounds: int = 10) -> LeastSquares:
@@ -29,10 +30,13 @@ def least_squares(sensor: Sensor, *, rounds: int = 10) -> LeastSquares:
     Components that are nan are left out. A run is nan at an epoch whose measurement is missing or
     does not determine the state. At the next epoch it starts from its last fix.
 
-    ``sensor``: with a ``jacobian`` and noise of independent components.
-    ``rounds``: Gauss-Newton iterations at most; a run stops when a step is below a ten-thousandth
-    of its standard deviation. The filter is in covariance form. Its innovations are the residuals
-    of the fix; its whitened innovations are residuals over their standard deviations.
+    sensor: a sensor with a ``jacobian`` and noise with independent components; ValueError
+        otherwise.
+    rounds: most Gauss-Newton iterations; a run stops when a step is below a ten-thousandth of its
+        standard deviation.
+
+    The filter is in covariance form. Its innovations are the residuals of the fix; its whitened
+    innovations are the residuals over their standard deviations.
 
     >>> filter = least_squares(celnav.Sensor(ranges, R, jacobian=directions))
     >>> fixes = celnav.run(filter, guess, times, z)
@@ -40,7 +44,7 @@ def least_squares(sensor: Sensor, *, rounds: int = 10) -> LeastSquares:
     instance("sensor", sensor, Sensor, "celnav.Sensor(h, R, jacobian=...)")
     if sensor.jacobian is None and callable(sensor.h):
         raise ValueError(
-            "sensor: expected one with a jacobian, (mean, epoch) -> (..., m, n), got none"
+            "sensor: expected a sensor with a jacobian (mean, epoch) -> (..., m, n), got none"
         )
     columns = sensor.noise
     if columns is None:
@@ -48,7 +52,7 @@ def least_squares(sensor: Sensor, *, rounds: int = 10) -> LeastSquares:
             "R: expected variances of independent components, got noise through the points"
         )
     if isinstance(columns, np.ndarray):
-        columns = np.atleast_2d(columns)  # a standard deviation may stand for all
+        columns = np.atleast_2d(columns)  # a single standard deviation may apply to all
         R = columns @ columns.mT
         variances = R.diagonal(0, -2, -1)
         beside = np.abs(R - variances[..., None] * np.eye(R.shape[-1])).max(initial=0.0)
@@ -124,16 +128,14 @@ def gauss_newton(
         nan where there is none. deviations: standard deviations ``(..., m)``. start: states
         ``(..., n)``. rounds: iterations at most.
 
-    Returns
-    -------
-    The last states; the same with nan where measurements do not determine a state; and square roots
-    of their covariances ``(..., n, n)``, nan likewise.
+    Returns ------- The last states; the same with nan where measurements do not determine a state;
+    and square roots of their covariances ``(..., n, n)``, with nan likewise.
     """
     x, n, used = start, start.shape[-1], ~np.isnan(z)
     weight = np.where(used, 1.0 / deviations, 0.0)
     enough, moving, eye = used.sum(-1) >= n, np.ones(start.shape[:-1], bool), np.eye(n)
     root, determined = np.zeros((*x.shape, n)), enough
-    for _ in range(rounds if z.shape[-1] >= n else 0):  # too few determine nothing
+    for _ in range(rounds if z.shape[-1] >= n else 0):  # too few measurements determine nothing
         values, G = model(x)
         G = weight[..., None] * G
         length = np.sqrt(np.square(G).sum(-2))
@@ -144,7 +146,7 @@ def gauss_newton(
         )
         left = np.where(used, z - values, 0.0)
         step = np.where(ranked[..., None], matvec(Q.mT, weight * left), 0.0)
-        # A converged run keeps its state while others of its block still iterate.
+        # A converged run keeps its state while other runs still iterate.
         x = np.where(moving[..., None], x + matvec(inverse, step), x)
         root = np.where(moving[..., None, None], inverse, root)
         determined = np.where(moving, ranked, determined)

@@ -1,4 +1,4 @@
-"""The input of a filter from a receiver's log: satellites, corrected measurements, first fixes.
+"""Preparation of a receiver's log for a filter: satellites, corrected measurements, first fixes.
 
 State: position (m, Earth-fixed), velocity (m/s), clock bias (m) and drift (m/s). With two or three
 satellite systems the state also has the offset (m) of each later clock from the first, as in
@@ -47,9 +47,11 @@ CREDIBLE_M_PER_S = 1e4
 COARSE = (100.0, 1.0)
 """Standard deviations (m, m/s) of measurements before elevations and delays are known."""
 MOVED = 16.27
-"""Squared distance over the covariance that one in 1000 fixes of a receiver at rest exceeds."""
+"""Squared Mahalanobis distance that one in 1000 fixes of a receiver at rest exceeds."""
 MILLISECOND_M = 1e-3 * LIGHT
-"""A millisecond times the speed of light, m: many receivers set their clock by multiples of it."""
+"""A millisecond times the speed of light, m: many receivers set their clock by
+multiples of this.
+"""
 START = (100.0, 100.0, 100.0, 10.0, 10.0, 10.0, 100.0, 10.0, 100.0, 100.0)
 """Standard deviations of the first state: position m, velocity m/s, clock m, m/s, and offsets m."""
 
@@ -62,29 +64,29 @@ class Log:
     Attributes
     ----------
     times: ``(T,)`` s of BDT. names: of the satellites, ``S``, those of the first system first.
-    z: ``(T, 2 S)``, ranges (m) and rates (m/s), nan where there is none. They are corrected for
-        satellite clocks, atmosphere and jumps of the receiver's clock. sigma: ``(T, 2 S)``, their
-        standard deviations. q, w: ``(T, S, 3)``, see `celnav.models.pseudorange.Sources`.
+    z: ``(T, 2 S)``, ranges (m) and rates (m/s), nan where missing. They are corrected for satellite
+        clocks, atmosphere and jumps of the receiver's clock. sigma: ``(T, 2 S)``, their standard
+        deviations. q, w: ``(T, S, 3)``, see `celnav.models.pseudorange.Sources`.
     modeled: ``(T, S)`` m^2, variance of ranges from remaining atmospheric delays, broadcast orbits
-        and clocks. It is a part of sigma^2 where the noise was estimated, else 0.
+        and clocks. It is part of sigma^2 if the noise was estimated, else 0.
     elevation, azimuth: ``(T, S)`` rad, nan for satellites that cannot be used.
-    fixes, fix_cov: ``(T, 8 + k)``, and of positions ``(T, 3, 3)`` m^2. Each fix uses its own epoch
-        alone; nan where an epoch has none.
+    fixes, fix_cov: ``(T, 8 + k)``, and of positions ``(T, 3, 3)`` m^2. Each fix uses only its
+        epoch; nan at an epoch without a fix.
     misfit: ``(T,)``, squared range residuals of the fixes over their variances: chi-square with
         `spare` degrees of freedom.
     excluded: ``(T, 2 S)``, the faulty measurements. unusable: ``(T, 2)``, whether all ranges, or
         all rates, are left out because they contradict each other and the fault cannot be located.
         tested: ``(T, 2)``, whether there was redundancy.
-    noise: of ranges and of rates. correlation: of their errors, likewise.
-    jumps: ``(T,)`` m, by how much the receiver has set its clock since the start. The jumps were
-        subtracted from ranges and fixes. dilution: of each epoch ``(T,)``.
-    ionosphere: whether the coefficients that correct it were broadcast or given; else they are
+    noise: of ranges and of rates. correlation: of the errors of ranges and of rates.
+    jumps: ``(T,)`` m, sum of the steps by which the receiver has set its clock since the start. The
+        jumps were subtracted from ranges and fixes. dilution: of each epoch ``(T,)``.
+    ionosphere: whether coefficients for the ionosphere were broadcast or given; else the log uses
         `celnav.receiver.sky.TYPICAL_IONOSPHERE`.
     clock: process noise of the receiver's clock, estimated from its fixes, and the steps by which
         it was set; None: too few fixes. acceleration: density (m^2/s^3) of the receiver's
         acceleration, also estimated; None: too few rates.
-    left_out: why measurements are not used, and how many. others: systems in the files that are not
-        used.
+    left_out: reasons why measurements are not used, with their number. others: systems in the files
+        that are not used.
     files: names of the files that were read. damaged: one message for each damaged epoch or
         broadcast set that was left out, with its line.
     """
@@ -144,8 +146,8 @@ class Log:
 
     @property
     def moved(self) -> bool:
-        """Whether the receiver moved: half of the fixes lie further from their median position than
-        `MOVED` allows for their covariances.
+        """Whether the receiver moved: more than half of the fixes are farther from their median
+        position than `MOVED` allows for their covariances.
         """
         there = np.isfinite(self.fixes[:, 0])
         away = self.fixes[there, :3] - np.median(self.fixes[there, :3], 0)
@@ -155,8 +157,8 @@ class Log:
     def epochs(self, compact: bool = False) -> Iterator[Epoch]:
         """Epochs for `filters`; ``u`` is ``(q, w, sigma, reset)`` at the epoch's time.
 
-        ``reset`` is the step (m) by which the clock was set. With several systems `second` follows
-        in ``u``. ``compact``: with the measured satellites only, for a filter of `COMPACT`.
+        ``reset`` is the step (m) by which the clock was set. With several systems ``u`` also has
+        `second`. ``compact``: only the measured satellites, for a filter in `COMPACT`.
         """
         intervals = np.diff(self.times, prepend=self.times[:1])
         reset = np.zeros(len(self.times)) if self.clock is None else self.clock.reset
@@ -168,14 +170,14 @@ class Log:
             yield Epoch(k, t, dt, u, self.z[k, rows])
 
     def rows(self, k: int, compact: bool = False) -> Array:
-        """Indices in `z` of the ranges, then of the rates, that an epoch of `epochs` has."""
+        """Indices in `z` of the ranges, then of the rates, at an epoch of `epochs`."""
         S, measured = len(self.names), np.isfinite(self.z[k])
         s = np.flatnonzero(measured[:S] | measured[S:] | (not compact))
         return np.concatenate([s, s + S])
 
     def prior(self, k: int = 0) -> Gaussian:
-        """Prior about the fix of an epoch, ``(8 + k,)``. Without rates the velocity is that between
-        this fix and the next.
+        """Prior centered on the fix of an epoch, ``(8 + k,)``. Without rates the velocity is
+        computed from this fix and the next.
         """
         fix = self.fixes[k].copy()
         later = k + 1 + np.flatnonzero(np.isfinite(self.fixes[k + 1 :, 6]))
@@ -213,8 +215,8 @@ def prepare(
     systems: letters of the satellite systems to use, from "C", "G" and "E"; None: all that have
         both ranges and orbits.
     mask_deg: satellites below this elevation are not used, from 0 to below 90.
-    sigma: standard deviations of range (m) and rate (m/s) at the zenith, with all errors in them.
-        Elsewhere they are divided by the sine of the elevation. None: errors of atmosphere and
+    sigma: standard deviations of range (m) and rate (m/s) at the zenith, including all errors;
+        elsewhere they are divided by the sine of the elevation. None: errors of atmosphere and
         orbits are modeled, and the receiver's noise is estimated from the residuals of the fixes.
     false_alarm: probability that a fix without a fault fails the test of its residuals; faults are
         excluded by `celnav.receiver.integrity`. 0: nothing is tested.
@@ -225,7 +227,7 @@ def prepare(
         epoch has a fix, or if a requested system has no ranges or no orbits.
     """
     least = mask(mask_deg)
-    given = deviations(sigma)
+    given_noise = deviations(sigma)
     files = f"{observations.path}, {navigation.path}"
     observations, others = _of_systems(observations, navigation, systems, files)
     times, code = observations.times, observations.code
@@ -263,13 +265,13 @@ def prepare(
     noise = (Noise((COARSE[0],), (0.0,)), Noise((COARSE[1],), (0.0,)))
     modeled = np.zeros(code.shape)
     offsets = np.zeros((0, code.shape[-1])) if second is None else second
-    # First without delays; then with delays but coarse noise; then with the final noise.
-    for known, final in ((False, False), (True, False), (True, True)):
+    # Three passes: without delays; with delays but coarse noise; with delays and the final noise.
+    for with_delays, final in ((False, False), (True, False), (True, True)):
         sources = _sources(navigation, rows, times, code, usable, position, velocity)
         ranges, rates = code + sources.clock, np.where(wild, np.nan, measured) + sources.drift
         used, elevation = usable, np.full(code.shape, np.pi / 2.0)
         azimuth, delay = np.zeros((2, *code.shape))
-        if known:
+        if with_delays:
             elevation, azimuth, delay, remaining = _sky(
                 navigation, times - clock / LIGHT, sources.q, position, hz
             )
@@ -277,12 +279,12 @@ def prepare(
         z = np.concatenate(
             [np.where(used, ranges - delay, np.nan), np.where(used, rates, np.nan)], -1
         )
-        if final and given is None:
+        if final and given_noise is None:
             modeled = remaining + _orbit_variance(navigation, rows, observations.names)
-        seen = Seen(z, sources.q, sources.w, elevation, position, modeled, offsets)
+        visible = Seen(z, sources.q, sources.w, elevation, position, modeled, offsets)
         if final:
-            noise = estimated(seen, false_alarm) if given is None else given
-        fixes = fixed(seen, noise, false_alarm)
+            noise = estimated(visible, false_alarm) if given_noise is None else given_noise
+        fixes = fixed(visible, noise, false_alarm)
         there = np.isfinite(fixes.states[:, 6])
         if not there.any():
             raise refusal
@@ -316,8 +318,8 @@ def prepare(
         z,
         fixes.sigma,
         modeled,
-        seen.q,
-        seen.w,
+        visible.q,
+        visible.w,
         shown * elevation,
         shown * azimuth,
         states,
@@ -329,7 +331,7 @@ def prepare(
         noise,
         (of_ranges, of_rates),
         jumps,
-        dilution(seen.q, position, _axes(position), ranged, second),
+        dilution(visible.q, position, _axes(position), ranged, second),
         navigation.klobuchar is not None,
         walk_noise(times, bias, drift, *variances[2:]),
         acceleration_noise(times, place, v, *variances[:2]),
@@ -351,25 +353,25 @@ def _second(names: list[str]) -> Array | None:
 def chosen(systems: str | None) -> str:
     """Letters of systems, in the order of `SYSTEMS`; None: all. ValueError for others."""
     if systems is not None and (not systems or set(systems) - set(SYSTEMS)):
-        known = ", ".join(f"{letter} ({system.name})" for letter, system in SYSTEMS.items())
-        raise ValueError(f"systems: expected letters of {known}, got {systems!r}")
+        letters = ", ".join(f"{letter} ({system.name})" for letter, system in SYSTEMS.items())
+        raise ValueError(f"systems: expected letters of {letters}, got {systems!r}")
     return "".join(letter for letter in SYSTEMS if systems is None or letter in systems)
 
 
 def _of_systems(
     observations: Observations, navigation: Navigation, systems: str | None, files: str
 ) -> tuple[Observations, tuple[str, ...]]:
-    """The satellites of the systems that are to be used, and the names of others."""
-    own = {
+    """The observations of the systems to be used, and the names of the other systems."""
+    available = {
         "ranges": {name[0] for name in observations.names},
         "orbits": {name[0] for name in navigation.sets.names},
     }
     wanted = chosen(systems)
-    used = [letter for letter in wanted if all(letter in there for there in own.values())]
+    used = [letter for letter in wanted if all(letter in there for there in available.values())]
     missing = [
         f"{SYSTEMS[letter].name}'s {what}"
         for letter in wanted
-        for what, there in own.items()
+        for what, there in available.items()
         if letter not in there
     ]
     if not used or (systems is not None and missing):
@@ -377,7 +379,9 @@ def _of_systems(
             f"{files}: expected ranges and orbits of one system, got no {' and no '.join(missing)}"
         )
     others = [
-        SYSTEMS[letter].name for letter in SYSTEMS if letter in own["ranges"] and letter not in used
+        SYSTEMS[letter].name
+        for letter in SYSTEMS
+        if letter in available["ranges"] and letter not in used
     ]
     return observations.of("".join(used)), (
         *others,
@@ -386,27 +390,28 @@ def _of_systems(
 
 
 def deviations(sigma: ArrayLike | None) -> tuple[Noise, Noise] | None:
-    """Noise of ranges and rates from standard deviations at the zenith, m, m/s; None: to be
+    """Noise of ranges and rates from standard deviations at the zenith, m and m/s; None: to be
     estimated.
+
     ValueError unless they are positive.
     """
     if sigma is None:
         return None
-    given = finite("sigma", sigma, (2,))
-    if not (given > 0.0).all():
-        raise ValueError(f"sigma: expected positive deviations, got {sigma!r}")
-    return Noise((0.0,), (float(given[0]),)), Noise((0.0,), (float(given[1]),))
+    zenith = finite("sigma", sigma, (2,))
+    if not (zenith > 0.0).all():
+        raise ValueError(f"sigma: expected positive standard deviations, got {sigma!r}")
+    return Noise((0.0,), (float(zenith[0]),)), Noise((0.0,), (float(zenith[1]),))
 
 
 def mask(degrees: float) -> float:
-    """A least elevation in rad; ValueError unless it is from 0 to below 90 degrees."""
+    """The least elevation in rad; ValueError unless it is from 0 to below 90 degrees."""
     if not 0.0 <= degrees < 90.0:
         raise ValueError(f"mask_deg: expected degrees from 0 to below 90, got {degrees!r}")
     return float(np.radians(degrees))
 
 
 def _nearest(there: Array) -> Array:
-    """Index ``(T,)`` of the nearest epoch at which ``there`` is true."""
+    """Index ``(T,)``, for each epoch, of the nearest epoch at which ``there`` is true."""
     k, epochs = np.flatnonzero(there), np.arange(len(there))
     after = np.clip(np.searchsorted(k, epochs), 0, len(k) - 1)
     before = np.maximum(after - 1, 0)
@@ -469,8 +474,8 @@ def _sky(
 
 
 def _orbit_variance(navigation: Navigation, rows: Array, names: list[str]) -> Array:
-    """Variance ``(T, S)`` m^2 of ranges from broadcast orbits and clocks. It is larger where a
-    satellite predicts a larger error than is usual in its system.
+    """Variance ``(T, S)`` m^2 of ranges from broadcast orbits and clocks. It is larger for a
+    satellite that broadcasts a larger error than is usual in its system.
     """
     systems = [SYSTEMS[name[0]] for name in names]
     usual, predicted = np.array([[each.range_error_m, each.accuracy_m] for each in systems]).T
@@ -480,8 +485,8 @@ def _orbit_variance(navigation: Navigation, rows: Array, names: list[str]) -> Ar
 
 
 def _without_jumps(z: Array, fixes: Array, times: Array) -> tuple[Array, Array, Array]:
-    """Ranges and biases as if the receiver had never set its clock by whole milliseconds, and the
-    sum of these steps ``(T,)`` m.
+    """Ranges and clock biases without the steps of whole milliseconds by which the receiver set its
+    clock, and the sum of these steps ``(T,)`` m.
 
     If the clock was set between two fixes that are not neighbors, the epoch of the step is unknown.
     Ranges in between are then left out.
@@ -490,7 +495,7 @@ def _without_jumps(z: Array, fixes: Array, times: Array) -> tuple[Array, Array, 
     jumps, z, fixes = np.zeros(len(times)), z.copy(), fixes.copy()
     if len(k) > 1:
         step, dt = np.diff(fixes[k, 6]), np.diff(times[k])
-        # Without rates the drift is assumed to be that between the last two fixes.
+        # Without rates the drift is computed from the last two fixes.
         ran = (step - MILLISECOND_M * np.round(step / MILLISECOND_M)) / dt
         drift = fixes[k, 7]
         expected = np.where(

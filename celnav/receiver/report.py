@@ -44,20 +44,20 @@ KIND_COLORS = {
     "Galileo": colors.MEASUREMENT,
 }
 HEIGHTS_M = (-1e3, 5e4, 1.6e5)
-"""Heights above the ellipsoid, m. Receivers are between the first two, or in orbit above the third.
+"""Heights above the ellipsoid, m. A receiver is between the first two, or in orbit above the third.
 """
 BOUND = 5.0
 """Largest error, in standard deviations, that the tests may miss."""
 STILL = 0.01
-"""Density of the acceleration of a receiver at rest or nearly so, m^2/s^3."""
+"""Density of the acceleration of a receiver that is almost at rest, m^2/s^3."""
 MOST_LINES = 5
-"""Damaged lines that a summary lists at most."""
+"""Most damaged lines that a summary lists."""
 IGSO_NUMBERS = frozenset({*range(6, 11), 13, 16, 31, 38, 39, 40, 56})
 """Inclined geosynchronous satellites of BeiDou-2 and -3."""
 
 
 def kinds(names: Sequence[str]) -> Array:
-    """GEO, IGSO or MEO of BeiDou, or the system, of satellites by name."""
+    """For each satellite name: GEO, IGSO or MEO of BeiDou, or the name of another system."""
     named = [(name[0], int(name[1:])) for name in names]
     return np.array(
         [
@@ -88,12 +88,12 @@ class Positioned:
 
     Attributes
     ----------
-    log: the filter's input. filter: its name. mean: ``(T, 8 or 9)`` states. cov: ``(T, 3, 3)`` m^2
+    log: the filter's input. filter: its name. mean: ``(T, 8 + k)`` states. cov: ``(T, 3, 3)`` m^2,
         of the position.
     reference: ``(3,)`` m, a known position of the antenna to compare with; None if there is none.
         of: the source of that position.
-    nis: squared innovations over their predicted covariance, per degree of freedom; for "ls",
-        squared residuals of the fixes.
+    nis: normalized innovation squared per degree of freedom; for "ls", normalized squared residuals
+        of the fixes.
     apart, trust: ``(T,)``, see `celnav.receiver.trust.Guarded`. clock, acceleration: the assumed
         process noise; the acceleration in m^2/s^3.
     """
@@ -112,8 +112,8 @@ class Positioned:
 
     @property
     def measured(self) -> Array:
-        """Epochs ``(T,)`` whose position used at least one range. The others are predictions, which
-        averages leave out.
+        """Epochs ``(T,)`` whose position used at least one range. The other positions are
+        predictions, which averages leave out.
         """
         return np.isfinite(self.mean[:, 0]) & self.log.used.any(-1)
 
@@ -125,7 +125,7 @@ class Positioned:
     @property
     def trusted(self) -> Array:
         """Epochs ``(T,)`` with a measured position that agrees with the track, or all `reported`
-        epochs if there is none.
+        epochs if there is no such epoch.
         """
         trusted = self.measured & (self.trust == "")
         return np.asarray(trusted if trusted.any() else self.reported)
@@ -162,18 +162,15 @@ class Positioned:
 
     @cached_property
     def integrity(self) -> Array:
-        """How far the ranges of each epoch support its position, a word ``(T,)``.
+        """How far the ranges at each epoch support its position, a word ``(T,)``.
 
-        If `trust` has a word, it is this word. Otherwise:
+        If `trust` is not empty, its word is used. Otherwise:
 
-        - "tested": the ranges agree.
-        - "excluded": the ranges agree without those that are excluded.
-        - "contradiction": the ranges disagree, and none is used.
-        - "no ranges": no range is used.
-        - "untested": there is no redundancy, or the test is off.
-        - "implausible height": the height is outside `HEIGHTS_M`.
-        - "weak": `BOUND` standard deviations of the distance between the position and the epoch's
-          fix are more than `SOUND_M`.
+        - "tested": the ranges agree. - "excluded": the ranges agree without those that are
+        excluded. - "contradiction": the ranges disagree, and none is used. - "no ranges": no range
+        is used. - "untested": there is no redundancy, or the test is off. - "implausible height":
+        the height is outside `HEIGHTS_M`. - "weak": `BOUND` standard deviations of the distance
+        between the position and the epoch's fix exceed `SOUND_M`.
         """
         log, there = self.log, np.isfinite(self.mean[:, :1])
         height = np.ravel(
@@ -213,7 +210,9 @@ class Positioned:
 
     @property
     def distrusted(self) -> Array:
-        """Epochs ``(T,)`` at which track and ranges contradict each other, or did so before."""
+        """Epochs ``(T,)`` at which track and ranges contradict each other, or contradicted each
+        other before.
+        """
         return np.asarray(self.reported & (self.trust != ""))
 
     @property
@@ -236,14 +235,14 @@ def position(
     each epoch alone.
 
     Positions that are not near the Earth become nan. Each epoch is compared with the track, see
-    `celnav.receiver.trust`; for "ls" it is the track of the ekf. Ranges that contradict the track
+    `celnav.receiver.trust`; for "ls" with the track of the ekf. Ranges that contradict the track
     are not used.
 
     Parameters
     ----------
     acceleration: density of the receiver's acceleration, m^2/s^3; None: estimated from the log, at
-        least `STILL`. clock: its process noise, that of a "crystal", of a "phone", or "auto",
-        estimated from the log.
+        least `STILL`. clock: process noise of the clock: "crystal", "phone", or "auto" (estimated
+        from the log).
     false_alarm: probability that a sound epoch is found to contradict the track; 0: no test.
     of: see `Positioned`.
 
@@ -278,13 +277,13 @@ def position(
         mean = np.where(there[:, None], mean, np.nan)
         cov = np.where(there[:, None, None], cov, np.nan)
     nis_per_degree = float(np.nansum(nis) / max(int(dof.sum()), 1))
-    found = mean, cov, reference, of, nis_per_degree, track.apart, track.trust, noise
-    return Positioned(log, filter, *found, acceleration)
+    results = mean, cov, reference, of, nis_per_degree, track.apart, track.trust, noise
+    return Positioned(log, filter, *results, acceleration)
 
 
 def clock_noise(log: Log, clock: str) -> ClockNoise:
-    """Process noise of a "crystal", of a "phone", or "auto": estimated from the log, at least that
-    of a crystal in an oven. ValueError for another clock.
+    """Process noise of a "crystal" or a "phone"; with "auto" estimated from the log, at least the
+    noise of an oven-controlled crystal. ValueError for another clock.
     """
     if clock in CLOCKS:
         return ClockNoise(clock, CLOCKS[clock])
@@ -302,8 +301,8 @@ def _rms(vectors: Array) -> float:
 
 
 def summary(result: Positioned) -> str:
-    """The lines of the summary: verdict, epochs, satellites, DOP, integrity and noise. Then follow
-    mean and scatter of trusted positions, and their error if a position is known.
+    """The lines of the summary: verdict, epochs, satellites, DOP, integrity and noise; then mean
+    and scatter of the trusted positions, and their error if a position is known.
     """
     log, local, measured = result.log, result.local(result.mean), result.measured
     used, there, trusted = log.used, np.isfinite(result.mean[:, 0]), result.trusted
@@ -392,7 +391,7 @@ def _clock(result: Positioned) -> str:
 
 
 def _damaged(messages: tuple[str, ...]) -> str:
-    """How many epochs and broadcast sets were left out, and in which lines."""
+    """How many damaged epochs and broadcast sets were left out, and their lines."""
     lines = "; ".join(messages[:MOST_LINES])
     rest = f"; and {len(messages) - MOST_LINES} more" if len(messages) > MOST_LINES else ""
     return f"{len(messages)} epochs or broadcast sets left out: {lines}{rest}"
@@ -404,8 +403,8 @@ def _systems(result: Positioned) -> str:
         f"{SYSTEMS[letter].name} {SYSTEMS[letter].signal}" for letter in result.log.systems
     )
     for letter, offset in zip(result.log.systems[1:], result.mean.T[8:], strict=True):
-        known = offset[np.isfinite(offset)]
-        longer = np.median(known) if known.size else np.nan
+        finite_offsets = offset[np.isfinite(offset)]
+        longer = np.median(finite_offsets) if finite_offsets.size else np.nan
         words += f"; ranges of {SYSTEMS[letter].name} are longer by {longer:.2f} m (median)"
     if result.log.systems[1:]:
         words += ": clocks, and the receiver's delays"
@@ -439,16 +438,16 @@ def _integrity(log: Log) -> str:
 
 
 def _noise(log: Log, kind: int, unit: str) -> str:
-    """The receiver's noise of ranges or rates, for each system that has its own."""
+    """The receiver's noise of ranges or rates, for each system with a separate estimate."""
     noise, words = log.noise[kind], []
     for j, (level, zenith) in enumerate(zip(noise.level, noise.zenith, strict=True)):
         name = f"{SYSTEMS[log.systems[j]].name} " if len(noise.level) > 1 else ""
         constant = f"{level:.4g} {unit} and " if level else ""
         words.append(f"{name}{constant}{zenith:.4g} {unit} / sin(elevation)")
-    known = (
+    source = (
         f"estimated from {noise.redundancy} redundant ones" if noise.redundancy else "not estimated"
     )
-    return f"{', '.join(words)}, {known}"
+    return f"{', '.join(words)}, {source}"
 
 
 def _modeled(log: Log) -> str:
@@ -463,7 +462,7 @@ def _modeled(log: Log) -> str:
 
 
 def _lasting(log: Log) -> str:
-    """Which part of the errors is correlated in time, and how long it lasts."""
+    """Which part of the errors is correlated in time, and its correlation time."""
     words = [
         f"{kind.short:.0%} of the variance of {name} over {kind.time:.0f} s, {kind.long:.0%} for "
         "as long as a satellite is seen"
@@ -517,17 +516,17 @@ def _sky(result: Positioned) -> Figure:
     polar.set_theta_direction(-1)
     shown: set[str] = set()
     for s, kind in enumerate(kinds(log.names)):
-        seen = np.where(log.used[:, s], 90.0 - np.degrees(log.elevation[:, s]), np.nan)
+        zenith_deg = np.where(log.used[:, s], 90.0 - np.degrees(log.elevation[:, s]), np.nan)
         label = None if kind in shown else str(kind)
-        there = np.pad(np.isfinite(seen), 1)
+        there = np.pad(np.isfinite(zenith_deg), 1)
         if there.any():
             shown.add(kind)
             # A line through neighboring epochs; a dot where an epoch has no neighbor.
             lone = there[1:-1] & ~there[:-2] & ~there[2:]
             look = dict[str, Any](linewidth=1.0, marker=".", markersize=1.5, markevery=lone)
-            polar.plot(log.azimuth[:, s], seen, color=KIND_COLORS[kind], label=label, **look)
+            polar.plot(log.azimuth[:, s], zenith_deg, color=KIND_COLORS[kind], label=label, **look)
             last = int(np.flatnonzero(there)[-1]) - 1
-            polar.annotate(log.names[s], (log.azimuth[last, s], seen[last]), fontsize=6)
+            polar.annotate(log.names[s], (log.azimuth[last, s], zenith_deg[last]), fontsize=6)
     polar.set_rlim(0.0, 90.0)
     polar.set_title("sky: zenith in the middle, north up")
     fig.legend(*polar.get_legend_handles_labels(), loc="outside lower left", ncols=4)
@@ -550,7 +549,7 @@ RECORDING = "position.rrd"
 
 
 def write(result: Positioned, outputs: Outputs) -> None:
-    """Write `FILES`. All contents are made before the first file is written."""
+    """Write `FILES`. All contents are computed before the first file is written."""
     texts = {"summary.txt": summary(result) + "\n", "track.csv": table(result)}
     outputs.publish(texts, pictures(figures(result).items()))
 
@@ -613,7 +612,7 @@ def _record_sky(out: Any, log: Log) -> None:
     unit = np.stack([np.cos(E) * np.sin(A), np.cos(E) * np.cos(A), np.sin(E)], -1)
     for s, kind in enumerate(kinds(log.names)):
         if log.used[:, s].any():
-            seen = np.where(log.used[:, s, None], unit[:, s], np.nan)
+            directions = np.where(log.used[:, s, None], unit[:, s], np.nan)
             out.points(
-                f"sky/{log.names[s]}", seen, KIND_COLORS[kind], radius=4.0, label=log.names[s]
+                f"sky/{log.names[s]}", directions, KIND_COLORS[kind], radius=4.0, label=log.names[s]
             )

@@ -48,15 +48,15 @@ from celnav.receiver.sky import local_axes, on_earth
 LONGEST_S = 14400.0
 """Longest validity of a broadcast set, that of Galileo."""
 AHEAD_S = {"BDT": 0.0, "GPS": GPS_AHEAD_S, "GAL": GPS_AHEAD_S}
-"""How far time systems of observation files are ahead of BDT."""
+"""Offsets of the time systems of observation files from BDT, s."""
 
 
 class System(NamedTuple):
-    """A satellite system: its name, and the signal that is used, with its carrier and its codes,
-    best first.
+    """A satellite system: its name, and the signal used, with its carrier and its codes, best
+    first.
 
-    range_error_m: RMS error of ranges from broadcast orbits and clocks [Montenbruck2018]. It holds
-        for satellites that broadcast the system's usual accuracy, accuracy_m.
+    range_error_m: RMS error of ranges from broadcast orbits and clocks [Montenbruck2018]. It
+        applies to satellites that broadcast the system's usual accuracy, accuracy_m.
     """
 
     name: str
@@ -68,9 +68,10 @@ class System(NamedTuple):
 
 
 SYSTEMS = {
-    # On B1I's carrier: the data, under its present and its older name; both components; the pilot.
+    # On the carrier of B1I: the data code, under its present and its older name; both codes; the
+    # pilot.
     "C": System("BeiDou", "B1I", B1I_HZ, ("C2I", "C1I", "C2X", "C2Q"), 1.0, 2.4),
-    # P code where a receiver has no C/A.
+    # P code if a receiver has no C/A code.
     "G": System("GPS", "L1 C/A", L1_HZ, ("C1C", "C1W", "C1P"), 0.6, 2.4),
     # Pilot, both components, data.
     "E": System("Galileo", "E1", L1_HZ, ("C1C", "C1X", "C1B"), 0.2, 3.12),
@@ -79,7 +80,7 @@ SYSTEMS = {
 systems have an offset from the first.
 """
 OTHERS = {"R": "GLONASS", "J": "QZSS", "S": "SBAS", "I": "NavIC"}
-"""Systems that files may contain and that are not used."""
+"""Systems that files may contain but that are not used."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,13 +90,12 @@ class Observations:
     Attributes
     ----------
     path: of the file. marker: name of the station, may be empty. place: ``(3,)`` m, the marker's
-        position in the header; None if it has none. times: ``(T,)`` s of BDT, increasing. names: of
-        the satellites, ``S``. code: pseudoranges ``(T, S)`` m. doppler: ``(T, S)`` Hz; both are nan
-        where nothing was measured. antenna: ``(3,)`` m east, north and up of the marker.
-        out_of_order: how many epochs were left out because their time lies before or after those
-            of both neighbors.
-        others: letters of systems in the file that are not in `SYSTEMS`.
-        damaged: one message for each damaged epoch that was left out, with its line.
+        position in the header; None if the header has none. times: ``(T,)`` s of BDT, increasing.
+        names: of the satellites, ``S``. code: pseudoranges ``(T, S)`` m. doppler: ``(T, S)`` Hz;
+        both nan where nothing was measured. antenna: ``(3,)`` m, offset of the antenna from the
+        marker: east, north, up. out_of_order: how many epochs were left out because their time lies
+        before or after those of both neighbors. others: letters of systems in the file that are not
+        in `SYSTEMS`. damaged: one message for each damaged epoch that was left out, with its line.
     """
 
     path: Path
@@ -141,12 +141,12 @@ class Observations:
 
 @dataclass(frozen=True, eq=False)
 class Navigation:
-    """Broadcast sets, several of each satellite, by their reference times; and Klobuchar's
+    """Broadcast sets, several for each satellite, sorted by reference time; and Klobuchar's
     coefficients, None if absent.
 
-    ``path``: of the file, or of several. ``left_out``: by satellite, how many sets are incomplete
-    or have an impossible number. ``damaged``: one message for each damaged set that was left out,
-    with its line. ``unused``: how many records of other systems or messages there are, by name.
+    path: of the file, or of several files. left_out: by satellite, how many sets are incomplete or
+        have an impossible number. damaged: one message for each damaged set that was left out, with
+        its line. unused: number of records of other systems or messages, by name.
     """
 
     path: Path | str
@@ -157,8 +157,8 @@ class Navigation:
     unused: dict[str, int] = field(default_factory=dict)
 
     def check_times(self, files: str, times: Array) -> None:
-        """Raise InputError naming the files unless some set is for a time within four hours of
-        ``times``.
+        """Raise InputError naming the files unless the reference time of some set is within four
+        hours of ``times``.
         """
         toe = self.sets.toe
         if (np.abs(toe[:, None] - times[[0, -1]]).min() > LONGEST_S) and not (
@@ -169,20 +169,21 @@ class Navigation:
                 for t in (times[0], times[-1], toe[0], toe[-1])
             ]
             raise InputError(
-                "{}: expected orbits of the time of the observations, {} to {} BDT, got those of "
-                "{} to {}; give the navigation file of that day".format(files, *dates)
+                "{}: expected orbits for the time of the observations, {} to {} BDT, got some "
+                "for {} to {}; give the navigation file of that day".format(files, *dates)
             )
 
     def nearest(self, name: str, times: ArrayLike) -> Array:
-        """Rows ``(...)`` of a satellite's sets with the nearest reference times. -1: unhealthy, or
-        no set within one hour (geostationary), four hours (Galileo) or two hours (others).
+        """Rows ``(...)`` of a satellite's sets with the reference times nearest to ``times``. -1:
+        the satellite is unhealthy, or has no set within one hour (geostationary), four hours
+        (Galileo) or two hours (others).
         """
         t = np.asarray(times, dtype=np.float64)
         number, system = int(name[1:]), SYSTEM_LETTERS.index(name[0])
         rows = np.flatnonzero((self.sets.number == number) & (self.sets.system == system))
         if not rows.size:
             return np.full(t.shape, -1)
-        # Sorted by reference time; of equal times the first set is used.
+        # Sorted by reference time; for equal times the first set is used.
         toe, first = np.unique(self.sets.toe[rows], return_index=True)
         after = np.clip(np.searchsorted(toe, t), 0, len(toe) - 1)
         before = np.maximum(after - 1, 0)
@@ -196,11 +197,11 @@ class Navigation:
 
 
 def read_observations(path: str | Path, *, strict: bool = False) -> Observations:
-    """Code and Doppler of B1I, L1 C/A and E1 of an observation file, plain, gzipped or in
+    """Code and Doppler of B1I, L1 C/A and E1 from an observation file, plain, gzipped or in
     Hatanaka's compression.
 
     If a satellite has several codes on a carrier, the first available code of its `System` is used.
-    A damaged epoch is left out as a whole, and listed in ``damaged``.
+    A damaged epoch is left out completely and listed in ``damaged``.
 
     Raises
     ------
@@ -237,7 +238,7 @@ def read_observations(path: str | Path, *, strict: bool = False) -> Observations
     before, here, after = seconds[:-2], seconds[1:-1], seconds[2:]
     between[1:-1] = ((before <= here) & (here <= after)) | (before >= after)
     order = np.flatnonzero(between)[np.argsort(seconds[between], kind="stable")]
-    # An epoch that occurs twice counts once.
+    # An epoch that occurs twice is used once.
     rows = order[np.concatenate([[True], np.diff(seconds[order]) > 0.0])]
     letters = (line[0] for line in types if line[0].strip() and line[0] not in SYSTEMS)
     return Observations(
@@ -256,9 +257,9 @@ def read_observations(path: str | Path, *, strict: bool = False) -> Observations
 
 
 def _columns_of(file: File, letter: str, kinds: list[str]) -> list[tuple[int, int]]:
-    """Columns of a system's codes, best first, each with the column of its Doppler; -1: none."""
+    """Columns of a system's codes, best first, each with the column of its Doppler (-1: none)."""
     system = SYSTEMS[letter]
-    # Only version 3.02 called B1I's band 1; since then 1 is the band of B1C.
+    # Only version 3.02 used band 1 for B1I; since then band 1 is B1C's.
     older = ("C1X", "C1Q") if letter == "C" and file.version < 3.03 else ()
     codes = [code for code in (*system.codes, *older) if code in kinds]
     scaled = of_system(file.header.get("SYS / SCALE FACTOR", []), letter)
@@ -280,19 +281,21 @@ def _by_satellite(
     columns: Mapping[str, list[int]],
     pairs: Mapping[str, Sequence[tuple[int, int]]],
 ) -> tuple[list[str], Array, Array]:
-    """Satellites ``S``, pseudoranges and Doppler ``(T, S)``, from the first code that a row has."""
-    names = [str(name) for part in measured.values() for name in np.unique(part.names)]
+    """Satellites ``S``, pseudoranges and Doppler ``(T, S)``, from the first available code of each
+    row.
+    """
+    names = [str(name) for system in measured.values() for name in np.unique(system.names)]
     ranges, rates = np.full((2, T, len(names)), np.nan)
-    for letter, part in measured.items():
-        known, s = np.unique(part.names, return_inverse=True)
-        s += names.index(known[0]) if known.size else 0
-        missing = np.ones(len(part.names), bool)
+    for letter, system in measured.items():
+        satellites, s = np.unique(system.names, return_inverse=True)
+        s += names.index(satellites[0]) if satellites.size else 0
+        missing = np.ones(len(system.names), bool)
         for code, doppler in pairs[letter]:
-            values = part.values[:, columns[letter].index(code)]
+            values = system.values[:, columns[letter].index(code)]
             rows = missing & np.isfinite(values)
-            ranges[part.epochs[rows], s[rows]] = values[rows]
+            ranges[system.epochs[rows], s[rows]] = values[rows]
             if doppler >= 0:
-                rates[part.epochs[rows], s[rows]] = part.values[
+                rates[system.epochs[rows], s[rows]] = system.values[
                     rows, columns[letter].index(doppler)
                 ]
             missing &= ~rows
@@ -341,7 +344,7 @@ ORDER = (
     "second_tgd",
 )
 """Order of a set's numbers in the file. Spare or unneeded numbers may be blank. Source and
-second_tgd belong to Galileo.
+second_tgd are Galileo's.
 """
 TURNS = 200.0 * np.pi
 MOST = {
@@ -366,37 +369,37 @@ MOST = {
     "tgd": 5.12e-8,
     "toe": WEEK_S,
 }
-"""Largest magnitude that the bits of a message can hold [BDS-SIS-ICD-B1I-3.0]. Angles in a file may
-include several turns.
+"""Largest magnitudes that fit into the bits of a message [BDS-SIS-ICD-B1I-3.0]. Angles in a file
+may include several turns.
 """
 MOST_OF = {
     GPS: {"a1": 2.0**-28, "a2": 2.0**-48, "tgd": 2.0**-24},
     GALILEO: {"a0": 2.0**-4, "a1": 2.0**-26, "a2": 2.0**-54, "tgd": 2.0**-23},
 }
-"""Larger limits of messages of GPS and Galileo [IS-GPS-200; Galileo-OS-SIS-ICD]."""
+"""Larger limits for messages of GPS and Galileo [IS-GPS-200; Galileo-OS-SIS-ICD]."""
 LEAST = {"e": 0.0, "sqrt_a": 4096.0, "toe": 0.0}
 """Least values; no satellite of these systems is lower than 10,000 km."""
 MOST_ALPHA, MOST_BETA = (
     2.0 ** np.array([-22.0, -19.0, -16.0, -16.0]),
     2.0 ** np.array([19.0, 22.0, 24.0, 24.0]),
 )
-"""Largest coefficients of the ionosphere: twice what their eight bits can hold [IS-GPS-200]."""
+"""Largest coefficients for the ionosphere: twice the largest value of eight bits [IS-GPS-200]."""
 
 
 def read_navigation(path: str | Path, *more: str | Path, strict: bool = False) -> Navigation:
-    """Broadcast sets of the satellites of `SYSTEMS` from a navigation file, or from several.
+    """Broadcast sets for the satellites of `SYSTEMS` from one or several navigation files.
 
-    Sets that lack a number, or have one that no message can hold, are left out and counted in
+    Sets with a missing number, or a number that no message can contain, are left out and counted in
     ``left_out``. Damaged sets are left out and listed in ``damaged``. Other records are counted in
     ``unused``. The ionosphere's coefficients are from the first header that has them; in version 4
     they are a record.
 
     Raises
     ------
-    InputError: if one is not a navigation file of RINEX 2 to 4, if its header or most of its sets
-        are damaged, or if no file has orbits. With ``strict`` one damaged set is enough. The
+    InputError: if a file is not a navigation file of RINEX 2 to 4, if its header or most of its
+        sets are damaged, or if no file has orbits. With ``strict`` one damaged set is enough. The
         message names file and line.
-    OSError: if one cannot be read.
+    OSError: if a file cannot be read.
     """
     read: list[Set] = []
     damaged: tuple[str, ...] = ()
@@ -414,27 +417,27 @@ def read_navigation(path: str | Path, *more: str | Path, strict: bool = False) -
             f"{files}: expected orbits of BeiDou, GPS or Galileo satellites, got none"
             + (f" (not used: {others})" if others else "")
         )
-    given = _columns(read)
-    credible = np.isfinite(given["health"])
+    values = _columns(read)
+    credible = np.isfinite(values["health"])
     for name, most in MOST.items():
         bound = np.full(len(read), most)
         for system, its in MOST_OF.items():
-            bound[given["system"] == system] = its.get(name, most)
-        # Twice the range leaves room for rounding; blanks are nan, and fail the comparison.
+            bound[values["system"] == system] = its.get(name, most)
+        # Twice the range allows for rounding; blanks are nan and fail the comparison.
         bound *= 1.0 if name in LEAST else 2.0
-        credible &= (np.abs(given[name]) <= bound) & (given[name] >= LEAST.get(name, -np.inf))
+        credible &= (np.abs(values[name]) <= bound) & (values[name] >= LEAST.get(name, -np.inf))
     if not credible.any():
         raise InputError(
             f"{files}: expected orbits, got {len(read)} sets that lack a number, or have one that "
             "no message can hold"
         )
-    given["toe"] += WEEK_S * np.round((given["toc"] - given["toe"]) / WEEK_S)
+    values["toe"] += WEEK_S * np.round((values["toc"] - values["toe"]) / WEEK_S)
     for name in ("toc", "toe"):
-        given[name] -= ahead_s(given["system"])
-    # At the same reference time I/NAV, which has the health of E1, is before F/NAV.
-    order = np.lexsort((given["fnav"], given["toe"]))
+        values[name] -= ahead_s(values["system"])
+    # For equal reference times I/NAV, which has the health of E1, comes before F/NAV.
+    order = np.lexsort((values["fnav"], values["toe"]))
     order = order[credible[order]]
-    chosen = Broadcast(**{part.name: given[part.name][order] for part in fields(Broadcast)})
+    chosen = Broadcast(**{field.name: values[field.name][order] for field in fields(Broadcast)})
     refused = Counter(read[k].name for k in np.flatnonzero(~credible))
     return Navigation(
         files, chosen, coefficients, dict(sorted(refused.items())), damaged, dict(unused)
@@ -451,8 +454,8 @@ def _named(unused: str) -> str:
 def _columns(read: list[Set]) -> dict[str, Array]:
     """Numbers of all sets by name; a blank clock acceleration or group delay is 0.
 
-    Galileo's clock depends on the message: I/NAV has the clock of E1 and E5b, F/NAV that of E1 and
-    E5a. Each message has its own group delay, and the health of its own signal
+    Galileo's clock depends on the message: I/NAV has the clock for E1 and E5b, F/NAV the clock for
+    E1 and E5a. Each message has a separate group delay, and the health of its signal
     [Galileo-OS-SIS-ICD].
     """
     numbers = np.array([each.numbers[: len(ORDER)] for each in read]).T
@@ -476,16 +479,16 @@ def _columns(read: list[Set]) -> dict[str, Array]:
 
 
 F_NAV_CLOCK = 1 << 8
-"""Bit of Galileo's data source: the clock is that of E1 and E5a, else that of E1 and E5b."""
+"""Bit of Galileo's data source: if set, the clock is for E1 and E5a, else for E1 and E5b."""
 E1_HEALTH, E5A_HEALTH = 0b000000111, 0b000111000
 """Bits of Galileo's health, of E1 and of E5a: validity of the data and status of the signal. A
-predicted accuracy below 0 means "none"; such a satellite must not be used.
+predicted accuracy below 0 means that there is no prediction; such a satellite must not be used.
 """
 
 
 def read_ionosphere(path: str | Path) -> tuple[Array, Array]:
     """Klobuchar's coefficients from a navigation file of RINEX 2 to 4; InputError naming the file
-    if there are none.
+    if it has none.
     """
     file = read_text(Path(path), "N")
     message = messages(file, "", False).klobuchar if file.version >= 4.0 else None
@@ -499,8 +502,8 @@ def read_ionosphere(path: str | Path) -> tuple[Array, Array]:
 
 
 def ionosphere(called: str | Path, numbers: ArrayLike) -> tuple[Array, Array]:
-    """Klobuchar's coefficients alpha and beta from eight numbers; InputError if no message can hold
-    them.
+    """Klobuchar's coefficients alpha and beta, each ``(4,)``, from eight numbers; InputError if no
+    message can contain them.
     """
     alpha, beta = np.asarray(numbers, dtype=np.float64).reshape(2, 4)
     if not ((np.abs(alpha) <= MOST_ALPHA).all() and (np.abs(beta) <= MOST_BETA).all()):

@@ -1,7 +1,7 @@
 """Text of RINEX files of versions 2.11 to 4: unpacked lines, headers, and checked records of some
 systems. Damage is reported with its line.
 
-Records of version 2 are moved to the columns of version 3, so that one reader serves all versions.
+Records of version 2 are moved to the columns of version 3, so that one reader handles all versions.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ from celnav.gaussian.linalg import Array
 from celnav.lazy import requires_extra
 
 LARGEST_BYTES = 2_000_000_000
-"""Largest unpacked file: a station's day at one epoch a second has half of that."""
+"""Most bytes of an unpacked file: a station's day at one epoch per second has half as many."""
 SMALL_BYTES = 10_000_000
-"""Size to which even the smallest file may unpack."""
+"""Bytes to which even the smallest file may unpack."""
 LETTERS = tuple("GRECJSI")
 """Letters of all systems, used or not."""
 SET_LINES = 8
@@ -45,8 +45,8 @@ HEADS = {
     2: re.compile(r" [ \d]\d(?: [ \d]\d){4}[ \d]{3}\.\d{7}  \d[ \d]{3}| {28}[2-5][ \d]{3}$"),
     3: re.compile(r">|..\d{4} .{,53}$"),
 }
-"""How epochs begin in versions 2 and 3. In version 3 the date also counts, since ">" may be
-damaged.
+"""Patterns for the start of an epoch in versions 2 and 3. In version 3 a date also marks it,
+because ">" may be damaged.
 """
 TYPES_OF_2 = {
     "G": {"C1": "C1C", "P1": "C1P", "D1": "D1C"},
@@ -58,8 +58,9 @@ TYPES_OF_2 = {
 class File(NamedTuple):
     """A RINEX file as text.
 
-    called: its path, as messages name it. version: of RINEX. lines: all of them, without trailing
-    blanks. header: lines of the header by label. start: index of the first line after the header.
+    called: its path, as named in messages. version: of RINEX. lines: all lines, without trailing
+        blanks. header: lines of the header by label. start: index of the first line after the
+        header.
     """
 
     called: str
@@ -79,7 +80,7 @@ class File(NamedTuple):
 
 
 def unpacked(path: Path) -> tuple[list[str], str]:
-    """Lines of a RINEX file without trailing blanks, and what messages call it."""
+    """Lines of a RINEX file without trailing blanks, and the file's name for messages."""
     called = str(path)
     raw = path.read_bytes()
     most = min(LARGEST_BYTES, max(MOST_UNPACKED * len(raw), SMALL_BYTES))
@@ -98,8 +99,8 @@ def unpacked(path: Path) -> tuple[list[str], str]:
         raw = _decompressed(path, raw, most)
     if len(raw) > most:
         raise InputError(
-            f"{path}: expected at most {most:,} bytes when unpacked; unpack it yourself if it is "
-            "what it should be"
+            f"{path}: expected at most {most:,} bytes when unpacked; unpack it yourself if this "
+            "size is right"
         )
     text = raw.removeprefix(b"\xef\xbb\xbf").decode("latin-1").replace("\0", "")
     text = (
@@ -109,8 +110,8 @@ def unpacked(path: Path) -> tuple[list[str], str]:
 
 
 def _decompressed(path: Path, raw: bytes, most: int) -> bytes:
-    """Bytes from hatanaka's program, which is stopped after ``most`` bytes. Its Python function
-    would keep the whole output in memory.
+    """Bytes from hatanaka's program, which is stopped after ``most`` bytes. Hatanaka's Python
+    function would store the whole output in memory.
     """
     with requires_extra(f"{path}: a log in Hatanaka's compression", "rinex"):
         import_module("hatanaka")
@@ -151,10 +152,10 @@ def read_text(path: Path, kind: str) -> File:
         raise file.error(0, f"expected a version number, got {first[:9]!r}") from None
     if not 2.0 <= version < 5.0:
         raise file.error(0, f"expected RINEX 2, 3 or 4, got version {version:g}")
-    # In version 2 a blank line may be measurements that are all missing.
+    # In version 2 a blank line may be a line of missing measurements.
     while version >= 3.0 and not text[-1]:
         text.pop()
-    # In version 2, navigation files of other systems have their own letters.
+    # In version 2, navigation files of other systems have other letters.
     letters = "NGHEJL" if kind == "N" and version < 3.0 else kind
     if first[20:21] not in tuple(letters):
         words = {"O": "an observation file", "N": "a navigation file"}
@@ -202,20 +203,21 @@ def of_system(lines: list[str], system: str) -> list[str]:
 
 def three_numbers(path: Path, header: dict[str, list[str]], label: str) -> Array:
     """Three numbers of a header line; zeros if it is absent or blank."""
-    given = header.get(label, [""])[0]
+    text = header.get(label, [""])[0]
     try:
-        values = np.array([float(part) for part in given.split()] or [0.0, 0.0, 0.0])
+        values = np.array([float(word) for word in text.split()] or [0.0, 0.0, 0.0])
     except ValueError:
         values = np.empty(0)
     if values.shape != (3,) or not np.isfinite(values).all():
-        raise InputError(f"{path}: expected three numbers in {label}, got {given.strip()!r}")
+        raise InputError(f"{path}: expected three numbers in {label}, got {text.strip()!r}")
     return values
 
 
 def accept(damage: Mapping[int, InputError], sound: int, strict: bool) -> tuple[str, ...]:
     """Messages of the damage in a file, in the order of its lines.
 
-    The first error is raised if ``strict``, or if there is more damage than ``sound`` records.
+    The first error is raised if ``strict``, or if there are more damaged records than ``sound``
+    records.
     """
     ordered = [damage[k] for k in sorted(damage)]
     if ordered and (strict or len(ordered) > sound):
@@ -294,16 +296,16 @@ def measurements(
 def _read_epoch(
     file: File, k: int, end: int, rows: dict[str, Rows], epoch: int, damage: dict[int, InputError]
 ) -> tuple[bool, float]:
-    """Whether the lines from k to before ``end`` are one whole epoch or event, and its time.
+    """Whether the lines from k to before ``end`` are one complete epoch or event, and its time.
 
-    The time is nan for an event, or without a satellite of these systems. The epoch's rows are
-    added to ``rows``.
+    The time is nan for an event, or if the epoch has no satellite of these systems. The epoch's
+    rows are added to ``rows``.
     """
     lines = file.lines
     flag, count, time = _head(file, k)
     size, texts = count, lines[k + 1 : k + 1 + count]
     if file.version < 3.0 and flag in (0, 1, 6):
-        # 12 satellites a line in the list; then for each satellite lines of 5 fields.
+        # The list has 12 satellites per line; then each satellite has lines of 5 fields.
         more, each = -(-count // 12), -(-len(kinds_of(file, "")) // 5)
         size = more - 1 + count * each
         texts = _texts_of_2(file, k, count, each)
@@ -319,11 +321,11 @@ def _read_epoch(
         if file.version < 3.0 or lines[surplus][:3] not in {text[:3] for text in texts}:
             return False, math.nan
     for line, name, text in satellites:
-        part = rows[name[0]]
-        part.epochs.append(epoch)
-        part.names.append(name)
-        part.lines.append(line)
-        part.texts.append(text)
+        system_rows = rows[name[0]]
+        system_rows.epochs.append(epoch)
+        system_rows.names.append(name)
+        system_rows.lines.append(line)
+        system_rows.texts.append(text)
     return True, time if satellites else math.nan
 
 
@@ -359,7 +361,7 @@ def _year(text: str) -> str:
 
 
 def _texts_of_2(file: File, k: int, count: int, each: int) -> list[str]:
-    """Rows of an epoch of version 2 in the columns of version 3: name, then all fields."""
+    """Rows of a version 2 epoch in the columns of version 3: name, then all fields."""
     lines, first = file.lines, k + max(-(-count // 12), 1)
     names = "".join(lines[i][32:68].ljust(36) for i in range(k, min(first, len(lines))))
     texts = []
@@ -378,7 +380,7 @@ def _texts_of_2(file: File, k: int, count: int, each: int) -> list[str]:
 
 
 def _whole(text: str) -> int:
-    """A whole number of digits only, since Python would also read 1_0."""
+    """An integer that consists of digits; Python would also read 1_0."""
     if not text.strip().isdecimal():
         raise ValueError
     return int(text)
@@ -428,7 +430,7 @@ CLASSES = np.full(256, OTHER, np.uint8)
 CLASSES[list(b" ")], CLASSES[list(b"+-")] = BLANK, SIGN
 CLASSES[list(b"0123456789")], CLASSES[list(b".")] = DIGIT, POINT
 THOUSANDTHS = np.array([*10.0 ** np.arange(12, 2, -1), 0.0, 100.0, 10.0, 1.0])
-"""Weight of each digit of a field of format F14.3, in thousandths; sums are exact."""
+"""Weight of each digit in a field with format F14.3, in thousandths; sums are exact."""
 
 
 def _values(
@@ -441,7 +443,7 @@ def _values(
 ) -> Array:
     """Values ``(R, C)`` of rows; an epoch with an invalid field becomes false in ``whole (T,)``.
 
-    Fields of format F14.3 are read together, others one by one.
+    Fields with format F14.3 are read together, other fields one by one.
     """
     width = 3 + 16 * (max(columns) + 1)
     out = np.full((len(rows.texts), len(columns)), np.nan)
@@ -449,7 +451,7 @@ def _values(
         some = rows.texts[first : first + ROWS_AT_ONCE]
         most = max(width, 3 + -(-max(map(len, some)) // 16) * 16)
         text = np.frombuffer("".join(row.ljust(most) for row in some).encode("ascii"), np.uint8)
-        # (R, fields, 14): a field has 16 columns, the last two of which are flags.
+        # (R, fields, 14): each field has 16 columns; the last two are flags.
         fields = text.reshape(len(some), most)[:, 3:].reshape(len(some), -1, 16)[..., :14]
         kinds = CLASSES[fields]
         before = kinds[..., :10]
@@ -476,11 +478,11 @@ def _values(
 
 
 class Set(NamedTuple):
-    """A broadcast set: its satellite, the reference time of its clock, s of its system's time, and
+    """A broadcast set: its satellite, the reference time of its clock (s in the system's time), and
     its numbers.
 
-    The numbers have the order of the file and are nan where blank. ``message``: its name in
-    version 4.
+    The numbers have the order of the file and are nan where blank. ``message``: the name of the
+    message in version 4.
     """
 
     name: str
@@ -493,8 +495,8 @@ class Messages(NamedTuple):
     """Contents of a navigation file: sets of the used systems, and Klobuchar's eight coefficients
     from a message.
 
-    unused: how many records of other systems or messages there are. damaged: messages of the damage
-    that was left out.
+    unused: number of records of other systems or messages. damaged: messages about damaged records
+        that were left out.
     """
 
     sets: list[Set]
@@ -504,7 +506,7 @@ class Messages(NamedTuple):
 
 
 MESSAGES = {"C": ("D1", "D2"), "G": ("LNAV",), "E": ("INAV", "FNAV")}
-"""Messages of version 4 by system that are read: those that version 3 has too."""
+"""Messages of version 4 that are read, by system: the messages that version 3 has too."""
 
 
 def messages(file: File, systems: str, strict: bool) -> Messages:
@@ -515,7 +517,7 @@ def messages(file: File, systems: str, strict: bool) -> Messages:
     if file.version < 3.0:
         heads = [k for k in range(start, len(lines)) if lines[k][:2].strip()]
     elif file.version < 4.0:
-        # The date also marks the first line of a set, since its name may be damaged.
+        # A date also marks the first line of a set, because its name may be damaged.
         dated = re.compile(r".{4}\d{4} ").match
         heads = [k for k in range(start, len(lines)) if dated(lines[k]) or lines[k][:1] in LETTERS]
     else:
@@ -585,7 +587,7 @@ def _numbers(file: File, k: int, end: int, count: int) -> list[float]:
 
 
 def _number(file: File, k: int, field: str) -> float:
-    """The number of a field, nan where it is blank."""
+    """The number in a field, nan if blank."""
     text = field.strip()
     try:
         return finite_number(text) if text else math.nan
@@ -594,8 +596,8 @@ def _number(file: File, k: int, field: str) -> float:
 
 
 def finite_number(text: str) -> float:
-    """A finite number, or ValueError. Python would also read 1_0, nan and infinity, which no file
-    has.
+    """A finite number, or ValueError. Python would also read 1_0, nan and infinity, which are not
+    valid in these files.
     """
     value = float(text.replace("D", "E").replace("d", "e"))
     if "_" in text or not math.isfinite(value):

@@ -1,5 +1,5 @@
-"""A receiver's place and the sky over it: elevation and azimuth of satellites, dilution of
-precision, and delays of the atmosphere.
+"""Geometry and atmosphere over a receiver: elevation and azimuth of satellites, dilution of
+precision, and atmospheric delays.
 
 Positions are Earth-fixed, m; angles in rad.
 """
@@ -26,16 +26,16 @@ TYPICAL_IONOSPHERE = (
     np.array([0.1118e-7, -0.7451e-8, -0.5961e-7, 0.1192e-6]),
     np.array([0.1167e6, -0.2294e6, -0.1311e6, 0.1049e7]),
 )
-"""Klobuchar's coefficients alpha and beta where no message gives them: those that GPS sent on 1
-January 2004, at a medium solar activity. RTKLIB uses the same default.
+"""Klobuchar's coefficients alpha and beta if no message has them: the coefficients broadcast by GPS
+on 1 January 2004, at medium solar activity. RTKLIB uses the same default.
 """
 BROADCAST_LEFT, TYPICAL_LEFT = 0.5, 1.0
-"""Standard deviation of the delay that Klobuchar's model leaves, over the delay that it removes:
-0.5 with the coefficients of the day [Klobuchar1987], 1 with typical coefficients.
+"""Standard deviation of the delay that remains after Klobuchar's model, over the delay that the
+model removes: 0.5 with the coefficients of the day [Klobuchar1987], 1 with typical coefficients.
 """
 SINGULAR = 1e-6
-"""Least angle, rad, between directions, and of satellites from a common cone; below it a fix is not
-determined.
+"""Least angle, rad, between the directions to satellites, and between these directions and a common
+cone; below it a fix is not determined.
 """
 
 
@@ -46,7 +46,7 @@ def on_earth(name: str, position: Array) -> None:
     position = numbers(name, position, (3,))
     if not GROUND_M[0] < math.hypot(*position) < GROUND_M[1]:  # nan is in no interval
         raise ValueError(
-            f"{name}: expected Earth-fixed meters, 6300 to 10000 km from the middle, got {position}"
+            f"{name}: expected Earth-fixed meters, 6300 to 10000 km from the center, got {position}"
         )
 
 
@@ -103,7 +103,7 @@ def dilution(
     determine a fix.
 
     ``offsets (k, S)``: as in `celnav.models.pseudorange`; an offset that the satellites do not
-    determine is assumed to be known.
+    determine is treated as known.
     """
     e = _unit(q - position[..., None, :]) @ axes.mT
     rows = np.concatenate([-e, np.ones_like(e[..., :1])], -1)
@@ -117,7 +117,7 @@ def dilution(
     more[..., range(4, n), range(4, n)] = undetermined(used, offsets)
     R: Array = np.linalg.qr(np.concatenate([rows, more], -2)).R
     enough = (np.abs(R.diagonal(0, -2, -1)).min(-1) > SINGULAR)[..., None, None]
-    # (R.T R)^-1 has the sums of squares of the rows of R^-1 on its diagonal.
+    # The diagonal of (R' R)^-1 has the sums of squares of the rows of R^-1.
     root = np.where(
         enough,
         np.linalg.solve(np.where(enough, R, np.eye(n)), np.broadcast_to(np.eye(n), R.shape)),
@@ -137,8 +137,8 @@ def klobuchar(
     elevation: Array,
     azimuth: Array,
 ) -> Array:
-    """Ionospheric delay (m) at GPS L1 [Klobuchar1987; IS-GPS-200]; at another frequency f it is
-    ``(L1 / f)^2`` times that.
+    """Ionospheric delay (m) at GPS L1 [Klobuchar1987; IS-GPS-200]; at another frequency f multiply
+    it by ``(L1 / f)^2``.
 
     Parameters
     ----------
@@ -147,7 +147,7 @@ def klobuchar(
         azimuth: of the satellites.
     """
     a, b = finite("alpha", alpha, (4,)), finite("beta", beta, (4,))
-    E = np.asarray(elevation) / np.pi  # all angles in semicircles, as the coefficients are
+    E = np.asarray(elevation) / np.pi  # angles in semicircles, as for the coefficients
     psi = 0.0137 / (E + 0.11) - 0.022
     phi = np.clip(latitude / np.pi + psi * np.cos(azimuth), -0.416, 0.416)
     lam = longitude / np.pi + psi * np.sin(azimuth) / np.cos(phi * np.pi)
@@ -161,12 +161,14 @@ def klobuchar(
 
 
 def obliquity(elevation: Array) -> Array:
-    """Path through the ionosphere over that at the zenith [Klobuchar1987; IS-GPS-200]."""
+    """Length of the path through the ionosphere over the length at the zenith
+    [Klobuchar1987; IS-GPS-200].
+    """
     return np.asarray(1.0 + 16.0 * (0.53 - np.asarray(elevation) / np.pi) ** 3)
 
 
 def atmosphere_variance(elevation: Array, ionosphere: Array) -> Array:
-    """Variance (m^2) of the atmosphere's delay after its correction.
+    """Variance (m^2) of the atmospheric delay that remains after correction.
 
     ``ionosphere``: standard deviation (m) of the remaining ionospheric delay. The remaining
     tropospheric delay is `TROPOSPHERE_M` at the zenith [DO-229D, A.4.2.5].
@@ -181,14 +183,14 @@ def saastamoinen(
     """Tropospheric delay (m) of the standard atmosphere, mapped by ``1 / sin(elevation)``
     [Saastamoinen1972].
 
-    ``height_m`` above the sea, from -1000 to 11,000. ``humidity``: relative, of the air at the
-    receiver, from 0 to 1.
+    height_m: above sea level, from -1000 to 11,000. humidity: relative humidity of the air at the
+        receiver, from 0 to 1. ValueError outside these ranges.
     """
     height = np.asarray(height_m, dtype=np.float64)
     if not ((height >= -1000.0) & (height <= 11000.0)).all():
         raise ValueError(f"height_m: expected a height from -1000 to 11000 m, got {height_m!r}")
     if not 0.0 <= humidity <= 1.0:
-        raise ValueError(f"humidity: expected a part from 0 to 1, got {humidity!r}")
+        raise ValueError(f"humidity: expected a fraction from 0 to 1, got {humidity!r}")
     h = np.maximum(height, 0.0)
     pressure = 1013.25 * (1.0 - 2.2557e-5 * h) ** 5.2568
     kelvin = 288.15 - 6.5e-3 * h

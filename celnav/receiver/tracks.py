@@ -1,5 +1,5 @@
-"""Tracks in formats for exchange: CSV with all quantities of an epoch, RTKLIB's solutions, GeoJSON,
-and NMEA 0183.
+"""Tracks in exchange formats: CSV with all quantities of each epoch, RTKLIB solutions, GeoJSON, and
+NMEA 0183.
 """
 
 from __future__ import annotations
@@ -66,7 +66,9 @@ DOUBTS = {
     "drifting": "the fixes of the last epochs pull the track to one side",
     "displaced": "farther from the trusted track than a receiver can have moved",
 }
-"""Values of `celnav.receiver.report.Positioned.integrity` whose positions are marked, and why."""
+"""Values of `celnav.receiver.report.Positioned.integrity` for which positions are marked, with the
+reason.
+"""
 
 
 def civil(t: float, form: str = "%Y-%m-%dT%H:%M:%S") -> str:
@@ -79,8 +81,8 @@ def table(result: Positioned) -> str:
     including the steps by which it was set.
 
     ``integrity``: see `celnav.receiver.report.Positioned`. ``apart``: squared distance of the
-    ranges from the track, over the largest that noise explains. ``excluded``: satellites whose
-    range was excluded; with "rate", whose rate alone was excluded.
+    ranges from the track, over the largest value that noise explains. ``excluded``: satellites
+    whose range was excluded; with "rate", whose rate alone was excluded.
     """
     local, log = result.local(result.mean), result.log
     mean = result.mean[:, :8].copy()
@@ -103,8 +105,8 @@ def table(result: Positioned) -> str:
 
 
 class Place(NamedTuple):
-    """An epoch of an exported track: s of BDT, degrees, m above the ellipsoid; velocity and
-    covariance in east, north and up.
+    """An epoch of an exported track: time (s of BDT), position (degrees, m above the ellipsoid),
+    velocity and covariance (east, north, up).
     """
 
     time: float
@@ -148,10 +150,11 @@ def places(result: Positioned) -> list[Place]:
 
 
 def pos(result: Positioned) -> str:
-    """RTKLIB's solution file, in GPS time: latitude, longitude and height with their deviations.
+    """RTKLIB's solution file, in GPS time: latitude, longitude and height with their standard
+    deviations.
 
-    The quality is 5 (single), 7 (dead reckoning) where the filter coasts, and 0 (none) for other
-    positions without trust. A comment line marks each position of `DOUBTS`.
+    The quality is 5 (single), 7 (dead reckoning) for predicted positions, and 0 (none) for other
+    positions that are not trusted. A comment line marks each position of `DOUBTS`.
     """
     rows, form = places(result), "%Y/%m/%d %H:%M:%S.%f"
     lines = [
@@ -232,10 +235,10 @@ def geojson(result: Positioned) -> str:
 def nmea(result: Positioned) -> str:
     """GGA and RMC sentences of each epoch, in UTC.
 
-    Heights are above the ellipsoid, and the geoid separation is 0, since celnav has no geoid. Where
-    the filter coasts the quality is 6 and the mode E (estimated). Positions without trust are V
-    (void). The last field of RMC [NMEA 4.1] is C (caution) for untested positions, U (unsafe) for
-    other positions of `DOUBTS`, and V (not provided) elsewhere.
+    Heights are above the ellipsoid, and the geoid separation is 0, because celnav has no geoid
+    model. For predicted positions the quality is 6 and the mode E (estimated). Positions that are
+    not trusted are V (void). The last field of RMC [NMEA 4.1] is C (caution) for untested
+    positions, U (unsafe) for other positions of `DOUBTS`, and V (not provided) elsewhere.
     """
     talker = {"C": "GB", "G": "GP", "E": "GA"}.get(result.log.systems, "GN")
     rows, lines = places(result), []
@@ -274,4 +277,4 @@ FORMATS: dict[str, Callable[[Positioned], str]] = {
     ".geojson": geojson,
     ".nmea": nmea,
 }
-"""Writers of the formats by the suffix of the file."""
+"""Writers of the formats by file suffix."""

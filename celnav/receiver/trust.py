@@ -1,28 +1,29 @@
-"""A filter's track over a log, and at which epochs it deserves trust.
+"""A filter's track over a log, and a test at each epoch whether it can be trusted.
 
-A filter predicts an epoch from earlier epochs, and a fix uses the ranges of its own epoch alone. So
-their errors are independent, and the distance d between both positions has the covariance
-P + P_fix. If noise and motion are as assumed, ``d' (P + P_fix)^-1 d`` is chi-square with three
-degrees of freedom. If its probability is below that of a false alarm, one of the two is wrong. An
-epoch without redundancy has no tested fix. Its ranges are compared with the prediction instead,
-with ``S = H P H' + R`` and one degree of freedom each.
+A filter predicts an epoch from earlier epochs, and a fix uses only the ranges of its epoch. So
+their errors are independent, and the distance d between the two positions has the covariance P +
+P_fix. If noise and motion are as assumed, ``d' (P + P_fix)^-1 d`` is chi-square with three degrees
+of freedom. If its tail probability is below the false-alarm probability, prediction or fix is
+wrong. An epoch without redundancy has no tested fix. Its ranges are compared with the prediction
+instead, each with ``S = H P H' + R`` and one degree of freedom.
 
-Trust is lost where prediction and fix of a redundant epoch are apart. It is doubted where ranges
-contradict each other, or where ranges without redundancy contradict the prediction. The next
-redundant epoch that agrees ends the doubt. The filter coasts meanwhile. Lost trust returns after
-`AGREEING` redundant epochs in a row whose ranges and rates agree among themselves. The filter then
-restarts from the last of their fixes. This fix may be farther from the trusted track than both
-covariances explain, so that no receiver can have moved there. All later positions are then marked
-until the track comes back.
+The track is distrusted if prediction and fix of a redundant epoch fail this test. It is doubted if
+ranges contradict each other, or if ranges without redundancy contradict the prediction. The next
+redundant epoch that passes the test ends the doubt. Meanwhile the filter only predicts. Trust
+returns after `AGREEING` redundant epochs in a row whose ranges and rates agree among themselves.
+The filter then restarts from the last of their fixes. This fix may be farther from the trusted
+track than both covariances explain, so that no receiver can have moved there. All later positions
+are then marked until the track returns to the trusted one.
 
-A pull that is too slow for one epoch shows in the mean distance m over a window. Its covariance
-``cov(m)`` includes errors that last, see `celnav.receiver.correlated`. Then ``m' cov(m)^-1 m`` is
-also chi-square with three degrees of freedom. If its probability is below that of a false alarm,
-ranges and rates disagree, and the track drifts with the ranges. The same holds after a restart that
-is farther from the track than both covariances explain, but within `SOUND_M`. The track counts as
-drifting until the mean has agreed for a window, and until ranges have moved it back to within
-`SOUND_M`. Windows overlap, so false alarms come in groups. A common pull of ranges and rates is a
-motion, which no test of this kind can find.
+A drift of the ranges that is too slow to be detected at one epoch appears in the mean distance m
+over a window. Its covariance ``cov(m)`` includes correlated errors, see
+`celnav.receiver.correlated`. Then ``m' cov(m)^-1 m`` is also chi-square with three degrees of
+freedom. If its tail probability is below the false-alarm probability, ranges and rates disagree,
+and the track drifts with the ranges. The track is also treated as drifting after a restart that is
+farther from the track than both covariances explain, but within `SOUND_M`. It is no longer treated
+as drifting when the mean has agreed for a whole window and ranges have moved the track back to
+within `SOUND_M`. Windows overlap, so false alarms come in groups. A common drift of ranges and
+rates looks like a motion, which a test of this kind cannot detect.
 """
 
 from __future__ import annotations
@@ -41,9 +42,11 @@ from celnav.receiver.filters import transition
 from celnav.receiver.position import Log
 
 AGREEING = 5
-"""Redundant epochs in a row, over as many seconds, after which a filter restarts."""
+"""Number of redundant epochs in a row, and their least duration in s, after which a filter
+restarts.
+"""
 SOUND_M = 100.0
-"""A position with a possible error above this is not sound."""
+"""A position whose possible error exceeds this, m, is not sound."""
 
 
 class Guarded(NamedTuple):
@@ -51,18 +54,17 @@ class Guarded(NamedTuple):
 
     Attributes
     ----------
-    mean: ``(T, 8 or 9)``. cov: ``(T, 3, 3)`` m^2 of positions, including errors that last. nis,
+    mean: ``(T, 8 + k)``. cov: ``(T, 3, 3)`` m^2 of positions, including correlated errors. nis,
         dof: ``(T,)``, as if all errors were white.
-    apart: ``(T,)``, squared distance of prediction and measurements, over the largest that noise
-        explains; nan where there were no measurements. drift: ``(T,)``, the same for the mean
-        distance over a window; nan until a window is full.
+    apart: ``(T,)``, squared distance of prediction and measurements, over the largest value that
+        noise explains; nan without measurements. drift: ``(T,)``, likewise for the mean distance
+        over a window; nan until a window is full.
     trust: a word ``(T,)``:
 
-    - "": the ranges were used.
-    - "apart": ranges and track contradict each other.
-    - "distrusted": the ranges were not used, because trust was lost before.
-    - "displaced": the ranges were used, far from the track that was trusted.
-    - "drifting": the ranges were used, and pull the track to one side.
+    - "": the ranges were used. - "apart": ranges and track contradict each other. - "distrusted":
+    the ranges were not used, because the track was distrusted before. - "displaced": the ranges
+    were used, far from the track that was trusted. - "drifting": the ranges were used, and the
+    track drifts with them.
     """
 
     mean: Array
@@ -75,9 +77,9 @@ class Guarded(NamedTuple):
 
 
 def guarded(filter: Sequential, log: Log, false_alarm: float, compact: bool = False) -> Guarded:
-    """A filter's track over a log from its first fix, with ranges used only where there is trust.
+    """A filter's track over a log from its first fix; ranges are used only where they are trusted.
 
-    ``false_alarm``: probability that an epoch without a fault counts as apart; 0: no test.
+    ``false_alarm``: probability that an epoch without a fault fails the test; 0: no test.
     ``compact``: see `Log.epochs`.
 
     Raises
@@ -87,7 +89,8 @@ def guarded(filter: Sequential, log: Log, false_alarm: float, compact: bool = Fa
     T, S, n = len(log.times), len(log.names), log.fixes.shape[1]
     limit = chdtri(np.maximum(np.arange(S + 1), 1), false_alarm)
     redundant = log.tested[:, 0] & np.isfinite(log.fixes[:, 0])
-    # Rates that contradict each other at most epochs are useless, not a sign of bad ranges.
+    # If rates contradict each other at most epochs, they are useless and do not indicate bad
+    # ranges.
     rates_fail = log.unusable[:, 1] & (log.unusable[:, 1].mean() < 0.5)
     sound = redundant & ~rates_fail
     mean, cov = np.zeros((T, n)), np.zeros((T, 3, 3))
@@ -125,7 +128,7 @@ def guarded(filter: Sequential, log: Log, false_alarm: float, compact: bool = Fa
             lost, doubted = not agrees, False
             if lost:
                 trust[k], since, agreed = "apart", k, False
-                if not confirmed:  # the track began at a fix that no later one agrees with
+                if not confirmed:  # the track began at a fix with which no later fix agrees
                     trust[start:k] = "apart"
         elif not redundant[k]:
             doubted |= bool(log.unusable[k, 0]) or not agrees
@@ -188,7 +191,7 @@ def _updated(
 
 
 def _apart(log: Log, k: int, belief: Belief, redundant: bool, limit: Array) -> float:
-    """Squared distance of a prediction from the fix of epoch k or, without redundancy, from its
+    """Squared distance of a prediction from the fix at epoch k or, without redundancy, from the
     ranges, over the largest squared distance that noise explains.
     """
     x, P = belief.mean, belief.cov

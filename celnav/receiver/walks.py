@@ -1,8 +1,8 @@
 """Process noise of a receiver, estimated from its log: the random walks of its clock and velocity.
 
 A value ``b`` and its rate ``d`` follow ``b' = d + white noise``, ``d' = white noise``, with the
-densities ``white`` and ``walk``. For a clock in meters these are its white and its random-walk
-frequency noise. The Allan variance, times the speed of light squared, is
+densities ``white`` and ``walk``. For a clock in meters these densities describe white and
+random-walk frequency noise. The Allan variance, times the speed of light squared, is
 ``white / t + walk t / 3``. A log has b and d at each epoch with errors of known variance. Over an
 interval ``dt``
 
@@ -28,11 +28,11 @@ import numpy as np
 from celnav.gaussian.linalg import Array
 
 RESET = 5.0
-"""Standard deviations above which a step is not noise: the clock was set."""
+"""A step above this number of standard deviations is not noise: the clock was set."""
 ENOUGH = 10
-"""Steps that an estimate needs."""
+"""Least number of steps for an estimate."""
 LONG = 10
-"""Epochs of a long interval, used where there are no rates."""
+"""Epochs in a long interval, used without rates."""
 ROUNDS = 30
 MEDIAN_SQUARE = 0.4549364231195724
 """Median of the square of a standard normal variable."""
@@ -77,7 +77,7 @@ def walk_noise(
 ) -> Walk | None:
     """Process noise of a value, all arguments ``(T,)``, nan where unknown; None: too few steps.
 
-    Steps of more than `RESET` standard deviations do not count.
+    Steps of more than `RESET` standard deviations are left out.
 
     >>> walk_noise(log.times, bias, drift, bias_variance, drift_variance)
     """
@@ -106,8 +106,9 @@ def acceleration_noise(
     """Density (m^2/s^3) of a receiver's white acceleration per axis, raised by its standard
     deviation; None: too few steps.
 
-    All arguments but ``times`` are ``(T, 3)``. All steps of the velocity count, since maneuvers are
-    rare and large. Without rates second differences of positions count, except those above `RESET`.
+    All arguments except ``times`` are ``(T, 3)``. All steps of the velocity are used, because
+    maneuvers are rare and large. Without rates the estimate uses second differences of positions,
+    except those above `RESET`.
     """
     series = zip(position.T, velocity.T, position_var.T, velocity_var.T, strict=True)
     walks, most = [_with_rates(times, *axis)[1] for axis in series], np.inf
@@ -140,7 +141,9 @@ def _with_rates(
 def _second_differences(
     times: Array, value: Array, value_var: Array, lag: int, reset: Array | None = None
 ) -> Steps:
-    """The steps x over two intervals of ``lag`` epochs, without those in which a clock was reset.
+    """The steps x over two intervals of ``lag`` epochs, except intervals in which the clock was
+    reset.
+
     Long intervals do not overlap.
     """
     k = np.flatnonzero(np.isfinite(value))[::lag]
@@ -159,9 +162,9 @@ def fit(families: Sequence[Steps], most: float) -> tuple[Array, Array, Array]:
     """Densities ``(c,)`` estimated from squared steps, their standard deviations, and which steps
     ``(K,)`` exceed ``most`` of their own standard deviations.
 
-    The estimate is weighted least squares in the squared steps, with weights from the fitted
-    variances: the score of the likelihood of normal steps. It starts from medians, which are robust
-    to a few resets.
+    The estimate is a weighted least-squares fit to the squared steps, with weights from the fitted
+    variances; it solves the likelihood equations for normal steps. It starts from medians, which
+    are robust to a few resets.
     """
     from scipy.optimize import nnls  # takes a second to import
 
@@ -182,6 +185,7 @@ def fit(families: Sequence[Steps], most: float) -> tuple[Array, Array, Array]:
         before, (density, _) = density, nnls(R, Q.T @ ((square - noise) / variance)[usual])
         if np.allclose(density, before, rtol=1e-6, atol=0.0):
             break
-    # A square has twice the squared variance; (R' R)^-1 has the sums of squares of R^-1's rows.
+    # The variance of a square is twice the squared variance. The diagonal of (R' R)^-1 has the sums
+    # of squares of the rows of R^-1.
     std = np.sqrt(2.0 * np.square(np.linalg.pinv(R)).sum(-1))
     return density, std, ~usual

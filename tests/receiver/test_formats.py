@@ -283,8 +283,8 @@ def test_orbits_of_another_day_are_told(tmp_path):
     nav = Navigation(Path("nav.rnx"), b, KLOBUCHAR)
     with pytest.raises(
         InputError,
-        match=r"nav\.rnx: expected orbits of the time of the observations, 2020-06-27T00:30:00 to "
-        r".* BDT, got those of 2020-06-25T00:00:00 to 2020-06-25T00:00:00",
+        match=r"nav\.rnx: expected orbits for the time of the observations, 2020-06-27T00:30:00 to "
+        r".* BDT, got some for 2020-06-25T00:00:00 to 2020-06-25T00:00:00",
     ):
         positioning.prepare(observed(b, TIMES + 172_800.0, 0.0 * TIMES), nav)
 

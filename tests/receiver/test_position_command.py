@@ -76,7 +76,7 @@ def test_position_writes_everything_and_replaces_its_own(files, tmp_path, capsys
         ),
         (["--position", "nan", "0", "0"], 2, "celnav: --position: expected Earth-fixed meters"),
         (["--mask", "nan"], 2, "celnav: --mask: expected degrees"),
-        (["--sigma", "1", "0"], 2, "celnav: --sigma: expected positive deviations"),
+        (["--sigma", "1", "0"], 2, "celnav: --sigma: expected positive standard deviations"),
         (["--sigma", "1", "low"], 2, "celnav: --sigma: expected a number"),
         (
             ["--false-alarm", "1"],
