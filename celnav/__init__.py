@@ -1,50 +1,49 @@
 """celnav: navigation filters, batched and in square-root form, and the papers they come from.
 
-What there is
--------------
-Believe   `Motion`, `Sensor`, `Linear`, `Gaussian`; where a difference is no subtraction `angles`,
-          `attitude`, `product`.
+Contents
+--------
+Models    `Motion`, `Sensor`, `Linear`, `Gaussian`; for states or measurements that are not vectors
+          `angles`, `attitude`, `product`.
 Filters   `ukf`, `ekf`, `ckf`, `ghkf`, `sparse_grid_filter`, `sigma_point`; `colored`, `augmented`,
-          `decorrelated` for noise that is not white; `two_stage` for a bias; `imm` for models that
-          take turns. ``celnav.filters.adaptive`` has hooks.
-Rules     `unscented`, `cubature`, `gauss_hermite`, `simplex`, `smolyak`, `from_filterpy`; `Rule` is
-          data, `Taylor` expands.
-Run       `run` gives a `Track`, `steps` and `epochs` go one by one, `merge` makes one clock of an
-          inertial unit's and of others; a lost run is a `FilterError`; `compiled` and `export_c`
-          make code of a filter.
+          `decorrelated` for colored noise; `two_stage` for a bias; `imm` for several models
+          between which the system switches. ``celnav.filters.adaptive`` has hooks.
+Rules     `unscented`, `cubature`, `gauss_hermite`, `simplex`, `smolyak`, `from_filterpy`; a `Rule`
+          has points and weights, `Taylor` linearizes.
+Run       `run` returns a `Track`; `steps` and `epochs` give single steps; `merge` puts an inertial
+          unit and other sensors on common epochs; `FilterError` reports a failed run; `compiled`
+          and `export_c` make machine code and C from a filter.
 Smooth    `smooth`, `iterated_smoother`.
-Judge     `simulate` draws truth and measurements, `Track.report` compares with the truth, `compare`
-          flies filters on a `Problem`; ``celnav.analysis`` has metrics, tuning, bounds,
-          observability and ``diagnose.diagnose``, which asks a log.
+Evaluate  `simulate` draws truth and measurements, `Track.report` compares with the truth, `compare`
+          runs filters on a `Problem`; ``celnav.analysis`` has metrics, tuning, bounds,
+          observability and ``diagnose.diagnose``, which tests a log for consistency.
 
-Conventions, stated once
-------------------------
+Conventions
+-----------
 Belief    `Motion` models the dynamics, `Sensor` a measurement, `Gaussian` the state at the start.
-          A filter (`ukf`, `ekf`, ...) is data made of them.
-Arrays    The last axis is the component, ``(..., n)``; a matrix is ``(..., n, n)``; everything
-          before is batch: runs of a Monte Carlo, or nothing. Sigma points lead, ``(p, ..., n)``, so
-          inputs of each run broadcast by themselves in a model. Time leads in a record: a `Track`
-          is ``(T, ..., n)``. Floats are float64.
+          A filter (`ukf`, `ekf`, ...) is data that refers to these models.
+Arrays    The last axis is the component, ``(..., n)``; a matrix is ``(..., n, n)``; all axes
+          before are batch axes, such as the runs of a Monte Carlo simulation. Sigma points come
+          first, ``(p, ..., n)``, so inputs of each run broadcast in a model. Time comes first in a
+          result: a `Track` is ``(T, ..., n)``. Floats are float64.
 Roots     Lower triangular, diagonal >= 0, ``P = L @ L.T``. Noise may be given as a covariance
           (``Q``) or as columns (``sqrt_Q``).
 Errors    Estimate minus truth. The innovation is measurement minus prediction.
-Missing   nan. A missing component costs nothing but itself, in each run by itself.
-Failure   `run` raises `FilterError` for the first run that loses definiteness. With
-          ``on_failure="flag"`` it becomes nan instead, while its neighbors go on;
-          ``Track.failed_at`` says when. Bad arguments raise ValueError naming the argument, what
-          was expected and what came.
-Units     SI and radians, except orbits: km and km/s. A name says its unit where it is another:
-          ``sigma_km``.
+Missing   nan. A missing component is left out exactly, in each run separately.
+Failure   `run` raises `FilterError` for the first run that loses positive definiteness. With
+          ``on_failure="flag"`` this run becomes nan instead, and the other runs continue;
+          ``Track.failed_at`` is the epoch. Bad arguments raise ValueError, which names the
+          argument, what was expected and what came.
+Units     SI and radians, except orbits: km and km/s. Other units are in the name: ``sigma_km``.
 Frames    Earth-centered inertial, equatorial (J2000), for orbits; east, north, up and right, front,
           up for aircraft; north, east, down and forward, right, down for inertial units.
-Angles    One that wraps must be told, once: ``Motion(..., space=angles([2]))`` if it is a component
-          of the state, ``Sensor(..., space=angles([0]))`` if it is one of the measurement.
-Attitude  Unit quaternions, scalar last; they take inertial components to body components, and the
-          product composes such matrices. Errors are in body axes. The sign of a quaternion never
-          matters: ``Motion(..., space=attitude())``.
+Angles    Declare an angle that wraps once: ``Motion(..., space=angles([2]))`` for a component of
+          the state, ``Sensor(..., space=angles([0]))`` for a component of the measurement.
+Attitude  Unit quaternions, scalar last, which transform inertial components to body components;
+          the product of quaternions corresponds to the product of these matrices. Errors are in
+          body axes. The sign of a quaternion has no meaning: ``Motion(..., space=attitude())``.
 Time      s since the start of a study.
-Chance    One generator for each run: ``(seed, study, run)`` determines its numbers, whatever the
-          block or the process.
+Chance    One generator for each run: ``(seed, study, run)`` determines its numbers, independent of
+          blocks and processes.
 Sources   ``[Sun2015, Eq. 27]`` in a docstring; citations are in ``celnav.papers.<id>.CITATION``.
 """
 
@@ -89,8 +88,8 @@ __version__ = "0.2.0"
 _LATE = {"compiled": "celnav.engine.compiled", "export_c": "celnav.engine.export"}
 __getattr__, __dir__ = modules(__name__, **_LATE)
 
-# `Epoch` and `Group` are names of celnav as well; as tuples they would fill its help with methods
-# of tuples.
+# `Epoch` and `Group` are public names too, but as tuples they would fill the help with methods of
+# tuples.
 __all__ = [
     "EUCLIDEAN",
     "Filter",

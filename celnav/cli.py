@@ -45,19 +45,17 @@ RESULTS = ("papers", "matplotlib", "PIL", "jinja2", "rich", "filelock", *PAPERS[
 NEEDS = {
     "list": PAPERS,
     "verdicts": (*PAPERS, "rich"),
-    "reproduce": RESULTS,  # without rerun it only warns that there are no recordings
+    "reproduce": RESULTS,  # without rerun this command only warns that it writes no recordings
     "run": (*RESULTS, "pyarrow"),
     "campaign": (*RESULTS, "pyarrow"),
     "view": ("record", "rerun", "PIL"),
     "position": ("rinex", "erfa"),
 }
-"""Commands that need more than numpy and scipy: their extra, and the packages without which they
-would fail.
-"""
+"""Commands that need more than numpy and scipy: the extra, and the required packages."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """The exit status of a command, after it has run."""
+    """Run a command; returns the exit status."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
@@ -94,7 +92,9 @@ def _failed(why: object, status: int) -> int:
 
 
 def _nobody_reads(error: Exception) -> bool:
-    """Whether the output pipe is closed, which Windows reports as an invalid argument."""
+    """Whether an error means that the output pipe is closed; Windows reports an invalid argument
+    instead.
+    """
     windows = (
         sys.platform == "win32"
         and isinstance(error, OSError)
@@ -105,14 +105,16 @@ def _nobody_reads(error: Exception) -> bool:
 
 
 def _sentence(error: Exception) -> str:
-    """The error as a sentence, with the file first and without the operating system's number."""
+    """The error as a sentence, with the file first and without the operating
+    system's error number.
+    """
     if isinstance(error, OSError) and error.filename is not None and error.strerror:
         return f"{error.filename}: {error.strerror[0].lower()}{error.strerror[1:]}"
     return str(error)
 
 
 class _Parser(argparse.ArgumentParser):
-    """A parser whose errors are one line, like all others."""
+    """A parser whose errors are a single line, like all other errors."""
 
     def error(self, message: str) -> NoReturn:
         form = r"argument (\S+): invalid choice: (.*) \(choose from (.*)\)"
@@ -123,7 +125,9 @@ class _Parser(argparse.ArgumentParser):
 
 
 def _options(words: Sequence[str]) -> argparse.Namespace:
-    """The options of a command line; for an unknown word, UsageError names the nearest one."""
+    """The options of a command line; UsageError for an unknown word names the
+    nearest known word.
+    """
     parser, commands = _parser()
     if not words:
         parser.print_help()

@@ -1,7 +1,8 @@
-"""Files that are written completely or not at all, and never replace files of others.
+"""Files that are written completely or not at all, and never replace files that celnav did not
+write.
 
-`Outputs` is a folder of celnav's own files. A small manifest has hashes of the contents that celnav
-wrote. So files that celnav did not make, or that were changed since, are refused, not replaced.
+`Outputs` is a folder of files written by celnav. A small manifest has the hashes of their contents.
+So a file that celnav did not write, or that has changed since, is an error and is not replaced.
 """
 
 from __future__ import annotations
@@ -29,14 +30,14 @@ from celnav.lazy import requires_extra
 MANIFEST = ".celnav.json"
 LOCK = ".celnav.lock"
 TEMPORARY = ".celnav-"
-"""How names of temporary folders begin; see `_temporary_name`."""
+"""Prefix of the names of temporary folders; see `_temporary_name`."""
 CURES = {
     errno.ENOSPC: "no space left to write the file; free some, or choose another disk",
     errno.EDQUOT: "the disk quota is used up; free some space, or choose another disk",
     errno.EFBIG: "larger than the limit of file sizes; raise the limit (ulimit -f), or choose "
     "another file system",
 }
-"""Messages with a cure for errors of writing."""
+"""Messages with a remedy for write errors."""
 DAMAGE = (
     OSError,
     ValueError,
@@ -46,21 +47,21 @@ DAMAGE = (
     AttributeError,
     RuntimeError,
 )
-"""Exceptions from damaged archives; OSError comes from an invalid seek."""
+"""Exceptions from damaged archives; OSError is from an invalid seek."""
 MOST_UNPACKED = 100
-"""Largest unpacked size over the file's size; no regular archive of numbers exceeds it."""
+"""Largest unpacked size over the file's size; a regular archive of numbers is below this."""
 
 
 Contents = Mapping[str, str] | Mapping[str, bytes]
-"""Contents of files by name, all made before the first is written."""
+"""Contents of files by name, all computed before the first file is written."""
 
 
 class ForeignFileError(OSError):
-    """A file that celnav did not make is in the way."""
+    """A file that celnav did not write would be replaced."""
 
 
 class InputError(ValueError):
-    """An input file cannot be used; the message names the file, and the line if there is one."""
+    """An input file cannot be used; the message names the file, and the line if known."""
 
 
 def did_you_mean(word: str, words: Iterable[str]) -> str:
@@ -71,11 +72,11 @@ def did_you_mean(word: str, words: Iterable[str]) -> str:
 
 @contextmanager
 def replacing(path: str | Path) -> Iterator[Path]:
-    """A path of the same name in a temporary folder beside ``path``. At the end it replaces
-    ``path``, or it is removed after an error.
+    """A context with a path of the same name in a temporary folder beside ``path``. At the end the
+    temporary file replaces ``path``; after an error it is removed.
 
-    A device or a pipe, such as /dev/null, is written to directly. OSError names ``path``, and the
-    cure if the disk is full.
+    A device or a pipe, such as /dev/null, is written directly. OSError names ``path``, and the
+    remedy if the disk is full.
     """
     target = Path(path)
     target.parent.mkdir(parents=True, exist_ok=True)
@@ -111,11 +112,11 @@ def write_text(path: str | Path, text: str) -> None:
 
 
 def read_npz(path: str | Path) -> dict[str, NDArray[Any]]:
-    """Arrays of an npz file. Objects are refused, so no code from the file is ever run.
+    """Arrays of an npz file. Objects are an error, so no code from the file is ever run.
 
     Raises
     ------
-    ValueError: naming the file, if it is damaged or holds objects.
+    ValueError: naming the file, if it is damaged or contains objects.
     """
     try:
         if not zipfile.is_zipfile(path):
@@ -132,8 +133,8 @@ def read_npz(path: str | Path) -> dict[str, NDArray[Any]]:
 
 @contextmanager
 def locked(folder: str | Path) -> Iterator[None]:
-    """A lock on an existing folder against other processes that lock it. It ends with this process,
-    even if the process is killed.
+    """A lock on an existing folder against other processes that lock it. It is released when this
+    process ends, even if the process is killed.
 
     Raises
     ------
@@ -147,7 +148,7 @@ def locked(folder: str | Path) -> Iterator[None]:
         lock.acquire(blocking=False)
     except Timeout:
         raise BlockingIOError(
-            f"{folder}: another celnav is at work there; wait for it, or choose another folder"
+            f"{folder}: in use by another celnav process; wait for it, or choose another folder"
         ) from None
     try:
         yield
@@ -158,8 +159,8 @@ def locked(folder: str | Path) -> Iterator[None]:
 def remove_leftovers(*folders: str | Path) -> None:
     """Remove temporary files of processes that were killed while writing into folders.
 
-    The caller must have the folders `locked`. Files that celnav did not make stay, whatever their
-    names.
+    The caller must have `locked` the folders. Files that celnav did not write are not removed,
+    whatever their names.
     """
     for folder in folders:
         for path in Path(folder).glob(f"{TEMPORARY}*"):
@@ -169,8 +170,8 @@ def remove_leftovers(*folders: str | Path) -> None:
 
 
 def _temporary_name(token: str) -> str:
-    """The beginning of a temporary folder's name. It includes a hash of the random part, so that no
-    other program's folder has such a name by chance.
+    """The prefix of a temporary folder's name. It includes a hash of the random part, so that
+    folders of other programs do not have such names by chance.
     """
     return f"{TEMPORARY}{token}-{hashlib.sha256(f'celnav {token}'.encode()).hexdigest()[:16]}-"
 
@@ -192,11 +193,11 @@ def read_json(path: str | Path) -> Any:
 
 
 class Outputs:
-    """A folder of files that celnav made.
+    """A folder of files written by celnav.
 
     Raises
     ------
-    OSError: if the folder cannot be made or written. ForeignFileError: see `check`.
+    OSError: if the folder cannot be created or written. ForeignFileError: see `check`.
     """
 
     def __init__(self, directory: str | Path):
@@ -206,13 +207,15 @@ class Outputs:
         self.directory.mkdir(parents=True, exist_ok=True)
         try:
             with tempfile.TemporaryFile(dir=self.directory):
-                pass  # an unwritable folder raises here, before anything is computed
+                pass  # an unwritable folder raises an error here, before anything is computed
         except OSError as error:
             raise OSError(error.errno, error.strerror, str(self.directory)) from None
         self._manifest()
 
     def _manifest(self) -> dict[str, list[str]]:
-        """Hashes of files by name, read each time, since another celnav may have written files."""
+        """Hashes of files by name; read each time, because another celnav process may have written
+        files.
+        """
         manifest = self.directory / MANIFEST
         if not manifest.exists():
             return {}
@@ -222,7 +225,9 @@ class Outputs:
             raise ForeignFileError(f"{manifest}: not a manifest of celnav") from None
 
     def check(self, names: Iterable[str]) -> None:
-        """Raise `ForeignFileError` if one of the files exists and is not as celnav wrote it."""
+        """Raise `ForeignFileError` if one of the files exists and differs from
+        what celnav wrote.
+        """
         for name in names:
             self._owned(name)
 
@@ -233,7 +238,7 @@ class Outputs:
         for above in list(Path(name).parents)[:-1]:
             if (self.directory / above).is_symlink():
                 raise ForeignFileError(
-                    f"{self.directory / above}: expected a folder of its own, got a link; remove "
+                    f"{self.directory / above}: expected a folder, got a symbolic link; remove "
                     "it first"
                 )
             if (self.directory / above).exists() and not (self.directory / above).is_dir():
@@ -242,14 +247,13 @@ class Outputs:
             path.exists() and _sha256(path) not in self._manifest().get(name, [])
         ):
             raise ForeignFileError(
-                f"{path}: exists, and celnav did not make it or it was changed since; move it away "
-                "first"
+                f"{path}: exists, and celnav did not write it or it has changed; move it away first"
             )
         return path
 
     @contextmanager
     def path_for(self, name: str) -> Iterator[Path]:
-        """A temporary path to write; at the end it becomes the file ``name``."""
+        """A context with a temporary path, which becomes the file ``name`` at the end."""
         path = self._owned(name)
         with replacing(path) as temporary:
             yield temporary
@@ -278,7 +282,7 @@ class Outputs:
 
 
 def npz(arrays: Mapping[str, NDArray[Any]]) -> bytes:
-    """Arrays as an npz file."""
+    """Write arrays as an npz file."""
     buffer = io.BytesIO()
     np.savez(buffer, allow_pickle=False, **dict(arrays))
     return buffer.getvalue()
@@ -290,7 +294,7 @@ def _sha256(path: Path) -> str:
 
 
 def data(name: str) -> Path:
-    """A file of the package's data: ``data/`` of the repository, or its copy inside an installed
+    """Path of a data file: in ``data/`` of the repository, or in its copy inside an installed
     package.
 
     Raises

@@ -1,6 +1,6 @@
 """Imports on first use: modules of a package [PEP 562], scipy, and packages of celnav's extras.
 
-So ``import celnav`` is fast, is the only import that users need, and requires only numpy and scipy.
+So ``import celnav`` is fast, gives access to all modules, and requires only numpy and scipy.
 """
 
 from __future__ import annotations
@@ -35,7 +35,8 @@ def modules(
             try:
                 return import_module(f"{package}.{name}")
             except MissingError as error:
-                # AttributeError if it is not installed, since `help` and `hasattr` try all names.
+                # AttributeError if a package is not installed, because `help` and `hasattr` try all
+                # names.
                 raise AttributeError(str(error), name=name, obj=parent) from error
             except ModuleNotFoundError as error:
                 if error.name != f"{package}.{name}":
@@ -69,7 +70,9 @@ class LazyModule:
 
 
 class MissingError(ImportError):
-    """A package of an extra of celnav is not installed; the message has the cure."""
+    """A package of one of celnav's extras is not installed; the message has the command that
+    installs it.
+    """
 
     def __init__(self, what: str, module: str, extra: str):
         cure = f'{PIP} install -c constraints.txt -e ".[{extra}]"'
@@ -80,8 +83,8 @@ class MissingError(ImportError):
 
 @contextmanager
 def requires_extra(what: str, extra: str) -> Iterator[None]:
-    """A context for imports of packages from an extra. If one is not installed, MissingError names
-    it and ``what`` needs it.
+    """A context for imports of packages from an extra. If a package is not installed, MissingError
+    names it and ``what`` needs it.
     """
     try:
         yield
@@ -101,5 +104,5 @@ def installed(package: str) -> bool:
     """Whether a package of an extra is installed."""
     try:
         return find_spec(package) is not None
-    except ModuleNotFoundError:  # raised by an import finder that refuses the package
+    except ModuleNotFoundError:  # from an import finder that blocks the package
         return False

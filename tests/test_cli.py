@@ -138,7 +138,7 @@ def test_strict_fails_where_a_claim_is_not_as_expected(study, tmp_path, capsys):
         (["view", "tinny"], 2, "unknown paper"),
         (["view", "tiny"], 2, "celnav reproduce tiny"),
         (["view", "absent.rrd"], 2, "absent.rrd: no such recording"),
-        (["verdicts"], 2, "no paper was reproduced there"),
+        (["verdicts"], 2, "no paper was reproduced here"),
         (["reproduse"], 2, "unknown command 'reproduse': expected one of new, list, reproduce, "),
         (["reproduse"], 2, "; did you mean reproduce?"),
         (
@@ -262,7 +262,7 @@ def test_view_without_a_display_says_what_to_do(study, tmp_path, monkeypatch, ca
         ),
         (
             ["--at", "1"],
-            "--at: expected --picture FILE.png with it; in a window you move the time by hand",
+            "--at: expected --picture FILE.png with it; in a window you move the time yourself",
         ),
     ],
 )
@@ -411,7 +411,7 @@ def test_verdicts_of_what_was_not_reproduced_is_one_line(tmp_path, capsys):
     ledger_of(tmp_path)
     assert cli.main(["verdicts", "csrukg", "--out", str(tmp_path)]) == 2
     assert capsys.readouterr().err == (
-        f"celnav: PAPER: expected one that was reproduced in {tmp_path} (csrukf, aukf), "
+        f"celnav: PAPER: expected a paper reproduced in {tmp_path} (csrukf, aukf), "
         "got 'csrukg'; did you mean csrukf?\n"
     )
 

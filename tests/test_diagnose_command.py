@@ -132,7 +132,11 @@ GOOD = [(k, f"{x:.6g}", 1.0) for k, x in enumerate(WHITE)]
         ("t,x\n0,1\n,2\n", [], "line 3: expected a time, got nothing"),
         ("t,x\n0,1\n2,2\n1,2\n", [], "line 4: expected a time after 2, got 1"),
         ("t,x\n0,1\n0,2\n", [], "line 3: expected a time after 0, got 0"),
-        ("a,x\n0,1\n1,2\n", [], "expected a column of times, such as t, got a, x; --time names it"),
+        (
+            "a,x\n0,1\n1,2\n",
+            [],
+            "expected a column of times, such as t, got a, x; name it with --time",
+        ),
         ("t,a\n0,b\n1,c\n", [], "expected components beside t"),
         ("t,x\n0,1\n1,2\n", [], "expected at least 20 samples"),
         ("t,x\n0,1\n1,2\n", ["--columns", "y"], "expected a column 'y', got t, x"),
@@ -157,7 +161,7 @@ def test_damaged_tables_are_told_by_file_and_line(tmp_path, capsys, text, option
 
 def test_what_is_no_text_and_options_that_are_none(tmp_path, capsys):
     (tmp_path / "a.csv").write_bytes(b"\x89PNG\r\n\x1a\n\xff\xfe")
-    with pytest.raises(InputError, match="expected a table of text"):
+    with pytest.raises(InputError, match="expected a text table"):
         read(tmp_path / "a.csv")
     assert main(["diagnose", str(tmp_path / "none.csv")]) == 2
     assert "none.csv: no such file" in capsys.readouterr().err

@@ -20,24 +20,24 @@ if TYPE_CHECKING:
     from celnav.campaign.table import TableRow
 
 MOST_PER_CORE = 4
-"""Largest number of processes per core."""
+"""Largest number of processes for each core."""
 
 
 class UsageError(Exception):
-    """An argument of a command cannot be used: one line is printed, and the exit status is 2."""
+    """An invalid argument of a command: one line is printed, and the exit status is 2."""
 
 
 def check_name(study: str) -> None:
-    """Raise UsageError for a file with the name of a study of celnav."""
+    """Raise UsageError for a file that has the name of one of celnav's studies."""
     name = name_of(study)
     if is_file(study) and name in (*papers.PAPERS, *papers.REAL):
         raise UsageError(
-            f"{study}: expected another name than {name}, which celnav has; rename the file"
+            f"{study}: expected a name other than {name}, which celnav uses; rename the file"
         )
 
 
 def load(study: str) -> ModuleType:
-    """The module of a study by `celnav.papers.load`, or UsageError."""
+    """The module of a study from `celnav.papers.load`, or UsageError."""
     check_name(study)
     try:
         return papers.load(study)
@@ -46,7 +46,7 @@ def load(study: str) -> ModuleType:
 
 
 def whole(name: str, text: str, least: int) -> int:
-    """The whole number of an option, or UsageError."""
+    """The integer of an option, or UsageError."""
     try:
         value = int(text)
     except ValueError:
@@ -57,8 +57,8 @@ def whole(name: str, text: str, least: int) -> int:
 
 
 def workers(jobs: str | None, units: int | None = None) -> Workers:
-    """Workers for ``--jobs`` (None: one for each core), but at most ``units``; for 1, this process.
-    UsageError for an invalid number.
+    """Worker processes for ``--jobs`` (None: one for each core), at most ``units``; with 1 the work
+    runs in this process. UsageError for an invalid number.
     """
     from celnav.campaign.executors import processes, serial
 
@@ -66,7 +66,7 @@ def workers(jobs: str | None, units: int | None = None) -> Workers:
     most = MOST_PER_CORE * cores()
     if count > most:
         warn(
-            f"--jobs: {count} processes on {cores()} cores would only slow each other down; "
+            f"--jobs: {count} processes on {cores()} cores would slow each other down; "
             f"{most} are started"
         )
     count = min(count, most, units or most)
@@ -74,7 +74,7 @@ def workers(jobs: str | None, units: int | None = None) -> Workers:
 
 
 def fraction(text: str | None) -> float:
-    """The given effort, or that of the environment, or UsageError."""
+    """The effort from the option, or else from the environment; UsageError if it is invalid."""
     try:
         return effort(text)
     except ValueError as error:
@@ -90,7 +90,7 @@ def number(name: str, text: str) -> float:
 
 
 def cores() -> int:
-    """Processors that this process may use."""
+    """Number of processors that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
@@ -100,7 +100,7 @@ def warn(line: str) -> None:
 
 
 def done(rows: Sequence[TableRow]) -> int:
-    """Exit status of runs: 1, with a warning, if all of them failed; else 0."""
+    """Exit status of runs: 1, with a warning, if all runs failed; else 0."""
     if any(row["runs"] for row in rows):
         return 0
     warn("every run of every filter failed")

@@ -38,7 +38,9 @@ def run(options: argparse.Namespace) -> int:
     folder = Path(options.out or folder_of("campaigns", options.study))
     outputs = Outputs(folder)
     if (folder / ORIGIN).exists():
-        raise InputError(f"{folder}: holds a mission; choose another --out, or remove the folder")
+        raise InputError(
+            f"{folder}: contains a mission; choose another --out, or remove the folder"
+        )
     outputs.check(names(stems(study)))
     try:
         with closing(Progress(folder.name)) as progress:

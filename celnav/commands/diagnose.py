@@ -26,8 +26,8 @@ EMPTY = ("", "nan", "null", "none", "na", "-")
 
 
 class Table(NamedTuple):
-    """Residuals ``(T, runs, m)`` at ``times (T,)``, and their predicted σ if the file has columns
-    for it.
+    """Residuals ``(T, runs, m)`` at ``times (T,)``, and their predicted σ if the file has such
+    columns.
     """
 
     times: Array
@@ -38,7 +38,7 @@ class Table(NamedTuple):
 
 
 def run(options: argparse.Namespace) -> int:
-    """Print a diagnosis, and write it if asked, after everything is computed."""
+    """Print a diagnosis, and write it if requested, after everything is computed."""
     from celnav.analysis.diagnose import diagnose
     from celnav.analysis.diagnosis_text import WIDTH, page
     from celnav.commands.terminal import columns
@@ -73,15 +73,15 @@ def run(options: argparse.Namespace) -> int:
 
 
 def read(path: Path, time: str | None = None, columns: Sequence[str] | None = None) -> Table:
-    """The table of a file that has a line of names, then one line for each epoch (and run).
+    """The table of a file with a line of names, then one line for each epoch (and run).
 
-    A line has a time that increases, a ``run`` if there are several, and components. A component
+    A line has an increasing time, a ``run`` if there are several runs, and components. A component
     ``x`` may have a column ``std_x`` with its predicted σ. Empty cells and nan are missing values.
 
-    time: the column of times; None: the first one of that name.
-    columns: the components; None: those with a predicted σ, or else all that are numbers.
+    time: the column of times; None: the first column with a usual name for times. columns: the
+        components; None: the components with a predicted σ, or else all columns of numbers.
 
-    InputError names the file, and the line where something is wrong.
+    InputError names the file, and the line of an error.
     """
     names, cells, lines = _cells(path)
     values = np.array([[_value(cell) for cell in row] for row in cells]).reshape(-1, len(names))
@@ -103,7 +103,7 @@ def read(path: Path, time: str | None = None, columns: Sequence[str] | None = No
     when = time or next((name for name in numeric if name.lower().partition("_")[0] in TIMES), None)
     if when is None:
         raise InputError(
-            f"{path}: expected a column of times, such as t, got {listed}; --time names it"
+            f"{path}: expected a column of times, such as t, got {listed}; name it with --time"
         )
     claims = {name: claim + name for name in numeric for claim in CLAIMS if claim + name in numeric}
     others = [name for name in numeric if name not in (when, "run") and not name.startswith(CLAIMS)]
@@ -138,11 +138,11 @@ def read(path: Path, time: str | None = None, columns: Sequence[str] | None = No
 
 
 def _cells(path: Path) -> tuple[list[str], list[list[str]], list[int]]:
-    """Names of columns, the cells of each row, and the lines on which the rows stand."""
+    """Names of columns, the cells of each row, and the line number of each row."""
     try:
         text = path.read_bytes().decode("utf-8-sig")
     except UnicodeDecodeError:
-        raise InputError(f"{path}: expected a table of text, got bytes that are not text") from None
+        raise InputError(f"{path}: expected a text table, got bytes that are not text") from None
     lines = {
         i: line
         for i, line in enumerate(text.splitlines(), 1)

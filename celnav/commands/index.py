@@ -1,5 +1,5 @@
-"""``out/index.html``, a page that opens from disk: claims of papers, our findings, all rows of
-their ledgers and all figures.
+"""``out/index.html``, a page that can be opened from disk: claims of papers, our findings, all rows
+of the papers' ledgers and all figures.
 
 Users' studies and studies on real data follow the papers.
 """
@@ -27,18 +27,20 @@ from celnav.study.ledger import KINDS, VERDICTS, Sentence
 
 Claims = Sequence[Mapping[str, Any]]
 USER = "study.json"
-"""File with the data of a user's study for the page; the study's own file may no longer exist."""
+"""File with the data of a user's study for the page, because the study's file
+may no longer exist.
+"""
 
 
 def index(out: Path) -> str:
     """The page for all papers and studies under ``out``."""
     from celnav.show.page import render
 
-    found = reproduced(out)
-    every = {name: _shown(out, name, claims) for name, claims in found.items()}
+    ledgers = reproduced(out)
+    every = {name: _shown(out, name, claims) for name, claims in ledgers.items()}
     real = [study for name, study in every.items() if name in papers.REAL]
     studies = [study for name, study in every.items() if name not in papers.REAL]
-    statements = {name: _of_kind(claims, "statement") for name, claims in found.items()}
+    statements = {name: _of_kind(claims, "statement") for name, claims in ledgers.items()}
     statements = {name: claims for name, claims in statements.items() if claims}
     return render(
         "index.html",
@@ -56,7 +58,7 @@ def index(out: Path) -> str:
 
 
 def _opening(studies: Sequence[Mapping[str, Any]], statements: Mapping[str, Claims]) -> str:
-    """What the page is, in two sentences."""
+    """Two sentences that describe the page."""
     count = sum(map(len, statements.values()))
     if not count:
         return (
@@ -91,8 +93,8 @@ def page_data(study: Any, file: str) -> str:
 
 
 def study_of(out: Path, name: str, word: str = "") -> Any:
-    """The module of a study, or an object from `page_data` of a user's study, with the names that a
-    page shows.
+    """The module of a study, or for a user's study an object from `page_data`, with the names that
+    a page shows.
 
     word: the word that loads the study if there is no such file; by default its name.
     """
@@ -115,8 +117,8 @@ def summary(
     out: Path = Path("out"),
     claims: Mapping[str, Claims] = MappingProxyType({}),
 ) -> str:
-    """Paragraphs in Markdown with the claims of studies and our findings; ``claims``: those
-    available.
+    """Paragraphs in Markdown with the claims of studies and our findings; ``claims``: the available
+    claims.
     """
     paragraphs = []
     for name in names:
@@ -133,7 +135,7 @@ def summary(
 
 
 def _whose(name: str) -> str:
-    """The words before a study's claim that name its source."""
+    """The words before a claim that name its source."""
     if name in papers.PAPERS:
         return "The paper: "
     return "" if name in papers.REAL else "The claim: "
@@ -155,14 +157,14 @@ def cited(citation: str) -> str:
 
 
 def verdicts(studies: Mapping[str, Claims]) -> str:
-    """A table in Markdown of how many statements of each paper have which verdict."""
+    """A table in Markdown with the number of statements of each paper for each verdict."""
     head, *rows = _counts(studies)
     lines = ["---", *["---:"] * (len(head) - 1)]
     return markdown([head, lines, *([f"`{name}`", *numbers] for name, *numbers in rows)])
 
 
 def _counts(studies: Mapping[str, Claims]) -> list[list[str]]:
-    """A head, and for each paper how many statements have which verdict."""
+    """Table rows: a head, and for each paper the number of statements for each verdict."""
     counts = {name: tally(_of_kind(claims, "statement")) for name, claims in studies.items()}
     shown = [verdict for verdict in VERDICTS if any(verdict in count for count in counts.values())]
     rows = [["paper", "statements", *shown]]
@@ -174,7 +176,9 @@ def _counts(studies: Mapping[str, Claims]) -> list[list[str]]:
 
 
 def deciding(claims: Claims) -> list[Mapping[str, Any]]:
-    """The claims that judge a study: its statements, or its findings if it has none."""
+    """The claims that decide about a study: its statements, or its findings if it has no
+    statements.
+    """
     return _of_kind(claims, "statement") or _of_kind(claims, "finding")
 
 
@@ -220,8 +224,8 @@ def _shown(out: Path, name: str, claims: Claims) -> dict[str, Any]:
 
 
 def _live(out: Path, recording: str) -> str:
-    """The address of a recording in the browser; "" where the viewer or its script is missing, or
-    the script is that of an earlier recording.
+    """The address of a recording in the browser; "" if the viewer or its script is missing, or if
+    the script belongs to an earlier recording.
     """
     script = out / viewer.script_name(recording)
     if not ((out / viewer.SCRIPT).is_file() and script.is_file()):
@@ -231,7 +235,7 @@ def _live(out: Path, recording: str) -> str:
 
 
 def _notebook(out: Path, name: str, module: Any) -> dict[str, str]:
-    """Name and address of a paper's notebook, if the checkout has it, or of a user's file."""
+    """Name and address of a paper's notebook, if the repository has it, or of a user's file."""
     notebooks = Path(celnav.__file__).resolve().parents[1] / "notebooks"
     if name in papers.PAPERS:
         path = notebooks / f"{list(papers.PAPERS).index(name) + 1:02d}_{name}.ipynb"
@@ -250,7 +254,7 @@ def _notebook(out: Path, name: str, module: Any) -> dict[str, str]:
 
 
 def _record(folder: Path) -> tuple[float, str]:
-    """The part of the runs with which a study was reproduced, and a line with versions and time."""
+    """The effort with which a study was reproduced, and a line with versions and time."""
     try:
         record = read_json(folder / "timings.json")
         versions = ", ".join(f"{name} {version}" for name, version in record["about"].items())
@@ -261,7 +265,7 @@ def _record(folder: Path) -> tuple[float, str]:
 
 
 def partial(out: Path, names: Iterable[str]) -> list[str]:
-    """A line for each effort below 1, with the studies that were reproduced with it."""
+    """A line for each effort below 1, with the studies reproduced with this effort."""
     by_effort = dict[float, list[str]]()
     for name in names:
         by_effort.setdefault(_record(out / name)[0], []).append(name)

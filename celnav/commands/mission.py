@@ -62,19 +62,23 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _check_origin(folder: Path, file: str) -> None:
-    """Raise InputError if the folder holds another mission or a campaign, which stay."""
+    """Raise InputError if the folder contains another mission or a campaign, which is not
+    overwritten.
+    """
     from celnav.study.store import MANIFEST
 
     if (folder / MANIFEST).exists():
-        raise InputError(f"{folder}: holds a campaign; choose another --out, or remove the folder")
+        raise InputError(
+            f"{folder}: contains a campaign; choose another --out, or remove the folder"
+        )
     if not (folder / ORIGIN).exists():
         return
     try:
         other = str(read_json(folder / ORIGIN)["file"])
     except (ValueError, KeyError, TypeError):
         other = str(folder / ORIGIN)
-    # A folder that moved together with its mission file still belongs to it.
+    # A folder that was moved together with its mission file still belongs to this mission.
     if other != str(Path(file).resolve()) and Path(other).exists():
         raise InputError(
-            f"{folder}: holds the mission of {other}; choose another --out, or remove the folder"
+            f"{folder}: contains the mission {other}; choose another --out, or remove the folder"
         )

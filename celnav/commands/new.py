@@ -24,8 +24,7 @@ def run(options: argparse.Namespace) -> int:
             file.write(template.replace("study.py", path.name))
     except FileExistsError:
         raise UsageError(
-            f"{path}: exists already, and nothing is overwritten; choose another name, or move "
-            "it away"
+            f"{path}: exists already and is not overwritten; choose another name, or move it away"
         ) from None
     print(f"wrote {path}; run it with: celnav reproduce {path} --effort 0.1")
     return 0

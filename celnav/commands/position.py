@@ -1,4 +1,4 @@
-"""``celnav position``: where a receiver was, from its files."""
+"""``celnav position``: the positions of a receiver, from its files."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ if TYPE_CHECKING:
     from celnav.gaussian.linalg import Array
 
 NO_TRACKS = (".kml", ".gpx", ".json", ".txt")
-"""Suffixes that are refused, since they are neither a format nor likely a folder's name."""
+"""Suffixes that are an error, because they are neither a format nor a likely folder name."""
 
 
 def run(options: argparse.Namespace) -> int:
-    """Position a receiver and write the outputs after everything is computed."""
+    """Compute a receiver's positions, then write the outputs."""
     import numpy as np
 
     from celnav.filters.records import FilterError
@@ -42,7 +42,7 @@ def run(options: argparse.Namespace) -> int:
             "--acceleration-noise", lambda: positioning_filters.filters(4, acceleration=density)
         )
     alarm = number("false-alarm", options.false_alarm)
-    given = (
+    antenna = (
         None
         if options.position is None
         else np.array([number("position", text) for text in options.position])
@@ -51,8 +51,8 @@ def run(options: argparse.Namespace) -> int:
     _checked("--mask", lambda: positioning.mask(mask))
     _checked("--false-alarm", lambda: probability(alarm))
     _checked("--sigma", lambda: positioning.deviations(sigma))
-    if given is not None:
-        _checked("--position", partial(on_earth, "position", given))
+    if antenna is not None:
+        _checked("--position", partial(on_earth, "position", antenna))
     names = ["ls", *positioning_filters.filters(4)]
     if options.filter not in names:
         raise UsageError(f"--filter: expected one of {', '.join(names)}, got {options.filter!r}")
@@ -84,12 +84,12 @@ def run(options: argparse.Namespace) -> int:
     log = positioning.prepare(
         observations, navigation, systems=systems, mask_deg=mask, sigma=sigma, false_alarm=alarm
     )
-    # A receiver that moves cannot be compared with the single position in its header.
+    # A moving receiver cannot be compared with the single position in its header.
     reference = None
-    if given is not None or not log.moved:
-        reference = observations.reference(given)
+    if antenna is not None or not log.moved:
+        reference = observations.reference(antenna)
     east, north, up = observations.antenna
-    source = "the header" if given is None else "--position"
+    source = "the header" if antenna is None else "--position"
     of = f"the marker's by {source} and the header's offset, {east:.3f} m east, "
     of += f"{north:.3f} north, {up:.3f} up"
     try:
@@ -125,13 +125,13 @@ def run(options: argparse.Namespace) -> int:
     return status
 
 
-def _ionosphere(given: str) -> tuple[Array, Array]:
+def _ionosphere(text: str) -> tuple[Array, Array]:
     """Klobuchar's coefficients from a file's header or from eight numbers."""
     from celnav.receiver.rinex import ionosphere, read_ionosphere
 
-    parts = given.split(",")
-    if len(parts) == 1 or Path(given).exists():
-        return read_ionosphere(given)
+    parts = text.split(",")
+    if len(parts) == 1 or Path(text).exists():
+        return read_ionosphere(text)
     if len(parts) != 8:
         raise UsageError(
             "--ion: expected a navigation file, or eight numbers with commas between, got "

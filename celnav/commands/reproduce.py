@@ -44,7 +44,7 @@ T = TypeVar("T")
 
 
 class Task(NamedTuple):
-    """A study to be reproduced; ``file``: that of a user's study, else None."""
+    """A study to be reproduced; ``file``: the path of a user's study, else None."""
 
     name: str
     module: ModuleType
@@ -60,7 +60,8 @@ class Task(NamedTuple):
 
 
 def run(options: argparse.Namespace) -> int:
-    """Compute the studies, in parallel with several processes, and write each when it is done.
+    """Compute the studies, in parallel if there are several processes, and write each when it is
+    complete.
 
     Returns the exit status.
     """
@@ -76,7 +77,7 @@ def run(options: argparse.Namespace) -> int:
     pool = workers(options.jobs)
     _check_inputs(modules, options)
     if options.engine == "cuda":
-        device()  # raises at once, instead of in each unit
+        device()  # raises an error here, instead of in each unit
     if effort < 1.0:
         paragraph(
             f"celnav: {effort:.3g} of the runs: intervals are wide, "
@@ -110,7 +111,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _check_inputs(modules: Mapping[str, ModuleType], options: argparse.Namespace) -> None:
-    """Raise UsageError if no study takes a given folder, or if a needed folder is missing.
+    """Raise UsageError if no study uses a given folder, or if a required folder is missing.
 
     FileNotFoundError if a folder lacks the files that a study needs.
     """
@@ -141,7 +142,7 @@ def _units(task: Task, options: argparse.Namespace, **chosen: Any) -> list[Unit]
 def _do(
     tasks: Mapping[str, Task], options: argparse.Namespace, effort: float, seed: int, pool: Any
 ) -> list[Claim]:
-    """The claims of all studies, after missing results are computed and each study is written."""
+    """Compute missing results and write each study; returns the claims of all studies."""
     stores = {name: resumed(task.outputs.directory / RESULTS) for name, task in tasks.items()}
     units = {name: _units(task, options, effort=effort, seed=seed) for name, task in tasks.items()}
     left = {
@@ -172,21 +173,21 @@ def _do(
         for name in [name for name, some in left.items() if not some]:
             write(name)
         todo = [unit for some in left.values() for unit in some]
-        # Longest first, so that short units fill the end and all processes stay busy.
+        # Long units first, so that short units fill the end and all processes remain busy.
         todo.sort(key=lambda unit: -unit.cost)
         try:
             compute(todo, pool, keep)
         except UnfinishedError as error:
             if len(set(map(str, error.causes))) == 1 and isinstance(error.causes[0], InputError):
-                raise error.causes[0] from None  # a damaged file that all units read
+                raise error.causes[0] from None  # for example a damaged file that all units read
             raise OSError(
-                f"{error}; finished work is kept: the same command goes on from there"
+                f"{error}; finished work is kept: run the same command to continue"
             ) from None
     return claims
 
 
 def _write(task: Task, results: Results, progress: Progress) -> list[Claim]:
-    """The claims of a study, after all its outputs are written."""
+    """Write all outputs of a study; returns its claims."""
     name, module, outputs = task.name, task.module, task.outputs
     timings = {
         f"cpu_s {part}": float(arrays["cpu_s"].sum()) for part, arrays in results.data.items()
@@ -206,7 +207,7 @@ def _write(task: Task, results: Results, progress: Progress) -> list[Claim]:
         "checks.json": dumps(claim for claim in claims if claim.kind == "check"),
     }
     for stem, (_, table) in module.TABLES.items():
-        if rows := table(results):  # empty without an optional input
+        if rows := table(results):  # empty if an optional input is missing
             texts[f"tables/{stem}.csv"] = _csv(rows)
     if task.file is not None:
         texts[USER] = page_data(module, task.file)
@@ -242,8 +243,8 @@ def _write(task: Task, results: Results, progress: Progress) -> list[Claim]:
 
 
 def write_viewer(top: Outputs, tasks: Mapping[str, Task]) -> None:
-    """Write the viewer, if it is not there, and each recording as a script; a warning where the
-    installed viewer is of another form.
+    """Write the viewer, if it is missing, and each recording as a script; warns if the installed
+    viewer has another format.
     """
     if not viewer.is_current(top.directory):
         try:
@@ -260,9 +261,7 @@ def write_viewer(top: Outputs, tasks: Mapping[str, Task]) -> None:
 
 
 def _arrays(data: Mapping[str, Mapping[str, Array]]) -> dict[str, Array]:
-    """Arrays for the results file: times, RMS errors over the runs, and mean NEES and NIS over the
-    runs.
-    """
+    """Arrays for the results file: times, RMS errors, mean NEES and mean NIS over the runs."""
     out = {}
     for part, arrays in data.items():
         for name, values in arrays.items():

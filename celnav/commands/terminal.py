@@ -1,4 +1,4 @@
-"""Text that fits the width of the terminal; in a pipe or a file lines are not wrapped."""
+"""Text wrapped to the width of the terminal; in a pipe or a file lines are not wrapped."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ LOOKS = {
 
 
 def columns() -> int:
-    """Width of the terminal; practically unlimited if the output is not a terminal."""
+    """Width of the terminal; very large if the output is not a terminal."""
     return shutil.get_terminal_size().columns if sys.stdout.isatty() else UNLIMITED
 
 
 def entry(name: str, text: str) -> None:
-    """Print a name and its text, whose further lines are indented."""
+    """Print a name and its text, with further lines indented."""
     head, width = f"  {name}".ljust(INDENT - 1) + " ", columns()
     if len(head) > INDENT and width < UNLIMITED:
         print(*textwrap.wrap(head, width, subsequent_indent="    "), sep="\n")
@@ -55,7 +55,7 @@ def paragraph(text: str, indent: int = 0) -> None:
 
 
 def marked(verdict: str, count: str = "") -> Text:
-    """A verdict with its sign, in its color."""
+    """A verdict with its sign, in the color of the verdict."""
     from rich.text import Text
 
     sign, color = LOOKS[style(verdict)]

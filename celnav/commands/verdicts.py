@@ -29,7 +29,7 @@ def run(options: argparse.Namespace) -> int:
     counted = [name for name in every if options.paper is not None or name not in REAL]
     if not counted:
         raise FileNotFoundError(
-            f"{options.out}: no paper was reproduced there; use: celnav reproduce --out "
+            f"{options.out}: no paper was reproduced here; use: celnav reproduce --out "
             f"{options.out}"
         )
     if options.paper is None:
@@ -38,7 +38,7 @@ def run(options: argparse.Namespace) -> int:
         name = name_of(options.paper)
         if name not in every:
             raise UsageError(
-                f"PAPER: expected one that was reproduced in {out} ({', '.join(every)}), got "
+                f"PAPER: expected a paper reproduced in {out} ({', '.join(every)}), got "
                 f"{options.paper!r}{did_you_mean(name, every)}"
             )
         claims = {name: every[name]}

@@ -23,13 +23,13 @@ def run(options: argparse.Namespace) -> int:
         return _picture(path, Path(options.picture), at)
     if at is not None:
         raise UsageError(
-            "--at: expected --picture FILE.png with it; in a window you move the time by hand"
+            "--at: expected --picture FILE.png with it; in a window you move the time yourself"
         )
     if sys.platform.startswith("linux") and not (
         os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
     ):
         hint = f"use --picture, or copy {path} to a machine that has one and run: rerun {path.name}"
-        raise OSError(f"no display to open a window on; {hint}")
+        raise OSError(f"no display for a window; {hint}")
     from celnav.show.picture import command
 
     return subprocess.run(command(str(path)), check=False).returncode
@@ -72,7 +72,7 @@ def _recording(options: argparse.Namespace, study: Path) -> Path:
     recordings = [str(name) for name in names if (folder / name).is_file()]
     if not recordings:
         raise FileNotFoundError(
-            f"{folder}: no recording; make it with: celnav reproduce {study} --out {out}"
+            f"{folder}: no recording; create it with: celnav reproduce {study} --out {out}"
         )
     if options.recording is None:
         return folder / recordings[0]

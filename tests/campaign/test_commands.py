@@ -298,7 +298,7 @@ def test_a_second_campaign_in_a_folder_is_told(sweep, tmp_path, capsys):
     (tmp_path / "here").mkdir()
     with locked(tmp_path / "here"):
         assert cli.main(["campaign", str(sweep), "--out", "here", "--jobs", "1"]) == 1
-    assert "here: another celnav is at work there" in capsys.readouterr().err
+    assert "here: in use by another celnav process" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", ["table.csv", "index.html", "figures/accuracy_position.png"])
@@ -308,7 +308,7 @@ def test_a_foreign_file_is_told_before_anything_is_computed(sweep, tmp_path, cap
     path.write_text("mine")
     assert cli.main(["campaign", str(sweep), "--out", "here", "--jobs", "1"]) == 2
     captured = capsys.readouterr()
-    assert f"here/{name}: exists, and celnav did not make it" in captured.err
+    assert f"here/{name}: exists, and celnav did not write it" in captured.err
     assert "runs" not in captured.out
     assert path.read_text() == "mine"
 
@@ -397,7 +397,7 @@ def test_a_thousand_processes_are_not_started(mission, undrawn, capsys, monkeypa
     assert cli.main(["campaign", str(mission), "--jobs", "1000", "--effort", "0.2"]) == 0
     assert started == [8]
     assert (
-        "--jobs: 1000 processes on 2 cores would only slow each other down; 8 are started"
+        "--jobs: 1000 processes on 2 cores would slow each other down; 8 are started"
         in capsys.readouterr().err
     )
 
@@ -413,13 +413,13 @@ def test_results_of_another_file_are_not_replaced(mission, sweep, undrawn, tmp_p
     kept = (tmp_path / "out" / "missions" / "my-mission" / "table.csv").read_bytes()
     capsys.readouterr()
     assert cli.main(["run", str(other)]) == 2
-    assert f"holds the mission of {mission}; choose another --out" in capsys.readouterr().err
+    assert f"contains the mission {mission}; choose another --out" in capsys.readouterr().err
     assert cli.main(["campaign", str(sweep), "--out", "out/missions/my-mission"]) == 2
-    assert "holds a mission; choose another --out" in capsys.readouterr().err
+    assert "contains a mission; choose another --out" in capsys.readouterr().err
     assert (tmp_path / "out" / "missions" / "my-mission" / "table.csv").read_bytes() == kept
     assert cli.main(["campaign", str(sweep), "--jobs", "1"]) == 0
     assert cli.main(["run", str(mission), "--out", "out/campaigns/sweep"]) == 2
-    assert "holds a campaign; choose another --out" in capsys.readouterr().err
+    assert "contains a campaign; choose another --out" in capsys.readouterr().err
 
 
 def test_a_file_where_a_folder_should_be_is_told_before_flying(mission, tmp_path, capsys):

@@ -340,7 +340,7 @@ def test_units_without_a_manifest_are_refused(made):
 
 def test_a_second_process_is_told(made):
     folder, _ = made
-    with locked(folder), pytest.raises(BlockingIOError, match="another celnav is at work there"):
+    with locked(folder), pytest.raises(BlockingIOError, match="in use by another celnav process"):
         campaign(study(TABLE), folder)
 
 
@@ -386,7 +386,7 @@ def test_a_folder_that_is_a_link_is_refused_and_one_that_is_reached_by_one_is_no
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / name).symlink_to(tmp_path / "elsewhere")
     with pytest.raises(
-        ForeignFileError, match=rf"out/{name}: expected a folder of its own, got a link"
+        ForeignFileError, match=rf"out/{name}: expected a folder, got a symbolic link"
     ):
         Outputs(tmp_path / "out").text(f"{name}/a.txt", "ours")
     assert not list((tmp_path / "elsewhere").iterdir())

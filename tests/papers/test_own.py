@@ -337,17 +337,16 @@ def test_errors_in_the_file_are_told_with_their_line(folder, capsys, old, new, s
     [
         (
             ["new", "study.py"],
-            "study.py: exists already, and nothing is overwritten; choose another name, or move "
-            "it away",
+            "study.py: exists already and is not overwritten; choose another name, or move it away",
         ),
         (["new", "study"], "study: expected the name of a file that ends in .py, such as study.py"),
-        (["new", "csrukf.py"], "csrukf.py: expected another name than csrukf, which celnav has"),
+        (["new", "csrukf.py"], "csrukf.py: expected a name other than csrukf, which celnav uses"),
         (["new", "absent/study.py"], "absent: no such folder; make it first"),
         (["new"], "the following arguments are required: FILE.py; see celnav new --help"),
         (["reproduce", "absent.py"], "absent.py: no such file or directory"),
         (
             ["reproduce", "csrukf.py"],
-            "csrukf.py: expected another name than csrukf, which celnav has; rename the file",
+            "csrukf.py: expected a name other than csrukf, which celnav uses; rename the file",
         ),
         (
             ["reproduce", "study.py", "./sub/study.py"],
