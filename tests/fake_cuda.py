@@ -1,5 +1,5 @@
-"""A driver as NVIDIA's, of a device that is the host: programs are the same LLVM assembly, compiled
-for it, thread by thread.
+"""A stand-in for NVIDIA's driver whose device is the host: the same LLVM assembly is compiled for
+the host and run thread by thread.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ _NAMES = ("block", "width", "thread")
 
 
 class Driver:
-    """``failing``: the status that a function returns, from its n-th call on; ``free``: bytes that
-    the device has.
+    """``failing``: the status that a function returns from its n-th call on; ``free``: free memory
+    of the device in bytes.
 
-    ``literal``: the PTX itself is done, line by line.
+    ``literal``: whether the PTX itself is interpreted, line by line.
     """
 
     def __init__(self, free=1 << 26, capability=(9, 0), failing=None, log=b"", literal=False):
@@ -43,7 +43,7 @@ class Driver:
         self.locked, self.streams = {}, 0
 
     def __getattribute__(self, name):
-        """Every call of the driver is counted, and may fail."""
+        """Count every driver call, which may fail."""
         found = object.__getattribute__(self, name)
         if not name.startswith("cu") or name.startswith("cuGetError"):
             return found
@@ -60,7 +60,7 @@ class Driver:
         return counted
 
     def assembled(self, text):
-        """PTX of LLVM assembly, which is remembered."""
+        """PTX from LLVM assembly; the assembly is stored."""
         found = _ASSEMBLED(text)
         self.sources[found] = text
         return found
@@ -144,7 +144,7 @@ class Driver:
         return self.copied(place, target.value, place.value, size)
 
     def copied(self, place, target, source, size):
-        """From the beginning of a block, which is large enough."""
+        """Copy from the start of a block that is large enough."""
         if len(self.memory.get(place.value, b"")) < size.value:
             return 1
         ctypes.memmove(target, source, size.value)
@@ -174,8 +174,8 @@ class Driver:
 
 
 def on_the_host(text):
-    """The entry of a program, with its block, their width and its thread as further arguments in
-    place of registers.
+    """The entry of a program, with block index, block width and thread index as further arguments
+    instead of registers.
     """
     text, count = re.subn(r"(?m)^.*@llvm\.nvvm\.read\.ptx\.sreg\..*$\n", "", text)
     assert count == 6  # three declarations, three calls
@@ -192,7 +192,7 @@ _ASSEMBLED = ptx.assembled
 
 
 def installed(monkeypatch, driver):
-    """A driver in place of what this machine has, until the test is over."""
+    """A driver that replaces the machine's driver until the end of the test."""
     monkeypatch.setattr("celnav.engine.compiled.device", cache(lambda: cuda.Device(driver)))
     monkeypatch.setattr(ptx, "assembled", driver.assembled)
     monkeypatch.setattr(ptx, "_PROGRAMS", {})

@@ -1,4 +1,6 @@
-"""What tests need of the machine: file systems, processes that heed signals, and who is alive."""
+"""Helpers for file systems, for processes that react to signals, and for the
+states of processes.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,7 @@ import pytest
 
 @contextlib.contextmanager
 def mounted(folder, options):
-    """A file system of its own in a new folder."""
+    """A separate file system in a new folder."""
     folder.mkdir()
     if os.name != "posix" or shutil.which("mount") is None or os.geteuid() != 0:
         pytest.skip("cannot mount here")
@@ -32,7 +34,7 @@ def mounted(folder, options):
 
 
 def interruptible(*arguments):
-    """A command of Python that heeds SIGINT, which a background job of a shell ignores."""
+    """A Python command that reacts to SIGINT, which a background job of a shell ignores."""
     heed = "import os, signal, sys; signal.signal(signal.SIGINT, signal.SIG_DFL); "
     return [
         sys.executable,
@@ -43,7 +45,7 @@ def interruptible(*arguments):
 
 
 def children(pid):
-    """Processes that a process has started."""
+    """Child processes of a process."""
     return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
 
 
@@ -56,7 +58,7 @@ def gone(pids, within_s=5.0):
 
 
 def alive(pid):
-    """Whether a process is there and no zombie."""
+    """Whether a process exists and is not a zombie."""
     try:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except OSError:

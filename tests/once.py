@@ -1,5 +1,5 @@
-"""The study of a paper with few runs, computed once in a session: where its notebook looks for it,
-too.
+"""The study of a paper with few runs, computed once per test session, and stored where its notebook
+looks for it.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from celnav.study.store import RESULTS, existing, resumed
 
 
 def once(study):
-    """All results, which are kept as ``celnav reproduce`` keeps them; by the numpy engine."""
+    """All results, stored as by ``celnav reproduce``; computed with the numpy engine."""
     folder = Path(os.environ["CELNAV_OUT"], study.name, RESULTS)
     store = existing(folder) or resumed(folder)
     units = study.units(effort=effort())

@@ -1,7 +1,8 @@
-"""PTX, read and done line by line as NVIDIA's manual has it, for one thread; memory is the host's.
+"""An interpreter of PTX, line by line according to NVIDIA's manual, for one thread; memory is the
+host's.
 
-Registers of 64 bits hold integers, as which floats are unpacked and packed again. fma is rounded
-twice, at 64 and at 53 bits.
+64-bit registers contain integers; floats are packed into them. fma is rounded twice, to 64 and to
+53 bits.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ def fused(a, b, c):
 
 
 def whole(function):
-    """Of what is finite, with its sign where it is zero."""
+    """The integer part of a finite number; a zero keeps its sign."""
     return lambda a: math.copysign(float(function(a)), a) if math.isfinite(a) else a
 
 
@@ -90,9 +91,7 @@ COMPARED["equ"] = lambda a, b: a != a or b != b or a == b
 
 
 class Machine:
-    """A program, to be called with its parameters, a block, the width of blocks and a thread, which
-    it takes through.
-    """
+    """A program, called with its parameters, block index, block width and thread index."""
 
     def __init__(self, text):
         self.code, self.labels, self.tables = [], {}, {}
@@ -136,7 +135,7 @@ class Machine:
 
 
 def instruction(op, arguments):
-    """A function of the registers that does what one instruction says, which is no branch."""
+    """A function of the registers that executes one instruction other than a branch."""
     name, kind = op.rsplit(".", 1)
     target, *given = arguments
     if op.startswith("ld.param"):
@@ -179,7 +178,7 @@ def instruction(op, arguments):
 
 
 def writing(target, function):
-    """What puts a function of the registers into one of them."""
+    """A function that writes the value of ``function(registers)`` to a register."""
 
     def do(r):
         r[target] = function(r)
@@ -188,7 +187,7 @@ def writing(target, function):
 
 
 def applied(function, readers):
-    """A function of one, two or three values, as one of the registers."""
+    """A function of one, two or three values as a function of the registers."""
     if len(readers) == 1:
         (a,) = readers
         return lambda r: function(a(r))
@@ -200,7 +199,7 @@ def applied(function, readers):
 
 
 def reading(x):
-    """The value of a register, or a number that stands there."""
+    """The value of a register, or a literal number."""
     if x[0] == "%":
         return itemgetter(x)
     number = bits_of(x)
@@ -208,7 +207,7 @@ def reading(x):
 
 
 def typed(x, kind):
-    """A value as what it is computed or compared with."""
+    """A value converted to the type of the operation."""
     value, size = reading(x), int(kind[1:])
     if kind == "f64":
         return lambda r: real(value(r))
@@ -216,5 +215,5 @@ def typed(x, kind):
 
 
 def bits_of(x):
-    """Of a number in the text: 0d and sixteen digits of a float, or an integer."""
+    """The bits of a number in the text: 0d and sixteen digits for a float, or an integer."""
     return int(x[2:], 16) if x.startswith("0d") else int(x) & MASK

@@ -1,4 +1,4 @@
-"""Whether a figure can be read: what matplotlib knows of its boxes."""
+"""Whether a figure is readable, from the boxes that matplotlib computes."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from matplotlib.text import Text
 
 
 def faults(fig):
-    """What cannot be read, in words: clipped texts, texts over one another, legends over data."""
+    """Messages about unreadable parts: clipped texts, overlapping texts, legends over data."""
     renderer, found = FigureCanvasAgg(fig).get_renderer(), []
     with renderer._draw_disabled():  # boxes need no pixels
         fig.draw(renderer)
@@ -86,5 +86,5 @@ def _labels(axis, *, all_of_them=False):
 
 
 def _overlap(a, b):
-    """Of two boxes, the smaller side, in pixels."""
+    """The smaller side of the overlap of two boxes, in pixels."""
     return min(min(a.x1, b.x1) - max(a.x0, b.x0), min(a.y1, b.y1) - max(a.y0, b.y0))

@@ -35,7 +35,7 @@ def constellation():
 
 
 def gps():
-    """Satellites of GPS: four in each of six planes."""
+    """GPS satellites: four in each of six planes."""
     b = constellation()
     b, k = b.chosen(b.number >= 19.0).chosen(np.arange(24)), np.arange(24)
     angles = {
@@ -53,7 +53,7 @@ def gps():
 
 
 def galileo():
-    """Satellites of Galileo: eight in each of three planes; I/NAV's clock and group delay."""
+    """Galileo satellites: eight in each of three planes; I/NAV's clock and group delay."""
     b, k = gps(), np.arange(24)
     angles = {
         "Omega0": np.radians(120.0 * (k // 8) + 65.0),
@@ -70,7 +70,7 @@ def galileo():
 
 
 def both():
-    """Of BeiDou and of GPS."""
+    """Sets of BeiDou and GPS."""
     return joined(constellation(), gps())
 
 
@@ -87,7 +87,7 @@ def joined(*parts):
 def above(b, times):
     """Satellites above 5 degrees at `PLACE` at some of the times, and C05 and C19, for tests.
 
-    Of each satellite orbits are computed apart, and those below the horizon are never used.
+    Orbits are computed separately for each satellite; satellites below the horizon are never used.
     """
     latitude, longitude, _ = ecef2geodetic(*PLACE, ell=ELLIPSOID, deg=False)
     q = pseudorange.sources(b, np.asarray(times), PLACE[None]).q
@@ -105,7 +105,7 @@ def civil(t):
 
 
 def navigation(b, toe=TOE):
-    """A navigation file of the sets."""
+    """A navigation file with these sets."""
     text = label(
         f"{3.04:9.2f}{'':11}{'N: GNSS NAV DATA':<20}{'M: MIXED' if b.system.any() else 'C: BDS':<20}",
         "RINEX VERSION / TYPE",
@@ -123,7 +123,7 @@ def navigation(b, toe=TOE):
             [(b.toe[s] + ahead) % 604800.0, b.cic[s], b.Omega0[s], b.cis[s]],
             [b.i0[s], b.crc[s], b.omega[s], b.Omega_dot[s]],
             [b.i_dot[s], 517.0 if name[0] == "E" else 0.0, float(WEEK), 0.0],
-            # Of Galileo the first delay is that of the clock of F/NAV.
+            # Galileo's first group delay belongs to the clock of F/NAV.
             [b.accuracy[s] or 2.0, b.health[s]]
             + ([-3e-9, b.tgd[s]] if name[0] == "E" else [b.tgd[s], 0.0]),
             [345600.0, 0.0],
@@ -136,10 +136,10 @@ def navigation(b, toe=TOE):
 
 
 def measurements(b, times, bias, offset=0.0):
-    """Pseudoranges and Doppler ``(T, S)`` at `PLACE`, by a clock ahead by ``bias`` m, with the
-    atmosphere, in a plain loop.
+    """Pseudoranges and Doppler ``(T, S)`` at `PLACE` for a clock that is ahead by ``bias`` m, with
+    the atmosphere, in a plain loop.
 
-    ``offset``: m, by which it is further ahead of the clock of GPS.
+    ``offset``: m, by which the clock is further ahead of the GPS clock.
     """
     hz = np.where(b.system > 0, L1_HZ, B1I_HZ)
     latitude, longitude, height = ecef2geodetic(*PLACE, ell=ELLIPSOID, deg=False)
@@ -163,8 +163,8 @@ def measurements(b, times, bias, offset=0.0):
 
 
 def observations(b, times, ahead=14.0, system="GPS", offset=0.0):
-    """An observation file at times (s of BDT), and its pseudoranges and Doppler: C19 is away at the
-    second epoch, G01 is there.
+    """An observation file at times (s of BDT), and its pseudoranges and Doppler. C19 is missing at
+    the second epoch, G01 is not.
     """
     text = label(
         f"{3.04:9.2f}{'':11}{'OBSERVATION DATA':<20}{'M: Mixed':<20}", "RINEX VERSION / TYPE"
@@ -208,8 +208,8 @@ def written(tmp_path, text, name="file.rnx"):
 
 
 def observed(b, times, bias, offset=0.0):
-    """A log of a receiver at `PLACE` whose clock is ahead by ``bias`` m, of GPS's by ``offset``
-    more.
+    """A log of a receiver at `PLACE` whose clock is ahead by ``bias`` m, and ahead of the GPS clock
+    by ``offset`` m more.
     """
     return Observations(
         Path("obs.rnx"), "TEST", PLACE, times, b.names, *measurements(b, times, bias, offset)
@@ -217,7 +217,7 @@ def observed(b, times, bias, offset=0.0):
 
 
 def modeled_errors(log, rng):
-    """Errors of ranges ``(T, S)`` m as large as a prepared log takes those of atmosphere and orbits
-    for.
+    """Errors of ranges ``(T, S)`` m with the variances that a prepared log assumes for atmosphere
+    and orbits.
     """
     return np.sqrt(log.modeled) * rng.normal(size=log.modeled.shape)

@@ -1,4 +1,4 @@
-"""What is on a tape, worked out in floats."""
+"""Evaluation of a tape in floats."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ FUNCTIONS = {
 
 
 def inputs(tape, *shapes, absent=True):
-    """An array of inputs of each shape."""
+    """An array of inputs for each shape."""
     found = []
     for shape in shapes:
         x = TracedArray(shape)
@@ -64,7 +64,7 @@ def inputs(tape, *shapes, absent=True):
 
 
 def values(tape, given, y):
-    """An array of numbers as floats, where the tape's inputs are ``given``."""
+    """An array of numbers as floats, if the tape's inputs have the values ``given``."""
     known = []
     for name, *arguments in tape.ops:
         if name == "in":
@@ -86,7 +86,7 @@ def values(tape, given, y):
 
 
 def _left(routine, given):
-    """The memory of a routine after it."""
+    """The memory of a routine after its call."""
     cells = np.full(routine.cells, np.nan)
     cells[: len(given)] = given
     for stage in routine.stages:
@@ -102,9 +102,7 @@ def _left(routine, given):
 
 
 def recorded(function, *arrays):
-    """What a function of arrays gives when it is recorded on `TracedArray` and worked out
-    afterwards.
-    """
+    """The result of a function of arrays that is recorded on `TracedArray` and then evaluated."""
     tape = Tape()
     y = function(*inputs(tape, *map(np.shape, arrays)))
     with np.errstate(all="ignore"):

@@ -1,4 +1,4 @@
-"""The benchmark measures what there is, and the READMEs quote what it wrote."""
+"""The benchmark measures all installed libraries, and the READMEs quote its results."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def test_a_page_quotes_what_was_measured(path):
 
 
 def test_all_cells_were_measured():
-    """Each problem with each method, or it is said why not."""
+    """Each problem with each method, or the reason why not."""
     result = json.loads(report.MEASURED.read_text(encoding="utf-8"))
     assert {
         (name, row["problem"], row["method"])

@@ -1,4 +1,4 @@
-"""The command line as a user meets it: exit codes, one clear line, files that are celnav's own."""
+"""The command line from a user's view: exit codes, one-line messages, files written by celnav."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from celnav.study.study import Part, Study
 
 
 def numbers(size, rngs):
-    """Arrays of a part: ``size`` numbers a run, under a name that is stored."""
+    """Arrays of a part: ``size`` numbers per run, under a name that is stored."""
     return {
         "times": np.arange(3.0),
         "kf/nees": np.stack([rng.random((3, size)).mean(1) for rng in rngs], 1),
@@ -38,7 +38,7 @@ SAID = [Sentence("It is so.", {"one": "reproduced"})]
 
 
 def tiny(failing=False, undecided=False, work=numbers, size=4, blocks=2):
-    """A paper that takes no time."""
+    """A paper whose study takes no time."""
 
     def draw(results):
         fig, ax = figure(2.0, 2.0)
@@ -281,7 +281,7 @@ def test_a_picture_that_cannot_be_is_one_line(tmp_path, monkeypatch, capsys, opt
 
 @pytest.fixture
 def terminal(monkeypatch):
-    """Standard output is a terminal of so many columns."""
+    """Make standard output a terminal with this many columns."""
 
     def use(columns):
         monkeypatch.setenv("COLUMNS", str(columns))
@@ -293,7 +293,7 @@ def terminal(monkeypatch):
 
 
 def plain(text):
-    """What a terminal shows."""
+    """The text that a terminal shows, without control codes."""
     return re.sub(r"\x1b\[[0-9;]*m", "", text)
 
 
@@ -354,7 +354,7 @@ def test_lines_of_a_summary_are_wrapped_in_a_terminal_only(terminal, capsys, wid
 
 
 def ledger_of(folder):
-    """Studies as `celnav verdicts` finds them, with every kind of verdict."""
+    """Studies for `celnav verdicts`, with every kind of verdict."""
     from celnav.show.claims import dumps
 
     words = {"reproduced": 1.0, "not reproduced": 9.0, "no number": np.nan}
@@ -433,7 +433,7 @@ def test_help_fits_a_terminal_of_80_columns(name, monkeypatch):
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_examples_of_help_run(name, tmp_path, monkeypatch, capsys):
-    """All are understood; those that need no results and no data are run."""
+    """All are parsed; examples that need no results and no data are run."""
     monkeypatch.chdir(tmp_path)
     for example in OPTIONS[name]["examples"]:
         celnav_, *words = shlex.split(re.split(r" [|>] ", example)[0])
@@ -565,7 +565,9 @@ def test_what_is_undecided_is_a_surprise_with_all_runs_and_told_with_fewer(
 
 @pytest.mark.parametrize("paper", papers.PAPERS)
 def test_list_says_what_each_parameter_means_and_its_unit(paper, capsys):
-    """Nested ones too; where the name does not end in the unit, the meaning has it, or it is a number, a count or a word."""
+    """Also nested parameters. If the name does not end in the unit, the meaning states the unit, or
+    the value is a pure number, a count or a word.
+    """
     assert cli.main(["list", paper]) == 0
     listed = " ".join(capsys.readouterr().out.partition("[config]")[2].split())
     start = next(iter(load(paper).PRESETS.values()))
@@ -586,7 +588,7 @@ def test_list_says_what_each_parameter_means_and_its_unit(paper, capsys):
 
 
 def value_after(text, key):
-    """The value that stands after a name, as TOML; None where it is left out."""
+    """The value after a name, as TOML; None if it is missing."""
     rest = re.split(rf"\b{re.escape(key)} = ", text, maxsplit=1)[1]
     ends = [n for n in range(1, len(rest) + 1) if rest[:n].count("[") == rest[:n].count("]")]
     simple = re.match(r'"[^"]*"|\(left out\)|[^\s,]+', rest)

@@ -1,4 +1,4 @@
-"""``celnav diagnose``: tables as they come, damaged ones, and what is written."""
+"""``celnav diagnose``: tables in many forms, damaged tables, and the outputs."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def test_a_table_with_claims_is_diagnosed_and_written(tmp_path, capsys):
 
 
 def test_a_slow_column_is_judged_on_its_own_samples(tmp_path, capsys):
-    """Its lags, in words, in numbers and in the figure, are those of the samples that it has."""
+    """Its lags in words, in numbers and in the figure count its samples only."""
     slow = ar1([[0.9]], np.sqrt(0.19) * RNG.standard_normal((99, 1)), [0.3])[:, 0]
     rows = [
         (k, RNG.standard_normal(), slow[k // 25] if k % 25 == 0 else "") for k in range(25 * 100)
@@ -97,7 +97,7 @@ def test_a_column_that_jumps_by_turns_is_named(tmp_path, capsys):
 
 @pytest.mark.parametrize("mark", [",", ";", "\t", " "])
 def test_tables_as_they_come(tmp_path, mark):
-    """Any separator, comments, empty lines, what is missing, and runs one after the other."""
+    """Any separator, comments, empty lines, missing values, and runs one after the other."""
     rows = [
         (r, k, "nan" if k == 3 else f"{x:.17g}", 0.5)
         for r in range(2)

@@ -1,5 +1,5 @@
-"""What an option or an argument names is looked at before anything is computed: a file or a folder
-that is not there, or is the other of both, is one line and exit status 2.
+"""Paths in options and arguments are checked before anything is computed: a missing path, or a file
+instead of a folder and vice versa, gives one line and exit status 2.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The examples in docstrings run: those of the reference's first level, and every other one."""
+"""The examples in docstrings run: all examples of public names and of all other docstrings."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ PLAIN = {"analysis", "filters", "gaussian", "models", "study"}
 
 
 def examples():
-    """Every docstring with an example, by module and line; the module's text gives them, whatever
-    object they belong to.
+    """Every docstring with an example, by module and line; found in the module's text, whatever
+    object it belongs to.
     """
     for path in sorted(ROOT.rglob("*.py")):
         if path.relative_to(ROOT).parts[0] in PLAIN:
@@ -70,7 +70,7 @@ def test_everything_on_the_first_level_has_one():
 
 @cache
 def problem():
-    """What the examples take for granted: a satellite whose position is measured."""
+    """The names that the examples use: a satellite whose position is measured."""
     F, H = np.eye(6) + np.eye(6, k=3), np.eye(3, 6)
     Q, R, P0 = 1e-8 * np.eye(6), 0.04 * np.eye(3), np.diag([1.0] * 3 + [1e-4] * 3)
     x0 = orbit.from_elements(7136.6, 0.001, *np.radians([65, 30, 30, 0]))
@@ -155,7 +155,7 @@ def problem():
 
 @pytest.mark.parametrize("name", TESTS)
 def test_an_example_runs(name, tmp_path, monkeypatch):
-    """And prints what it says, where it says so."""
+    """And prints the output shown in the docstring, if any."""
     monkeypatch.chdir(tmp_path)
     test = TESTS[name]
     known = problem() | test.globs
@@ -171,7 +171,7 @@ def test_an_example_runs(name, tmp_path, monkeypatch):
 
 
 def test_modules_name_what_the_reference_shows():
-    """``__all__`` of a module is what is public there; the reference shows nothing else."""
+    """``__all__`` of a module names its public objects; the reference shows nothing else."""
     shown = [
         (thing.__module__, name.rsplit(".", 1)[-1])
         for name in NAMES

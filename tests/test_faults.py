@@ -1,4 +1,6 @@
-"""Bad input is refused by name before anything is computed; missing data is skipped and counted."""
+"""Bad input raises an error that names the argument before anything is computed; missing data are
+skipped and counted.
+"""
 
 from __future__ import annotations
 

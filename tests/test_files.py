@@ -1,4 +1,4 @@
-"""Files are whole, celnav's own, and never run."""
+"""Files are complete, replace only celnav's files, and are never executed."""
 
 from __future__ import annotations
 
@@ -146,7 +146,7 @@ def test_a_claim_that_is_not_whole_is_named(tmp_path, key, value):
     "text", ["", "[" * 100_000, "[3]", "3", "\x00", '[{"id": "a", "verdict": "shown"}]']
 )
 def test_damaged_files_of_celnav_are_one_line(tmp_path, capsys, text):
-    """Claims, the record of their times, and the manifest."""
+    """Damaged claims, time records and manifests."""
     folder = tmp_path / "csrukf"
     folder.mkdir()
     (folder / "claims.json").write_text(text)
@@ -185,7 +185,7 @@ def test_an_archive_that_unpacks_to_very_much_is_refused(tmp_path):
 
 @contextmanager
 def limited(size):
-    """Files of this process may not be larger, as by ``ulimit -f``."""
+    """Limit the size of this process's files, as with ``ulimit -f``."""
     resource = pytest.importorskip("resource")
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
@@ -255,7 +255,7 @@ def test_two_that_write_into_a_folder_know_of_each_other(tmp_path):
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no named pipes here")
 def test_what_is_no_file_is_written_to_and_stays(tmp_path):
-    """A device such as /dev/null is not replaced by a file, whoever runs celnav."""
+    """A device such as /dev/null is not replaced by a file, even for root."""
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
     reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)

@@ -1,4 +1,4 @@
-"""``index.html`` of the papers and of campaigns, as a browser has it."""
+"""``index.html`` of the papers and of campaigns, as rendered by a browser."""
 
 from __future__ import annotations
 
@@ -38,7 +38,9 @@ document.documentElement.scrollWidth, getComputedStyle(document.documentElement)
 
 
 def seen(page, tmp_path, width):
-    """What a browser makes of a page: images, loaded images, width of the contents, color scheme, and what its console says."""
+    """What a browser reports for a page: images, loaded images, width of the contents, color
+    scheme, and console messages.
+    """
     probed = tmp_path / "probed.html"  # beside its pictures
     probed.write_text(page.replace("</body>", f"{PROBE}</body>"), encoding="utf-8")
     command = [BROWSER, "--headless", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr", f"--window-size={width},900",
@@ -131,7 +133,7 @@ def test_headings_are_in_order_and_the_page_has_its_landmarks(page):
 
 @pytest.mark.parametrize(("side", "ground"), [(0, "#ffffff"), (1, "#121212")])
 def test_verdicts_and_small_print_have_contrast(page, side, ground):
-    """Of 4.5 at least, in light and in dark [WCAG 2.2]."""
+    """At least 4.5, in light and in dark mode [WCAG 2.2]."""
     pairs = dict(re.findall(r"--(\w+):light-dark\((#\w+,#\w+)\)", page))
     assert {"bad", "good", "part", "error", "open", "muted"} <= pairs.keys()
     for name, pair in pairs.items():

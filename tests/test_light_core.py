@@ -1,5 +1,5 @@
-"""With numpy and scipy alone: filters and studies work, and what needs more names the command that
-brings it.
+"""With only numpy and scipy, filters and studies work, and everything else names the command that
+installs what it needs.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ sys.meta_path.insert(0, NothingElse())
 
 
 def alone(program, *arguments, cwd=None):
-    """A process that finds numpy, scipy and celnav only."""
+    """A process that finds only numpy, scipy and celnav."""
     words = [sys.executable, "-W", "error", "-c", ALONE + program, *arguments]
     return subprocess.run(words, capture_output=True, text=True, check=False, cwd=cwd)
 
@@ -120,8 +120,8 @@ def test_every_public_name_works(tmp_path):
 
 
 def test_import_is_small():
-    """scipy's parts and the compiler come when they are first used: importing them would take
-    longer than all the rest.
+    """Submodules of scipy and the compiler are imported on first use, because importing them takes
+    longer than everything else.
     """
     late = {"scipy.linalg", "scipy.special", "celnav.engine.recording", "celnav.tape.llvm"}
     program = f"import celnav\nprint(*{late} & set(sys.modules))"
@@ -225,7 +225,7 @@ def test_diagnose_answers_in_words(tmp_path):
 
 
 def brought(extra):
-    """Distributions of an extra, and of those that it names."""
+    """Distributions of an extra, and of the extras that it names."""
     out = set()
     for line in PROJECT["optional-dependencies"][extra]:
         name, others = re.match(r"([\w-]+)(?:\[(.*?)\])?", line).groups()
@@ -246,7 +246,7 @@ def test_recordings_are_made_by_versions_of_rerun_that_were_tested():
 
 
 def asked_for():
-    """``(extra, module)`` of all that the sources ask for, where they do."""
+    """``(extra, module)`` for every import from an extra in the sources."""
     for path in sorted(Path(celnav.__file__).parent.rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             call = node.items[0].context_expr if isinstance(node, ast.With) else node

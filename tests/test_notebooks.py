@@ -1,5 +1,5 @@
-"""Notebooks are executed in order, their outputs are committed, and lessons teach: the algorithm is
-there, not only figures.
+"""Notebooks were executed in order, their outputs are committed, and lessons contain the algorithm,
+not only figures.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ def test_each_verdict_leads_to_the_cell_that_decides_it(path):
 
 
 def verdicts(path):
-    """Verdicts by id in the ledgers that a notebook shows, as it was executed."""
+    """Verdicts by id in the ledgers of an executed notebook."""
     cells = nbformat.read(path, as_version=4).cells
     shown = "".join(
         output.get("data", {}).get("text/html", "")
@@ -99,10 +99,10 @@ def test_a_lesson_has_the_verdicts_that_are_expected(path):
 
 @pytest.mark.parametrize("study", real.STUDIES)
 def test_the_notebook_on_real_data_has_the_verdicts_that_are_expected(study):
-    """Its outputs are of the real files, which are not there where tests run."""
+    """Its outputs come from the real files, which are not available in tests."""
     found = verdicts(next(path for path in NOTEBOOKS if path.stem[3:] == "real_data"))
     for row in real.load(study).STUDY.rows:
-        # Without the package that a row compares with nothing is expected of it.
+        # Without the package that a row compares with, no verdict is expected.
         if row.kind == "finding" and row.expected != "no number":
             assert found[row.id] in ("undecided", row.expected or "shown"), row.id
 

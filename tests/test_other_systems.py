@@ -1,4 +1,6 @@
-"""What Windows and macOS do otherwise, as far as it can be seen from here; ``mypy --platform win32`` sees names that they lack."""
+"""Differences on Windows and macOS, as far as they can be tested on Linux;
+``mypy --platform win32`` finds names that do not exist there.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,7 @@ SOURCES = sorted(Path(celnav.__file__).parent.rglob("*.py"))
 
 
 def test_a_pipe_that_nobody_reads_is_quiet_on_windows_too(monkeypatch):
-    """There it is an invalid argument, of no file."""
+    """Windows reports an invalid argument without a file."""
     closed, named = (
         OSError(errno.EINVAL, "Invalid argument"),
         OSError(errno.EINVAL, "Invalid argument", "a:b"),

@@ -1,4 +1,4 @@
-"""The README and the page of verdicts: short, and what they say is what the package computes."""
+"""The README and the page of verdicts are short, and their numbers are the package's results."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def sentences(text):
 
 
 def test_sentences_are_short():
-    """Of README, site and the papers' findings at most ten have more than 35 words."""
+    """In README, site and the papers' findings at most ten sentences have more than 35 words."""
     pages = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
     texts = [path.read_text(encoding="utf-8") for path in pages]
     texts += [s.text for paper in PAPERS for s in load(paper).STUDY.found]
@@ -54,7 +54,7 @@ def too_long(texts):
 
 
 def test_sentences_of_the_ledgers_are_short():
-    """Of the statements and explanations of all rows at most ten sentences have more than 35 words.
+    """In the statements and explanations of all rows at most ten sentences have more than 35 words.
 
     Numbers are not filled in.
     """
@@ -77,7 +77,7 @@ def test_the_program_prints_what_is_shown(capsys):
 
 
 def test_the_diagnosis_is_what_is_shown(tmp_path):
-    """Of fixes whose errors have a correlation of 0.95 from second to second."""
+    """For fixes whose errors have a correlation of 0.95 from one second to the next."""
     rng, error = np.random.default_rng(1), np.zeros(1200)
     for k in range(1, 1200):
         error[k] = 0.95 * error[k - 1] + np.sqrt(1 - 0.95**2) * 1.5 * rng.standard_normal()
@@ -124,7 +124,9 @@ def test_a_notebook_shows_every_statement(paper):
 
 
 def test_the_drift_of_a_car_is_that_of_the_notebook():
-    """The largest, and the median by its ratio to that of the program that came with the log."""
+    """The largest error, and the ratio of the median to the median of the program published with
+    the log.
+    """
     notebook = (ROOT / "notebooks" / "07_real_data.ipynb").read_text(encoding="utf-8")
     largest = float(re.search(r"largest drift \(m\): ([\d.]+)", notebook)[1])
     rows = re.search(r'<tr id=\\"wheels-peer\\".*?</tr>', notebook, re.DOTALL)[0]
@@ -151,7 +153,9 @@ SUBJECTS = {
 
 
 def test_what_others_have_in_part_is_explained():
-    """Each ``~`` of the comparison, and nothing else, has its reason on the page of neighbors."""
+    """Each ``~`` in the comparison, and nothing else, has its reason on the page of other
+    libraries.
+    """
     table = re.search(r"## Compared with.*?\n(\|.*?)\n\n", README, re.DOTALL)[1].splitlines()
     names = [name.strip() for name in table[0].split("|")[2:-1]]
     in_part = {
@@ -194,7 +198,9 @@ def test_import_celnav_is_enough_for_every_name_with_dots():
 
 
 def test_import_celnav_stays_fast():
-    """What only studies and drawings need is not imported before it is asked for, and what is not there is told."""
+    """Packages for studies and figures are imported on first use, and a missing
+    package is named.
+    """
     program = (
         "import sys, celnav\nassert not {'matplotlib', 'rerun', 'celnav.analysis.tuning', 'celnav.papers'} & set(sys.modules)\n"
         "assert 'tuning' in dir(celnav.analysis)\n"
@@ -213,14 +219,14 @@ def test_it_says_how_to_cite_this_version():
 
 
 def test_constraints_say_why_they_have_no_hashes():
-    """And have none: the command above would fail."""
+    """And they have no hashes: with hashes the command above would fail."""
     lines = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
     assert "no hashes" in " ".join(line for line in lines if line.startswith("#"))
     assert not any("--hash" in line for line in lines)
 
 
 def test_help_names_every_public_function_first():
-    """Its first chapter has them by subject, and no method of tuples is in it."""
+    """Its first chapter lists them by subject, without methods of tuples."""
     chapter = (celnav.__doc__ or "").split("Conventions")[0]
     assert set(re.findall(r"`(\w+)`", chapter)) >= set(celnav.__all__) - {"EUCLIDEAN", "Filter"}
     assert "count(self, value" not in pydoc.plaintext.document(celnav)

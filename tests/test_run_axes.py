@@ -1,4 +1,6 @@
-"""No axis of runs, one run, several: every public function says the same of the same run."""
+"""Without an axis of runs, with one run and with several, every public function gives the same
+result for the same run.
+"""
 
 from __future__ import annotations
 
@@ -43,19 +45,21 @@ PICK = {"none": np.s_[:, 0], "one": np.s_[:, :1], "several": np.s_[:]}
 
 
 def three(function, *data):
-    """What a function of data ``(T, ..., m)`` gives of run 0 without its axis, with it, and of all."""
+    """Results of a function of data ``(T, ..., m)`` for run 0 without the axis of runs, for run 0
+    with the axis, and for all runs.
+    """
     return tuple(function(*(x[pick] for x in data)) for pick in PICK.values())
 
 
 def same(none, one, several, axis=1):
-    """Of run 0 without an axis of runs, of one run, and of several."""
+    """Compare the results for run 0 without an axis of runs, for one run, and for several runs."""
     for many, runs in ((one, 1), (several, RUNS)):
         assert many.shape == (*none.shape[:axis], runs, *none.shape[axis:])
         np.testing.assert_allclose(many.take(0, axis), none, rtol=1e-9, atol=1e-9)
 
 
 def alike(a, b):
-    """Records and tuples of the same numbers."""
+    """Compare records and tuples number by number."""
     if isinstance(a, tuple):
         assert len(a) == len(b)
         for x, y in zip(a, b, strict=True):
@@ -113,7 +117,7 @@ FILTERS = {
 
 @pytest.mark.parametrize("name", FILTERS)
 def test_a_filter_runs_them_all(name):
-    """And its track is stepped, written, and judged with and without the axis."""
+    """Also for steps, exported tracks and reports."""
     filter = FILTERS[name]
     tracks = three(lambda z: celnav.run(filter, PRIOR, TIMES, z, keep="cov"), Z)
     same_tracks(tracks)
@@ -134,8 +138,8 @@ def test_a_filter_runs_them_all(name):
 
 
 def test_reports_and_diagnoses_of_several_runs_are_those_of_each(tmp_path):
-    """Errors, predictions and innovations of run 0 are among them; figures and tables are drawn of
-    all.
+    """They include the errors, predictions and innovations of run 0; figures and tables show all
+    runs.
     """
     tracks = three(lambda z: celnav.run(FILTERS["ukf"], PRIOR, TIMES, z, keep="cov"), Z)
     truths = three(np.copy, TRUTH)
@@ -161,7 +165,7 @@ def test_reports_and_diagnoses_of_several_runs_are_those_of_each(tmp_path):
 
 
 def test_a_diagnosis_with_its_model_is_the_same():
-    """The one of a log without an axis of runs was a raw TypeError."""
+    """For a log without an axis of runs it once raised a raw TypeError."""
     complete, filter = np.where(np.isnan(Z), TRUTH[..., :2], Z), FILTERS["ukf"]
     none, one, several = three(
         lambda z: diagnose(celnav.run(filter, PRIOR, TIMES, z), prior=PRIOR, z=z), complete
@@ -227,7 +231,9 @@ def test_machine_code(name):
 
 
 def test_priors_inputs_and_two_sensors_with_an_axis_of_their_own():
-    """Runs of the prior, of the inputs and of the noise, as of the measurements."""
+    """Axes of runs in the prior, the inputs and the noise behave like axes of runs in the
+    measurements.
+    """
 
     def pushed(x, epoch):
         return x @ F.T + np.concatenate([0.0 * epoch.u, epoch.u], -1)

@@ -1,4 +1,4 @@
-"""The site: its programs run as they stand, and what it says is in the house is there."""
+"""The site: its programs run unchanged, and the names and paths that it mentions exist."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ PAGES = [
 
 @pytest.mark.parametrize("path", PAGES, ids=lambda p: p.stem)
 def test_a_page_runs(path, capsys, tmp_path, monkeypatch):
-    """The programs of a page, one after the other, print what the page shows."""
+    """The programs of a page, run one after the other, print the output on the page."""
     monkeypatch.chdir(tmp_path)
     text = path.read_text(encoding="utf-8")
     program = "\n".join(re.findall(r"```python\n(.*?)```", text, re.DOTALL))
@@ -35,7 +35,7 @@ def test_a_page_runs(path, capsys, tmp_path, monkeypatch):
 
 
 def test_every_source_is_on_the_page_of_sources():
-    """An entry that is not closed would swallow the next one."""
+    """An entry without its closing brace would absorb the next entry."""
     text = (ROOT / "data" / "references.bib").read_text(encoding="utf-8")
     entries = re.split(r"^@", text, flags=re.MULTILINE)[1:]
     assert len(entries) > 20
@@ -65,7 +65,7 @@ def test_what_is_in_the_pages_is_in_the_house():
 
 
 def described(thing):
-    """Fields of what the reference makes of a docstring: text by name."""
+    """Fields that the reference makes from a docstring: text by name."""
     lines = inspect.getdoc(thing).splitlines()
     written(None, "", "", thing, None, lines)
     fields = re.split(rf"^:{SMALL}([\w, ]+): ", "\n".join(lines), flags=re.MULTILINE)
@@ -79,7 +79,7 @@ def test_each_parameter_on_a_line_of_a_docstring_has_its_entry():
     assert found["prior"].startswith("a `celnav.Gaussian`")
     found = described(Track)
     assert found["mean"] == "``(T, ..., N)``.\n"
-    assert " ".join(found["std"].split()).startswith("``(T, ..., n)``. None: not kept.")
+    assert " ".join(found["std"].split()).startswith("``(T, ..., n)``. None: not stored.")
     assert {
         "times",
         "belief",
@@ -91,8 +91,11 @@ def test_each_parameter_on_a_line_of_a_docstring_has_its_entry():
 
 
 def test_a_line_that_goes_on_is_no_paragraph():
-    """Of an argument, also if it is not indented; and a sentence of a module has no arguments."""
-    assert "wraps component 1." in described(celnav.Sensor)["space"]
+    """A continuation line belongs to its argument even without indentation; a sentence of a module
+    has no arguments.
+    """
+    space = described(celnav.Sensor)["space"]
+    assert "wraps component 1." in " ".join(space.split())
     lines = ["Exact over an interval of any", "length: two steps equal one."]
     written(None, "module", "", celnav.models.motion, None, lines)
     assert lines == ["Exact over an interval of any", "length: two steps equal one."]

@@ -1,4 +1,4 @@
-"""The site as it is built: links, headings, pictures, contrast and the search, without a browser."""
+"""The built site: links, headings, pictures, contrast and search, without a browser."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ PAGES = [path for path in sorted(DOCS.rglob("*.md")) if path.name != "index.md"]
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory):
-    """Built in a process of its own, as by a user."""
+    """The site, built in a separate process, as by a user."""
     out = tmp_path_factory.mktemp("site")
     command = [sys.executable, "-m", "docs", str(out)]
     done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT)
@@ -34,9 +34,7 @@ def site(tmp_path_factory):
 
 
 class Page(HTMLParser):
-    """Links, anchors, headings and images of a page; what is outside of the article does not count
-    as a heading.
-    """
+    """Links, anchors, headings and images of a page; only headings inside the article are included."""
 
     def __init__(self, text):
         super().__init__()
@@ -120,7 +118,7 @@ def contrast(a, b):
 
 
 def test_text_has_contrast(site):
-    """4.5 for links, marked words and code, in light and in dark."""
+    """At least 4.5 for links, marked words and code, in light and dark mode."""
     assert contrast("#000", "#fff") == pytest.approx(21.0)
     links = re.findall(r"--color-brand-content: (#\w+)", (site / "index.html").read_text("utf-8"))
     assert contrast(links[0], "#ffffff") >= 4.5
@@ -142,7 +140,7 @@ def test_text_has_contrast(site):
 
 @pytest.mark.parametrize("path", PAGES, ids=lambda path: path.stem)
 def test_a_line_of_code_fits_the_page(path):
-    """100 characters of a program, 112 of what it prints."""
+    """At most 100 characters in a program line, 112 in its output."""
     text = path.read_text(encoding="utf-8")
     for kind, block in re.findall(r"```(python|text|toml)\n(.*?)```", text, re.DOTALL):
         longest = max(len(line) for line in block.splitlines())
@@ -151,7 +149,7 @@ def test_a_line_of_code_fits_the_page(path):
 
 # -- the time axis ---------------------------------------------------------------------------------
 def test_the_time_axis_is_that_of_epochs():
-    """Its labels are those of four epochs, and its text is text."""
+    """It has the labels of four epochs, and its text is selectable text."""
     picture = ElementTree.parse(DOCS / "time_axis.svg").getroot()
     labels = [node.text for node in picture.iter("{http://www.w3.org/2000/svg}text")]
     times = [label for label in labels if label.startswith("times[")]

@@ -1,4 +1,6 @@
-"""The order of imports: lower rooms know nothing of higher ones, filters nothing of models."""
+"""The order of imports: lower packages do not import higher ones, and filters
+do not import models.
+"""
 
 from __future__ import annotations
 
@@ -39,9 +41,9 @@ UPWARD = {
     ("track", f"celnav.show.{name}")
     for name in ("report", "report.report", "report.Report", "history", "history.figure")
 }
-"""A track is asked for its report and its plot, which are made, and imported, at the call."""
+"""`Track` imports its report and its plot at the call."""
 UPWARD |= {("run", name) for name in ("celnav.engine.compiled", "celnav.engine.compiled.run_by")}
-"""``run`` chooses an engine, and imports what machine code needs at the call only."""
+"""``run`` chooses an engine, and imports modules for machine code only at the call."""
 MODULES = sorted(
     p for p in ROOT.rglob("*.py") if p.name not in ("__main__.py",) and p != ROOT / "__init__.py"
 )
@@ -49,12 +51,12 @@ MODULES = sorted(
 
 @cache
 def nodes(path):
-    """All that a file consists of."""
+    """All nodes of a file's syntax tree."""
     return list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
 
 
 def imports(path):
-    """Names of the modules that a file imports, wherever it does so."""
+    """Names of all modules that a file imports, on any line."""
     for node in nodes(path):
         if isinstance(node, ast.ImportFrom) and node.module:
             yield node.module
@@ -85,7 +87,7 @@ def test_only_what_records_and_shows_imports_rerun():
 
 
 def named(path):
-    """A file as a module is imported."""
+    """The module name of a file."""
     return ".".join(["celnav", *path.relative_to(ROOT).with_suffix("").parts]).removesuffix(
         ".__init__"
     )
@@ -95,13 +97,15 @@ FILES = {named(path): path for path in [*MODULES, ROOT / "__init__.py"]}
 
 
 def kind(name):
-    """Constants come first, then classes, then functions: what ruff sorts by."""
+    """Constants first, then classes, then functions: the order that ruff sorts by."""
     return (not (len(name) > 1 and name.isupper()), not name[0].isupper(), name)
 
 
 @pytest.mark.parametrize("module", FILES)
 def test_a_module_names_what_is_public(module):
-    """Where it names nothing, an underscore says what is private; what the reference shows is named."""
+    """Without ``__all__`` an underscore marks private names; modules in the reference have
+    ``__all__``.
+    """
     found = import_module(module)
     names = vars(found).get("__all__", [])
     assert names == sorted(set(names), key=kind)
@@ -109,7 +113,9 @@ def test_a_module_names_what_is_public(module):
 
 
 def taken(path):
-    """What a file takes from other modules of celnav, by name or as an attribute of the module: ``(module, name)``."""
+    """Names that a file uses from other modules of celnav, imported or as attributes of a module:
+    ``(module, name)``.
+    """
     modules = {}
     for node in nodes(path):
         if isinstance(node, ast.ImportFrom) and node.module in FILES:
@@ -173,11 +179,11 @@ LIMITS = {
     "everything else": 52_000,
 }
 LARGER = {"library", "everything else", "papers.tstdkf", "receiver"}
-"""What does not keep to its limit yet; a limit that is kept again is to leave this set."""
+"""Files above their limit; a file that is below its limit again must leave this set."""
 
 
 def place(path):
-    """What a file is counted with."""
+    """The group with which a file is counted."""
     names = named(path).split(".")[1:3]
     if names[:1] == ["papers"] and names[-1] in PAPERS:
         return ".".join(names)
@@ -193,7 +199,7 @@ def test_the_house_keeps_its_size(limited):
 
 @pytest.mark.parametrize("path", MODULES, ids=lambda path: path.stem)
 def test_records_do_not_change(path):
-    """Every dataclass is frozen: what is changed is replaced."""
+    """Every dataclass is frozen: changes create a new record."""
     for node in nodes(path):
         if isinstance(node, ast.ClassDef):
             for decorator in map(ast.unparse, node.decorator_list):
@@ -204,7 +210,9 @@ def test_records_do_not_change(path):
 
 @pytest.mark.parametrize("module", FILES)
 def test_a_record_of_arrays_equals_itself_only(module):
-    """By their values ``==`` would ask whether an array is true, and ``hash`` for the hash of one."""
+    """Comparing values with ``==`` would need the truth value of an array, and ``hash`` the hash of
+    an array.
+    """
     for name, found in vars(import_module(module)).items():
         if is_dataclass(found) and isinstance(found, type) and found.__dataclass_params__.eq:
             assert not [
@@ -213,20 +221,20 @@ def test_a_record_of_arrays_equals_itself_only(module):
 
 
 def test_rooms_are_few():
-    """The root is a door."""
+    """The package root contains only the entry points."""
     assert len(list(ROOT.glob("*.py"))) <= 6
     assert len({p.relative_to(ROOT).parts[0] for p in MODULES}) <= 16
 
 
 @pytest.mark.parametrize("paper", PAPERS)
 def test_a_paper_is_data_in_few_files(paper):
-    """A door, a scenario, a study, a show; a method where the filter is too particular."""
+    """Entry point, scenario, study and show; and a method if the filter is special."""
     files = (ROOT / "papers" / paper).glob("*.py")
     assert {p.stem for p in files} - {"method"} == {"__init__", "scenario", "show", "study"}
 
 
 def test_code_and_prose_are_formatted_in_lines_of_at_most_100_characters():
-    """By ruff, everywhere; the prose of the ledgers too."""
+    """Formatted by ruff, everywhere; the prose of the ledgers too."""
     for path in (*ROOT.rglob("*.py"), *ROOT.rglob("ledger.toml")):
         text = path.read_text(encoding="utf-8")
         assert "fmt: skip" not in text, path

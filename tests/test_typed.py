@@ -14,7 +14,7 @@ BARE = re.compile(r"^def (\w+)\(([^)]*)\):", re.MULTILINE)
 
 
 def typed(program: str) -> str:
-    """A program with its functions annotated, as a strict user has them."""
+    """A program with annotated functions, as a user of strict mypy writes it."""
 
     def annotated(match: re.Match[str]) -> str:
         names = [name.strip() for name in match[2].split(",")]
@@ -27,7 +27,7 @@ def test_programs_type_check(tmp_path):
     pages = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]
     for path in pages:
         programs = re.findall(r"```python\n(.*?)```", path.read_text(encoding="utf-8"), re.DOTALL)
-        # A study of one's own begins without annotations.
+        # A user's study starts without annotations.
         programs = [p for p in programs if "mpi4py" not in p and "celnav.study.Timed" not in p]
         if programs:
             (tmp_path / f"{path.stem.lower()}_page.py").write_text(

@@ -1,4 +1,6 @@
-"""What cannot be meant is refused by name: every argument of every public function, replaced by what users get wrong."""
+"""Wrong values raise an error that names the argument: every argument of every public function is
+replaced by typical mistakes.
+"""
 
 # ruff: noqa: C408 (arguments read as in a call)
 from __future__ import annotations
@@ -53,7 +55,9 @@ recorded: cholesky outer present semidefinite_root solve_lower tria
 belief: any_lost nees mask_failed
 trial: check_groups scales squares Noiseless.standard_normal
 """
-"""What a filter calls at every step takes arrays as they are: a look at each would cost more than the product it makes."""
+"""Functions that a filter calls at every step do not check arrays, because a check would take
+longer than the computation.
+"""
 INSIDE = """
 checks: as_matrix numbers finite number integer integers as_integer choice function sequence together
     broadcast_batches instance describe unmasked accepts
@@ -99,7 +103,9 @@ report: Report.figure component_names errors
 scenes: arc behind beside constellation flight sigma_points sightings track turning unit
 showcase: Showcase record write
 """
-"""What checks, what has no arguments, and what only celnav calls, or hands to a library that says itself what it takes."""
+"""Functions that check arguments, that have none, that only celnav calls, or that pass arguments to
+a library with its own checks.
+"""
 
 LOG = np.random.default_rng(0).standard_normal((60, 2))
 I2, I3, I6 = np.eye(2), np.eye(3), np.eye(6)
@@ -402,7 +408,9 @@ MEANT = {
     "ephemeris.from_tt day": "empty, several",
     "ephemeris.from_tt rest": "empty, several",
 }
-"""What is meant although it is in the lists below: nan where nothing is known, a batch of none, a large cap."""
+"""Values in the lists below that are valid: nan for unknown values, an empty
+batch, a large limit.
+"""
 NUMBERS = {
     "None": None, "text": "x", "no text": "", "digits": "1", "empty": [], "complex": 1j, "nan": np.nan, "infinite": np.inf,
     "table": {}, "several": [1.0, 2.0], "a date": datetime(2026, 1, 1, tzinfo=UTC), "an object": object(), "a function": square,
@@ -449,7 +457,7 @@ def numeric(value):
 
 
 def wrong(value):
-    """What cannot be meant in place of a value of this kind."""
+    """Wrong values in place of a value of this kind."""
     if isinstance(value, str):
         return WORDS
     if callable(value) and not isinstance(value, rules.Rule):
@@ -469,7 +477,7 @@ def wrong(value):
 
 
 def resolve(name, tmp_path):
-    """The function of a name, and a call of it that works."""
+    """The function with this name, and a valid call."""
     given = CALLS[name]
     call, arguments = given if isinstance(given, tuple) else (None, given)
     if name.startswith("recording.Recorder."):
@@ -491,7 +499,7 @@ def resolve(name, tmp_path):
 
 
 def judge(call, arguments, name, value):
-    """None if a wrong value is refused by name, else what came of it."""
+    """None if a wrong value raises an error with the argument's name, else the outcome."""
     try:
         call(**arguments | {name: value})
     except (ValueError, TypeError, OSError, KeyError) as error:
@@ -522,7 +530,9 @@ def test_what_cannot_be_meant_is_refused_by_name(name, tmp_path):
 
 
 def other_forms(value):
-    """The same value as it may also come: other types of numbers, lists, memory that cannot be written or is not in one piece."""
+    """The same value in other forms: other number types, lists, read-only or
+    non-contiguous memory.
+    """
     if isinstance(value, int | float):
         yield from (np.float64(value), np.array(value), float(value))
         if value == int(value):
@@ -543,8 +553,9 @@ def other_forms(value):
 
 
 def lively(call, arguments, name):
-    """Arguments that work, in which an array's numbers differ from each other, if the call takes
-    such: a transposed matrix or a wrong stride then gives another result."""
+    """Valid arguments in which the numbers of an array differ from each other if possible: a
+    transposed matrix or a wrong stride then changes the result.
+    """
     value = arguments[name]
     if numeric(value) and np.ndim(value):
         array = np.array(value, float)
@@ -564,7 +575,7 @@ def lively(call, arguments, name):
 
 
 def copied(arguments):
-    """Arguments with generators of their own, in the state in which these are."""
+    """Copies of arguments, with copies of random generators in the same state."""
     return {
         key: deepcopy(value) if key in ("rng", "rngs") else value
         for key, value in arguments.items()
@@ -602,7 +613,7 @@ def numbers_in(result, seen=()):
 
 
 def assert_same_numbers(found, expected, what):
-    """Up to the order in which a library sums what lies in memory in another order."""
+    """Equal up to the order of summation, which may depend on the memory layout."""
     found, expected = list(numbers_in(found)), list(numbers_in(expected))
     assert len(found) == len(expected), what
     for mine, plain in zip(found, expected, strict=True):
@@ -621,7 +632,7 @@ LOGGED = []
 
 
 class Listening(rr.RecordingStream):
-    """A stream that keeps what is logged."""
+    """A stream that stores what is logged."""
 
     def log(self, entity, *parts, **_options):
         LOGGED.append((entity, parts))
@@ -633,7 +644,9 @@ class Listening(rr.RecordingStream):
 @pytest.mark.parametrize("name", CALLS)
 @pytest.mark.filterwarnings("ignore")
 def test_what_may_be_meant_gives_the_same_numbers(name, tmp_path, monkeypatch):
-    """Other types of numbers, lists, arrays in any memory, and masked ones with nothing masked."""
+    """Other number types, lists, arrays with any memory layout, and masked arrays with nothing
+    masked.
+    """
     monkeypatch.setattr(problem, "process_time", lambda: 0.0)
     monkeypatch.setattr(rr, "RecordingStream", Listening)
     call, _, arguments = resolve(name, tmp_path)
@@ -662,7 +675,7 @@ def test_what_may_be_meant_gives_the_same_numbers(name, tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("name", ["gyro.Body", "gravity.Gravity", "rules.Rule", "pulsar.Timing"])
 def test_records_of_arrays_are_compared_by_identity(name, tmp_path):
-    """Arrays have no one truth: two of them are two keys of a table."""
+    """An array has no single truth value, so two records are two keys of a dictionary."""
     call, _, arguments = resolve(name, tmp_path)
     one, other = call(**arguments), call(**arguments)
     assert one == one
@@ -671,7 +684,7 @@ def test_records_of_arrays_are_compared_by_identity(name, tmp_path):
 
 
 def test_what_only_looks_wrong_is_accepted():
-    """Values of each run, of other shapes that broadcast, lazy sequences, missing ones."""
+    """Values for each run, shapes that broadcast, lazy sequences, missing values."""
     each = orbit.Earth(mu=np.array([398600.0, 398601.0]))
     assert orbit.propagate(np.tile(X6, (2, 1)), -1.0, 2, each).shape == (3, 2, 6)
     assert orbit.propagate(np.zeros((0, 6)), 1.0, 2).shape == (3, 0, 6)
@@ -703,7 +716,7 @@ def test_what_only_looks_wrong_is_accepted():
 
 
 def public():
-    """Names of all public functions, classes that are made, and methods of the modules."""
+    """Names of all public functions, classes that users create, and methods of the modules."""
     for short, module in MODULES.items():
         for name, thing in vars(module).items():
             if name.startswith("_") or getattr(thing, "__module__", "") != module.__name__:

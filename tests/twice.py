@@ -1,4 +1,4 @@
-"""A run flown twice, by numpy and as machine code, and whether both say the same."""
+"""A filter run twice, with numpy and as machine code, and the comparison of both tracks."""
 
 from __future__ import annotations
 
@@ -10,15 +10,17 @@ FIELDS = ("times", "mean", "std", "innovation", "whitened", "used", "log_likelih
 
 
 def twice(filter, *arguments, of=None, engine="compiled", **options):
-    """Tracks of the numpy engine and of another one; ``of``: another filter for the numpy engine."""
+    """Tracks from the numpy engine and from another engine; ``of``: another filter for the numpy
+    engine.
+    """
     options = {"on_failure": "flag"} | options
     known = celnav.run(filter if of is None else of, *arguments, **options)
     return known, celnav.run(filter, *arguments, engine=engine, **options)
 
 
 def assert_same(known, found, least=1e-9, engine="compiled"):
-    """Every field: means and deviations within ``least`` of value and deviation, what is counted
-    exactly.
+    """Compare every field: means and standard deviations within ``least`` of value and standard
+    deviation, counts exactly.
     """
     assert found.engine == engine
     assert repr(found) == repr(known)
@@ -56,8 +58,8 @@ def assert_same(known, found, least=1e-9, engine="compiled"):
 
 
 def deviations(track):
-    """Standard deviations that go with the components of a mean, or the largest where there are not
-    as many; 1 if none are kept.
+    """Standard deviations for the components of a mean, or the largest if their numbers differ; 1
+    if none are stored.
     """
     if track.std is None:
         return 1.0
@@ -65,13 +67,13 @@ def deviations(track):
 
 
 def worst(error, scale):
-    """The largest of relative errors, of those that are known."""
+    """The largest relative error that is not nan."""
     ratio = np.abs(error) / np.where(scale > 0.0, scale, 1.0)
     return np.max(ratio[np.isfinite(ratio)], initial=0.0)
 
 
 def told(call, *arguments, **options):
-    """What a call ends with: "" or its error, in words."""
+    """How a call ends: "" or the text of its error."""
     try:
         call(*arguments, **options)
     except Exception as error:
