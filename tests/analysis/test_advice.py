@@ -1,5 +1,5 @@
-"""The advice of `diagnose`, read as a user reads it: a filter that is made of the printed numbers
-predicts what is printed. On simulated logs, and on real ones where CELNAV_DATA has them.
+"""The advice of `diagnose`, used as a user would: a filter with the printed numbers predicts what
+is printed. On simulated logs, and on real logs if CELNAV_DATA has them.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from celnav.models.noise import ar1
 LOGS = Path(os.environ.get("CELNAV_DATA", "real")) / "logs"
 real_only = pytest.mark.skipif(not LOGS.is_dir(), reason="CELNAV_DATA has no folder logs")
 DIGITS = 0.01
-"""Printed are three digits of a deviation, and of a coefficient's distance to 1."""
+"""The page prints three digits of a standard deviation, and of a coefficient's distance from 1."""
 NUMBER = r"(-?\d[\d.e+-]*)"
 COLORED = rf"celnav\.colored\(motion, sensor, Phi=\[\[{NUMBER}\]\]\) with R=\[\[{NUMBER}\]\]"
 STATE = (
@@ -36,14 +36,14 @@ END = rf"; at the end it predicts σ = {NUMBER}, the given filter {NUMBER}"
 
 
 def advice(pattern, text):
-    """The numbers of a sentence, None if it is not there."""
+    """The numbers in a sentence; None if the sentence is missing."""
     found = re.search(pattern, str(text).replace("\n         ", " "))
     return found and [float(x) if re.fullmatch(NUMBER, x) else x for x in found.groups()]
 
 
 # -- tables of residuals ---------------------------------------------------------------------------
 def end_of_constant(make, Phi, R, x, white=None):
-    """σ of a constant of which nothing is known, after all samples ``x (T,)``."""
+    """σ of a constant without prior information, after all samples ``x (T,)``."""
     sensor = celnav.Sensor([[1.0]], [[R]])
     constant, prior = celnav.Motion([[1.0]], [[0.0]]), celnav.Gaussian([0.0], [[1e8 * R]])
     if make == "colored":
@@ -110,14 +110,14 @@ def test_a_real_clock_s_advice_is_what_a_filter_gives(name, tmp_path):
 
 # -- a cart with odometry and ranges ---------------------------------------------------------------
 def cart(Q, R):
-    """Along a rail: the input is a measured speed."""
+    """A cart on a rail, with a measured speed as input."""
     return celnav.ekf(
         celnav.Motion(lambda x, epoch: x + epoch.u * epoch.dt, [[Q]]), celnav.Sensor([[1.0]], [[R]])
     )
 
 
 def rail(rng, R, slip=0.0, every=1, T=2000):
-    """Times, ranges and speeds at 10 Hz; ``slip``: coefficient of the error of the speed."""
+    """Times, ranges and speeds at 10 Hz; ``slip``: coefficient of the speed's error."""
     t = 0.1 * np.arange(T)
     v = 0.3 * np.sin(0.05 * t)
     x = np.concatenate([[0.0], np.cumsum(0.1 * v[:-1])])
@@ -127,7 +127,7 @@ def rail(rng, R, slip=0.0, every=1, T=2000):
 
 
 def check_cart(Q, R, t, z, u):
-    """Every filter that the page names. Returns the page, and what words it has for Q and R."""
+    """Check every filter that the page names. Returns the page, and its sentences about Q and R."""
     prior, given = celnav.Gaussian(z[0], [[R]]), cart(Q, R)
     page = diagnose(celnav.run(given, prior, t, z, u), prior=prior, z=z, u=u)
     before = celnav.run(given, prior, t, z, u).std[-1, 0]
@@ -167,7 +167,9 @@ FIT = "model    fitted, not suggested: the given filter with Q times"
     ],
 )
 def test_a_cart_s_advice_is_what_a_filter_gives(truth, first, second):
-    """Given are 16 times 1e-4 m^2 of the range, and a quarter of the noise of the speed."""
+    """The filter is given 16 times the range variance of 1e-4 m^2, and a quarter of the speed's
+    noise.
+    """
     text = check_cart(0.25e-4, 16e-4, *rail(np.random.default_rng(1), **truth))
     assert first in text
     assert second in text
@@ -178,8 +180,8 @@ def test_a_cart_s_advice_is_what_a_filter_gives(truth, first, second):
     ("every", "word"), [(1, "fitted, not suggested: the given"), (100, "suggested: the given")]
 )
 def test_a_real_cart_s_advice_is_what_a_filter_gives(every, word):
-    """With the deviations that its owners state. The errors of the laser follow the place, so that
-    no factors leave innovations white as long as all ranges are used.
+    """With the standard deviations from the data's authors. The laser's errors depend on the place,
+    so no factors make the innovations white as long as all ranges are used.
     """
     log = loadmat(LOGS / "dataset1.mat")
     t, r, v = (log[name][:, 0] for name in ("t", "r", "v"))

@@ -1,5 +1,5 @@
-"""A log that is asked: white, biased, wrongly sized and colored residuals are told apart, and bands
-cover what they promise.
+"""Diagnosis of logs: white, biased, wrongly sized and colored residuals are distinguished, and
+bands have their stated coverage.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ def noise(phi, steps, runs=1, m=1, rng=None):
 
 
 def inside(count, of, level=0.95):
-    """Whether a count of successes is within binomial error, of one in a thousand, of a
-    probability.
+    """Whether a count of successes agrees with a probability, with a binomial test at the level
+    0.001.
     """
     return binom.ppf(0.0005, of, level) <= count <= binom.ppf(0.9995, of, level)
 
@@ -47,7 +47,9 @@ def inside(count, of, level=0.95):
     [(0.0, 300, 1), (0.0, 40, 4), (0.7, 300, 1), (0.9, 400, 2), (-0.5, 300, 1)],
 )
 def test_bands_and_intervals_cover(phi, steps, runs):
-    """At 95 % of many logs: bias 0, size 1, coefficient, deviation; white noise passes Ljung-Box."""
+    """Intervals contain bias 0, size 1, coefficient and standard deviation in 95 % of many logs;
+    white noise passes Ljung-Box.
+    """
     rng, many = np.random.default_rng(2), 300
     counts = np.zeros(5, int)
     colored = 0
@@ -77,7 +79,7 @@ def test_bands_and_intervals_cover(phi, steps, runs):
 
 
 def test_statistics_by_their_formulas():
-    """Autocorrelation, Ljung and Box's statistic, NIS: of complete data, written out."""
+    """Autocorrelation, the Ljung-Box statistic and NIS for complete data, written out."""
     x = noise(0.4, 200)[:, 0, 0]
     found = diagnose(x[:, None], np.arange(200.0), std=2.0, lags=5)
     c = found.components[0]
@@ -93,8 +95,8 @@ def test_statistics_by_their_formulas():
 
 @pytest.mark.parametrize("phi", [(0.9,), (-0.6,), (0.0,), (1.2, -0.7), (0.3, -0.6)])
 def test_correlations_are_summed_as_long_as_two_of_them_are_positive(phi):
-    """The initial positive sequence; half of the lags that there are, and the subtracted mean costs
-    what it hides.
+    """The initial positive sequence; at most half of the lags, with a correction for the subtracted
+    mean.
     """
     rng, N = np.random.default_rng(6), 200
     x = rng.standard_normal(N)
@@ -116,7 +118,7 @@ def test_correlations_are_summed_as_long_as_two_of_them_are_positive(phi):
 
 
 def test_lags_without_pairs_have_no_degree_of_freedom():
-    """Of samples two steps apart, but for one: every other lag of twenty has pairs."""
+    """Samples are two steps apart, except one: every other of twenty lags has pairs."""
     x = np.full((201, 1), np.nan)
     x[::2, 0] = np.random.default_rng(8).standard_normal(101)
     place = np.arange(201)
@@ -133,9 +135,7 @@ def test_lags_without_pairs_have_no_degree_of_freedom():
 
 
 def test_gaps_and_missing_components_cost_only_themselves():
-    """Pairs of a lag are those that exist, by their times; what is left out of a long log changes
-    no conclusion.
-    """
+    """A lag uses the pairs that exist, by their times; gaps in a long log change no conclusion."""
     x, t = noise(0.8, 2000, m=2)[:, 0], np.arange(2000.0)
     rng = np.random.default_rng(3)
     x[rng.random(x.shape) < 0.3] = np.nan
@@ -164,8 +164,8 @@ def test_gaps_and_missing_components_cost_only_themselves():
 
 
 def test_first_order_noise_by_the_joint_density():
-    """The restricted likelihood of all samples at once, by the whole covariance, has its maximum
-    where the recursion says.
+    """The restricted likelihood of all samples, from the whole covariance matrix, has its maximum
+    at the result of the recursion.
     """
     at = np.delete(np.arange(60), [7, 8, 30])
     x = noise(0.6, 60)[at, 0, 0]
@@ -223,8 +223,8 @@ def test_a_little_correlation_of_much_data_is_called_little():
 
 
 def satellite(**changed):
-    """[Sun2015]'s satellite with its colored noise, and what a filter believes that takes it for
-    white.
+    """[Sun2015]'s satellite with its colored noise, and the track of a filter that treats the noise
+    as white.
     """
     config = scenario.Config(steps=200, runs=6, noise_level="stationary", phi=0.8, **changed)
     flown = scenario.simulate(config, [generator(3, 0, run) for run in range(6)])
@@ -235,8 +235,8 @@ def satellite(**changed):
 
 
 def test_a_white_filter_in_colored_noise_is_diagnosed_and_cured():
-    """Phi and R are recovered within their intervals, the filter that is advised passes, and claims
-    what its errors are.
+    """Phi and R are recovered within their intervals. The suggested filter passes, and its
+    predicted σ agrees with its errors.
     """
     config, flown, motion, gps = satellite()
     track = celnav.run(celnav.ukf(motion, gps), flown.prior, config.times, flown.z)
@@ -282,7 +282,7 @@ def test_without_data_or_a_model_it_says_so():
 @pytest.mark.parametrize("gap", [0.0, np.nan])
 @pytest.mark.parametrize("turning", ["motion", "sensor"])
 def test_a_filter_of_angles_has_no_filter_for_colored_noise(turning, gap):
-    """What is fitted adds the noise to vectors; around a circle it is another model."""
+    """The fitted model adds the noise to vectors; on a circle the model is a different one."""
     circle = celnav.angles([0])
     spaces = {turning: circle}
     motion = celnav.Motion(lambda x, _e: x, [[1e-4]], space=spaces.get("motion", celnav.EUCLIDEAN))
@@ -296,8 +296,8 @@ def test_a_filter_of_angles_has_no_filter_for_colored_noise(turning, gap):
 
 
 def test_a_large_first_innovation_hides_no_color():
-    """What is normalized by its claim decides, not what is large because the prior was wide; Phi
-    and R come of the likelihood.
+    """The innovation normalized by its predicted σ decides, not an innovation that is large because
+    of a wide prior; Phi and R come from the likelihood.
     """
     motion, radar = celnav.Motion([[1.0]], [[1e-4]]), celnav.Sensor([[1.0]], [[0.25]])
     start = celnav.Gaussian([0.0], [[1e6]])
@@ -314,7 +314,7 @@ def test_a_large_first_innovation_hides_no_color():
 
 
 def test_sensors_and_runs_that_are_lost():
-    """Each sensor has a size of its own; what was not used is not there."""
+    """Each sensor has a separate size; unused components are left out."""
     motion, start = (
         celnav.Motion(np.eye(2), 0.01 * np.eye(2)),
         celnav.Gaussian(np.zeros(2), np.eye(2)),
@@ -342,13 +342,13 @@ def test_the_figure(std):
 
 
 def flat(text):
-    """A page with its lines joined."""
+    """The page as one line."""
     return str(text).replace("\n         ", " ")
 
 
 # -- noise that is fitted --------------------------------------------------------------------------
 def least_squares(x, C):
-    """Mean, its σ and the restricted log-likelihood of samples of covariance C, written out."""
+    """Mean, its σ and the restricted log-likelihood of samples with covariance C, written out."""
     one, inverse = np.ones(len(x)), np.linalg.inv(C)
     information = one @ inverse @ one
     left = x - one @ inverse @ x / information
@@ -357,7 +357,9 @@ def least_squares(x, C):
 
 
 def test_the_mean_of_first_order_noise_is_as_uncertain_as_generalized_least_squares_say():
-    """Gaps and runs included: every pair of a run by its distance, none of two runs."""
+    """With gaps and runs: every pair within a run enters by its distance, and no pair from two
+    runs.
+    """
     place = np.delete(np.arange(80), [7, 8, 30, 55])
     x = noise(0.7, 80, 2)[place, :, 0]
     x[5, 0] = np.nan
@@ -370,7 +372,7 @@ def test_the_mean_of_first_order_noise_is_as_uncertain_as_generalized_least_squa
 
 
 def test_the_filter_that_is_suggested_predicts_what_is_said():
-    """Of the mean of the samples: of a constant of which nothing is known before."""
+    """For the mean of the samples, which is a constant without prior information."""
     x = 1.5 * noise(0.9, 600)[:, 0]
     found = diagnose(x, np.arange(600.0), std=1.0)
     fit = found.components[0].coloring
@@ -384,8 +386,8 @@ def test_the_filter_that_is_suggested_predicts_what_is_said():
 
 
 def test_first_order_noise_plus_white_noise_by_the_joint_density():
-    """No neighbor of the fit is more probable, and likelihood, σ of the mean are those of the
-    matrix.
+    """No neighbor of the fit is more probable, and likelihood and σ of the mean equal the values
+    from the covariance matrix.
     """
     rng, place = np.random.default_rng(4), np.delete(np.arange(300), slice(100, 130))
     x = (noise(0.9, 300, 2, rng=rng) + 0.7 * rng.standard_normal((300, 2, 1)))[place, :, 0]
@@ -426,7 +428,7 @@ def test_a_model_that_was_rejected_is_not_suggested():
 
 
 def test_noise_that_alternates_is_fitted_too():
-    """Its first correlation is -1, so that none of the sums of two is positive."""
+    """Its first correlation is -1, so no sum of two neighboring correlations is positive."""
     found = diagnose(np.tile([[1.0], [-1.0]], (150, 1)), T)
     assert found.components[0].autocorrelation[0] == pytest.approx(-1.0)
     assert found.components[0].longer < 0.1
@@ -436,7 +438,9 @@ def test_noise_that_alternates_is_fitted_too():
 # -- lags ------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("jitter", [0, 1])
 def test_a_slow_sensor_is_judged_on_its_own_samples(jitter):
-    """At each 25th epoch of a fast one, or one beside it, as if there were no other epochs."""
+    """A sensor at each 25th epoch of a fast sensor is evaluated as if there
+    were no other epochs.
+    """
     slow = noise(0.9, 300)[:, 0, 0]
     at = 25 * np.arange(300) + jitter * np.random.default_rng(0).integers(-1, 2, 300)
     at[0] = 0
@@ -477,7 +481,7 @@ def test_clocks_that_jitter_and_long_gaps_have_a_grid_too():
 
 
 def test_epochs_off_any_grid_have_the_model_of_their_order():
-    """Where nothing depends on the time between them."""
+    """If nothing depends on the time between the epochs."""
     filter = celnav.ukf(celnav.Motion(np.eye(1), [[1e-4]]), celnav.Sensor(np.eye(1), [[1.0]]))
     prior, z = celnav.Gaussian([0.0], [[1.0]]), noise(0.8, 300)[:, 0]
     off = np.cumsum(np.random.default_rng(0).uniform(0.1, 3.0, 300))
@@ -524,7 +528,7 @@ HERE = celnav.Gaussian(np.zeros(4), np.diag([4.0, 4.0, 1.0, 1.0]))
 
 
 def test_a_motion_whose_noise_is_a_function_has_a_rival_too():
-    """The package's motion and its matrices are the same model, and are judged the same."""
+    """A motion of the package and its matrices are the same model, and get the same diagnosis."""
     times = np.arange(200.0)
     _, z = celnav.simulate(WALK, FIX, HERE, times, runs=2, seed=1, Phi=0.9 * np.eye(2))
     Q = 0.01 * np.kron([[1.0 / 3.0, 0.5], [0.5, 1.0]], np.eye(2))
@@ -540,7 +544,7 @@ def test_a_motion_whose_noise_is_a_function_has_a_rival_too():
 
 
 def test_components_stay_as_correlated_as_they_were_given():
-    """Each has a σ and a coefficient of its own; R is said as a whole matrix."""
+    """Each component has its σ and its coefficient; R is printed as a full matrix."""
     R, times = 1e-14 * np.array([[4.0, 1.5], [1.5, 1.0]]), np.arange(100.0)
     walk, start = constant_velocity(2, 1e-16), celnav.Gaussian(HERE.mean, 1e-14 * HERE.cov)
     fix = celnav.Sensor(np.eye(2, 4), R)
@@ -567,7 +571,9 @@ def test_what_was_not_compared_is_said():
 
 
 def test_missing_samples_are_fitted_by_the_filter_that_loses_nothing():
-    """Differences lose two for each that is missing: their likelihood is not that of all data."""
+    """Each missing sample costs two differences, so the likelihood of differences is not the
+    likelihood of all data.
+    """
     walk, fix = celnav.Motion([[1.0]], [[0.01]]), celnav.Sensor([[1.0]], [[1.0]])
     start, times = celnav.Gaussian([0.0], [[1.0]]), np.arange(400.0)
     _, z = celnav.simulate(walk, fix, start, times, runs=1, seed=3, Phi=[[0.9]])
@@ -607,7 +613,9 @@ CURE = "the cure is celnav.Sensor(..., space=celnav.angles([1]))"
 
 
 def crossing(sensor, runs, rate=1.0, filter=celnav.ekf):
-    """A target that crosses the seam, south of the radar; its track and measurements."""
+    """A target that crosses the angle's wrap at +-pi, south of the radar; its track and
+    measurements.
+    """
     start = celnav.Gaussian([-800.0, -150.0, 0.0, rate], np.diag([100.0, 100.0, 1.0, 1.0]))
     times = np.arange(400.0)
     _, z = celnav.simulate(WALK, WRAPS, start, times, runs=runs, seed=3)
@@ -649,7 +657,9 @@ def test_one_crossing_is_enough_where_the_measurements_are_known():
 
 @pytest.mark.parametrize("case", ["offset", "wide", "heavy", "outliers", "multipath"])
 def test_sensors_that_are_no_angles_are_left_alone(case):
-    """Ranges whose innovations are near 2 pi by chance; of multipath by just that, z tells."""
+    """Ranges whose innovations are near 2 pi by chance; if multipath has just this size, z shows
+    that they are ranges.
+    """
     rng = np.random.default_rng(5)
     x = 0.1 * rng.standard_normal((2000, 1))
     if case == "offset":
@@ -669,7 +679,7 @@ def test_sensors_that_are_no_angles_are_left_alone(case):
 
 @pytest.mark.parametrize(("turns", "wraps"), [(30, False), (60, True)])
 def test_jumps_are_a_wrap_only_if_a_third_of_them_are_turns(turns, wraps):
-    """Either is more turns than jumps of any size would be."""
+    """Both counts exceed the number of full turns expected for jumps of any size."""
     x = 0.02 * np.random.default_rng(5).standard_normal((2000, 1))
     x[10:1990:16, 0] = 10.0  # 124 of no whole number of turns
     x[10 : 10 + 16 * turns : 16, 0] = 2.0 * np.pi
@@ -779,7 +789,7 @@ model    its innovations are white (p 0.71)"""
 
 
 def test_the_page_of_a_track_with_colored_noise():
-    """Of one log, without an axis of runs."""
+    """The page of one log, without an axis of runs."""
     motion = celnav.models.motion.constant_velocity(1, 0.01)
     gps, start = (
         celnav.Sensor([[1.0, 0.0]], [[4.0]]),

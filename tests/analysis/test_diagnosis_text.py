@@ -1,4 +1,4 @@
-"""The words of a diagnosis, of statistics that are given by hand."""
+"""The text of a diagnosis, from statistics given by hand."""
 
 from __future__ import annotations
 
@@ -58,7 +58,9 @@ MODEL = Model(
 
 
 def page(*components, sensors=(SOUND,), model=None, wraps=(), why="", **changed):
-    """Lines of a page by their first word, the table by "", each as one string without breaks."""
+    """Lines of a page by their first word, the table under "", each as one string without line
+    breaks.
+    """
     found = Diagnosis(np.arange(100.0) * 2.0, 2.0, 1, 0.95, components, sensors, wraps, model, why)
     head, table, body = str(found._replace(**changed)).split("\n\n")
     lines = body.replace("\n         ", " ").splitlines()
@@ -122,7 +124,7 @@ def test_what_is_said_of_the_size(nis, component, expected):
 
 
 def test_the_size_of_each_component_of_a_sensor_of_several():
-    """Only of the sensor's own components, and of those that have one."""
+    """Only for components of this sensor, and only for components that have a size."""
     pair = WHITE._replace(name="a"), WHITE._replace(name="b", size=0.25)
     other = WHITE._replace(name="c", sensor=1, p=1e-16, effective=25.0, coloring=FIT)
     lost = WHITE._replace(name="d", size=None)
@@ -138,7 +140,9 @@ def test_the_size_of_each_component_of_a_sensor_of_several():
 
 
 def test_what_is_said_of_bias_and_whiteness():
-    """The doubt of 5 % is shared by four components, and what is whiter comes first."""
+    """Four components share the significance level of 5 %, and the less white component comes
+    first.
+    """
     biased = WHITE._replace(name="b", bias=-0.75, bias_p=0.0124, effective=40.0)
     nearly = WHITE._replace(name="n", p=0.0124, effective=90.0, bias_p=0.0126)
     unknown = WHITE._replace(name="u", p=np.nan, band=np.full(3, np.nan), step=None)
@@ -167,7 +171,9 @@ MEAN = "for the mean of these samples it predicts σ = 0.125"
 
 
 def test_what_is_said_of_noise_that_is_of_first_order():
-    """A time only of a coefficient within (0, 1), and an interval only if it is not the epochs'."""
+    """A correlation time only for a coefficient within (0, 1), and an interval only if it differs
+    from the epochs' interval.
+    """
     time, size = ", a correlation time of 2.89 s", ", σ = 2 (1.5 to 2.5)"
     fine = "z0: first-order noise is accepted: its innovations are white (p 0.3)"
     assert said("noise", COLORED) == [NOISE + time + size, fine]
@@ -185,7 +191,7 @@ def test_what_is_said_of_noise_that_is_of_first_order():
 
 
 def test_innovations_are_not_the_noise_itself():
-    """They have a size, and no prediction of their own: no filter follows from them."""
+    """They have a size, but a filter for them cannot be suggested."""
     innovations = COLORED._replace(predicted=None)
     time = ", a correlation time of 2.89 s"
     assert said("noise", innovations)[0] == NOISE.replace("Phi", "Phi of its innovations") + time
@@ -196,7 +202,7 @@ def test_innovations_are_not_the_noise_itself():
 
 @pytest.mark.parametrize("p", [0.04, 0.06])
 def test_white_noise_beside_it_is_tried_where_first_order_noise_is_rejected(p):
-    """And suggested where it is accepted at the doubt of 5 % of one component."""
+    """And it is suggested if it is accepted at the level of 5 % for one component."""
     mixed = COLORED._replace(coloring=FIT._replace(p=0.04, mixture=FIT.mixture._replace(p=p)))
     verdict = "accepted: its innovations are" if p > 0.05 else "rejected: its innovations are not"
     assert said("noise", mixed)[1:] == [
@@ -232,7 +238,7 @@ WRONG = "these data do not distinguish color from wrong dynamics"
 
 
 def of_track(**changed):
-    """What is said of a model of a track."""
+    """The sentences about a model of a track."""
     assert said("noise", COLORED, WHITE, model=MODEL) == []
     return said("model", COLORED, WHITE, model=MODEL._replace(**changed))
 
@@ -294,7 +300,9 @@ def test_other_white_noise_that_is_more_probable_is_suggested_if_it_leaves_nothi
 
 @pytest.mark.parametrize("gain", [10.0, 60.0])
 def test_a_degenerate_fit_of_colored_noise_is_left_out(gain):
-    """Whether or not its likelihood is larger; then the factors are not suggested either."""
+    """It is left out whether or not its likelihood is larger; the factors are then not suggested
+    either.
+    """
     lines = of_track(factors=FACTORS._replace(gain=gain), degenerate="Phi z0 ran to the end")
     assert lines == [
         *scaled("suggested" if gain > 50.0 else "fitted, not suggested", f"{gain:.0f}"),

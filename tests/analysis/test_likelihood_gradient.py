@@ -1,5 +1,5 @@
-"""The gradient of the likelihood: the chain rule through a filter's own step, against recursions by
-hand and differences.
+"""The gradient of the likelihood: the chain rule through a filter's step, compared with recursions
+by hand and with differences.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ def colored(p, motion=F):
 
 
 def transition(p):
-    """The matrix of the motion is a parameter, and a noise that moves one component only."""
+    """The parameter is in the motion's matrix, or in a noise that drives only one component."""
     motion = Motion(
         np.array([[1.0, 0.5], [-0.1, 0.8 * p[2]]]), sqrt_Q=p[0] * np.array([[0.0], [1.0]])
     )
@@ -99,7 +99,7 @@ def augmented(p):
 
 
 def velocity(p):
-    """A motion of the package, whose matrices are of the epoch."""
+    """A motion of the package, whose matrices depend on the epoch."""
     motion = celnav.models.motion.constant_velocity(1, p[0])
     return celnav.ukf(motion, Sensor(np.eye(1, 2), p[1])), Gaussian(np.zeros(2), p[2])
 
@@ -137,7 +137,7 @@ POINT = np.array([0.7, 0.4, 0.9])
 
 @pytest.mark.parametrize("case", CASES)
 def test_gradient_against_differences_of_flights(case):
-    """The chain rule through the compiled step, and differences of the fourth order of the numpy
+    """The chain rule through the compiled step, compared with fourth-order differences of the numpy
     engine's likelihood.
     """
     build, z = CASES[case]
@@ -192,8 +192,8 @@ def test_gradient_of_a_scalar_filter_by_hand():
 
 
 def test_what_is_not_chosen_spoils_no_derivative():
-    """A root of a negative number and a quotient by 0 that a choice leaves out, and the length of a
-    row of zeros.
+    """A choice discards the square root of a negative number and a division by 0; a row of zeros
+    has length 0.
     """
     tape = Tape()
     x = TracedArray((2,))
@@ -216,7 +216,9 @@ def test_what_is_not_chosen_spoils_no_derivative():
 
 
 def test_models_that_know_the_parameters_are_flown_by_numpy():
-    """What a function has in its closure is a number of the program: it is noticed, and said."""
+    """A value in a function's closure is a constant of the program: the change is detected and
+    reported.
+    """
 
     def build(p):
         return celnav.ukf(
@@ -244,7 +246,7 @@ def test_models_that_know_the_parameters_are_flown_by_numpy():
 
 
 def test_arrays_that_change_their_shapes_are_flown_by_numpy():
-    """A noise of one column, and of two on the other side of the point."""
+    """A noise with one column, and with two columns on the other side of the point."""
 
     def build(p):
         root = p[0] * np.array([[0.3], [0.1]])
@@ -267,7 +269,9 @@ def test_arrays_that_change_their_shapes_are_flown_by_numpy():
 
 
 def test_where_a_likelihood_jumps_it_has_no_compiled_gradient():
-    """A measurement of 6 lies at the gate of 3 deviations where R is 3, beside a variance of 1."""
+    """A measurement of 6 is at the gate of 3 standard deviations if R is 3 and the prior variance
+    1.
+    """
 
     def build(p):
         motion, sensor = Motion([[0.0]], [[1.0]]), Sensor([[1.0]], [[p[0]]])
@@ -283,7 +287,7 @@ def test_where_a_likelihood_jumps_it_has_no_compiled_gradient():
 
 
 def test_a_model_that_changes_with_a_parameter_later_is_noticed():
-    """A branch on a parameter, on the other side of the start: there the step is another one."""
+    """A branch on a parameter gives another step on the other side of the start."""
 
     def build(p):
         scale = 2.0 if p[0] > 1.0 else 1.0
@@ -315,7 +319,7 @@ def test_without_a_compiler_it_is_numpy(monkeypatch):
 
 
 def test_both_engines_find_the_same_maximum():
-    """And the compiled one with a fraction of the flights."""
+    """And the compiled engine needs a fraction of the runs."""
     truth = Motion(F, 0.1 * np.eye(2)), Sensor(np.eye(1, 2), [[0.3]])
     start = Gaussian(np.zeros(2), np.eye(2))
     _, z = celnav.simulate(*truth, start, TIMES, runs=20, seed=3)
@@ -346,8 +350,8 @@ def test_bad_parameters_are_refused_by_name():
 
 
 def test_what_is_known_to_be_the_same_program():
-    """Functions of one code over equal values, data but for matrices; everything else is looked at
-    again.
+    """Functions with the same code and equal values, and data except matrices; everything else is
+    checked again.
     """
 
     def made(gain, Q=1.0, table=(1.0, 2.0)):

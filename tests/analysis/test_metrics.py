@@ -1,4 +1,4 @@
-"""Statistics and linear analysis against what they claim."""
+"""Statistics and linear analysis against their definitions."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ def test_bands_and_intervals_cover_as_they_say():
 
 
 def test_blocks_of_time_cover_where_errors_are_correlated_and_single_epochs_do_not():
-    """RMS of 300 series of 2000 epochs, correlated by 0.9 from one to the next: a tenth as many of
-    them are independent.
+    """RMS of 300 series of 2000 epochs with a correlation of 0.9 from one epoch to the next: about
+    a tenth of the epochs are independent.
     """
     rng, phi = np.random.default_rng(3), 0.9
     series = rng.standard_normal((300, 2000))
@@ -87,7 +87,7 @@ def test_errors_without_runs_are_refused(measure, error, axis, text):
 
 @pytest.mark.parametrize("axis", [0, 1, 2, -1, -2, -3])
 def test_the_rmse_is_the_length_over_the_runs(axis):
-    """Of any axis, with no epochs or no components too; nan of a lost run is handed on."""
+    """Along any axis, also without epochs or components; nan of a failed run is propagated."""
     error = np.random.default_rng(5).normal(size=(4, 5, 6))
     error[2, 3, 1] = np.nan
     found = metrics.rmse(error, axis)
@@ -104,7 +104,7 @@ def test_the_rmse_is_the_length_over_the_runs(axis):
 
 
 def test_the_interval_of_a_positive_quantity_is_positive():
-    """Of few runs too, one of which is much worse; that of a mean may well be negative."""
+    """Also for few runs, one of which is much worse; the interval of a mean may be negative."""
     squares = np.array([0.01, 0.02, 0.01, 4.0])
     low, high = metrics.bootstrap(metrics.rms, squares)
     value = metrics.rms(squares)
@@ -119,7 +119,7 @@ def test_the_interval_of_a_positive_quantity_is_positive():
 
 @pytest.mark.parametrize("runs", [5, 10, 30])
 def test_intervals_of_an_rmse_cover_for_few_runs_too(runs):
-    """Of squares of Gaussian errors, in at least 90 % of 400 experiments."""
+    """For squares of Gaussian errors, in at least 90 % of 400 experiments."""
     squares = np.random.default_rng(runs).chisquare(1.0, (400, runs))
     found = [metrics.bootstrap(metrics.rms, one, resamples=200) for one in squares]
     assert min(low for low, _ in found) > 0.0
@@ -130,9 +130,7 @@ def test_intervals_of_an_rmse_cover_for_few_runs_too(runs):
 @pytest.mark.parametrize("block", [1, 3])
 @pytest.mark.parametrize("level", [0.95, 0.8])
 def test_an_interval_is_widened_as_students_t_asks(block, level):
-    """Of a statistic whose values are given by hand; a positive one of samples that are not
-    negative in the logarithm.
-    """
+    """For a statistic with values given by hand; for a positive statistic on a logarithmic scale."""
     drawn = np.random.default_rng(5).uniform(1.0, 4.0, 60)
 
     def ends(sample, first=2.0):

@@ -116,8 +116,8 @@ def test_what_is_not_seen_has_degree_zero_and_the_covariance_weighs_what_is():
     np.testing.assert_array_equal(
         ob.state_singular_values([[3.0, 0.0, 0.0], [0.0, 2.0, 0.0]]), [3.0, 2.0, 0.0]
     )
-    # The values 5 and 1 belong to (0.8, 0.6) and (-0.6, 0.8). An initial state along the second is
-    # told by it, in both components.
+    # The singular values 5 and 1 belong to (0.8, 0.6) and (-0.6, 0.8). An initial state along the
+    # second vector depends on the second value, in both components.
     matrix = np.diag([5.0, 1.0]) @ [[0.8, 0.6], [-0.6, 0.8]]
     np.testing.assert_allclose(ob.state_singular_values(matrix), [5.0, 1.0])
     np.testing.assert_allclose(ob.state_singular_values(matrix, np.eye(2)), [5.0, 1.0])
@@ -144,7 +144,7 @@ def test_hysteresis_follows_what_leaves_the_band_only():
 
 
 def test_degrees_of_nonlinearity_in_closed_form():
-    """x^2 bends by std^2, x y along no axis, sin by |sin| (1 - cos std)."""
+    """x^2 deviates from its tangent by std^2, x y along no axis, sin by |sin| (1 - cos std)."""
 
     def function(x):
         return np.stack([x[..., 0] ** 2, x[..., 1] * x[..., 0] + np.sin(x[..., 2])], -1)

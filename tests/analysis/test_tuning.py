@@ -1,6 +1,4 @@
-"""The likelihood is the density of the measurements, and its maximum finds the noise that made
-them.
-"""
+"""The likelihood is the density of the measurements, and its maximum recovers the true noise."""
 
 import numpy as np
 import pytest
@@ -68,8 +66,8 @@ def test_log_likelihood_is_the_joint_density(form):
 
 
 def test_recovers_the_noise_that_made_the_data():
-    """Within three standard errors of the truth, from a start 5 and 10 times off, and not less
-    probable than the truth.
+    """Within three standard errors of the truth, from a start that is wrong by factors of 5 and 10,
+    and not less probable than the truth.
     """
     truth = np.array([0.4, 0.7])
     when = epochs(np.arange(80), simulate(np.random.default_rng(2), 80, 20, *truth))
@@ -126,8 +124,8 @@ def test_standard_errors_are_the_curvature_of_the_joint():
 
 
 def test_what_the_data_do_not_determine_is_told():
-    """A parameter without effect, and one that wants to be 0, give no standard error that looks
-    like one.
+    """A parameter without effect, and a parameter whose optimum is 0, give no finite standard
+    error.
     """
     z = simulate(np.random.default_rng(5), 40, 4, 0.4, 0.7)
 
@@ -156,9 +154,7 @@ def test_what_the_data_do_not_determine_is_told():
 
 
 def test_failing_parameters_are_improbable():
-    """A filter that cannot work below some noise: the search turns back and finds the inner
-    maximum.
-    """
+    """A filter that fails below some noise: the search turns back and finds the inner maximum."""
     z = 3.0 * np.random.default_rng(7).normal(size=(80, 1))
     failed = []
 
@@ -212,8 +208,8 @@ def test_data_and_builders_that_are_none():
 
 
 def test_build_that_raises_is_improbable():
-    """A correlation near 1, searched for among all positive numbers: where there is no such process
-    the search turns back.
+    """A correlation near 1, searched for among all positive numbers: the search turns back where
+    the process does not exist.
     """
     when, truth = correlated()
     tried = []
@@ -280,7 +276,7 @@ def test_parameters_stay_in_their_domain(domain, free):
 
 
 def test_a_maximum_at_the_edge_of_what_can_be_built_is_told():
-    """White noise of deviation 3, and a filter that refuses any above 2."""
+    """White noise with standard deviation 3, and a filter that rejects values above 2."""
 
     def build(parameters):
         if parameters[0] > 2.0:

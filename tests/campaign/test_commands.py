@@ -1,4 +1,4 @@
-"""``celnav run`` and ``celnav campaign`` as a user meets them."""
+"""``celnav run`` and ``celnav campaign`` from a user's view."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def sweep(tmp_path):
 
 @pytest.fixture
 def undrawn(monkeypatch):
-    """Figures as nothing: drawing takes most of the time of a small study."""
+    """Replace figures by nothing, because drawing takes most of the time of a small study."""
     monkeypatch.setattr("celnav.show.drawing.render", lambda drawing, kind: b"")
 
 
@@ -403,7 +403,9 @@ def test_a_thousand_processes_are_not_started(mission, undrawn, capsys, monkeypa
 
 
 def test_results_of_another_file_are_not_replaced(mission, sweep, undrawn, tmp_path, capsys):
-    """Neither another mission's, nor a mission's by a campaign, nor the reverse; one's own are."""
+    """Results of another mission are not replaced, nor a mission's by a campaign or the reverse;
+    results of the same file are.
+    """
     other = tmp_path / "other" / mission.name
     other.parent.mkdir()
     other.write_text(MISSION.replace("0.8", "0.5"))

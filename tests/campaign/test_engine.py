@@ -1,4 +1,4 @@
-"""The engine: any executor, any order, workers that die."""
+"""The campaign engine with any executor, any order, and workers that die."""
 
 from __future__ import annotations
 
@@ -46,9 +46,7 @@ def plan():
 
 
 class Shuffled(Executor):
-    """Does its work last come, first served, or in any other order; has ``submit`` and nothing
-    else.
-    """
+    """An executor that works in last-in, first-out or any other order, and has only ``submit``."""
 
     def __init__(self, seed):
         self._random = random.Random(seed)
@@ -75,8 +73,8 @@ def test_an_executor_of_threads_gives_the_same_table(wanted, tmp_path):
 
 
 def mortal(lives, dies=lambda unit: True, opened=None):
-    """Executors whose worker dies after some units, or always by a unit: then everything that was
-    handed out is lost.
+    """Executors whose worker dies after some units, or at each try of one unit: then all submitted
+    work is lost.
     """
     deaths = []
 
@@ -124,7 +122,7 @@ def test_a_unit_that_kills_its_workers_is_told_and_the_others_are_done(plan):
 
 def test_what_was_done_when_a_worker_died_is_kept(plan):
     class Half(Executor):
-        """Does nothing until four units wait; then does them all but the first, whose worker dies."""
+        """An executor that waits for four units, then does all but the first, whose worker dies."""
 
         def __init__(self):
             self._waiting = []
@@ -210,7 +208,7 @@ def test_a_number_of_processes_that_cannot_be_is_refused(jobs):
 
 def test_an_executor_that_cannot_be_opened_again_is_told_and_what_it_did_is_kept(plan):
     class Broken(Executor):
-        """Does three units, then refuses."""
+        """An executor that does three units, then raises an error."""
 
         left = 3
 

@@ -56,7 +56,7 @@ def test_a_local_dask_cluster_gives_the_same_bytes(file, wanted, tmp_path):
 
 @pytest.fixture
 def cluster():
-    """A scheduler and two workers, three processes of their own, over loopback."""
+    """A scheduler and two workers, in three separate processes, over loopback."""
     import socket
 
     with socket.socket() as probe:

@@ -1,4 +1,4 @@
-"""Mission files: what they may say, and what is said of those that cannot be used."""
+"""Mission files: valid contents, and the errors for invalid ones."""
 
 from __future__ import annotations
 
@@ -457,8 +457,8 @@ def test_a_parameter_that_works_somewhere_may_be_swept():
 
 @pytest.mark.parametrize("measured", ["positions", "angles"])
 def test_the_color_of_the_noise_does_not_change_how_large_it_is(measured):
-    """Of a mission; where its file speaks of increments, they are what it says they are, and the
-    noise grows with the color.
+    """If the mission file specifies increments instead, these stay fixed and the noise grows with
+    the correlation.
     """
     key, value = {"positions": ("sigma_km", 0.1), "angles": ("camera_deg", 0.01)}[measured]
     config = {"phi": [0.0, 0.8, 0.95], key: value, "measured": measured, "steps": 400}
@@ -478,8 +478,8 @@ def test_the_color_of_the_noise_does_not_change_how_large_it_is(measured):
 
 @pytest.mark.parametrize("measured", ["positions", "angles"])
 def test_filters_are_told_how_large_the_noise_is(measured):
-    """The exact filter is consistent, and one that takes the noise for white takes it for as large
-    as it is.
+    """The exact filter is consistent, and a filter that treats the noise as white uses its true
+    variance.
     """
     trials = {}
     for phi in (0.0, 0.9):
@@ -511,7 +511,7 @@ def test_filters_are_told_how_large_the_noise_is(measured):
     ],
 )
 def test_the_last_epoch_may_be_the_only_settled_one(paper, config):
-    """Flights end when their configurations say."""
+    """Runs end at the times in their configurations."""
     last = study({"paper": paper, "config": config}).configurations[0].config.end_s
     found = study({"paper": paper, "config": config, "settle_s": last, "runs": 2})
     trial = load(paper).trial(

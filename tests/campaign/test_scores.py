@@ -14,7 +14,7 @@ STD = np.array([2.0, 1.0, 1e-3])
 
 
 def followed(error, nis=None, lost=()):
-    """Errors of a filter that takes their deviations for `STD`."""
+    """Errors of a filter with the predicted standard deviation `STD`."""
     K, runs, _ = error.shape
     nees = np.square(error / STD).sum(-1)
     dof = np.full((K, runs), 2)

@@ -35,7 +35,7 @@ def table(outcome):
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
-    """A finished campaign: its folder, and what its table says."""
+    """A finished campaign: its folder, and its table."""
     folder = tmp_path_factory.mktemp("finished") / "store"
     return folder, table(campaign(study(TABLE), folder))
 
@@ -109,7 +109,7 @@ def repack(path, **change):
 
 
 def sealed(**change):
-    """A unit with other arrays and the checksum that belongs to them."""
+    """A unit with other arrays and their correct checksum."""
 
     def damage(path):
         (unit,) = (u for part in units_of(study(TABLE)) for u in part if u.key == path.stem)
@@ -128,7 +128,7 @@ def swap(path):
 
 
 def plant(path):
-    """An array of an object that leaves a mark when it is unpickled."""
+    """An array with an object that leaves a mark when it is unpickled."""
     np.savez(
         path, allow_pickle=True, about=np.array([Mark(str(path.parent / "mark"))], dtype=object)
     )
@@ -197,7 +197,7 @@ def test_a_damaged_unit_is_named_and_computed_again(made, damage):
 
 
 def test_units_of_other_epochs_are_told(made):
-    """Each is whole, with the right checksum; together they are nothing."""
+    """Each unit is complete, with the right checksum, but together they do not fit."""
     folder, _ = made
     victim = sorted((folder / "units").iterdir())[1]
     with np.load(victim) as stored:
@@ -253,8 +253,8 @@ def test_another_study_is_refused_with_the_difference(made, change, difference):
     ],
 )
 def test_a_finished_campaign_grows_and_flies_only_what_is_new(made, tmp_path, change, flown):
-    """More runs, one more value, or several of what had one: the table is that of the whole flown
-    at once.
+    """More runs, one more value, or several values instead of one: the table equals the table of
+    all units computed at once.
     """
     folder, _ = made
     seen = []

@@ -1,4 +1,4 @@
-"""Work units: their keys, and what becomes of runs that fail."""
+"""Work units: their keys, and the treatment of runs that fail."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def unit():
 
 @pytest.fixture
 def broken(monkeypatch):
-    """Let the paper's trial, or one of its filters, raise in some runs: those whose first true
+    """Let the paper's trial, or one of its filters, raise an error in the runs whose first true
     position is in a set.
     """
 
@@ -96,17 +96,17 @@ def test_the_key_is_that_of_what_determines_the_result():
 
 
 def changed(unit, **change):
-    """A unit whose work is another."""
+    """A unit with other work."""
     return unit._replace(work=unit.work._replace(work=replace(unit.work.work, **change)))
 
 
 def flown(unit):
-    """What a unit comes to, read from its arrays."""
+    """The results of a unit, read from its arrays."""
     return read(execute(unit, code()), unit.work.work.filters)
 
 
 def failures(found, name):
-    """Why runs of a filter failed, and how many."""
+    """The reasons why runs of a filter failed, and their number."""
     return {why: count for (filter, why), count in found.reasons.items() if filter == name}
 
 

@@ -133,7 +133,7 @@ def test_transport_is_the_derivative(a, b):
 
 @pytest.mark.parametrize(("a", "b"), [(1.0, 4.0), (0.0, 2.0), (1.0, 1.0)])
 def test_a_space_transports_where_it_is_asked_to(a, b):
-    """By the derivative of its own deviations from the moved point."""
+    """By the derivative of the space's differences at the moved point."""
     space, q, p, h = at.attitude(a, b, transported=True), quaternions(), np.full(3, 0.2 * b), 1e-6
     moved = space.plus(q, p)
     ahead, behind = (space.minus(space.plus(q, p + s * h * np.eye(3)), moved) for s in (1, -1))
@@ -179,7 +179,7 @@ def test_vectors_turn_as_the_matrix_turns_them():
 
 
 def seen(q, z):
-    """Mean of a filter that measures an attitude, all of it."""
+    """Mean of a filter that measures a full attitude."""
     space = at.attitude()
     motion = celnav.Motion(lambda x, _epoch: x, np.zeros((3, 3)), space=space)
     filter = celnav.ukf(motion, celnav.Sensor(lambda x, _epoch: x, 1e-6 * np.eye(3), space=space))
@@ -207,7 +207,7 @@ def test_a_quaternion_that_is_off_by_round_off_is_normalized():
 
 
 def test_differences_on_reference_axes():
-    """They are those on body axes, rotated; the covariance follows likewise."""
+    """They equal the differences on body axes, rotated, and so does the covariance."""
     q = at.from_euler([0.3, -0.4, 2.0])
     p = np.array([0.2, 0.5, -0.3])
     local, body = at.attitude(axes="reference"), at.attitude()

@@ -1,5 +1,5 @@
-"""Beliefs in both forms: their parts against the covariance algebra written out, and what a
-Gaussian refuses.
+"""Beliefs in both forms against the covariance algebra written out, and invalid arguments of a
+Gaussian.
 """
 
 from dataclasses import replace
@@ -17,7 +17,7 @@ FORMS = pytest.mark.parametrize("form", [SquareRoot, Covariance])
 
 
 def cov(form, spread):
-    """Covariance of what a form carries along."""
+    """Covariance from the matrix that a form stores."""
     return form(np.zeros(spread.shape[-1]), spread).cov
 
 
@@ -48,7 +48,9 @@ SIGNS = {
 
 
 def prearray(batch, sign):
-    """Columns whose signed covariance is definite: those of negative sign are small."""
+    """Columns whose signed covariance is positive definite: columns with
+    negative sign are small.
+    """
     A = np.random.default_rng(2).normal(size=(*batch, 5, 10))
     A *= np.where(sign < 0.0, 0.1, 1.0)
     return A
@@ -108,7 +110,7 @@ def test_both_ways_to_say_a_gaussian_and_both_forms_are_the_same_belief():
 
 
 def test_a_mean_may_be_replaced():
-    """The root goes with the covariance: it is no argument of its own there."""
+    """The root belongs to the covariance and is not a separate argument of `replace`."""
     P = np.array([[2.0, 0.5], [0.5, 1.0]])
     for prior in (Gaussian(np.zeros(2), P), Gaussian(np.zeros(2), sqrt_cov=np.linalg.cholesky(P))):
         other = replace(prior, mean=np.array([1.0, -1.0]))
@@ -118,7 +120,7 @@ def test_a_mean_may_be_replaced():
 
 
 def test_means_and_covariances_may_have_batch_axes_of_their_own():
-    """Each run has samples of its own, about its mean, as large as its covariance."""
+    """Each run has its samples, about its mean, with its covariance."""
     means, P = np.arange(10.0).reshape(5, 2) ** 2, np.array([[2.0, 0.5], [0.5, 1.0]])
     each, N = np.arange(1.0, 6.0)[:, None, None] * P, 20_000
     for mean, cov in ((means, P), (means[1], each), (means, each)):
@@ -129,7 +131,8 @@ def test_means_and_covariances_may_have_batch_axes_of_their_own():
         assert x.shape == (N, 5, 2)
         root = np.linalg.cholesky(np.broadcast_to(cov, (5, 2, 2)))
         white = np.linalg.solve(root, (x - mean)[..., None])[..., 0].reshape(N, 10)
-        # Ten columns of independent normal numbers: five deviations of a mean and of a covariance.
+        # Ten columns of independent normal numbers: bounds of five standard deviations for mean and
+        # covariance.
         np.testing.assert_allclose(white.mean(0), 0.0, atol=5.0 / np.sqrt(N))
         np.testing.assert_allclose(np.cov(white.T), np.eye(10), atol=5.0 * np.sqrt(2.0 / N))
 
@@ -164,7 +167,7 @@ def test_samples_have_the_moments():
 
 
 def test_samples_on_a_curved_space_are_tangents():
-    """Three numbers about zero for a quaternion of four, whatever the mean."""
+    """Three numbers about zero for a quaternion with four, for any mean."""
     P, N = np.array([[2.0, 0.5, 0.0], [0.5, 1.0, -0.3], [0.0, -0.3, 0.5]]), 50_000
     for mean in ([0.0, 0.0, 0.0, 1.0], [0.6, 0.0, -0.8, 0.0]):
         x = Gaussian(np.array(mean), P).sample(np.random.default_rng(0), (N,))

@@ -1,4 +1,4 @@
-"""What the doors accept, and what their messages say."""
+"""Arguments that the checks accept, and their messages."""
 
 from decimal import Decimal
 from fractions import Fraction

@@ -1,5 +1,5 @@
-"""The kernels against numpy's plain ones, in every batch shape; a matrix without a root spoils
-itself only.
+"""The kernels against numpy's functions, for every batch shape; a matrix without a root affects no
+other matrix.
 """
 
 import numpy as np
@@ -55,8 +55,8 @@ def test_tria_is_a_lower_root_with_non_negative_diagonal(shape):
 def test_tria_of_a_batch_is_tria_of_each(shape):
     A = columns(shape)
     each = np.array([tria(a) for a in A.reshape(-1, *A.shape[-2:])]).reshape(tria(A).shape)
-    # Of fewer columns than rows the last diagonal elements are round-off, and so is what they
-    # divide.
+    # With fewer columns than rows the last diagonal elements are round-off, and so are the
+    # quotients with them.
     np.testing.assert_allclose(
         tria(A) @ tria(A).mT,
         each @ each.mT,
@@ -68,7 +68,7 @@ def test_tria_of_a_batch_is_tria_of_each(shape):
 
 
 def test_tria_keeps_digits_that_the_product_loses():
-    """Läuchli's matrix: in the product the small number is gone, in the root it is not."""
+    """Läuchli's matrix: the product loses the small number, the root does not."""
     e = 1e-9
     A = np.array([[1.0, e, 0.0], [1.0, 0.0, e]])
     L = tria(A)
@@ -196,8 +196,8 @@ def test_downdate_fails_exactly_where_the_difference_is_indefinite():
 
 @pytest.mark.parametrize(("noise_first", "rtol"), [(False, 1e-12), (True, 1e-6)])
 def test_an_update_keeps_what_a_downdate_loses(noise_first, rtol):
-    """A variance of 1, measured with a deviation of 1e-9: what is left of it is below the rounding
-    of 1.
+    """A variance of 1, measured with standard deviation 1e-9: the remaining variance is below the
+    rounding of 1.
     """
     noise = 1e-9
     exact, parts = (
@@ -213,7 +213,7 @@ def test_an_update_keeps_what_a_downdate_loses(noise_first, rtol):
 
 
 def test_downdate_of_a_singular_root():
-    """Also beside regular ones; what is taken away must lie in the range."""
+    """Also in a batch with regular matrices; the columns to subtract must lie in the range."""
     rng = np.random.default_rng(12)
     columns = rng.normal(size=(3, 4, 2))
     taken = columns @ np.array([[0.6], [0.3]])

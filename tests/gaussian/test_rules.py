@@ -1,5 +1,5 @@
-"""Rules: exact to their degree, equal to filterpy's, usable inside filterpy, and right as
-transforms of any function.
+"""Rules are exact to their degree, equal filterpy's, work inside filterpy, and transform any
+function correctly.
 """
 
 from itertools import product as cartesian
@@ -311,7 +311,7 @@ def turned(mean, epoch):
 
 @pytest.mark.parametrize("batch", BATCHES)
 def test_taylor_by_differences_is_taylor_by_jacobian(batch):
-    """Of a motion and of a sensor."""
+    """For a motion and for a sensor."""
     root, mean = np.linalg.cholesky(P0), MEAN + np.random.default_rng(6).normal(size=(*batch, 4))
     (points,) = Taylor().points(mean, root)
     image = Taylor().image(turn(points, 1.0), EUCLIDEAN, root)
@@ -441,7 +441,7 @@ def test_the_limit_of_points_is_checked_before_they_are_made():
 
 
 def test_a_product_leaves_out_only_nodes_without_any_weight():
-    """Of both weights 0, not of one; the moments stay those of the parts."""
+    """Only nodes with both weights 0, not with one; the moments equal the factors' moments."""
     sides = np.array([[0.0], [1.0], [-1.0], [2.0], [-2.0], [3.0], [-3.0]])
     wm = np.array([0.5, 0.25, 0.25, 0.0, 0.0, 0.0, 0.0])
     wc = np.array([0.75, 0.0, 0.0, 0.125, 0.125, 0.0, 0.0])

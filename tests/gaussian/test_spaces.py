@@ -1,4 +1,4 @@
-"""Spaces: plus and minus undo each other, angles wrap, products act part by part."""
+"""Spaces: plus and minus are inverse, angles wrap, products act on each part."""
 
 import numpy as np
 import pytest
@@ -125,7 +125,7 @@ def test_a_product_refuses_a_part_with_a_mean_of_its_own():
 
 
 def test_angles_may_come_as_integers():
-    """Also as lists of them, or in half precision: differences are floats."""
+    """Also as lists or in half precision: differences are floats."""
     space = celnav.angles([0])
     for make in (
         list,
@@ -162,7 +162,7 @@ def test_angles_may_come_as_integers():
     ],
 )
 def test_lengths_that_a_space_does_not_have_are_refused_where_they_are_given(factor, message):
-    """Not in the first run."""
+    """The error comes at the call, not in the first run."""
     with pytest.raises(ValueError, match="^" + message):
         product(factor, (EUCLIDEAN, 12, 12))
 
@@ -221,7 +221,7 @@ def test_what_has_no_name_or_length_is_refused(make, message):
 
 
 def test_named_vectors_are_vectors():
-    """They take matrices; the number of components is checked."""
+    """They work with matrices; the number of components is checked."""
     space = product(p=1, v=1)
     assert space == EUCLIDEAN
     assert hash(space) == hash(EUCLIDEAN)

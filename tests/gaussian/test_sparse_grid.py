@@ -106,7 +106,7 @@ def test_a_single_fine_channel_cancels_its_three_point_nodes(k):
 
 @st.composite
 def grids(draw):
-    """``n, level, g``, as deep as the textbook's way of it stays below a second."""
+    """``n, level, g``, up to sizes for which the textbook's method takes less than a second."""
     n = draw(st.integers(1, 8))
     g = draw(st.lists(st.integers(1, 4), min_size=n, max_size=n))
     level = draw(st.integers(1, 5))
@@ -249,8 +249,8 @@ def test_inside_filterpy():
 
 @pytest.mark.parametrize("form", ["square root", "covariance"])
 def test_in_the_filter_for_colored_noise(form):
-    """Linear model: any exact rule gives the same estimates; negative weights are taken away by a
-    downdate.
+    """With a linear model any exact rule gives the same estimates; negative weights are subtracted
+    by a downdate.
     """
     F, Phi = (
         np.array([[1.0, 0.1, 0.0], [0.0, 1.0, 0.1], [0.0, -0.1, 1.0]]),
@@ -333,9 +333,7 @@ def test_large_weights_do_no_harm():
     ("level", "weights"), [(3, (2, 1)), (4, (1, 1, 2)), (4, (2, 3)), (2, (5, 1))]
 )
 def test_the_index_set_has_the_coefficients_of_the_combination_technique(level, weights):
-    """Those within the budget, each with the signed number of its upper neighbors that are in the
-    set too.
-    """
+    """Indices within the budget, each with the signed number of its upper neighbors in the set."""
     budget = (level - 1) * min(weights)
     every = {
         index

@@ -1,4 +1,4 @@
-"""Rows of a ledger: numbers, tiers, verdicts, and what is written of them."""
+"""Rows of a ledger: numbers, tiers, verdicts, and their text."""
 
 from __future__ import annotations
 
@@ -136,7 +136,7 @@ def test_what_is_reproduced_agrees_with_what_is_printed_and_less_need_not(tier, 
 
 @pytest.mark.parametrize(("printed_runs", "agrees"), [(0, False), (1600, False), (100, True)])
 def test_a_printed_number_has_sampling_error_too(printed_runs, agrees):
-    """Two means of 1600 and 100 runs of one distribution differ by the errors of both."""
+    """The means of 1600 and of 100 runs from one distribution differ by the errors of both."""
     samples = np.random.default_rng(0).normal(5.0, 2.0, 1600)
     error = 2.0 / np.sqrt(1600)
     printed = samples.mean() + 2.9 * error
@@ -167,7 +167,7 @@ def test_a_printed_number_of_as_many_runs_is_met_as_often_as_it_should():
 
 
 def test_the_number_that_decides_is_the_one_that_keeps_the_best_tier_from_holding():
-    """Its printed value stands beside it, and the criterion that failed is told."""
+    """Its printed value is shown with it, and so is the criterion that failed."""
     good = Number("a", 0.5, (0.0, 1.0), (0.4, 0.6), printed=0.55)
     bad = Number("b", 0.5, (0.0, 1.0), (0.4, 0.6), printed=0.9)
     tiers = {"reproduced": [good, bad], "in part": [good, bad]}
@@ -354,7 +354,7 @@ STYLES = {
 
 
 def test_each_verdict_has_its_color():
-    """And the page has a color of its own for each of the five classes."""
+    """And the page has a different color for each of the five classes."""
     assert {verdict: style(verdict) for verdict in VERDICTS} == STYLES
     text = page.render("base.html", title="t")
     for name in set(STYLES.values()):
@@ -380,7 +380,7 @@ def test_a_row_of_a_page_has_the_color_of_its_verdict(value, kind, cell):
 
 @pytest.mark.parametrize("block", [1, 5])
 def test_an_estimate_has_the_bootstrap_interval_of_its_blocks(block):
-    """Samples of runs are counted, those of epochs are not."""
+    """The number of runs is recorded, the number of epochs is not."""
     samples = np.cumsum(np.random.default_rng(3).standard_normal((2, 60)), 1) ** 2
 
     def ratio(a, b):

@@ -23,7 +23,7 @@ def test_a_run_has_its_own_numbers():
 
 @pytest.mark.parametrize("seed", [0, 20261123, 2**40 + 7, 2**127 + 1, 2**130])
 def test_generators_made_at_once_are_those_made_one_by_one(seed):
-    """Numpy's own seeding, word for word, also of seeds that are too long to be hashed at once."""
+    """Equal to numpy's seeding, word for word, also for long seeds."""
     for study in (0, 3, 2**32 - 1, 2**32):
         made = montecarlo.generators(seed, study, 9)
         for run, rng in enumerate(made):
@@ -38,7 +38,9 @@ def test_generators_made_at_once_are_those_made_one_by_one(seed):
 
 @pytest.mark.parametrize("owned", [False, True])
 def test_numbers_drawn_ahead_are_those_asked_for_each_time(owned):
-    """And the generators go on behind the last one that was used; one of zeros is asked each time."""
+    """And the generators continue after the last number used; a generator of zeros is called each
+    time.
+    """
 
     class Zeros:
         def standard_normal(self, shape):

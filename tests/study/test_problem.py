@@ -1,5 +1,5 @@
-"""Problems of one's own, and every composition on them: exact where it can be, consistent where it
-should be.
+"""User-defined problems with every combination of filter and noise: exact if possible, otherwise
+consistent.
 """
 
 from __future__ import annotations
@@ -52,8 +52,8 @@ HOOKS = {
 
 
 def composed(rule, form="square root", color="", hook=""):
-    """A name, and what makes the filter of a problem: none for colored noise on a curved space, and
-    none of 729 points.
+    """Names and functions that make a problem's filters; none for colored noise on a curved space,
+    and none with 729 points.
     """
 
     def make(problem):
@@ -98,7 +98,7 @@ NOISE, R, PRIOR = [[0.05], [0.1]], [[0.25]], Gaussian([1.0, 2.0], [[4.0, 0.5], [
 
 
 def line(**changes):
-    """A body on a line, seen by its position."""
+    """A body on a line whose position is measured."""
     problem = Problem(
         Motion(f, sqrt_Q=NOISE),
         Sensor(h, R),
@@ -172,7 +172,7 @@ def test_draws_are_of_the_model():
     problem = line(phi=0.8)
     truth, z = problem.draw([generator(1, 0, r) for r in range(4000)])
     assert truth.shape == (21, 4000, 2)
-    # Four deviations of what 4000 samples show; five where 21 epochs are looked at.
+    # Four standard deviations for 4000 samples; five for 21 epochs.
     variance = PRIOR.cov.diagonal()
     scatter = np.sqrt((np.outer(variance, variance) + PRIOR.cov**2) / 4000)
     assert (np.abs(np.cov(truth[0].T) - PRIOR.cov) < 4.0 * scatter).all()
@@ -298,7 +298,7 @@ def test_what_does_not_go_together_is_left_out():
     ]  # of 729 points
     assert [row.filter for row in rows] == left
     assert all(np.isfinite([row.rms, row.efficiency, row.anees]).all() for row in rows)
-    # Without a filter that knows the color there is no bound.
+    # Without a filter that models the correlation there is no bound.
     (row,) = compare(
         {"satellite": satellite(times=np.arange(4.0), u=RATES[:3], phi=0.5)},
         chosen("unscented · square root"),
@@ -309,7 +309,7 @@ def test_what_does_not_go_together_is_left_out():
 
 @pytest.mark.parametrize("phi", [0.0, 0.6])
 def test_motions_of_the_package_are_problems(phi):
-    """Their noise belongs to the interval; here intervals are of 1 s and of 3 s."""
+    """Their noise depends on the interval; here intervals are 1 s and 3 s long."""
     problem = Problem(
         constant_velocity(1, q=0.02),
         Sensor(lambda x, epoch: x[..., :1], R=lambda mean, epoch: 0.25),
@@ -336,7 +336,7 @@ def test_motions_of_the_package_are_problems(phi):
 
 
 def test_a_noise_of_the_state_is_drawn_where_the_state_is():
-    """A turn that is pushed along its own heading, and a range whose noise grows with it."""
+    """A turn with process noise along its heading, and a range whose noise grows with the range."""
     turn = coordinated_turn(q=1e-2, q_rate=1e-6)
     problem = Problem(
         turn,

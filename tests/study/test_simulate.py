@@ -1,5 +1,5 @@
-"""Drawn runs: moments against exact covariances, and the filter of the same records is consistent
-on them.
+"""Drawn runs: moments against exact covariances, and a filter with the same models is consistent on
+them.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ def prior_of(runs=RUNS, prior=PRIOR):
 
 
 def matches(samples, cov, other=None):
-    """Whether the second moments ``(..., a, b)`` of samples ``(..., runs, a)`` of mean 0 are within
-    4.5 of their deviations.
+    """Whether the second moments ``(..., a, b)`` of zero-mean samples ``(..., runs, a)`` are within
+    4.5 standard deviations.
     """
     other = samples if other is None else other
     products = samples[..., :, None] * other[..., None, :]
@@ -56,8 +56,8 @@ def matches(samples, cov, other=None):
 
 
 def centered(samples, mean):
-    """Deviations of samples ``(runs, a)`` from the mean that they should have, which is within 4.5
-    of its deviations.
+    """Differences of samples ``(runs, a)`` from their expected mean, after a check within 4.5
+    standard deviations.
     """
     left = samples - mean
     assert (np.abs(left.mean(-2)) <= 4.5 * left.std(-2) / np.sqrt(left.shape[-2]) + 1e-12).all(), (
@@ -67,7 +67,7 @@ def centered(samples, mean):
 
 
 def consistent(values, dof, level=1e-5):
-    """Whether a sum of chi-square values is one of so many degrees of freedom."""
+    """Whether a sum of chi-square values agrees with its degrees of freedom."""
     low, high = chi2.ppf([level, 1.0 - level], dof)
     assert low < values < high, (values, dof)
 
@@ -83,7 +83,7 @@ def test_one_run_has_no_axis_of_runs():
 
 def test_moments_are_those_of_the_model():
     """Mean and covariance of the state at every epoch, of the measurement, and of the state with
-    itself an interval ago.
+    the state one interval before.
     """
     truth, z = draw()
     assert truth.shape == z.shape == (12, RUNS, 2)
@@ -108,7 +108,7 @@ def test_moments_are_those_of_the_model():
 
 @pytest.mark.parametrize("form", ["square root", "covariance"])
 def test_the_filter_of_the_same_records_is_consistent(form):
-    """NEES at each epoch, NIS of all of them; each is off for a filter that believes of twice the
+    """NEES at each epoch, and NIS over all epochs; both deviate for a filter that assumes twice the
     noise.
     """
     truth, z = draw()
@@ -123,8 +123,8 @@ def test_the_filter_of_the_same_records_is_consistent(form):
 
 
 def test_several_sensors_have_noises_of_their_own():
-    """Each is drawn by its own records; the filter of both is consistent, and takes what was drawn
-    as it is.
+    """Each is drawn from its model; the filter with both sensors is consistent, and accepts the
+    drawn measurements unchanged.
     """
     other = Sensor(lambda x, _epoch: x[..., :1] ** 2, np.array([[0.09]]))
     truth, z = draw(sensor=[SENSOR, other])
@@ -151,8 +151,8 @@ PHI = np.array([[0.9, 0.1], [0.0, 0.6]])
 
 @pytest.mark.parametrize("Phi", [PHI, lambda epoch: PHI], ids=["constant", "function"])
 def test_colored_noise_is_stationary(Phi):
-    """Covariance R at every epoch, ``Phi R`` an epoch apart and ``Phi^2 R`` two: a full Phi, not
-    only a number.
+    """Covariance R at every epoch, ``Phi R`` one epoch apart and ``Phi^2 R`` two epochs apart, also
+    for a full Phi.
     """
     truth, z = draw(Phi=Phi)
     V = z - truth @ H.T
@@ -187,7 +187,7 @@ def test_filters_of_colored_noise_are_consistent_on_it_and_those_of_white_noise_
     ids=["white", "colored", "two sensors"],
 )
 def test_runs_have_the_same_numbers_however_many_there_are(several, Phi):
-    """And others with another seed; the same ones again with the same."""
+    """And other numbers with another seed; the same numbers with the same seed."""
     motion = Motion(lambda x, epoch: np.sin(x) + epoch.dt, Q)
     sensor = [SENSOR, Sensor(lambda x, _epoch: np.cos(x), R)] if several else SENSOR
 
@@ -233,8 +233,8 @@ def test_noise_through_the_points_and_beside_them():
 
 
 def test_noise_may_depend_on_the_state_and_the_epoch():
-    """Intervals and inputs are those of the epoch that ends them; a noise that is a function is
-    that of each run.
+    """Intervals and inputs belong to the epoch at their end; a noise function is evaluated for each
+    run.
     """
     times = np.array([0.0, 0.5, 0.5, 3.0])
     motion = Motion(
@@ -262,8 +262,8 @@ def test_without_noise_nothing_is_drawn_but_the_start():
 
 
 def test_angles_wrap_and_are_drawn_about_the_seam():
-    """A heading that turns past half a turn, seen as an angle: states and measurements wrap, what
-    is between them does not.
+    """A heading that crosses +-pi, measured as an angle: states and measurements wrap, their
+    difference does not.
     """
     wrapped, seen = angles([0]), angles()
     motion = Motion(
@@ -292,8 +292,8 @@ def test_angles_wrap_and_are_drawn_about_the_seam():
 
 
 def test_attitudes_are_drawn_by_their_deviations():
-    """A quaternion and a drift, ``N = 7`` of ``n = 6``: the start and the noise are rotations of
-    the covariance that was said.
+    """A quaternion and a drift, ``N = 7`` and ``n = 6``: the start and the noise are rotations with
+    the given covariance.
     """
     space = product((attitude(), 4, 3), (EUCLIDEAN, 3, 3))
     mean = np.array([0.6, 0.0, 0.0, 0.8, 1.0, 2.0, 3.0])

@@ -1,4 +1,4 @@
-"""Studies: parts in blocks, results by name, numbers that decide, parameters that check themselves."""
+"""Studies: parts in blocks, results by name, decisive numbers, parameters with checks."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ def test_errors_are_in_the_units_of_the_groups(results):
 
 
 def test_filters_of_a_trial_are_a_part_by_one_call():
-    """What it gives are the arrays of `evaluate_filters`, also in another process."""
+    """The call returns the arrays of `evaluate_filters`, also in another process."""
     part = monte_carlo(trial, ("kf",), 2.0, 3, 5, every=2, cov=True)
     assert (part.number, part.runs, part.block, part.cost) == (3, 5, 100, 1.0)
     made = ForkingPickler.loads(ForkingPickler.dumps(part))
@@ -232,7 +232,9 @@ def test_a_column_and_itself_later():
 
 
 def test_a_statistic_over_time_leaves_out_what_is_not_known(results):
-    """AR(1) noise of two components: the correlation after some epochs, from the 100th epoch on."""
+    """AR(1) noise with two components: the correlation after some epochs, from
+    the 100th epoch on.
+    """
     rng, phi = np.random.default_rng(1), 0.8
     x = rng.normal(size=(3100, 2))
     for k in range(1, len(x)):
@@ -256,7 +258,9 @@ def test_a_statistic_over_time_leaves_out_what_is_not_known(results):
 
 
 def test_the_interval_of_a_statistic_over_time_is_that_of_correlated_epochs(results):
-    """A mean of AR(1) noise has a variance of (1 + phi) / (1 - phi) / T; of alike epochs 1 / T."""
+    """The mean of AR(1) noise has the variance (1 + phi) / (1 - phi) / T; with independent epochs
+    it would be 1 / T.
+    """
     rng, phi, steps = np.random.default_rng(3), 0.8, 6000
     x = rng.normal(size=steps)
     for k in range(1, steps):
@@ -315,7 +319,7 @@ def test_medians_and_components(results):
 
 
 def test_filters_from_several_priors_are_those_from_each():
-    """Of one covariance, or of one for each run."""
+    """With one covariance, or with one for each run."""
     one = trial(0.5, [celnav.study.montecarlo.generator(1, 0, r) for r in range(4)])
     mean, cov = np.arange(8.0).reshape(4, 2), np.arange(1.0, 5.0)[:, None, None] * np.eye(2)
     priors = {"shared": one.prior, "own": celnav.Gaussian(mean, cov)}

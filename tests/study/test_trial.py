@@ -1,4 +1,4 @@
-"""Trials of the papers: what is judged, and the bound."""
+"""Trials of the papers: the evaluated quantities, and the bound."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ def test_pseudo_positions_with_the_covariance_of_the_angles_are_worth_as_much_as
 
 
 def broken(lose_at, back_at=99):
-    """A filter of three runs whose second has no estimate for a while."""
+    """A filter with three runs, the second of which has no estimate for a while."""
 
     def step(state, epoch):
         mean = np.zeros((3, 2))
@@ -146,7 +146,7 @@ def test_a_run_without_estimate_at_the_end_is_lost_and_one_that_comes_back_is_no
 
 @pytest.mark.parametrize("back_at", [4, 99])
 def test_a_single_run_needs_no_axis(back_at):
-    """It is run 0, and is judged as the run of three that does the same."""
+    """It is run 0, and is evaluated like the equal run among three."""
     many = broken(2, back_at)
 
     def alone(state, epoch):
