@@ -1,5 +1,5 @@
-"""Which engine flies where nobody says: machine code where it repays itself, or is there already,
-and numpy otherwise.
+"""The choice of engine="auto": machine code if it repays compiling or exists already, otherwise
+numpy.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def drawn(steps, runs):
 
 @pytest.fixture
 def records(monkeypatch):
-    """How many steps were recorded."""
+    """The recorded steps."""
     counts, record = [], Engine.record
     monkeypatch.setattr(Engine, "record", lambda *given: counts.append(1) or record(*given))
     return counts
@@ -66,7 +66,7 @@ def test_ten_epochs_never_wait_for_a_compiler(records):
 
 
 def test_a_filter_that_flies_again_and_again_is_compiled(records):
-    """Not one that is made anew each time, nor where it was said how many flights there are."""
+    """Not a filter that is created for each run, nor if the number of runs was stated."""
     times, z = data(20, 20)
     again = filter_of(lambda x, epoch: swing(1.001 * x, epoch))  # which no other test records
     engines = [celnav.run(again, PRIOR, times, z).engine for _ in range(40)]
@@ -82,7 +82,7 @@ def test_a_filter_that_flies_again_and_again_is_compiled(records):
 
 
 def test_long_and_many_runs_are_compiled_and_the_record_is_kept(records):
-    """Also for a short flight of the same filter, whose numbers are numpy's but for round-off."""
+    """Also for a short run of the same filter, whose numbers equal numpy's up to round-off."""
     filter, many = filter_of(), data(100, 3000)
     known, found = (celnav.run(filter, PRIOR, *many, engine=one) for one in ("numpy", None))
     assert np.abs((found.mean - known.mean) / known.std).max() < 1e-6
@@ -154,7 +154,7 @@ def test_one_record_serves_whatever_is_kept(records):
 
 
 def test_the_choice_does_not_depend_on_other_filters():
-    """A unit of a study gives the same bytes, whichever units its process has done before."""
+    """A unit of a study gives the same bytes, whatever units its process has computed before."""
     long, short = data(100, 3000), data(20, 20)
     tracks = [celnav.run(filter_of(), PRIOR, *one) for one in (short, long, short)]
     assert [track.engine.partition(":")[0] for track in tracks] == ["numpy", "compiled", "numpy"]
@@ -208,7 +208,7 @@ def test_numpy_flies_what_cannot_be_compiled_and_says_why(monkeypatch):
 
 
 def test_numpy_computes_one_covariance_of_models_that_are_matrices_fast():
-    """A flight of many runs repays compiling later for them, one of many steps as soon."""
+    """With such models compiling is worthwhile only for more runs, but for as few steps."""
     matrix = celnav.ekf(celnav.Motion(np.eye(4), 0.1), celnav.Sensor(np.eye(4)[:1], 1.0))
     curved = celnav.ekf(celnav.Motion(lambda x, e: np.sin(x), 0.1), matrix.sensors[0])
     prior, own = (
@@ -228,7 +228,7 @@ def test_numpy_computes_one_covariance_of_models_that_are_matrices_fast():
 @pytest.mark.parametrize("form", ["square root", "covariance"])
 @pytest.mark.parametrize("runs", [(), (7,)], ids=["one", "runs"])
 def test_the_way_back_is_the_same_by_machine_code(form, runs):
-    """With gaps, inputs, an epoch at the same time, and a run that the filter lost half way."""
+    """With gaps, inputs, an interval of 0, and a run that fails in the middle."""
 
     def pushed(x, epoch):
         return swing(x, epoch) + (0.0 if epoch.u is None else epoch.u)
@@ -248,7 +248,9 @@ def test_the_way_back_is_the_same_by_machine_code(form, runs):
 
 
 def test_the_iterated_smoother_records_each_of_its_steps_once(records):
-    """However many iterations: there and back, of the filter and of the relinearized one."""
+    """For any number of iterations: forward and backward, for the filter and the relinearized
+    filter.
+    """
     times, z = data(9, 1)
     known = celnav.iterated_smoother(
         filter_of(), PRIOR, times, z[:, 0], iterations=4, engine="numpy"
@@ -299,7 +301,9 @@ def test_a_step_that_is_too_long_is_recorded_once(records, monkeypatch):
 
 
 def looped(x, _epoch):
-    """A model whose record as a loop over the points leaves much behind on the tape."""
+    """A model that leaves many unneeded operations on the tape when it is recorded as a loop over
+    points.
+    """
     for _ in range(200):
         x = x + 0.001 * np.sin(x[..., ::-1]) * np.cos(x)
     return x

@@ -1,4 +1,4 @@
-"""Every filter, flown by numpy and as machine code: the same track."""
+"""Every filter gives the same track with numpy and as machine code."""
 
 from __future__ import annotations
 
@@ -202,7 +202,7 @@ def test_filters_of_a_falling_body(name):
     "options", [{}, {"hooks": [gate(1.0)]}, {"iterations": 3}], ids=["plain", "gate", "iterated"]
 )
 def test_jacobians_that_are_given_or_found(form, options):
-    """What is recorded has exact derivatives; numpy is given them."""
+    """A recorded model has exact derivatives; for numpy they are passed as Jacobians."""
     known = celnav.ekf(*EXACT, form=form, **options)
     assert_same(*twice(known, MANY, TIMES, GAPS, keep="cov"))
     assert_same(

@@ -1,5 +1,5 @@
-"""Models that a recording could take for something else: each flies as under numpy, or is refused
-every time.
+"""Models that a recording could misinterpret: each gives numpy's results, or raises an error every
+time.
 """
 
 from __future__ import annotations
@@ -145,7 +145,7 @@ def test_what_was_compiled_once_is_not_compiled_again(make, monkeypatch):
 
 @pytest.mark.parametrize("r", [1e-2, 1e-5, 1e-8])
 def test_a_combination_known_exactly_stays_known(r, monkeypatch):
-    """In covariance form, by machine code itself: numpy flies no run again."""
+    """In covariance form, by machine code alone: numpy repeats no run."""
     a = np.random.default_rng(1).normal(size=(40, 3))
     filter = celnav.ukf(
         celnav.Motion(np.eye(3), np.zeros((3, 3))),
@@ -234,7 +234,7 @@ REFUSED = {
 
 
 JUMPING = ("zero times nothing", "counts of truth", "the middle")
-"""With the state: across a jump numpy's derivative by differences is another one."""
+"""Models that depend on the state: across a discontinuity numpy's numerical derivative differs."""
 
 
 @pytest.mark.parametrize(
@@ -260,7 +260,7 @@ def test_what_the_first_epochs_do_not_show_is_refused(name):
 
 
 def test_what_fails_only_where_a_step_is_recorded_is_told_with_its_place():
-    """The line of the model where it is the model that fails, else what is expected of it."""
+    """The line of the model if the model fails, else the expected form."""
 
     def failing(x, _e):
         if x.dtype == object:
@@ -319,7 +319,7 @@ def test_a_noise_of_each_run_in_a_function_is_refused_with_the_cure():
 
 
 def test_measurements_that_are_complete_cost_no_masks_whatever_the_model():
-    """Nothing is asked of a prediction: a run whose model makes nan is lost, and flown by numpy."""
+    """The prediction is not checked: a run whose model returns nan fails, and numpy repeats it."""
     counts = {}
     for gap in (0.0, np.nan):
         z = MANY[:6].copy()

@@ -1,4 +1,4 @@
-"""Filters whose steps are too long to be written out: models, factorizations and products as loops."""
+"""Filters whose steps are too long to be unrolled: models, factorizations and products as loops."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ RNG = np.random.default_rng(8)
 
 
 def ring(x, epoch):
-    """Lorenz-96 with an input as its forcing, a step of Heun's."""
+    """A Heun step of the Lorenz-96 system with an input as forcing."""
 
     def rate(x):
         return (np.roll(x, -1, -1) - np.roll(x, 2, -1)) * np.roll(x, 1, -1) - x + epoch.u
@@ -52,7 +52,7 @@ def flight(form="square root", rule=None, noisy=False):
 
 
 def calls(filter, prior, epochs):
-    """Loops in the step that moves."""
+    """Loops in the step with a prediction."""
     data = as_data(filter, epochs)
     engine = Engine(filter, prior, data)
     kind = data.distinct[data.kinds[-1]]

@@ -1,5 +1,5 @@
-"""Runs of compiled filters: gaps anywhere, lost runs, shapes, what is kept, bytes, and what cannot
-be compiled.
+"""Runs of compiled filters: gaps, failed runs, shapes, stored rows, reproducible bytes, and models
+that cannot be compiled.
 """
 
 from __future__ import annotations
@@ -247,7 +247,7 @@ def test_the_bytes_do_not_depend_on_threads_or_company(gaps):
 
 
 def content(track, runs=slice(None)):
-    """The bytes of a track, of some of its runs; one run alone is as one of a batch."""
+    """The bytes of a track for some of its runs; a single run equals a run in a batch."""
     found = {}
     for name in FIELDS[1:]:
         x = getattr(track, name)
@@ -329,7 +329,7 @@ def test_a_lost_run_alone_and_in_two_axes():
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 @pytest.mark.parametrize("form", ["square root", "covariance"])
 def test_negative_weights_that_lose_runs(form):
-    """And a second filter that does not."""
+    """And a second filter with which they do not fail."""
     motion = celnav.Motion(lambda x, _epoch: 0.8 * x + 0.6 * np.cos(2.0 * x), 0.01 * EYE)
     sensor = celnav.Sensor(lambda x, _epoch: x**2, 0.05 * EYE)
     filter = celnav.ukf(motion, sensor, kappa=-1.5, form=form)
@@ -548,9 +548,7 @@ def test_without_llvmlite_numpy_flies(monkeypatch):
 
 
 def test_a_measurement_noise_of_each_run_that_nobody_has_looked_at():
-    """Compiled before numpy has flown it: whether R is singular is known before the step is
-    recorded.
-    """
+    """Compiled before numpy has run it: whether R is singular is known before the step is recorded."""
     R = np.array([0.5, 1.0, 2.0])[:, None, None]
     z = np.random.default_rng(4).standard_normal((6, 3, 1))
     motion, prior = (
@@ -565,7 +563,7 @@ def test_a_measurement_noise_of_each_run_that_nobody_has_looked_at():
 
 
 def test_a_run_that_keeps_nothing_needs_no_room_for_its_rows():
-    """Six states and one measurement: the rows of the means alone would take 6 MB."""
+    """Six states and one measurement: the rows of the means alone would need 6 MB."""
     T, runs, n = 2000, 64, 6
     motion = celnav.Motion(0.9 * np.eye(n), 0.01 * np.eye(n))
     filter = celnav.compiled(celnav.ukf(motion, celnav.Sensor(np.ones((1, n)), [[0.1]])))
@@ -585,8 +583,8 @@ def test_a_run_that_keeps_nothing_needs_no_room_for_its_rows():
 
 
 def not_lower(form):
-    """A filter whose matrix machine code does not keep whole: a root that is not lower, or a
-    covariance that is not symmetric.
+    """A filter with a matrix that machine code stores only in part: a root that is not lower
+    triangular, or a covariance that is not symmetric.
     """
     F, turn = np.array([[1.0, 0.1], [0.0, 1.0]]), np.array([[0.8, 0.6], [-0.6, 0.8]])
 
@@ -609,7 +607,7 @@ def test_matrices_that_are_kept_in_part_are_refused(form):
 
 
 def test_matrices_of_each_run_are_read_in_every_flight():
-    """They may be changed where they lie; of so many runs the others are not compared."""
+    """They may be changed in place; with so many runs only some are compared."""
     runs, times = 9000, np.arange(5.0)
     sensor = celnav.Sensor(np.eye(1), np.ones((runs, 1, 1)))
     filter = celnav.ukf(celnav.Motion(0.9 * np.eye(1), 0.1), sensor)
@@ -624,7 +622,7 @@ def test_matrices_of_each_run_are_read_in_every_flight():
 
 
 def test_more_sensors_than_kinds_can_be_numbered():
-    """Four states of each of 34 sensors are more than an integer holds."""
+    """Four statuses for each of 34 sensors would overflow an integer."""
     filter = celnav.ukf(celnav.Motion(0.9 * np.eye(1), 0.1), *[celnav.Sensor(np.eye(1), 4.0)] * 34)
     z = np.random.default_rng(0).standard_normal((6, 34, 1))
     epochs = [

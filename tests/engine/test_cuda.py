@@ -1,6 +1,4 @@
-"""Filters on a device: their PTX as it is written, and their flights by a driver that is the
-host's.
-"""
+"""Filters on a device: their PTX, and their runs with a driver that uses the host."""
 
 from __future__ import annotations
 
@@ -39,26 +37,26 @@ def driver(monkeypatch):
 
 
 def left(driver):
-    """Blocks on the device and on the host, and streams, that nobody gave back."""
+    """Blocks on the device and on the host, and streams, that were not freed."""
     return len(driver.memory), len(driver.locked), driver.streams
 
 
 @pytest.fixture
 def reader(monkeypatch):
-    """A driver that does what the PTX says, line by line."""
+    """A driver that interprets the PTX line by line."""
     return installed(monkeypatch, Driver(literal=True))
 
 
 def flown(*arguments, **options):
-    """A flight by numpy and one by the device, which agree."""
+    """A run with numpy and a run on the device, after a check that they agree."""
     known, found = twice(*arguments, engine="cuda", **options)
     assert_same(known, found, engine="cuda")
     return known, found
 
 
 def sound(text, tmp_path):
-    """PTX has its entry, of eleven parameters, no calls, and is rounded as IEEE has it; ``ptxas``
-    takes it, where there is one.
+    """PTX has an entry with eleven parameters, no calls, and IEEE rounding; ``ptxas`` accepts it if
+    installed.
     """
     assert len(re.findall(r"^\.visible \.entry entry\(", text, re.M)) == 1
     assert len(re.findall(r"^\s+\.param \.u64 .*entry_param_\d+", text, re.M)) == 11
@@ -113,7 +111,7 @@ FEW = [0, 1, 2, 3, 9, 10]  # whole, in part and not at all measured; the reader 
 
 
 def few(z):
-    """Measurements of some epochs."""
+    """Measurements at some epochs."""
     if z is None:
         return None
     return tuple(map(few, z)) if isinstance(z, tuple) else z[FEW]
@@ -191,7 +189,7 @@ def test_the_same_program_as_machine_code(name, driver):
 
 @pytest.mark.parametrize("name", llvm.LIBM)
 def test_functions_of_the_c_library_are_arithmetic(name, driver, tmp_path):
-    """And within some units in the last place of the library's."""
+    """And within some units in the last place of the library's results."""
     tape = Tape()
     y = tape.node(
         name,
@@ -306,7 +304,7 @@ def test_inputs_that_come_and_go(driver):
 
 @pytest.mark.parametrize("jobs", [1, 3])
 def test_runs_are_flown_in_parts_that_the_device_has_room_for(jobs, monkeypatch):
-    """Half of its memory, for all threads together; the bytes do not depend on it."""
+    """Half of its memory, for all threads together; the results do not depend on it."""
     prior = celnav.Gaussian(np.linspace(-1.0, 1.0, 300).reshape(150, 2), 0.3 * runs.EYE)
     z = np.random.default_rng(8).standard_normal((6, 150, 2)) + 1.0
     whole = installed(monkeypatch, Driver())

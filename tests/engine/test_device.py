@@ -1,4 +1,4 @@
-"""Filters on a real NVIDIA device, compared with numpy; skipped where there is none."""
+"""Filters on a real NVIDIA device, compared with numpy; skipped without a device."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ pytestmark = pytest.mark.usefixtures("eager")
 
 
 def compared(*arguments, **options):
-    """A run by numpy and one by the device, which agree."""
+    """A run with numpy and a run on the device, after a check that they agree."""
     known, found = twice(*arguments, engine="cuda", **options)
     assert_same(known, found, engine="cuda")
     return known
@@ -60,7 +60,7 @@ def test_lost_runs_are_those_of_numpy(name):
 
 @pytest.mark.parametrize("name", llvm.LIBM)
 def test_functions_of_the_c_library(name):
-    """Within three units in the last place of the library's, and more for powers."""
+    """Within three units in the last place of the library's results, and more for powers."""
     tape = Tape()
     inputs = 2 if name in ("pow", "atan2", "fmod", "hypot") else 1
     y = tape.node(name, *(tape.input().i for _ in range(inputs)))
@@ -83,7 +83,7 @@ def test_functions_of_the_c_library(name):
 
 
 def test_threads_share_the_device():
-    """As many runs as do not fill the last block, by one thread and by three."""
+    """A number of runs that does not fill the last block, with one thread and with three."""
     prior = celnav.Gaussian(np.linspace(-1.0, 1.0, 600).reshape(300, 2), 0.3 * runs.EYE)
     z = np.random.default_rng(8).standard_normal((6, 300, 2)) + 1.0
     filter = celnav.ukf(runs.MOTION, runs.SENSOR)

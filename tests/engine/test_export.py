@@ -1,4 +1,4 @@
-"""A filter's step as C: compiled by the system's compiler it gives what the library gives."""
+"""A filter's step as C, compiled by the system's compiler, gives the library's results."""
 
 from __future__ import annotations
 

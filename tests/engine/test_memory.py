@@ -1,4 +1,4 @@
-"""Memory of rows is used again once nobody holds it, and never before."""
+"""The memory of rows is reused when nothing refers to it any more, and never before."""
 
 from __future__ import annotations
 

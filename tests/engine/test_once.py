@@ -1,6 +1,4 @@
-"""What all runs have in common is computed once an epoch by machine code, and numpy's numbers come
-out.
-"""
+"""Machine code computes once per epoch what all runs have in common, and its results equal numpy's."""
 
 from __future__ import annotations
 
@@ -39,7 +37,7 @@ FILTERS = {
 
 @pytest.fixture
 def parts(monkeypatch):
-    """Whether each flight had a part for all runs together."""
+    """Whether each run had a part for all runs together."""
     seen = list[bool]()
     schedule = runs._schedule
 
@@ -105,7 +103,9 @@ def test_a_gate_gives_runs_covariances_of_their_own(parts):
 
 
 def test_what_a_model_makes_of_time_is_made_once(parts):
-    """The direction of a star by a series of sines, for all runs; the covariance is each run's own."""
+    """The direction of a star as a series of sines is common to all runs; the covariance differs
+    between runs.
+    """
 
     def h(x, epoch):
         phase = sum(np.sin(k * epoch.t + k) / k for k in range(1, 30))

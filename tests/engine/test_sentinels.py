@@ -112,7 +112,7 @@ def test_a_model_that_remembers_its_calls_is_not_compiled(path):
 
 
 class Lazy:
-    """What it makes at its first call stays."""
+    """It stores the result of its first call."""
 
     F = None
 
@@ -145,7 +145,7 @@ def test_a_kept_filter_is_recorded_anew_where_its_model_changed():
 
 
 def test_a_kept_filter_is_compared_again(monkeypatch):
-    """What the model's function holds does not show that numpy's tanh was replaced."""
+    """The contents of the model's function do not show that numpy's tanh was replaced."""
     kept = celnav.compiled(filter_of(lambda x, epoch: np.tanh(x)))
     kept.run(PRIOR, TIMES, Z)
     monkeypatch.setattr(np, "tanh", lambda x: 0.5 * x)
@@ -154,7 +154,7 @@ def test_a_kept_filter_is_compared_again(monkeypatch):
 
 
 def comparisons(monkeypatch, runs):
-    """Of each run of a kept filter after the first, the epochs that were compared with numpy."""
+    """For each run of a reused filter after the first, the epochs that were compared with numpy."""
     compared = []
 
     def noted(_filter, _engine, _data, sentinel, _watched):
@@ -204,7 +204,7 @@ def test_sentinels_are_spread_over_the_run():
 
 
 def test_machine_code_that_goes_wrong_late_is_found(monkeypatch):
-    """Its state is spoiled at one epoch of one of the runs that are watched."""
+    """The state of a watched run is changed at one epoch."""
     on_host = runs._on_host
 
     def spoiled(*arguments):
@@ -244,7 +244,7 @@ RATIOS = [1e-18, 1e-12, 1e-6, 1e6, 1e12]
 @pytest.mark.parametrize("form", ["square root", "covariance"])
 @pytest.mark.parametrize("ratio", RATIOS)
 def test_ill_conditioned_problems_are_compiled(ratio, form):
-    """Precise sensors after poor priors, and the other way; states that hardly differ."""
+    """Precise sensors after poor priors and the reverse; almost equal states."""
     F = np.array([[1.0, 1.0, 0.5], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]])
     H = np.array([[1.0, 1e-6, 0.0], [1.0, 0.0, 1e-6]])
     prior = celnav.Gaussian(np.array([1e3, 1.0, 1.0]), np.diag([1.0, 1e-4, 1e4]))

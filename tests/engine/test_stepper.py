@@ -1,5 +1,5 @@
-"""Single steps by machine code are numpy's: of every kind of filter, epoch and batch, in threads,
-and after a change.
+"""Single steps by machine code equal numpy's: for every kind of filter, epoch and batch, in
+threads, and after a change.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ FILTERS = {
 
 
 def stepped(filter, prior, epochs):
-    """States and records after each epoch."""
+    """States and `Info` records after each epoch."""
     state, found = filter.start(prior), []
     for epoch in epochs:
         state, infos = filter.step(state, epoch)
@@ -73,7 +73,7 @@ def stepped(filter, prior, epochs):
 
 
 def assert_alike(found, known):
-    """Beliefs, innovations, likelihoods and what was used."""
+    """Compare beliefs, innovations, likelihoods and the masks of used components."""
     for (state, infos), (expected, records) in zip(found, known, strict=True):
         runs = state.belief.mean.shape[:-1]
         pairs = [(state.belief.mean, expected.belief.mean), (state.belief.cov, expected.belief.cov)]
@@ -95,14 +95,16 @@ def assert_alike(found, known):
 @pytest.mark.parametrize("z", [Z, GAPS], ids=["complete", "gaps"])
 @pytest.mark.parametrize("name", FILTERS)
 def test_a_run_alone(name, z):
-    """Filters that remember more than a belief too."""
+    """Also filters with more memory than a belief."""
     filter, epochs = FILTERS[name], celnav.epochs(TIMES, z)
     assert_alike(stepped(celnav.compiled(filter), PRIOR, epochs), stepped(filter, PRIOR, epochs))
 
 
 @pytest.mark.parametrize("name", ["ukf", "covariance", "linear", "augmented"])
 def test_runs_together(name):
-    """More runs than a vector has, and not a multiple of it; measurements of all or of each."""
+    """More runs than lanes in a vector, and not a multiple; measurements shared by all runs or for
+    each run.
+    """
     filter = FILTERS[name]
     for z in (GAPS, GAPS[:, None] + RNG.standard_normal((T, 11, 2))):
         epochs = celnav.epochs(TIMES, z)
@@ -112,7 +114,7 @@ def test_runs_together(name):
 
 @pytest.mark.parametrize("prior", [PRIOR, MANY], ids=["one", "runs"])
 def test_inputs_intervals_and_sensors_in_turns(prior):
-    """Inputs of all and of each run, an interval of each, and sensors that measure in turns."""
+    """Inputs for all runs and for each run, intervals for each run, and sensors that alternate."""
     filter = celnav.ukf(celnav.Motion(pushed, 0.1), RADAR, GPS)
     batch = prior.mean.shape[:-1]
     epochs = []
@@ -133,8 +135,8 @@ def test_several_runs_of_a_filter_with_a_memory_are_refused():
 
 
 def test_states_stay_as_they_were():
-    """A step changes no state that was given, and none that it gave before; what is written into
-    one counts.
+    """A step changes neither its input state nor an earlier result; a change written into a state
+    is used.
     """
     fast, epochs = celnav.compiled(FILTERS["ukf"]), celnav.epochs(TIMES, Z)
     found = stepped(fast, PRIOR, epochs)
@@ -153,7 +155,7 @@ def test_states_stay_as_they_were():
 
 
 def test_threads_share_no_buffer():
-    """Eight robots at once end as they do one after the other, byte for byte."""
+    """Eight filters in parallel threads give the same bytes as one after the other."""
     fast = celnav.compiled(FILTERS["ukf"])
     logs = [celnav.epochs(TIMES, Z + shift) for shift in np.linspace(-1.0, 1.0, 8)]
 
@@ -216,8 +218,8 @@ def test_a_model_that_counts_its_calls_is_refused():
 
 
 def test_what_changes_within_an_object_is_seen_where_numpy_takes_a_step():
-    """That is the 1st, the 5th and the 21st step of a kind; by then a new record has taken its
-    place.
+    """These are the 1st, the 5th and the 21st step of a kind; then a new record replaces the old
+    one.
     """
     settings = SimpleNamespace(rate=1.0)
 

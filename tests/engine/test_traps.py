@@ -1,4 +1,4 @@
-"""Models that set traps: every engine gives what numpy gives, or says which line it cannot take.
+"""Models with traps: every engine gives numpy's result, or names the line that it cannot record.
 
 Tables hold models of a few lines, one trap each, and one expectation:
 EQUAL   The model is pure arithmetic. It is compiled, and equals numpy to round-off.
@@ -65,7 +65,7 @@ MAYBE_DOOR = (MEMORY, HIDDEN, COUPLED)  # numpy may refuse them, too
 
 # -- filters around a model ----------------------------------------------------------------------
 class Case(NamedTuple):
-    """A filter and what it is given, and the model of which a table says what is expected."""
+    """A filter and its arguments, and the model with the expectation from the table."""
 
     expected: str
     make: Any  # () -> (filter, arguments of `celnav.run`)
@@ -652,7 +652,7 @@ cases(
 
 # -- models with memory --------------------------------------------------------------------------
 def counter(act):
-    """A model that counts its calls, and acts by the count."""
+    """A model that counts its calls and depends on the count."""
 
     def make():
         calls = itertools.count()
@@ -1835,7 +1835,7 @@ def row_kept(x, epoch):
 
 
 def solved_by_scipy(rtol):
-    """All points together, with steps that suit all of them."""
+    """All points together, with a common step size."""
 
     def f(x, epoch):
         def rate(t, flat):
@@ -1851,7 +1851,7 @@ def solved_by_scipy(rtol):
 
 
 def adaptive_steps(x, epoch):
-    """Euler and Heun, halved until they agree for all points."""
+    """Euler and Heun steps, halved until they agree for all points."""
 
     def rate(y):
         return np.stack([y[..., 1], -0.1 * np.sin(y[..., 0])], -1)
@@ -2035,7 +2035,7 @@ AROUND = celnav.Gaussian([0.0, 0.0, 1.0, 0.0, 0.05], np.diag([1.0, 1.0, 0.1, 0.1
 
 
 def linear(n, runs, m=1, prior=None, q=0.01, r=1.0, F=None, **options):
-    """A linear filter of ``n`` states as functions, and its flight."""
+    """A linear filter with ``n`` states, its models as functions, and its data."""
     rng = np.random.default_rng(100 * n + runs)
     F = np.eye(n) + 0.1 * np.eye(n, k=1) if F is None else np.asarray(F)
     filter = celnav.ukf(
@@ -2258,7 +2258,7 @@ RAW = re.compile(
     r"|must be (a |an )?(real|str|int)|inhomogeneous|object arrays|not supported between"
     r"|setting an array element|could not be broadcast|is not JSON|matmul: Input|too many indices"
 )
-"""Words of Python and numpy about the recorder's own types: they name no cure."""
+"""Messages of Python and numpy about the recorder's types: they name no remedy."""
 CURE = re.compile(
     r"numpy\.where|numpy's functions|engine=|instead"
     r"|\b(put|write|take|use|give|pass|call|make|keep|let|replace)\b"
@@ -2276,7 +2276,7 @@ def attempt(filter, given, engine):
 
 
 def lines_of(function, lines=frozenset(), seen=()):
-    """Lines of a model: its own, of its closure, and of functions of this file that it calls."""
+    """Source lines of a model, of its closure, and of functions in this file that it calls."""
     code = getattr(getattr(function, "__wrapped__", function), "__code__", None)
     if code is None or code in seen or code.co_filename != __file__:
         return lines
@@ -2292,7 +2292,7 @@ def lines_of(function, lines=frozenset(), seen=()):
 
 
 def assert_refused(error, model):
-    """A refusal names a line of the model and the cure, or the argument that is at fault."""
+    """An error names a line of the model and the remedy, or the faulty argument."""
     assert isinstance(error, CannotCompile), f"{type(error).__name__}: {error}"
     text = str(error)
     if re.search(r"\b(u|z|times|prior): expected", text):
@@ -2309,8 +2309,9 @@ def assert_refused(error, model):
 def assert_equal(known, found, squared=False):
     """Two tracks within 1e-7 standard deviations and 1e-9 of the number, and the state's round-off.
 
-    A number that has been ``c`` times larger than its deviation carries ``c`` times the round-off;
-    the covariance form squares ``c``. No track may be off by a hundredth of a deviation.
+    A number that has been ``c`` times larger than its standard deviation has ``c`` times the
+    round-off; the covariance form squares ``c``. No track may differ by a hundredth of a standard
+    deviation.
     """
     for field in ("failed_at", "used"):
         np.testing.assert_array_equal(getattr(found, field), getattr(known, field), field)
@@ -2332,7 +2333,9 @@ def assert_equal(known, found, squared=False):
 
 
 def assert_as_near_as_itself(filter, given, known, found):
-    """Within 10,000 times what numpy moves by when the last bits of z and of the prior change."""
+    """Within 10,000 times the change of numpy's result when the last bits of z and the prior
+    change.
+    """
     np.testing.assert_array_equal(found.failed_at, known.failed_at)
     rng, moves = np.random.default_rng(0), [1e-7]
     for sign in (-1.0, 1.0):
@@ -2344,7 +2347,7 @@ def assert_as_near_as_itself(filter, given, known, found):
 
 
 def worst(error, scale):
-    """The largest ratio, where both are numbers."""
+    """The largest ratio where both are finite."""
     ratio = np.divide(error, scale, out=np.where(error > 0, np.inf, 0.0), where=scale > 0)
     return np.nanmax(ratio, initial=0.0)
 
@@ -2545,7 +2548,7 @@ def test_inputs_that_a_model_writes_stay_what_they_were(engine):
 
 # -- a filter that is kept -----------------------------------------------------------------------
 class World:
-    """What models look at, and what may change between two flights."""
+    """Data that models read and that may change between two runs."""
 
     def __init__(self):
         self.value, self.array, self.late = 0.01, np.array([0.01, 0.0]), 0.0
@@ -2565,7 +2568,7 @@ def nothing(world):
 
 
 def of_world(a):
-    """A model of a world as a filter of it."""
+    """A filter from a model that reads a `World`."""
     return lambda world: push(lambda x, e: a(world, x, e))
 
 
@@ -2752,7 +2755,7 @@ KEPT = {  # (a filter of a world, the first flight, what changes, the second fli
 
 @functools.cache
 def both_by_numpy(name):
-    """Both flights by numpy, of a filter of their own."""
+    """Both runs with numpy, each with a new filter."""
     make, first, changed, second = KEPT[name]
     world = World()
     filter = make(world)

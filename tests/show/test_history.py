@@ -1,4 +1,4 @@
-"""The plot of one run."""
+"""The plot of a single run."""
 
 from __future__ import annotations
 

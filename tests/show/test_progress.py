@@ -1,4 +1,4 @@
-"""What a command says while it works: frames of a bar on a terminal, plain lines elsewhere."""
+"""The progress of a command: a bar on a terminal, plain lines elsewhere."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Terminal(io.StringIO):
         return True
 
     def frames(self):
-        """The states of the bar's line, as they stand; codes of color and of the cursor are left out."""
+        """The successive states of the bar's line, without codes for color and cursor."""
         text = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", self.getvalue())
         return [" ".join(frame.replace("━", " ").split()) for frame in re.split(r"[\r\n]+", text)]
 
@@ -34,7 +34,7 @@ def terminal(monkeypatch):
 
 @pytest.fixture
 def clock(monkeypatch):
-    """A clock that stands at the first of a list."""
+    """A clock that returns the first number of a list."""
     now = [0.0]
     monkeypatch.setattr(progress, "monotonic", lambda: now[0])
     return now

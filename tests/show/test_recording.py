@@ -1,4 +1,4 @@
-"""Recordings read back with pyarrow alone, and files that are whole or not there."""
+"""Recordings read back with pyarrow alone, and files that are complete or do not exist."""
 
 import contextlib
 import io
@@ -63,7 +63,7 @@ def covariances(rng, steps=len(TIMES)):
 
 
 class Log:
-    """A stream that keeps what is logged: components by name, of each entity."""
+    """A stream that stores what is logged: for each entity its components by name."""
 
     def __init__(self):
         self.found = {}
@@ -104,7 +104,9 @@ def test_bounds_are_seen_unless_they_are_to_be_hidden(options, seen):
 
 
 def test_a_globe_has_circles_every_fifteen_degrees():
-    """Eleven of latitude, and 24 halves from pole to pole, a little above the ground."""
+    """Eleven circles of latitude, and 24 half circles from pole to pole,
+    slightly above the ground.
+    """
     log = Log()
     recording.Recorder(log, TIMES).globe("earth", 6378.0)
     assert log.found["earth"]["half_sizes"] == [[6378.0] * 3]
@@ -371,7 +373,9 @@ def test_the_viewer_draws_a_picture_without_a_screen(tmp_path):
 
 
 def test_a_picture_is_of_the_recording_at_its_time_without_the_bar(tmp_path, monkeypatch):
-    """By a viewer that only listens; 31 of the 900 rows of its window are its own."""
+    """By a viewer without a time bar; 31 of the 900 rows of its window show the
+    viewer's controls.
+    """
     from PIL import Image
 
     from celnav.show import picture

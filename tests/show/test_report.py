@@ -1,5 +1,5 @@
-"""A track against the truth: numbers by direct formulas, bands that hold consistent filters, gaps,
-sensors, attitudes, engines.
+"""A track compared with the truth: numbers from direct formulas, bands for consistent filters,
+gaps, sensors, attitudes, engines.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def test_numbers_are_those_of_the_formulas(sound):
 
 
 def test_sensors_are_told_apart_and_gaps_cost_only_themselves():
-    """Also where R is a function, which does not say how many components there are."""
+    """Also if R is a function, which does not determine the number of components."""
     truth, z = celnav.simulate(MOTION, [RADAR, GPS], PRIOR, TIMES, runs=20)
     z[0][::2], z[1][5:9, :, 1] = np.nan, np.nan
     track = celnav.run(FILTER, PRIOR, TIMES, z, keep="cov")
@@ -97,7 +97,9 @@ def test_what_is_not_known_of_the_truth_is_left_out(sound):
 
 @pytest.mark.parametrize("runs", [1, 8])
 def test_a_consistent_filter_is_in_the_bands_as_often_as_they_say(runs):
-    """95 % of flights; bands of NEES are estimated, so a few less will do."""
+    """In 95 % of the simulations; the bands of NEES are estimated, so slightly
+    fewer are accepted.
+    """
     gps = celnav.Sensor(np.eye(2, 4), 100.0 * np.eye(2))
     filter, times, flights = celnav.ukf(MOTION, gps), np.arange(150.0), 120
     truth, z = celnav.simulate(MOTION, gps, PRIOR, times, runs=runs * flights, seed=7)
@@ -125,8 +127,8 @@ def test_an_overconfident_filter_is_called_so():
 
 
 def test_nis_below_its_band_with_nees_above_it_is_called_correlated_noise():
-    """An AR(1) taken for white is followed, so that innovations are small; a small R makes both
-    large.
+    """A filter that treats AR(1) noise as white follows the noise, so its innovations are small; a
+    small R makes NIS and NEES large.
     """
     said = "NIS 0    below its band while NEES is above it: the noise of the measurements is correlated"
     walk = motion.constant_velocity(2, 1e-4)
@@ -386,7 +388,7 @@ def test_a_track_without_deviations_is_refused():
 
 # -- texts -----------------------------------------------------------------------------------------
 def by_hand(sigma, runs, spoiled=False, **options):
-    """The report of fixes and speeds at six epochs, with errors that are written here."""
+    """The report for fixes and speeds at six epochs, with the errors given here."""
     error = (
         0.5
         * np.array(
@@ -408,7 +410,7 @@ def by_hand(sigma, runs, spoiled=False, **options):
         speeds[2, 1] = fixes[3] = np.nan
 
     def f(x, epoch):
-        """The last run is lost at the fifth epoch."""
+        """The last run fails at the fifth epoch."""
         lost = spoiled & (epoch.k == 4) & (x[..., :1] > 40.0)
         return np.where(lost, np.nan, x @ np.array([[1.0, epoch.dt], [0.0, 1.0]]).T)
 

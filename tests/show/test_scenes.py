@@ -1,4 +1,4 @@
-"""Geometry of scenes, against what sensors measure."""
+"""Geometry of scenes, compared with the sensors' measurements."""
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -11,7 +11,7 @@ ORBIT = propagate(from_elements(7136.635, 1e-3, *np.deg2rad([65.0, 30.0, 30.0]),
 
 
 class Drawn:
-    """A recorder that keeps what it is given."""
+    """A recorder that stores its arguments."""
 
     def __init__(self):
         self.given = {}
@@ -46,7 +46,7 @@ def test_sight_lines_touch_the_earth_at_the_measured_angles():
 
 
 def test_axes_turn_as_much_as_the_error_but_no_further_than_can_be_seen():
-    """Ten times as far, where that is less than a right angle; the others stay with the truth's."""
+    """Ten times as far, if that is less than a right angle; other axes remain on the true axes."""
     out, axis = Drawn(), np.array([0.6, 0.0, 0.8])
     angles = np.array([0.0, 0.01, 0.15, 0.158, 2.0])
     error = angles[:, None] * axis

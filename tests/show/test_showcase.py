@@ -154,7 +154,7 @@ def test_the_same_showcase_is_recorded_the_same(path, tmp_path):
 
 
 def test_columns_are_whole(path):
-    """No entity is logged row by row: each has one chunk of its times."""
+    """No entity is logged row by row: each has one chunk with its times."""
     entities = [str(chunk.entity_path) for chunk in chunks(path) if not chunk.is_static]
     assert len(entities) == len(set(entities))
 
@@ -247,7 +247,7 @@ def test_plots(case, content):
 
 
 def test_a_group_about_its_truth_shows_the_states(case, tmp_path):
-    """And a filter that does not estimate it is not there."""
+    """And a filter that does not estimate the group is left out."""
     truth = 1e3 * case.truth[:, 3:]
     few = changed(
         case,
@@ -326,7 +326,7 @@ def test_the_space_of_errors_is_as_large_as_they_are(case, path, tmp_path):
 
 
 def test_a_large_start_leaves_the_rest_to_be_seen(case, tmp_path):
-    """What is far outside of the view is left out; limits are those of the rest of the run."""
+    """Values far outside the view are left out; the limits come from the rest of the run."""
     e = case.estimates["own"]
     errors, cov = e.errors.copy(), e.cov.copy()
     errors[:5] *= 1e6

@@ -34,7 +34,7 @@ export {
 
 @pytest.fixture
 def package(tmp_path, monkeypatch):
-    """A package of the viewer's form in place of what is installed."""
+    """A package with the viewer's layout that replaces the installed one."""
     static = tmp_path / viewer.PACKAGE / "static"
     static.mkdir(parents=True)
     (static.parent / "__init__.py").touch()
@@ -109,7 +109,7 @@ def test_without_its_package(monkeypatch):
 
 
 def test_reproduce_writes_it_and_the_page_links_it(package, tmp_path):
-    """A recording that is there is a script; one that is not there has no link."""
+    """An existing recording becomes a script; a missing recording has no link."""
     out, outputs = tmp_path / "out", Outputs(tmp_path / "out" / "csrukf")
     recording = bytes(range(256)) * 3
     outputs.bytes("csrukf_P_08.rrd", recording)
@@ -135,7 +135,7 @@ def test_reproduce_writes_it_and_the_page_links_it(package, tmp_path):
 
 
 def test_a_viewer_that_is_half_written_is_written_again(package, tmp_path, monkeypatch):
-    """The disk is full when another version takes the place of one."""
+    """The disk is full when another version replaces the present one."""
     top = Outputs(tmp_path)
     top.publish(viewer.viewer())
     monkeypatch.setattr(viewer, "version", lambda name: "10.0")

@@ -1,4 +1,4 @@
-"""Derivatives by the chain rule, against complex steps and closed forms."""
+"""Derivatives by the chain rule, compared with complex steps and closed forms."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ STEP = 1e-200
 
 
 def slopes(function, point):
-    """A function's value at a point, and its Jacobian, by way of a tape."""
+    """A function's value at a point, and its Jacobian, from a tape."""
     tape = Tape()
     (center,) = inputs(tape, np.shape(point), absent=False)
     y = np.asanyarray(function(center + along(center, [np.eye(len(point))])[0][0]))
@@ -152,7 +152,7 @@ def test_a_loop_over_what_does_not_change_stays_one():
 
 
 def test_what_is_far_away_has_no_part():
-    """A branch that is not taken may be infinite there."""
+    """A branch that is not selected may be infinite there."""
     point = np.array([-1.0, 4.0])
     np.testing.assert_allclose(
         slopes(lambda x: np.where(x > 0.0, np.sqrt(np.abs(x)), 2.0 * x), point)[1],
@@ -177,7 +177,7 @@ def test_what_does_not_depend_on_the_variables():
 
 
 def test_every_operation_that_has_a_slope_has_been_tried():
-    """By name, so that a new one is not forgotten."""
+    """By name, so that new operations are not forgotten."""
     tape, done = Tape(), set()
     for name, function in (
         ANALYTIC | {name: function for name, (function, _) in CLOSED.items()}

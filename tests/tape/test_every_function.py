@@ -1,4 +1,4 @@
-"""Every public function of numpy, recorded in a model: it gives what numpy gives, or is refused."""
+"""Every public function of numpy, recorded in a model, gives numpy's result or raises an error."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def parts(y):
 
 
 def tried(function, call):
-    """Whether it is recorded, and compared at least once."""
+    """Whether the function is recorded, and compared at least once."""
     tape = Tape()
     x, y = inputs(tape, (4,), (4,))
     try:

@@ -1,4 +1,4 @@
-"""A step in two parts gives what it gives as a whole."""
+"""A step in two parts gives the same results as the undivided step."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ OPERATIONS = ("add", "sub", "mul", "lt", "select", "sin", "neg")
 
 
 def random_kernel(rng, size=60):
-    """Inputs of all places, and operations on numbers drawn among the earlier ones."""
+    """Inputs from all places, and operations on randomly chosen earlier numbers."""
     tape = Tape()
     inputs = [("shared", 0), ("shared", 3), ("own", 0), *(("state", i) for i in range(5))]
     made = [tape.input() for _ in inputs] + [0.5, -2.0]
@@ -30,7 +30,7 @@ def random_kernel(rng, size=60):
 
 
 def worked_out(kernel, places):
-    """The results of a kernel ``{(place, index): number}``, of numbers by their places."""
+    """The results of a kernel ``{(place, index): number}`` from input numbers by place."""
     results = kernel.results()
     given = [places[at] for at in kernel.inputs]
     found = values(kernel.tape, given, np.array([x for *_, x in results], object))

@@ -53,8 +53,8 @@ def addressed(kernel, lanes, fused):
 
 
 def flown(addresses, kinds, at, state, shared, own, kept, lanes):
-    """Rows ``(stored, kept, runs)`` of a flight, and the state ``(S, runs)`` it ends in; runs are
-    padded to whole vectors.
+    """Rows ``(stored, numbers, runs)`` of a run, and its final state ``(S, runs)``; runs are padded
+    to full vectors.
     """
     runs = own.shape[-1]
     width = -(-runs // lanes) * lanes
@@ -86,7 +86,9 @@ def flown(addresses, kinds, at, state, shared, own, kept, lanes):
 
 
 def computed(tape, y, given, lanes, fused):
-    """Numbers ``(O,)`` of inputs ``(I, runs)``, as machine code: ``(O, runs)``."""
+    """Values ``(O, runs)`` of the numbers ``(O,)`` for inputs ``(I, runs)``, computed by machine
+    code.
+    """
     kernel = llvm.Kernel(tape, [("own", i) for i in range(len(given))], [], list(y))
     state, shared = np.zeros((1, given.shape[1])), np.zeros((1, 1))
     return flown(
@@ -116,7 +118,9 @@ def test_operations(name, lanes):
 @pytest.mark.parametrize("lanes", LANES)
 @pytest.mark.parametrize("name", llvm.LIBM)
 def test_functions(name, lanes):
-    """Those of the C library, and as arithmetic; what is out of the range of the latter is nan."""
+    """Functions of the C library, and their versions as arithmetic; the latter give nan outside
+    their range.
+    """
     found, expected, _ = operated(name, lanes, False)
     np.testing.assert_allclose(found, expected, rtol=4e-16)
     zero = expected == 0.0
@@ -154,7 +158,7 @@ EXACT = {
 
 @pytest.mark.parametrize("name", EXACT)
 def test_functions_are_exact_where_their_result_is_a_float(name):
-    """As arithmetic too: a floor or a comparison that follows is that of numpy.
+    """Also as arithmetic, so that a following floor or comparison equals numpy's.
 
     numpy's own cube roots of cubes are exact on some processors only.
     """
@@ -173,7 +177,7 @@ def test_bits(lanes):
 
 
 def operated(name, lanes, fused, given=None):
-    """Results of an operation on all that is odd, those of numpy, and what they are of."""
+    """Results of an operation for unusual numbers, numpy's results, and the arguments."""
     if given is None:
         given = X[None] if name in ALONE else np.stack([x.ravel() for x in np.meshgrid(X, X)])
     tape = Tape()
@@ -368,8 +372,8 @@ def test_a_long_tape_is_cut_into_blocks():
 # -- flights ---------------------------------------------------------------------------------------
 @pytest.mark.parametrize("lanes", LANES)
 def test_states_are_carried_and_rows_are_stored(lanes):
-    """Two kernels in turn: x grows by what all share, or by what each run has; every second is
-    kept.
+    """Two alternating kernels: x grows by a shared input, or by an input of each run; every second
+    row is stored.
     """
     kernels = []
     for place in ("shared", "own"):
@@ -414,7 +418,7 @@ def test_what_is_the_same_is_compiled_once():
 
 
 def test_neighboring_sums_of_products_take_turns(monkeypatch):
-    """Their numbers are the same bit by bit; a sum that needs another one waits for it."""
+    """Their numbers are the same bit for bit; a sum that needs another sum comes after it."""
     rng = np.random.default_rng(5)
     A, B = rng.standard_normal((2, 12, 12))
     given = rng.standard_normal((12, 7))

@@ -1,4 +1,4 @@
-"""numpy's functions of numbers that are not known yet, against the same functions of floats."""
+"""Numpy's functions of numbers without values, compared with the same functions of floats."""
 
 from __future__ import annotations
 
@@ -116,8 +116,8 @@ WHOLE = {
 
 @pytest.mark.parametrize("name", WHOLE)
 def test_what_may_become_another_whole_number_is_that_of_numpy(name):
-    """To the last bit, with the sign of zero: the multiples of a period, their neighbors, and what
-    is odd.
+    """To the last bit, with the sign of zero: multiples of a period, their neighbors, and unusual
+    numbers.
     """
     period = np.repeat([49.0, 0.1, 0.7, -0.3, 7.0], 100)
     multiples = period * np.tile(np.arange(100.0), 5)

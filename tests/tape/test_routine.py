@@ -1,4 +1,4 @@
-"""Loops over rows: the same values as code that is written out, whatever rows have in common."""
+"""Loops over rows give the same values as unrolled code, whatever the rows have in common."""
 
 from __future__ import annotations
 
@@ -53,8 +53,8 @@ def flown(tape, y, given, lanes=8, fused=True):
 
 
 def model(x, w, scale):
-    """Of rows ``(p, 3)`` and ``(p, 1)``: sines, a length, a choice, a constant, and something that
-    all rows share.
+    """A model of rows ``(p, 3)`` and ``(p, 1)``: sines, a length, a choice, a constant, and an
+    operation that all rows share.
     """
     length = np.sqrt(np.sum(np.square(x), -1, keepdims=True) + np.square(w))
     chosen = np.where(x[..., :1] > 0.0, scale * np.sin(x[..., 1:2]), np.exp(-np.abs(x[..., 2:])))
