@@ -1,5 +1,5 @@
-"""Gates reject what they should and count it, the window follows its formula, considered states
-stay uncertain.
+"""Gates reject outliers and count them, the window follows its formula, considered states keep
+their uncertainty.
 """
 
 import numpy as np
@@ -41,7 +41,7 @@ RULES = pytest.mark.parametrize(
 
 
 def make(hooks=(), rule=unscented, form="square root", gain=None):
-    """Functions, not matrices: that a rule knows nothing of their being linear."""
+    """Models as functions, not matrices, so that a rule cannot use their linearity."""
     motion, sensor = Motion(lambda x, epoch: x @ A.T, Q), Sensor(lambda x, epoch: x @ H.T, R)
     return sigma_point(motion, sensor, rule=rule, form=form, hooks=hooks, gain=gain)
 
@@ -51,7 +51,7 @@ def prior(*batch):
 
 
 def seen(filter, known, z):
-    """The belief given a measurement, and what it did."""
+    """The belief given a measurement, and the `Info`."""
     state, (info,) = filter.update(filter.start(known), Epoch(z=z))
     return state.belief, info
 
@@ -113,8 +113,8 @@ def test_gate_leaves_out_components(form, rule):
 
 
 def test_gate_rejects_as_often_as_it_should():
-    """Of good data, one component alone, the share that lies beyond 1.5 standard deviations of a
-    Gaussian.
+    """For data without faults and a single component, the share of a Gaussian beyond 1.5 standard
+    deviations.
     """
     gamma, runs = 1.5, 4000
     z = simulate(np.random.default_rng(2), 1, runs)[0]
@@ -126,7 +126,7 @@ def test_gate_rejects_as_often_as_it_should():
 @RULES
 @FORMS
 def test_chi_square_gate_leaves_out_runs(form, rule):
-    """The whole vector of a run is left out by its own number of measured components."""
+    """The whole vector of a run is left out, by a bound for its number of measured components."""
     z = simulate(np.random.default_rng(3), 30, 3)
     z[5, 0] += [8.0, -6.0, 0.0]
     z[6, 1] = [np.nan, np.nan, 60.0]
@@ -154,7 +154,7 @@ def test_chi_square_gate_leaves_out_runs(form, rule):
 
 
 def test_chi_square_gate_sees_correlation():
-    """Two components that contradict each other by less than a component gate would mind."""
+    """Two components whose contradiction is too small for a gate by component."""
     known, still = Gaussian([0.0], [[100.0]]), Motion(np.eye(1), np.zeros((1, 1)))
     opposed, agreeing = np.array([8.0, -8.0]), np.array([8.0, 8.0])
     for hook, bad in ((gate(3.0), True), (chi_square_gate(0.999), False)):
@@ -166,7 +166,9 @@ def test_chi_square_gate_sees_correlation():
 @FORMS
 @pytest.mark.parametrize("hook", [gate(2.0), chi_square_gate(0.9)], ids=["gate", "chi-square"])
 def test_gates_do_not_mind_how_the_noise_comes_in(hook, form):
-    """Through the points, or added: of a linear measurement the same is left out, and a good part."""
+    """With noise through the points or additive: for a linear measurement both reject the same
+    components, and many of them.
+    """
     added = Sensor(lambda x, epoch: x @ H.T, R)
     through = Sensor(lambda x, epoch, w: x @ H.T + w, augment=(np.linalg.cholesky(R),))
     z = simulate(np.random.default_rng(4), 40, 3)
@@ -184,8 +186,8 @@ def test_gates_do_not_mind_how_the_noise_comes_in(hook, form):
 
 
 def test_chi_square_gate_counts_what_was_measured():
-    """Three standard deviations of one component are too much for it alone (0.99: 2.6), not among
-    three (3.4).
+    """A deviation of three σ in one component is rejected if measured alone (bound at 0.99: 2.6),
+    not among three components (3.4).
     """
     S = H @ P0 @ H.T + R
     alone = np.array([np.nan, np.nan, 3.0 * np.sqrt(S[2, 2])])
@@ -212,8 +214,8 @@ def test_a_window_never_filled_changes_no_bit(form, rule):
 @RULES
 @pytest.mark.parametrize("gaps", ["restart", "skip"])
 def test_window_follows_its_formula(form, rule, gaps):
-    """``A = max(1, (C - S0) / R)`` by congruence, per component, with full R; gaps restart or are
-    skipped.
+    """``A = max(1, (C - S0) / R)`` for each component, also with full R; gaps restart the window or
+    are skipped.
     """
     M, z = 4, simulate(np.random.default_rng(5), 40)
     z[15:25] *= 6.0
@@ -246,7 +248,7 @@ def test_window_follows_its_formula(form, rule, gaps):
     [(innovation_window(3),), (innovation_window(3, "skip"),), (gate(2.0), innovation_window(2))],
 )
 def test_runs_do_not_know_each_other(hooks):
-    """A run in a batch adapts as it would alone, also where the whole block or only this run has no
+    """A run in a batch adapts as it would alone, also if all runs or only this run have no
     measurement.
     """
     z = simulate(np.random.default_rng(6), 30, 3)
@@ -263,7 +265,7 @@ def test_runs_do_not_know_each_other(hooks):
 
 
 def test_hooks_act_in_order_with_their_own_memory():
-    """A gate before the window keeps outliers from it; their states can be resumed midway."""
+    """A gate before the window keeps outliers out of it; the states can be resumed midway."""
     z = simulate(np.random.default_rng(7), 12)
     z[4, 0] = 500.0
     filter = make([gate(5.0), innovation_window(3)])
@@ -278,7 +280,9 @@ def test_hooks_act_in_order_with_their_own_memory():
 
 
 def test_adaptation_helps_in_a_burst():
-    """Ten times the noise for a while: the window's error there is below that of the plain filter."""
+    """With ten times the noise for a while, the window's error is below the error of the plain
+    filter.
+    """
     rng = np.random.default_rng(8)
     runs, steps_ = 30, 80
     x, truth, z = np.zeros((runs, 2)), [], []
@@ -300,9 +304,10 @@ def test_adaptation_helps_in_a_burst():
 @FORMS
 @pytest.mark.parametrize("share", [0.0, 0.6, 0.75])
 def test_underweighting_follows_its_formula(form, rule, share):
-    """``K = P H' ((1 + beta) H P H' + R)^-1`` where the prior has the larger share, with Joseph's
-    covariance of that gain and all of the underweighting as noise; components and runs that miss
-    are left out."""
+    """``K = P H' ((1 + beta) H P H' + R)^-1`` if the prior has the larger share, with Joseph's
+    covariance for this gain and the underweighting as noise; missing components and runs are left
+    out.
+    """
     beta, poor = 0.3, []
     z = simulate(np.random.default_rng(11), 20, 2)
     z[3, 0, 1] = z[4, 1] = np.nan
@@ -340,8 +345,8 @@ def ranges(x, _epoch=None):
 
 
 def test_underweighting_leaves_room_for_curvature():
-    """Precise ranges and a poor prior: an extended filter claims a hundred times too little;
-    underweighted, about what it errs.
+    """Precise ranges and a poor prior: an extended filter's predicted σ is a hundred times too
+    small; with underweighting it agrees with the error.
     """
     rng, runs = np.random.default_rng(12), 2000
     center = np.array([3.0, 0.0])
@@ -429,7 +434,7 @@ def test_consider_is_schmidt_kalman(form, rule, missing):
 
 @FORMS
 def test_fixed_gain(form):
-    """The covariance of a filter with a gain of its own is Joseph's, whatever the gain."""
+    """The covariance of a filter with a prescribed gain has Joseph's form, for any gain."""
     K = np.array([[0.3, 0.1, 0.0], [0.0, 0.1, 0.2]])
     z = simulate(np.random.default_rng(10), 15)
     track = run(make(gain=K, form=form), prior(), epochs(np.arange(15), z), keep="cov")
@@ -468,8 +473,8 @@ def test_bad_input_is_refused_by_name(bad, name):
 @pytest.mark.parametrize("how", ["in place", "anew"])
 @pytest.mark.parametrize("h", [np.eye(1, 2), lambda x, e: x[..., :1]], ids=["matrix", "function"])
 def test_a_hook_may_write_into_the_joint(how, h):
-    """Inflating the prior, rows of the state included: the same in both forms, and the record of
-    the innovation stays.
+    """Inflating the prior, including the rows of the state: the same in both forms, and the
+    recorded innovation does not change.
     """
 
     def inflate(memory, joint, epoch):
@@ -508,7 +513,7 @@ def test_a_hook_may_write_into_the_joint(how, h):
 
 
 def test_the_track_has_the_variances_that_each_update_used():
-    """Three components, four runs: of each hook by its own definition."""
+    """Three components, four runs: for each hook by its definition."""
     z, T = simulate(np.random.default_rng(9), 12, 4), 12
     z[5, 2, 0], z[7, :, 1], z[9] = np.nan, np.nan, np.nan
     nominal, times = np.diag(R), np.arange(12.0)
@@ -596,7 +601,9 @@ SEEN_BY_HOOKS = {
 @FORMS
 @pytest.mark.parametrize("name", SEEN_BY_HOOKS)
 def test_covariances_that_a_hook_sees_are_those_of_the_columns(name, form):
-    """Of the innovation without its noise, of state and innovation, and of each component's noise."""
+    """Covariances of the innovation without noise, of state and innovation, and of each component's
+    noise.
+    """
     seen = []
 
     def look(memory, joint, _epoch):

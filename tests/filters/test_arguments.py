@@ -1,4 +1,4 @@
-"""What cannot be is refused where it is given, by name, with what was expected and what came."""
+"""Invalid arguments raise an error at once, with the name, what was expected and what came."""
 
 import pickle
 import re
@@ -308,7 +308,7 @@ def test_batches_that_do_not_go_together():
 
 @pytest.mark.parametrize("form", ["square root", "covariance"])
 def test_no_noise_has_no_columns(form):
-    """A measurement without noise is possible, and exact; it has to be said."""
+    """A measurement without noise is possible, and exact; it must be stated."""
     for none in ({"sqrt_R": np.zeros((1, 0))}, {"R": np.zeros((1, 1))}):
         belief = updated(
             [3.0], filter=celnav.ukf(MOTION, celnav.Sensor([[1.0, 1.0]], **none), form=form)
@@ -338,7 +338,7 @@ def test_a_model_that_takes_the_epoch_for_its_interval_is_told_what_it_gets():
 )
 @pytest.mark.parametrize("runs", [(), (4,)])
 def test_a_model_of_one_vector_is_told_what_points_are(model, runs):
-    """Whether its value has another shape or it raises by itself."""
+    """Whether its value has another shape or the model itself raises an error."""
     prior, jacobian = (
         celnav.Gaussian(np.zeros((*runs, 3)), np.eye(3)),
         lambda mean, epoch: np.eye(3),
@@ -386,7 +386,7 @@ def test_angles_can_be_sent_to_another_process():
 
 
 def test_what_is_masked_is_missing():
-    """netCDF and FITS readers give masked arrays."""
+    """Readers of netCDF and FITS return masked arrays."""
     z = np.ma.masked_values([[1.0, 1.0], [-999.0, 2.0], [3.0, 3.0]], -999.0)
     found, expected, listed = (
         celnav.run(FILTER, PRIOR, np.arange(3.0), v) for v in (z, z.filled(np.nan), list(z))
@@ -406,7 +406,7 @@ def move(x, epoch):
 
 
 def test_filters_can_be_sent_to_another_process():
-    """With functions that can; a space that came back is the same space."""
+    """If their functions can be pickled; an unpickled space is the same space."""
     for space in (EUCLIDEAN, angles([1])):
         filter = celnav.ukf(celnav.Motion(move, sqrt_Q=noise, space=space), SENSOR)
         celnav.run(filter, PRIOR, [0.0], np.ones((1, 2)))
@@ -419,7 +419,7 @@ def test_filters_can_be_sent_to_another_process():
     "rule", [celnav.Taylor(), celnav.unscented(2, 1e-3, 2.0)], ids=["taylor", "alpha"]
 )
 def test_a_model_in_single_precision_is_told_where_differences_are_round_off(rule):
-    """A deviation of 1e-5 came out of one of 0.01, and nothing was said."""
+    """A standard deviation of 0.01 once became 1e-5 without a warning."""
     far = celnav.Gaussian([7000.0, 7000.0], 1e-4 * EYE)
     single = celnav.sigma_point(
         celnav.Motion(lambda x, epoch: x.astype(np.float32), 1e-10 * EYE), rule=rule
@@ -436,7 +436,7 @@ def test_a_model_in_single_precision_is_told_where_differences_are_round_off(rul
 
 
 def test_single_precision_that_does_no_harm_is_taken_in_silence():
-    """Differences far above round-off, a component that is known exactly, Jacobians of one's own."""
+    """Differences far above round-off, an exact component, user-supplied Jacobians."""
     motion = celnav.Motion(
         lambda x, epoch: x.astype(np.float32), np.zeros((2, 2)), jacobian=lambda x, epoch: EYE
     )
@@ -449,7 +449,7 @@ def test_single_precision_that_does_no_harm_is_taken_in_silence():
 
 
 def test_masked_values_of_a_model_are_refused():
-    """Of what is hidden nothing is known; masked arrays without a mask are arrays."""
+    """Masked values are unknown; masked arrays without a mask are ordinary arrays."""
 
     def hidden(x, epoch=None):
         return np.ma.masked_greater(x, 1.0005)

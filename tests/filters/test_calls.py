@@ -1,4 +1,6 @@
-"""How many functions of the package an epoch calls, and in how many files: what a reader walks."""
+"""How many functions of the package an epoch calls, in how many files: the path that a reader
+follows.
+"""
 
 import sys
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What is refused by one engine is refused by the other, in the same words."""
+"""An argument that one engine rejects is rejected by the other with the same message."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ NOT_COMPILED = {
     "group_parity",
     "channel_parity",
 }
-"""Their models look at what they are given."""
+"""Cases whose models inspect the values of their arguments."""
 DATA = {
     ("epoch", "k"),
     ("epoch", "t"),
@@ -39,12 +39,12 @@ DATA = {
     ("run", "u"),
     ("Taylor", "about"),
 }
-"""What need not be numbers for numpy, which never looks at it, or not at that of all epochs."""
+"""Arguments that need not be numbers for numpy, which does not use them, or not at all epochs."""
 
 
 @pytest.fixture
 def compiled(monkeypatch):
-    """A switch to the other engine for whatever calls `celnav.run` without naming one."""
+    """A switch to the other engine for all calls of `celnav.run` without an engine."""
 
     def switched(on):
         monkeypatch.setattr(
@@ -57,7 +57,7 @@ def compiled(monkeypatch):
 
 
 def outcomes(compiled, call, make):
-    """How a call ends with either engine, of arguments that are made anew."""
+    """How a call ends with either engine, with new arguments for each."""
     found = []
     for on in (False, True):
         compiled(on)
@@ -70,7 +70,9 @@ def outcomes(compiled, call, make):
 
 @pytest.mark.parametrize("door", [door for door in doors.DOORS if door not in NOT_COMPILED])
 def test_wrong_arguments_end_alike(door, compiled):
-    """What numpy refuses is refused in its words; what it accepts is compiled, or said not to be."""
+    """An argument that numpy rejects gives the same message; an argument that numpy accepts is
+    compiled, or a message says that it cannot be.
+    """
     call, good = doors.DOORS[door]
     if door == "run":
         good = {name: value for name, value in good.items() if name not in ("also", "reduce")}
@@ -90,7 +92,7 @@ def test_wrong_arguments_end_alike(door, compiled):
 
 
 def test_arguments_that_are_told_alike(compiled):
-    """The cases of another file, as they stand."""
+    """The cases of another file, unchanged."""
     compiled(True)
     for mark in test_arguments.test_other_arguments.pytestmark:
         for make, text in mark.args[1]:

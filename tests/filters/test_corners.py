@@ -1,4 +1,4 @@
-"""Where parts meet that seldom do: each of these once went wrong."""
+"""Rare combinations, each of which was once wrong."""
 
 from __future__ import annotations
 
@@ -156,7 +156,7 @@ MIDDLE = np.append([0.0, 0.0, 0.0, 1.0], np.zeros(3))
 @pytest.mark.parametrize("columns", [6, 7])
 @pytest.mark.parametrize("kind", [np.asarray, lambda H: celnav.Linear(lambda epoch: H)])
 def test_a_matrix_cannot_measure_where_states_are_no_vectors(kind, columns):
-    """One message, whatever its shape, and a cure that works."""
+    """One message for any shape, and its remedy works."""
     prior, z = Gaussian(MIDDLE, np.eye(6)), np.ones((3, 3))
     sensor = Sensor(kind(np.eye(3, columns)), np.eye(3))
     message = (
@@ -168,7 +168,7 @@ def test_a_matrix_cannot_measure_where_states_are_no_vectors(kind, columns):
     with pytest.raises(ValueError, match=message):
         celnav.simulate(TURNED, sensor, prior, TIMES, runs=2)
     cured = celnav.ukf(TURNED, Sensor(lambda x, epoch: x[..., -3:], np.eye(3)))
-    # Of the last three states alone: prior variance 1, process noise 1, measurement noise 1.
+    # For the last three states alone: prior variance 1, process noise 1, measurement noise 1.
     assert run(cured, prior, TIMES[:1], z[:1]).mean[0, 4:].tolist() == pytest.approx([0.5] * 3)
 
 
@@ -258,9 +258,7 @@ def test_a_search_stays_within_its_range():
 
 
 def test_h_is_not_blamed_for_the_points_of_a_prediction_that_failed():
-    """Of x^2 at 0 a weight of -19 in the center makes a negative variance, before anything is
-    measured.
-    """
+    """For x^2 at 0 a center weight of -19 gives a negative variance, before the measurement."""
     filter = celnav.ukf(
         Motion(lambda x, e: np.stack([x[..., 0] ** 2, x[..., 1]], -1), 0.01 * EYE),
         Sensor(lambda x, e: np.hypot(x[..., :1], 100.0), [[1.0]]),
@@ -278,7 +276,7 @@ def test_h_is_not_blamed_for_the_points_of_a_prediction_that_failed():
 @pytest.mark.parametrize("h", [[[1.0, 0.0]], lambda x, _: x[..., :1]], ids=["matrix", "function"])
 @pytest.mark.parametrize("make", [celnav.ukf, celnav.ekf])
 def test_an_exact_measurement_of_what_is_known_loses_only_its_run(make, h, form):
-    """The others have the estimate and the covariance that they have alone."""
+    """The other runs have the estimate and covariance that they would have alone."""
     filter = make(Motion(EYE, np.zeros((2, 2))), Sensor(h, np.zeros((1, 1))), form=form)
     P, z = np.stack([EYE + 0.5, np.diag([0.0, 1.0]), 2.0 * EYE - 0.3]), np.full((1, 3, 1), 0.7)
     options = {"keep": "cov", "on_failure": "flag"}
@@ -307,7 +305,7 @@ def test_what_is_left_of_a_known_combination_is_round_off(matrix, form):
 
 
 def test_filters_equal_only_themselves():
-    """They hold arrays, of which no comparison is true or false."""
+    """They contain arrays, whose comparison is neither true nor false."""
     motion, sensor = Motion(EYE, EYE), Sensor(EYE, EYE)
     for make in (
         lambda: celnav.ukf(motion, sensor),

@@ -1,4 +1,4 @@
-"""filterpy's own patterns of use, run with filterpy's class and with both of ours."""
+"""filterpy's usual programs, run with filterpy's class and with both of celnav's."""
 
 from __future__ import annotations
 
@@ -320,8 +320,8 @@ def test_the_root_is_kept_and_is_the_covariances():
 
 
 def test_a_sum_of_states_is_none_of_measurements():
-    """``state_add`` is for states of n components; a measurement with a residual of its own never
-    meets it.
+    """``state_add`` is for states with n components; a measurement with its residual function does
+    not use it.
     """
 
     def add(x, y):
@@ -351,7 +351,7 @@ def test_a_sum_of_states_is_none_of_measurements():
 
 
 def attributes(kf):
-    """Every public attribute of an object of filterpy, properties too."""
+    """Every public attribute of a filterpy object, including properties."""
     return sorted(
         {name for name in vars(kf) if name[0] != "_"}
         | {"log_likelihood", "likelihood", "mahalanobis"}
@@ -359,8 +359,8 @@ def attributes(kf):
 
 
 def alike(ours, peer):
-    """All of them, one by one; only the function that inverts is another, which singular matrices
-    do not stop.
+    """Compare all attributes one by one; only the inverting function differs, because it accepts
+    singular matrices.
     """
     for name in attributes(peer):
         own, theirs = getattr(ours, name), getattr(peer, name)
@@ -395,8 +395,8 @@ def test_every_attribute_is_filterpys_at_every_moment(cls):
 @pytest.mark.parametrize("cls", OURS)
 @pytest.mark.parametrize(("n", "m"), [(2, 1), (6, 3), (9, 4)])
 def test_a_step_takes_no_more_than_half_again_of_filterpys_calls(cls, n, m):
-    """Calls of functions, Python's and C's, which do not depend on the machine; and each model once
-    for each point.
+    """Number of function calls, in Python and C, which do not depend on the machine; each model is
+    called once for each point.
     """
     counts = []
     for kind in (UnscentedKalmanFilter, cls):
@@ -463,8 +463,8 @@ def test_a_filter_can_be_pickled_and_saved(cls):
 
 @pytest.mark.parametrize("cls", OURS)
 def test_the_smoother_is_celnavs(cls):
-    """That of `celnav.smooth`, an interval and a noise of each epoch's own, and where the predicted
-    covariance is singular.
+    """It equals `celnav.smooth`, with intervals and noises that differ between epochs, and with a
+    singular predicted covariance.
     """
     rng = np.random.default_rng(5)
     times = np.cumsum([0.0, 1.0, 0.5, 2.0, 1.0, 0.3])

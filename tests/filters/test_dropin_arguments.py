@@ -1,4 +1,6 @@
-"""What filterpy's class takes ours take, and give what it gives."""
+"""Arguments that filterpy's class accepts are accepted by celnav's classes,
+with the same results.
+"""
 
 from __future__ import annotations
 
@@ -130,8 +132,8 @@ def test_arguments_of_a_step_that_filterpy_accepts(cls):
 
 @pytest.mark.parametrize("cls", OURS)
 def test_a_number_for_a_matrix_is_told_once(cls):
-    """filterpy adds it to every element; who means a variance of each component hears how to write
-    that.
+    """filterpy adds the number to every element; the warning says how to write a variance for each
+    component.
     """
     kf = cls(2, 2, 0.5, lambda x: x, lambda x, dt: x, MerweScaledSigmaPoints(2, 0.5, 2.0, 1.0))
     kf.Q = 0.01

@@ -1,5 +1,5 @@
-"""Where parts meet at their edges: no noise, missing parts, runs on one side only, angles at the
-seam, intervals that are none.
+"""Edge cases: no noise, missing components, axes of runs in one argument only, angles at +-pi,
+intervals of 0.
 """
 
 import numpy as np
@@ -40,13 +40,13 @@ CORRELATED = np.array([[1.0, 0.3], [0.3, 2.0]])
 
 
 def updated(filter, prior, z):
-    """Belief and record after one measurement."""
+    """Belief and `Info` after one measurement."""
     state, (info,) = filter.update(filter.start(prior), celnav.Epoch(z=z))
     return state.belief, info
 
 
 def exact(h, form, none, **options):
-    """A filter of a measurement without noise."""
+    """A filter for a measurement without noise."""
     return celnav.ukf(MOTION, celnav.Sensor(h, **none), form=form, **options)
 
 
@@ -71,7 +71,7 @@ def test_noise_through_the_points_needs_a_function():
 
 @FORMS
 def test_a_prescribed_gain_has_no_part_in_what_is_missing(form):
-    """Covariance of a filter with the gain K on the measured row alone: (I - K H) P (I - K H)' + K
+    """Covariance of a filter with the gain K for the measured row alone: (I - K H) P (I - K H)' + K
     R K', in any unit of z.
     """
     K, P, R = np.array([[0.4, 10.0], [0.1, 5.0]]), 0.01 * EYE, 1e-4 * EYE
@@ -86,8 +86,8 @@ def test_a_prescribed_gain_has_no_part_in_what_is_missing(form):
 
 @FORMS
 def test_a_silent_sensor_leaves_a_blank_of_its_own(form):
-    """The record of two sensors: what one of them measured is there when the other has nothing, or
-    nothing yet.
+    """The track of two sensors: the values of one sensor are stored also if the other has no
+    measurement, or none so far.
     """
     filter = celnav.ukf(MOTION, celnav.Sensor([[1.0, 0.0]], [[1.0]]), SENSOR, form=form)
     z = [(None, np.ones(2)), (np.ones(1), None), None, (np.ones(1), np.ones(2))]
@@ -105,7 +105,7 @@ def test_a_silent_sensor_leaves_a_blank_of_its_own(form):
     "h", [np.array([[0.6, 1.0]]), lambda x, e: x @ [[0.6], [1.0]]], ids=["matrix", "function"]
 )
 def test_a_measurement_without_noise_of_what_is_known_is_told(form, h):
-    """Once it is exact. The second one divides what is round-off by what is round-off."""
+    """The first measurement is exact. The second would divide round-off by round-off."""
     filter, epoch = exact(h, form, {"sqrt_R": np.zeros((1, 0))}), celnav.Epoch(z=[1.0])
     known, _ = filter.update(filter.start(celnav.Gaussian(np.zeros(2), CORRELATED)), epoch)
     np.testing.assert_allclose([0.6, 1.0] @ known.belief.mean, 1.0, rtol=1e-12)
@@ -123,8 +123,8 @@ def test_a_measurement_without_noise_of_what_is_known_is_told(form, h):
 
 @FORMS
 def test_redundant_perfect_sensors_are_told_with_what_to_do(form):
-    """Two of the same; one that is left out costs nothing. Where there is noise the message does
-    not speak of its absence.
+    """Two equal sensors; leaving one out loses nothing. With noise the message does not mention
+    missing noise.
     """
     twice = exact(lambda x, e: x[..., [0, 0]], form, {"R": np.zeros((2, 2))})
     with pytest.raises(
@@ -165,7 +165,9 @@ def test_a_run_lost_in_covariance_form_is_nan_in_its_epoch_and_the_model_is_not_
 
 
 def test_a_variance_that_was_zero_has_a_deviation():
-    """Round-off below 0 that does not count as a failure is no nan among the deviations either."""
+    """A variance that round-off made negative without a failure gives no nan in the standard
+    deviations either.
+    """
     known = Covariance(
         np.zeros((2, 2)), np.array([[[1.0, 0.0], [0.0, -1e-17]], [[1.0, 0.0], [0.0, -1e-3]]])
     )
@@ -174,8 +176,8 @@ def test_a_variance_that_was_zero_has_a_deviation():
 
 @FORMS
 def test_an_exact_measurement_is_taken_where_it_says_something(form):
-    """Large numbers known well, components that are missing or gated, noise of some components
-    only, a gain of one's own.
+    """Large numbers with small variance, missing or gated components, noise in some components
+    only, a prescribed gain.
     """
     far, h, none = np.array([7e6, 7e6]), lambda x, e: x.copy(), {"sqrt_R": np.zeros((2, 0))}
     for std in (1.0, 1e-3):
@@ -208,8 +210,8 @@ def test_an_exact_measurement_is_taken_where_it_says_something(form):
 @pytest.mark.parametrize("make", [celnav.ekf, celnav.ukf])
 @pytest.mark.parametrize("r", [1e-2, 1e-5, 1e-8])
 def test_a_combination_known_exactly_stays_known_however_precise_the_sensor(r, make, form):
-    """Prior of rank one: a single unknown number, whose variance falls by r in a step, and by 1 / k
-    from then on.
+    """A prior of rank one has a single unknown number, whose variance falls by r in the first step,
+    and as 1 / k from then on.
     """
     a, h = np.array([1.0, 3.0]), np.array([[1.0, 0.5]])
     z = 0.7 + np.sqrt(r) * np.random.default_rng(0).normal(size=(200, 4, 1))
@@ -233,7 +235,7 @@ def test_a_combination_known_exactly_stays_known_however_precise_the_sensor(r, m
 )
 @pytest.mark.parametrize("value", [0.0, 1.0])
 def test_what_is_known_to_be_zero_is_known_too(form, none, value):
-    """Nothing to compare round-off with but how far the function bends over the belief."""
+    """Round-off can only be compared with the function's curvature over the belief."""
     for h in (lambda x, e: x @ [[0.6], [1.0]], [[0.6, 1.0]]):
         filter = exact(h, form, none)
         known, _ = filter.update(
@@ -260,7 +262,7 @@ def test_a_bias_stage_knows_what_a_gate_left_out():
 
 @FORMS
 def test_a_lost_spread_is_told_at_its_step(form):
-    """The mean is finite still."""
+    """The mean is still finite."""
     f = lambda x, e: np.stack([x[..., 0] ** 2 + x[..., 1] ** 2, x[..., 1]], -1)  # noqa: E731
     filter = celnav.ukf(celnav.Motion(f, 1e-6 * EYE), kappa=-1.9, form=form)
     track = celnav.run(filter, PRIOR, [0.0, 1.0], on_failure="flag")
@@ -273,7 +275,7 @@ def test_a_lost_spread_is_told_at_its_step(form):
 
 
 def test_an_innovation_stays_on_this_side_of_the_seam():
-    """The mean of the prediction lies .4 beyond its center; both an angle."""
+    """The mean of the predicted angle is 0.4 rad past its center."""
     sensor = celnav.Sensor(lambda x, e: x + 0.4 * x**2, [[0.01]], space=celnav.angles())
     belief, info = updated(
         celnav.ukf(celnav.Motion([[1.0]], [[0.0]]), sensor), celnav.Gaussian([0.0], [[1.0]]), [-3.0]
@@ -358,7 +360,7 @@ def test_colored_filters_name_noises_that_cannot_be(make, R, Phi, increments, to
 
 
 def test_a_function_of_colored_noise_may_begin_with_nothing():
-    """A first epoch without a measurement: as many components as R has."""
+    """A first epoch without a measurement has as many components as R."""
     filter = celnav.colored(
         MOTION, celnav.Sensor(lambda x, e: x.copy(), EYE), 0.5 * EYE, increments=EYE, first=False
     )
@@ -371,8 +373,8 @@ def test_a_function_of_colored_noise_may_begin_with_nothing():
 
 
 def test_decorrelation_takes_gates_and_refuses_what_changes_noise():
-    """An outlier of 100: a hook that inflates would not keep it out of the prediction; a gate does,
-    as in `colored`.
+    """An outlier of 100: a hook that inflates the noise would not keep it out of the prediction; a
+    gate does, as in `colored`.
     """
     z = np.zeros((6, 2))
     z[3] = 100.0
@@ -407,8 +409,8 @@ HOOKS = {
 @pytest.mark.parametrize("f", [still, EYE], ids=["function", "matrix"])
 @pytest.mark.parametrize("hook", HOOKS)
 def test_one_belief_serves_all_measurements(hook, f, form):
-    """A prior of one run with measurements of many is the prior of each, and so is a covariance
-    that all runs share.
+    """With one prior and measurements of many runs, each run has this prior; the same holds for a
+    shared covariance.
     """
     z = np.random.default_rng(0).normal(size=(4, 3, 6))
     z[2, 1, 0] = 30.0
@@ -502,7 +504,7 @@ def test_noise_of_other_runs_than_the_beliefs_is_told(f):
 
 @FORMS
 def test_a_jacobian_covers_the_noises_that_go_through_the_points(form):
-    """Its columns follow those of the state; differences give the same."""
+    """The noise columns follow the state columns; numerical differences give the same."""
     J = np.array([[1.0, 0.5, 2.0, 0.0], [0.0, 1.0, 0.3, 1.0]])
     for known in ({}, {"jacobian": lambda mean, epoch: J}):
         g = lambda x, e, w: x @ J[:, :2].T + w @ J[:, 2:].T  # noqa: E731
@@ -519,7 +521,7 @@ def test_a_jacobian_covers_the_noises_that_go_through_the_points(form):
 
 
 def test_nothing_measured_is_nothing_done():
-    """None, where nan would do too, for a filter of two stages and for fixes."""
+    """None has the same effect as nan, for a two-stage filter and for fixes."""
     filter = celnav.two_stage(MOTION, SENSOR, EYE, PRIOR)
     absent, nan = (
         celnav.run(filter, PRIOR, [celnav.Epoch(0, 0.0, 0.0, z=z)])
@@ -560,7 +562,7 @@ def test_numbers_that_must_be_whole(value):
 )
 @pytest.mark.parametrize("known", ["component", "combination", "measurement"])
 def test_rules_of_negative_weight_take_what_is_known_exactly_in_both_forms(rule, known):
-    """A downdate of a root that is singular; each form by its own way to the same numbers."""
+    """The downdate of a singular root; both forms give the same numbers."""
     F = np.array([[1.0, 0.1, 0.0], [-0.1, 0.9, 0.2], [0.0, 0.0, 0.95]])
     P, Q, R = {
         "component": (np.diag([1.0, 2.0, 0.0]), np.zeros((3, 3)), [[1.0]]),

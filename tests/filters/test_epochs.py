@@ -1,6 +1,4 @@
-"""Epochs made of arrays: their intervals, whatever part of them is taken, and what they hold in
-memory.
-"""
+"""Epochs from arrays: their intervals for any slice, and their use of memory."""
 
 import tracemalloc
 from datetime import UTC, datetime, timedelta
@@ -35,7 +33,7 @@ def speed(epochs, prior=None):
 
 
 def last(track):
-    """The belief that a track ends with."""
+    """The last belief of a track."""
     return type(track.belief)(track.belief[0][-1], track.belief[1][-1])
 
 
@@ -48,7 +46,9 @@ WHOLE = celnav.epochs(TIMES, SLOPE * TIMES[:, None], truth=TIMES)
 
 
 def test_a_stride_has_intervals_of_its_own():
-    """Every other measurement of a point at 2 m/s says 2 m/s, as epochs made of these alone do."""
+    """Every other measurement of a point at 2 m/s gives 2 m/s, as do epochs made from these
+    measurements alone.
+    """
     for taken in (WHOLE[::2], WHOLE[:][::2], WHOLE[::2][:]):
         found, expected = speed(taken), speed(celnav.epochs(TIMES[::2], SLOPE * TIMES[::2, None]))
         np.testing.assert_array_equal(found.mean, expected.mean)
@@ -96,7 +96,7 @@ def test_what_cannot_be_taken():
 
 
 def test_epochs_are_made_one_at_a_time():
-    """Nothing as long as the record but the arrays given."""
+    """Only the given arrays are as long as the record."""
     when = celnav.epochs(np.arange(200_000.0), np.zeros((200_000, 1)))
     tracemalloc.start()
     try:
@@ -111,7 +111,7 @@ def test_epochs_are_made_one_at_a_time():
 
 
 def stepped(u, times=TIMES, engine="numpy"):
-    """Where the sum of the inputs leads to."""
+    """The result of summing the inputs."""
     filter = celnav.ukf(
         celnav.Motion(lambda x, e: x + e.u * e.dt, sqrt_Q=np.zeros((1, 0))),
         celnav.Sensor([[1.0]], [[1.0]]),
@@ -121,7 +121,9 @@ def stepped(u, times=TIMES, engine="numpy"):
 
 @pytest.mark.parametrize("engine", ["numpy", "compiled"])
 def test_inputs_that_are_too_many_are_not_cut_off(engine):
-    """4 Hz times with rows of an inertial unit at 100 Hz: of 1,000 rows the first 20 would be used."""
+    """Times at 4 Hz with an inertial unit's rows at 100 Hz: only the first 20 of 1,000 rows would
+    be used.
+    """
     times, rate = np.arange(21) / 4.0, np.linspace(0.0, 2.0, 1000)
     message = (
         r"^u: expected 20 rows for 21 times \(row k acts from times\[k\] to times\[k \+ 1\]\), "
@@ -152,7 +154,7 @@ ZONE = ZoneInfo("Europe/Berlin")
 NIGHT = [datetime(2024, 3, 30, 23, 0, tzinfo=ZONE) + timedelta(hours=k) for k in (0, 1)] + [
     datetime(2024, 3, 31, hour, 0, tzinfo=ZONE) for hour in (1, 3)
 ]
-"""At one hour each: clocks go from two to three."""
+"""Times one hour apart, at which clocks change from two to three."""
 DATED = {
     "datetime64": np.datetime64("2024-03-30T22", "ms") + 3_600_000 * np.arange(4),
     "durations": np.timedelta64(1, "h") * np.arange(4),
@@ -203,9 +205,7 @@ def test_what_are_no_times_is_said_of_the_times(times, message):
 
 @pytest.mark.parametrize("engine", ["numpy", "compiled"])
 def test_tables_count_by_their_rows(engine):
-    """Not by their labels: a part of a table keeps those of the whole, and 0 may be the name of a
-    column.
-    """
+    """Not by their labels: a part of a table keeps its labels, and 0 may be the name of a column."""
     push, z = np.arange(7.0), np.linspace(0.0, 1.0, 8)
     expected = celnav.run(LINE, START, TIMES, z[:, None], push[:, None], engine=engine)
     for column in ("rate", 0):
@@ -258,7 +258,7 @@ PLACES = {
 @pytest.mark.parametrize("engine", ["numpy", "compiled"])
 @pytest.mark.parametrize("place", PLACES)
 def test_a_sensor_that_uses_the_input_has_none_at_the_first_epoch(place, engine):
-    """No interval leads up to it; the cures that the message names work."""
+    """There is no interval before it; the remedies in the message work."""
     motion, times, z = celnav.Motion(lambda x, e: x, [[0.1]]), np.arange(4.0), np.ones((4, 1))
     filter, u = celnav.ukf(motion, PLACES[place]), np.array(TURN)
     u = u[:, None] if place == "h of components" else u
@@ -301,7 +301,7 @@ def test_another_fault_of_a_model_is_its_own():
 
 @pytest.mark.parametrize("engine", ["numpy", "auto"])
 def test_columns_of_a_table_name_the_components(engine):
-    """In a diagnosis and a report; of several sensors one after the other."""
+    """In a diagnosis and a report; with several sensors one after the other."""
     pd = pytest.importorskip("pandas")
     rng = np.random.default_rng(2)
     plane = pd.DataFrame(rng.standard_normal((60, 2)), columns=["east_m", "north_m"])

@@ -1,4 +1,4 @@
-"""Filters against the Kalman filter, filterpy, and the joint Gaussian of everything, written out
+"""Filters against the Kalman filter, filterpy, and the joint Gaussian of all variables, written out
 here.
 """
 
@@ -165,8 +165,8 @@ def test_colored_filters_are_batch_conditioning_for_a_full_coefficient(form, rad
     paper = celnav.run(
         celnav.decorrelated(motion(s), seen, Phi, **options), *given, keep="cov", **lagged
     )
-    # Everything is linear in (states, V_0, zetas): condition on z, or on differences alone where
-    # V_0 is not known.
+    # All variables are linear in (states, V_0, zetas): condition on z, or only on differences if
+    # V_0 is unknown.
     noise = np.zeros((N * m, N * m))
     V = [Sigma0 if known else np.zeros((m, m))]
     for _ in range(N - 1):
@@ -221,8 +221,8 @@ def test_a_coefficient_for_each_run_and_one_that_is_a_function_of_time(form):
 
 @pytest.mark.parametrize("make", [celnav.colored, celnav.decorrelated, celnav.augmented])
 def test_noise_is_stationary_unless_its_increments_are_given(make):
-    """``R = Phi R Phi' + increments``, whichever of them are functions, and of a scalar coefficient
-    too.
+    """``R = Phi R Phi' + increments``, whichever of them are functions, also for a scalar
+    coefficient.
     """
     s, steps = linear(), np.arange(20.0)
     R, prior = s["R"], celnav.Gaussian(np.zeros(4), np.eye(4))
@@ -407,8 +407,8 @@ GROWING = np.array([[1.05, 0.1], [0.0, 1.02]])
 
 @pytest.mark.parametrize("matrix", [False, True])
 def test_an_extended_filter_in_covariance_form_stays_symmetric_where_modes_grow(matrix):
-    """Feedback keeps the state near 0; what is not symmetric in P would grow as the modes do,
-    1e15-fold in 500 steps.
+    """Feedback keeps the state near 0; asymmetric parts of P would grow with the modes, 1e15-fold
+    in 500 steps.
     """
     motion = celnav.Motion(
         lambda x, epoch: 0.5 * x, 0.01 * np.eye(2), jacobian=lambda x, epoch: GROWING
@@ -430,8 +430,8 @@ def test_an_extended_filter_in_covariance_form_stays_symmetric_where_modes_grow(
 @pytest.mark.parametrize("name", ["ekf", "jacobian", "ukf", "alpha"])
 @pytest.mark.parametrize("hooked", [False, True])
 def test_precise_sensors_cost_a_covariance_no_definiteness(name, hooked):
-    """Deviations of 1e5 before and 1e-7 after: as variances, more digits apart than there are. Its
-    neighbor stays as it is.
+    """The standard deviation is 1e5 before and 1e-7 after: the variances differ by more digits than
+    a float has. The neighboring run is not affected.
     """
     H, P = np.eye(1, 3), 1e10 * (0.5 * np.eye(3) + 0.5)
     rule = {
@@ -469,7 +469,7 @@ def test_precise_sensors_cost_a_covariance_no_definiteness(name, hooked):
 
 
 def test_noise_of_each_run_gives_points_their_runs():
-    """Models of as many parameters as noises, from one prior: each run is that of its own
+    """Models with parameters for each run, from one prior: each run equals a single run with its
     parameters.
     """
     phi, q, r = np.array([[0.5], [0.6]]), np.array([[[1.0]], [[2.0]]]), np.array([[[0.5]], [[0.7]]])

@@ -1,4 +1,4 @@
-"""A second filter does again what the first one loses, and nothing else."""
+"""A second filter repeats the runs in which the first fails, and nothing else."""
 
 import numpy as np
 import pytest
@@ -17,14 +17,12 @@ WIDE = Gaussian(np.zeros((3, N)), np.array([0.2, 3.0, 0.2])[:, None, None] ** 2 
 
 
 def steep(x, epoch):
-    """Negative weights lose the middle run of `WIDE`, where it is moved or measured by this."""
+    """A function with which negative weights make the middle run of `WIDE` fail."""
     return np.cos(3.0 * x)
 
 
 def pair(motion, sensor, form="square root"):
-    """A filter of negative weights, one without, and the two of them with the second to fall back
-    on.
-    """
+    """A filter with negative weights, a filter without, and a `Fallback` of both."""
     first, second = (sigma_point(motion, sensor, rule=rule, form=form) for rule in (FIFTH, THIRD))
     return first, second, Fallback(first, second)
 
@@ -39,8 +37,8 @@ def steeply_measured(form="square root"):
 
 @FORMS
 def test_fallback_of_an_update(form):
-    """Negative weights lose the middle run's innovation covariance; a positive rule does it again,
-    neighbors bit for bit.
+    """With negative weights the middle run's innovation covariance is indefinite; a rule with
+    positive weights repeats it, and the neighbors do not change by a bit.
     """
     first, second, both = steeply_measured(form)
     epoch = Epoch(z=np.ones((3, 6)))
@@ -70,7 +68,9 @@ def test_fallback_of_an_update(form):
 
 @FORMS
 def test_fallback_of_a_prediction_is_counted(form):
-    """In covariance form, too, where an indefinite prediction is finite and would only fail later."""
+    """Also in covariance form, where an indefinite prediction is finite and
+    would only fail later.
+    """
     first, second, both = pair(
         Motion(steep, SMALL * np.eye(N)), Sensor(np.eye(2, N), np.eye(2)), form
     )
@@ -89,8 +89,8 @@ def test_fallback_of_a_prediction_is_counted(form):
 @FORMS
 @pytest.mark.parametrize("seeing", [True, False], ids=["measured", "open loop"])
 def test_redone_in_both_parts_of_a_step(form, seeing):
-    """A run redone in the prediction and another one in the update: both are counted; the first
-    epoch does not predict.
+    """A run repeated in the prediction and another one in the update: both are counted; the first
+    epoch has no prediction.
     """
     prior = Gaussian(np.zeros((3, N)), np.array([3.0, 3.0, 0.2])[:, None, None] ** 2 * np.eye(N))
     moved, measured = np.array([[True], [False], [False]]), np.array([[False], [True], [False]])
@@ -116,8 +116,8 @@ def test_redone_in_both_parts_of_a_step(form, seeing):
 
 
 def test_fallback_gives_up_where_both_fail():
-    """A run that both lose stays lost and says why; one that was lost before is not redone; nothing
-    lost costs nothing.
+    """If both filters fail, the run fails with a reason; a run that failed before is not repeated;
+    without a failure nothing is repeated.
     """
     first, _, both = steeply_measured()
     epoch = Epoch(z=np.ones((3, 6)))

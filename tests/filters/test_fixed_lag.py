@@ -1,5 +1,5 @@
-"""Samples that come late end where they would have ended on time; what is kept smooths as a whole
-track cut there does.
+"""Late samples give the same result as samples on time; smoothing the stored epochs equals
+smoothing the full track.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ EVERY = pytest.mark.parametrize("name", FILTERS)
 
 
 def arriving(filter, prior, z, delay, lag=LAG, times=TIMES):
-    """State of a filter whose samples ``z (T, ..., m)`` come ``delay (T, ...)`` epochs late, one
+    """State of a filter whose samples ``z (T, ..., m)`` are ``delay (T, ...)`` epochs late, one
     after the other.
     """
     fixed = FixedLag(filter, lag)
@@ -72,16 +72,14 @@ def arriving(filter, prior, z, delay, lag=LAG, times=TIMES):
 
 
 def delays(*shape):
-    """None for the most part, 1 to LAG for others, nothing beyond the end."""
+    """Mostly no delay, 1 to LAG epochs for some samples, never beyond the end."""
     late = np.where(RNG.random((T, *shape)) < 0.4, RNG.integers(1, LAG + 1, (T, *shape)), 0)
     return np.minimum(late, (T - 1 - np.arange(T)).reshape(-1, *(1,) * len(shape)))
 
 
 @EVERY
 def test_late_is_as_on_time(name):
-    """Each run has delays of its own; mean, covariance and what the last update did are those of
-    the filter in order.
-    """
+    """Each run has its delays; mean, covariance and the last `Info` equal the results in order."""
     filter = FILTERS[name]
     state, infos = arriving(filter, PRIOR, Z, delays(RUNS))
     *_, (_, expected, told) = celnav.steps(filter, PRIOR, celnav.epochs(TIMES, Z))
@@ -92,7 +90,7 @@ def test_late_is_as_on_time(name):
 
 @EVERY
 def test_a_run_is_late_by_itself(name):
-    """Samples of different epochs that come to all runs at once: in a batch as alone."""
+    """Late samples with different epochs in one call: a run in a batch equals the run alone."""
     late = np.array([3, 7, 5, 4, 7])
     z = Z.copy()
     z[late, np.arange(RUNS)] = np.nan
@@ -114,9 +112,7 @@ def test_a_run_is_late_by_itself(name):
 
 
 def test_sensors_that_are_late_by_themselves():
-    """One is on time, the other always five epochs late, and it has no part in the epochs until
-    then.
-    """
+    """One sensor is on time, the other always five epochs late; until then its samples are missing."""
     filter = celnav.ukf(MOTION, RADAR, GPS)
     fixed = FixedLag(filter, 5)
     state = fixed.start(PRIOR)
@@ -135,7 +131,7 @@ def test_sensors_that_are_late_by_themselves():
 @pytest.mark.parametrize("there", [None, (None, None)], ids=["none", "none of two"])
 @pytest.mark.parametrize("sensors", [("radar",), ("gps",), ("radar", "gps")], ids="+".join)
 def test_late_samples_of_an_epoch_in_which_nothing_was_measured(sensors, there):
-    """Of either sensor or of both, whether the epoch had ``z=None`` or a tuple of Nones."""
+    """From either sensor or from both, whether the epoch had ``z=None`` or a tuple of Nones."""
     filter = celnav.ukf(MOTION, RADAR, GPS)
     come = Z[8] if "radar" in sensors else None, FIXES[8] if "gps" in sensors else None
 
@@ -189,7 +185,7 @@ def test_either_engine_flies_it(name):
 
 
 def test_either_engine_knows_the_measurement_from_its_error():
-    """Of four components and three."""
+    """With four components and three."""
     pytest.importorskip("llvmlite")
     space = celnav.attitude()
     motion = celnav.Motion(lambda q, _epoch: q, 1e-3 * np.eye(3), space=space)
@@ -268,7 +264,9 @@ def test_steps_by_machine_code_have_no_numpy_in_them(monkeypatch):
 
 
 def test_steps_of_sensors_that_are_silent_in_turns_and_of_lost_runs():
-    """What each sensor did stands in its own columns; a lost run is nan and its neighbors go on."""
+    """The values of each sensor are in its columns; a failed run is nan and the other runs
+    continue.
+    """
     pytest.importorskip("llvmlite")
     filter = celnav.ukf(MOTION, RADAR, GPS)
     mean = np.where(np.arange(RUNS)[:, None] == 0, 1e200, PRIOR.mean)
@@ -299,7 +297,7 @@ def test_steps_that_cannot_be_compiled():
 
 
 def test_a_measurement_may_be_a_buffer():
-    """What is kept of an epoch does not change when its array is used again."""
+    """A stored epoch does not change when its array is reused."""
     fixed, buffer, z = FixedLag(FILTERS["ukf"], LAG), np.empty((RUNS, 2)), Z.copy()
     z[8] = np.nan
     state = fixed.start(PRIOR)
@@ -323,8 +321,8 @@ def test_a_lost_run_is_lost_alone():
 
 @pytest.mark.parametrize("form", ["square root", "covariance"])
 def test_fixed_lag_is_the_smoother_of_the_track_cut(form):
-    """At every epoch, late samples included: means and covariances of the last epochs as `smooth`
-    has them.
+    """At every epoch, late samples included: means and covariances of the last epochs equal those
+    from `smooth`.
     """
     filter = celnav.ukf(MOTION, RADAR, form=form)
     fixed, z = FixedLag(filter, LAG), Z.copy()
@@ -346,8 +344,8 @@ def test_fixed_lag_is_the_smoother_of_the_track_cut(form):
 
 
 def test_the_past_is_known_better_and_honestly():
-    """Over 400 runs the fixed-lag estimate errs less than the filter at the same epoch, by what it
-    claims.
+    """Over 400 runs the fixed-lag estimate has a smaller error than the filter at the same epoch,
+    as large as predicted.
     """
     runs = 400
     prior = celnav.Gaussian(np.array([0.0, 0.6]), np.diag([0.3, 0.05]))
@@ -477,7 +475,7 @@ def test_bad_input_is_refused_by_name(make, told):
 
 
 def test_runs_without_a_sample_need_no_epoch():
-    """Where nothing has come, whatever ``k`` says, nothing changes."""
+    """A run without a sample does not change, whatever ``k`` is."""
     state, _ = FIXED.late(STATE, np.full(RUNS, -1), NEW)
     np.testing.assert_array_equal(state.belief.mean, STATE.belief.mean)
     assert state.epochs == STATE.epochs

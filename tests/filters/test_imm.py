@@ -1,5 +1,5 @@
-"""Interacting multiple models against the textbook's loops, against one model, and against
-simulated switches.
+"""Interacting multiple models against textbook loops, against a single model, and on simulated
+switches.
 """
 
 from __future__ import annotations
@@ -69,7 +69,9 @@ def probable(epoch, state, infos):
 
 
 def textbook(z, pi=PI, mu=STATIONARY):
-    """Means, covariances, probabilities and log-likelihood of one run, as books have the algorithm."""
+    """Means, covariances, probabilities and log-likelihood of one run, from the
+    textbook algorithm.
+    """
     k = len(mu)
     x, P = [np.zeros(2)] * k, [P0] * k
     out, likelihood = [], 0.0
@@ -162,11 +164,12 @@ def test_where_nothing_is_measured_probabilities_are_predicted():
 
 
 def test_is_consistent_where_models_switch():
-    """And each model alone is not. The probabilities are those of the models, and the NIS is of the
-    mixture's moments.
+    """And each model alone is not consistent. The probabilities agree with the frequencies of the
+    models, and the NIS uses the mixture's moments.
 
-    The posterior is no Gaussian: its NEES scatters by 3.5 to 4, not by 2. Merging of histories
-    makes the filter conservative by a twentieth; the band of a hundred runs does not see that.
+    The posterior is not Gaussian: its NEES has a standard deviation of 3.5 to 4, not 2. Merging of
+    histories makes the filter conservative by a twentieth; the band of a hundred runs does not see
+    that.
     """
     low, high = chi_square_band(2, 100)
     truth, modes, z = simulated(np.random.default_rng(6), 1000)
@@ -187,8 +190,8 @@ def test_is_consistent_where_models_switch():
 
 
 def test_probabilities_do_not_underflow():
-    """A model that has been out of the question for long comes back, although the chain does not
-    lead to it.
+    """A model that was improbable for long becomes probable again, although the chain has no
+    transition to it.
     """
     static = celnav.imm(
         [
@@ -332,8 +335,8 @@ def test_mixtures_on_angles_and_attitudes():
 @FORMS
 @pytest.mark.parametrize("transported", [False, True])
 def test_attitudes_that_are_turned_by_one_of_two_motions(form, transported):
-    """Quaternions of either sign, of which some are not measured: a batch is its runs, and who
-    turns is found out.
+    """Quaternions with either sign, some of them not measured: a batch equals its runs, and the
+    true motion is identified.
     """
     still, turn = np.array([0.0, 0.0, 0.0]), np.array([0.02, 0.0, 0.05])
     space = celnav.attitude(transported=transported)

@@ -1,4 +1,4 @@
-"""Iterated updates against Gauss-Newton written out, and expansion about another point."""
+"""Iterated updates compared with Gauss-Newton written out, and expansion about another point."""
 
 from __future__ import annotations
 
@@ -114,7 +114,7 @@ def test_a_linear_function_does_not_care_where_it_is_expanded():
 
 @pytest.mark.parametrize("known", [None, lambda _x, _epoch: P], ids=["differences", "jacobian"])
 def test_a_linear_update_does_not_care_where_it_is_expanded(known):
-    """Nor does a filter with a Jacobian, which Taylor does not ask."""
+    """The same holds for a filter with a Jacobian."""
     sensor = Sensor(lambda x, _epoch: x @ P.T, R, jacobian=known)
     one = given(ekf(STILL, sensor), MEAN, Z)[0]
     two = given(iterated(sensor, 1, lambda belief, z, epoch: belief.mean + 9.0), MEAN, Z)[0]

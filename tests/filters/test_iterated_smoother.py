@@ -1,4 +1,4 @@
-"""The iterated smoother: against Gauss and Newton on the whole trajectory, and against regressions
+"""The iterated smoother, compared with Gauss-Newton on the whole trajectory and with regressions
 over the smoothed beliefs.
 """
 
@@ -116,7 +116,7 @@ def written_out(rule, z, iterations):
 @pytest.mark.parametrize("iterations", [1, 2, 4])
 @pytest.mark.parametrize("rule", [partial(unscented, kappa=1.0), partial(gauss_hermite, order=3)])
 def test_is_regression_over_the_smoothed_beliefs(form, iterations, rule):
-    """Also where nothing was measured; three runs at once are three runs by themselves."""
+    """Also without measurements; three runs in a batch equal three single runs."""
     z = Z.copy()
     z[5] = np.nan
     filter = celnav.sigma_point(MOTION, RADAR, rule=rule, form=form)
@@ -157,8 +157,8 @@ def test_linear_models_need_one_iteration(form):
 
 
 def test_of_attitudes_is_consistent_and_converges():
-    """Angular deviations of half a radian, two directions measured: the second flights agree, and
-    claim what they err.
+    """Angular standard deviations of half a radian, two measured directions: the iterations agree,
+    and their predicted σ equals their error.
     """
     space = celnav.attitude()
 
@@ -244,7 +244,7 @@ CASES = {
     ("case", "form"), [*((case, "square root") for case in CASES), ("gaps", "covariance")]
 )
 def test_either_engine_gives_the_same(case, form):
-    """Angles in the state and in one of two sensors; noise and intervals that change."""
+    """Angles in the state and in one of two sensors; changing noise and intervals."""
     pytest.importorskip("llvmlite")
     filter, (prior, z, u) = celnav.ukf(HEADED, SIGHT, GPS, form=form), CASES[case]
     known, found = (
@@ -294,7 +294,7 @@ def slope_h(x, _epoch):
 
 @FORMS
 def test_either_engine_takes_derivatives(form):
-    """Of models at means that each run has of its own, of a prior that all share."""
+    """Derivatives at the means of each run, with a prior that all runs share."""
     pytest.importorskip("llvmlite")
     filter = celnav.ekf(
         celnav.Motion(f, Q, jacobian=slope_f), celnav.Sensor(h, R, jacobian=slope_h), form=form
@@ -311,8 +311,8 @@ def test_either_engine_takes_derivatives(form):
 
 
 def test_later_flights_are_compiled_once(monkeypatch):
-    """However many there are: steps for the first epoch, all others and the way back, of the filter
-    and of the relinearized one.
+    """For any number of iterations: steps for the first epoch, the other epochs and the backward
+    pass, for the filter and the relinearized filter.
     """
     pytest.importorskip("llvmlite")
     counts, record = [], Engine.record

@@ -1,5 +1,5 @@
-"""What looks odd and is meant is accepted, with right numbers: those of the Kalman filter of the
-textbooks, one run at a time.
+"""Unusual but valid arguments are accepted, and give the numbers of the textbook Kalman filter, one
+run at a time.
 """
 
 from dataclasses import dataclass
@@ -50,7 +50,9 @@ def kalman(x, P, dt=DT, z=Z[:, 0], H=H, R=R, Q=Q):
 
 
 def compare(track, x=X0, P=P0, **given):
-    """A track of two runs with the textbook's, each argument of which may be one for each run."""
+    """Compare a track of two runs with the textbook filter; each argument may
+    differ between runs.
+    """
     for i in range(RUNS):
         own = {name: value[i] for name, value in given.items()}
         mean, cov = kalman(x[i], P[i] if np.ndim(P) == 3 else P, z=own.pop("z", Z[:, i]), **own)
@@ -59,7 +61,7 @@ def compare(track, x=X0, P=P0, **given):
 
 
 def models(rule=RULES["points"], f=move, h=H, **noise):
-    """Motion, sensor and rule; without a rule by Jacobians of one's own."""
+    """Motion, sensor and rule; without a rule with user-supplied Jacobians."""
     noise = {"Q": Q, "R": R} | noise
     of_f, of_h = (
         {name: noise.get(name) for name in names} for names in (("Q", "sqrt_Q"), ("R", "sqrt_R"))
@@ -99,7 +101,7 @@ def test_perfect_measurements(form, rule):
 @FORMS
 @pytest.mark.parametrize("rule", RULES)
 def test_singular_covariances(form, rule):
-    """A process noise of one direction, a state that is known in part or altogether, no process
+    """Process noise in one direction, a state that is exact in part or completely, no process
     noise.
     """
     drive = np.array([[0.5], [1.0]])
@@ -151,7 +153,7 @@ def test_noise_matrices_and_intervals_of_each_run(form, rule):
 
 @dataclass
 class Antenna:
-    """A callable object, which knows more than a function."""
+    """A callable object with data."""
 
     H: np.ndarray
 
@@ -199,7 +201,9 @@ def test_models_of_every_kind(form, f):
 
 @FORMS
 def test_angles_at_the_seam(form):
-    """A heading near pi, whose measurements jump by a turn, is one that does not, wrapped."""
+    """A heading near pi, whose measurements jump by a full turn, gives the wrapped result of a
+    heading without jumps.
+    """
     x, z = np.array([[np.pi, 0.1], [-np.pi, -0.1]]), np.array([[np.pi], [-np.pi]]) + 0.3 * Z
     angle, heading = celnav.angles([0]), np.array([[1.0, 0.0]])
     motion = celnav.Motion(move, 0.01 * Q, space=angle)
@@ -293,7 +297,7 @@ def test_whole_numbers_and_scalars_of_numpy(form):
 
 @FORMS
 def test_other_parts_take_the_same(form):
-    """Gains, fallbacks, colored noise of each run: what is unusual there too."""
+    """The same for gains, fallbacks, and colored noise that differs between runs."""
     motion, sensor, _ = models()
     compare(
         run(Fallback(celnav.ukf(motion, sensor, form=form), celnav.ekf(motion, sensor, form=form)))
@@ -361,7 +365,7 @@ GONE = {
 @pytest.mark.parametrize("gone", GONE)
 @pytest.mark.parametrize("name", FILTERS)
 def test_runs_of_a_batch_are_those_alone_whoever_brings_the_batch(name, gone, form):
-    """The prior or the measurements, whatever of these is missing; counts included."""
+    """Whether prior or measurements have the batch axes, with missing data; counts included."""
     filter, m = FILTERS[name](form), 2 if name == "fixes" else 1
     z = RNG.normal(size=(T, RUNS, m))
     if gone != "nothing":
@@ -410,8 +414,8 @@ def test_runs_that_only_the_coefficients_of_colored_noise_have(form):
 @pytest.mark.parametrize("engine", ["numpy", "compiled"])
 @FORMS
 def test_colored_noise_of_a_function_goes_with_a_noise_of_the_interval(form, engine):
-    """A motion of the package; that the measurement is linear nobody says: the filter with the
-    noise as states is exact.
+    """A motion of the package and a linear measurement as a function: the filter with the noise in
+    the state is exact.
     """
     motion = celnav.models.motion.constant_velocity(1, q=0.3)
     sensor, times = celnav.Sensor(lambda x, epoch: x @ H.T, R), np.cumsum(DT)

@@ -51,7 +51,9 @@ def test_against_a_loop():
 
 
 def test_one_sensor_and_one_array_of_inputs_are_no_tuples():
-    """As `celnav.run` takes them; the integral of a linear rate is exact in the middles."""
+    """In the form for `celnav.run`; for a linear rate the value in the middle gives the exact
+    integral.
+    """
     t = np.linspace(0.0, 1.0, 11)
     merged = merge(imu=(t, 2.0 * t[:, None]), fixes=([0.25, 0.33, 1.0], np.zeros((3, 1))))
     motion = celnav.Motion(lambda x, epoch: x + epoch.u * epoch.dt, [[1e-8]])

@@ -1,4 +1,4 @@
-"""A model that mixes runs is told; one that only carries data of all runs is not taken for it."""
+"""A model that mixes runs raises an error; a model that only contains data of all runs does not."""
 
 from dataclasses import dataclass
 from functools import partial
@@ -48,7 +48,7 @@ def still(x, epoch):
 
 
 def filter_of(f, h=None, rule="points", form="square root"):
-    """By a rule, or by Jacobians of one's own, which say nothing of the model's values."""
+    """With a rule, or with user-supplied Jacobians, which do not depend on the model's values."""
     known = {"jacobian": lambda mean, epoch: EYE} if rule == "Jacobian" else {}
     sensors = () if h is None else (celnav.Sensor(h, EYE, **known if callable(h) else {}),)
     return celnav.sigma_point(celnav.Motion(f, EYE, **known), *sensors, rule=RULES[rule], form=form)
@@ -93,7 +93,7 @@ def test_other_filters_tell_it_too():
 
 
 def test_fixes_of_each_run_tell_it_too():
-    """There is no axis of points there."""
+    """There the arrays have no axis of points."""
     one = lambda x, e: np.broadcast_to(F, (*x.shape, 2))  # noqa: E731
     when = celnav.epochs([0.0, 1.0], np.ones((2, 2, 2)))
     with pytest.raises(ValueError, match="h: expected values of each run by itself"):
@@ -138,7 +138,9 @@ RNG = np.random.default_rng(0)
 
 
 def test_mixing_is_noticed_where_a_model_is_defined_for_some_states_only():
-    """Here positive first and negative second components: runs are exchanged with such ones."""
+    """Here first components are positive and second ones negative: runs are replaced by runs of
+    this kind.
+    """
     prior = celnav.Gaussian([[4.0, -9.0], [25.0, -1.0]], 1e-4 * EYE)
 
     def roots(x):
@@ -161,7 +163,7 @@ class Drag:
 
 
 def _all_together(x, epoch):
-    """Steps chosen for all points and runs at once: what a run gets depends on the others, below
+    """A common step size for all points and runs: the result of a run depends on the others, below
     the solver's tolerance.
     """
     flow = solve_ivp(lambda t, v: -v + np.sin(v), (0.0, 1.0), x.ravel(), rtol=1e-4, atol=1e-6)
@@ -188,7 +190,7 @@ APART = {
 
 
 def _flow(x, epoch):
-    """The same to ten digits, each point by itself."""
+    """The same to ten digits, each point separately."""
     flows = [
         solve_ivp(lambda t, v: -v + np.sin(v), (0.0, 1.0), p, rtol=1e-10, atol=1e-12).y[:, -1]
         for p in x.reshape(-1, 2)
@@ -220,7 +222,7 @@ ALONE = {
 
 
 def assert_each_alone(track, made, prior, **tolerance):
-    """Each run is that of its own filter; ``made(i)``: filter and epochs of run i."""
+    """Each run equals a single run; ``made(i)``: filter and epochs of run i."""
     for i in range(2):
         filter, when = made(i)
         alone = celnav.run(filter, celnav.Gaussian(prior.mean[i], prior.cov), when, keep="cov")
@@ -284,7 +286,7 @@ def test_a_lost_run_hides_nothing_and_blames_nobody(lost):
 
 @pytest.mark.parametrize("runs", [2, 5])
 def test_a_model_with_a_buffer_is_not_disturbed(runs):
-    """It is called once more before its values are used."""
+    """The model is called once more before its values are used."""
     buffers = np.empty((5, runs, 2)), np.empty((5, 1, 2))
     offset = np.arange(2.0 * runs).reshape(runs, 2)
     both = {
@@ -343,7 +345,7 @@ TIMES = 0.01 * np.arange(8.0)
 
 
 def flown(filter, runs, engine, **options):
-    """A short run of two states, of no, one or several runs."""
+    """A short run with two states, without an axis of runs, with one run or with several."""
     mean = np.array([1.0, 2.0]) + np.arange(2.0 * np.prod(runs, dtype=int)).reshape(*runs, 2)
     prior = celnav.Gaussian(mean, EYE)
     z = np.zeros((8, *runs, 1))

@@ -1,4 +1,4 @@
-"""A filter travels to another process as it is, where its models do."""
+"""A filter can be pickled unchanged if its models can."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ MATRIX = celnav.Sensor(np.repeat(np.eye(2), 2, 0), 0.1 * np.eye(4))
 
 
 def turning(make, *densities):
-    """A filter of one of the package's motions that sees all of its state."""
+    """A filter with one of the package's motions and a sensor of the full state."""
     motion, n = make(*densities), 5 if make is motions.coordinated_turn else 4
     return celnav.ekf(motion, celnav.Sensor(np.eye(4, n), np.eye(4)))
 
@@ -119,7 +119,7 @@ def again(thing):
 
 
 def start(filter):
-    """A prior of as many states as the filter has."""
+    """A prior with the filter's number of states."""
     name = next(name for name, other in FILTERS.items() if other is filter)
     n = {"velocity": 4, "turn": 4, "turns": 5}.get(name, 2)
     return celnav.Gaussian(np.linspace(0.0, 1.0, n), np.eye(n))
@@ -153,7 +153,7 @@ def test_a_filter_that_travelled_does_the_same(name):
 
 
 def test_machine_code_stays_where_it_is():
-    """Its addresses mean nothing in another process."""
+    """Its addresses are not valid in another process."""
     made = celnav.ukf(celnav.Motion(np.eye(2), np.eye(2)), celnav.Sensor(np.eye(2), np.eye(2)))
     fast, z = celnav.compiled(made), Z[:, :2]
     known = fast.run(PRIOR, TIMES, z)

@@ -1,5 +1,5 @@
-"""Iterated filters by points: statistical linear regression about the posterior, against the same
-written out.
+"""Iterated sigma-point filters: statistical linear regression over the posterior, compared with the
+same written out.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ def posterior_linearization(rule, z, iterations):
     ],
 )
 def test_is_regression_about_the_posterior(form, rule, iterations):
-    """Of positive weights and of negative ones."""
+    """With positive and with negative weights."""
     belief, _ = given(celnav.sigma_point(STILL, SEEN, rule=rule, form=form, iterations=iterations))
     mean, cov = posterior_linearization(rule(2), Z, iterations)
     np.testing.assert_allclose(belief.mean, mean, atol=1e-9)
@@ -119,8 +119,8 @@ def test_by_taylors_rule_it_is_the_iterated_extended_filter():
 
 
 def test_is_consistent_where_the_unscented_filter_is_overconfident():
-    """A fix by range and bearing, both precise, of a position that is known within a third of its
-    distance.
+    """A fix from precise range and bearing; the prior position has a standard deviation of a third
+    of the distance.
     """
     rng, runs, noise = np.random.default_rng(1), 1000, np.diag([0.1, 0.01])
     sensor, prior = (
@@ -160,8 +160,8 @@ def test_runs_of_a_batch_are_those_alone_whatever_is_missing(form):
 
 @FORMS
 def test_a_component_that_is_known(form):
-    """Where the covariance is singular, regression is by the pseudo-inverse, as if the component
-    were a parameter.
+    """With a singular covariance the regression uses the pseudo-inverse, as if the component were a
+    constant.
     """
     known = given(celnav.ukf(STILL, SEEN, form=form, iterations=5), cov=np.diag([1.0, 0.0]))[0]
     line = celnav.Sensor(
@@ -237,8 +237,9 @@ def test_where_there_is_no_posterior_to_go_back_to():
 @pytest.mark.parametrize("unit", [1e-6, 1.0, 1e6])
 @pytest.mark.parametrize("std", [1e-3, 1.0, 1e3])
 def test_what_is_below_the_round_off_of_where_it_lies_is_known(unit, std):
-    """Two components that differ by 1e-7 of their deviation, whatever the unit: where they lie 1e10
-    deviations away their difference is round-off, and near zero it is known well."""
+    """Two components that differ by 1e-7 of their standard deviation, in any unit: at a distance of
+    1e10 standard deviations from zero their difference is round-off, and near zero it is precise.
+    """
     x, y = np.array([[2.0, 3.0]]), std * unit * np.array([[1.0, 0.0], [1.0, 1e-7]])
     A, sign = np.concatenate([y, x]), np.ones(2)
     exact = x @ np.linalg.inv(y)

@@ -1,5 +1,5 @@
-"""Robust and parity hooks follow their formulas in every rule and form, run by run, with what is
-missing left out.
+"""Robust and parity hooks follow their formulas for every rule and form, run by run, without
+missing components.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def prior(*batch):
 
 
 def filter_of(hook, rule="unscented", form="square root", F=A, C=H, noise=Q):
-    """A linear model, as a rule meets it: a function, one with its Jacobian, or a matrix."""
+    """A linear model as a function, as a function with its Jacobian, or as a matrix."""
     jacobians = (
         {"f": lambda _x, _e: F, "h": lambda _x, _e: C}
         if rule == "jacobians"
@@ -123,7 +123,7 @@ class Husa:
 
 
 class Variational:
-    """The algorithm of Sarkka and Nummenmaa (2009), for the components that were measured."""
+    """The algorithm of Sarkka and Nummenmaa (2009) for the measured components."""
 
     def __init__(self, rho=0.9, N=3):
         self.rho, self.N, self.alpha, self.beta = rho, N, np.ones(m), R.diagonal().copy()
@@ -222,8 +222,8 @@ def test_runs_do_not_know_each_other(name):
     "hook", [group_parity(GROUPS, 1), channel_parity(2)], ids=["group", "channel"]
 )
 def test_parity_does_not_see_what_a_state_explains(hook):
-    """A jump of the state, a thousand deviations large, changes no weight: the same gain, so the
-    estimates differ by its image.
+    """A jump of the state by a thousand standard deviations changes no weight: the gain is the
+    same, so the estimates differ by the image of the jump.
     """
     z, jump = measured(), np.array([300.0, -200.0])
     jumped = z.copy()
@@ -240,8 +240,8 @@ def test_parity_does_not_see_what_a_state_explains(hook):
     "hook", [group_parity(GROUPS, 1), channel_parity(2)], ids=["group", "channel"]
 )
 def test_parity_does_not_see_what_the_process_noise_explains(hook, sign):
-    """Of a state that was known exactly before; in a colored filter its columns stand beside those
-    of the state.
+    """For a state with an exact prior; in a filter for colored noise the noise columns follow the
+    state columns.
     """
     z, jump = measured(), np.array([300.0, -200.0])
     jumped = z.copy()
@@ -275,7 +275,7 @@ WIDE, BOTH = (
 @EVERY_RULE
 @FORMS
 def test_a_state_that_nothing_measures_takes_no_part(form, rule, hook):
-    """Its column of H is 0, or round-off, and stands first: for the others nothing changes."""
+    """Its column of H is 0 or round-off, and is the first: the other states are not affected."""
     z = measured()
     noise, cov = np.eye(3), np.eye(3)
     noise[1:, 1:], cov[1:, 1:] = Q, P0
@@ -327,8 +327,8 @@ def test_groups_beyond_the_measurement_are_refused():
 
 
 def test_correntropy_ends_at_a_stationary_point():
-    """Of ``(x - x0)' P0^-1 (x - x0) / 2 - b^2 sum exp(-u^2 / (2 b^2))``, with outliers: no gradient
-    is left.
+    """For ``(x - x0)' P0^-1 (x - x0) / 2 - b^2 sum exp(-u^2 / (2 b^2))``, with outliers, the
+    gradient is 0.
     """
     z, b = 3.0 * measured(50, seed=3)[0], 1.5
     z[:, 2] += 20.0
@@ -355,8 +355,8 @@ def bent(x, _epoch=None):
 
 
 def noises(hook, z, h=H):
-    """Variances in nominal ones that a hook gives, ``(T, runs, m)``, by a hook that looks on after
-    it.
+    """Variances from a hook over the nominal variances, ``(T, runs, m)``, read by a second hook
+    after it.
     """
     seen = []
 
@@ -382,8 +382,8 @@ def drawn(scale, runs=100, h=lambda x: x @ H.T):
 
 @pytest.mark.parametrize("true", [0.5, 1.0, 6.0])
 def test_the_noise_is_found_and_followed(true):
-    """Nominal noise, then ``true`` times its variance: seven time constants later the mean over
-    runs is within a tenth.
+    """Nominal noise, then ``true`` times its variance: seven time constants later the mean over the
+    runs is correct within 10 %.
 
     That is five standard deviations of a mean over 100 runs.
     """
@@ -398,7 +398,9 @@ def test_the_noise_of_a_bent_measurement_is_found():
 
 
 def test_a_constant_noise_is_learned_without_forgetting():
-    """With 1 the estimate's scatter over runs shrinks as samples come, and the truth lies within."""
+    """With a forgetting factor of 1 the estimate's scatter over the runs shrinks with the number of
+    samples, and includes the truth.
+    """
     found = noises(variational_bayes(1.0), drawn(np.full(400, 3.0)))
     assert (found[399].std(0) < 0.6 * found[99].std(0)).all()
     np.testing.assert_allclose(found[399].mean(0), 3.0, rtol=0.1)

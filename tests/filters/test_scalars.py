@@ -1,4 +1,4 @@
-"""A number where a matrix is meant is that multiple of the identity, for every filter and both
+"""A number in place of a matrix means this multiple of the identity, for every filter and both
 engines.
 """
 
@@ -200,7 +200,7 @@ def test_what_a_number_cannot_be(make, message):
 
 
 def test_a_run_that_fails_is_explained():
-    """Noise of a number may be none at all."""
+    """A number as noise may be 0."""
     twice = celnav.Sensor(lambda x, e: np.stack([x[..., 0], x[..., 0]], -1), R=0.0)
     message = re.escape("a measurement without noise must not repeat what is determined already")
     with pytest.raises(celnav.FilterError, match=message):

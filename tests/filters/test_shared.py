@@ -1,5 +1,5 @@
-"""One covariance of all runs: what linear filters carry on, against an exact Kalman filter of each
-run by itself.
+"""A covariance shared by all runs in linear filters, compared with an exact Kalman filter for each
+run.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ FORMS = pytest.mark.parametrize("form", ["square root", "covariance"])
 
 
 def at(table):
-    """A row of a table for each epoch."""
+    """A function that returns the table's row for an epoch."""
     return lambda epoch: table[epoch.k]
 
 
@@ -82,7 +82,7 @@ def kalman(z, F=F, H=H, Q=Q, P=P0, pad=0):
 
 
 def followed(filter, z, prior=SHARED):
-    """Means and covariances, the latter as they are kept."""
+    """Means and covariances, the latter with their stored shape."""
     states = [state.belief for _, state, _ in steps(filter, prior, epochs(np.arange(float(T)), z))]
     shape = states[
         -1
@@ -173,7 +173,7 @@ def test_what_has_no_matrix_has_a_covariance_for_each_run():
 
 @FORMS
 def test_a_measurement_without_noise_of_what_is_known_is_told(form):
-    """In every run, and only there."""
+    """The failure occurs in every run."""
     sensor = Sensor(Linear(lambda _epoch: np.eye(1, N)), np.zeros((1, 1)))
     filter = ekf(MODELS["linear"][0], sensor, sensor, form=form)
     state, _ = filter.update(

@@ -1,5 +1,5 @@
-"""One set of points for prediction and update: exact in the linear case, also where the two noises
-are correlated.
+"""One set of points for prediction and update: exact in the linear case, also if the two noises are
+correlated.
 """
 
 from __future__ import annotations
@@ -22,12 +22,14 @@ ROOT, W, V = np.linalg.cholesky(JOINT), np.linalg.cholesky(JOINT[:2, :2]), np.sq
 
 
 def f(x, _epoch, *noise):
-    """The first noise starts with that of the process, alone or with the measurement's."""
+    """The first noise starts with the process noise, alone or together with the
+    measurement noise.
+    """
     return x @ F.T + noise[0][..., :2]
 
 
 def h(y, _epoch, *noise):
-    """The last noise ends with that of the measurement."""
+    """The last noise ends with the measurement noise."""
     return y @ Z.T + noise[-1][..., 2:] if noise[-1].shape[-1] == 3 else y @ Z.T + noise[-1]
 
 
@@ -50,13 +52,15 @@ MAKE = {
 
 
 def correlated(make=ukf, **options):
-    """Each by itself has a noise of its own; both functions together have the joint one."""
+    """As separate models each has its noise; in a single draw both functions
+    get the joint noise.
+    """
     plain = make(Motion(f, augment=(W,)), Sensor(h, augment=(V,)), **options)
     return replace(SingleDraw.of(plain), joint_noise=(ROOT,))
 
 
 def stepped(filter, known, z):
-    """The belief after an interval and its measurement, and what that did."""
+    """The belief after an interval and its measurement, and the `Info`."""
     state, (info,) = filter.step(filter.start(known), Epoch(1, 1.0, 1.0, None, z))
     return state.belief, info
 
@@ -65,8 +69,8 @@ def stepped(filter, known, z):
 @pytest.mark.parametrize("make", MAKE)
 @pytest.mark.parametrize("whose", ["joint", "motion"])
 def test_is_the_kalman_filter_with_correlated_noise(form, make, whose):
-    """The noise of both functions is given as such, or it is that of the motion, which reaches the
-    measurement, too.
+    """The noise of both functions is given as joint noise, or as the motion's noise, which reaches
+    the measurement too.
     """
     filter = correlated(MAKE[make], form=form)
     if whose == "motion":

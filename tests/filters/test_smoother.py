@@ -1,5 +1,5 @@
-"""The smoother gives the marginals of the joint Gaussian of all states, and what filterpy's
-smoother gives.
+"""The smoother gives the marginals of the joint Gaussian of all states, and the results of
+filterpy's smoother.
 """
 
 import copy
@@ -69,7 +69,7 @@ RULES = {
 
 
 def filtered(motion, sensor, prior, when, rule=unscented, form="square root", **options):
-    """The track of a filter, whose covariances are kept."""
+    """The track of a filter with stored covariances."""
     return run(
         sigma_point(motion, sensor, rule=rule, form=form), prior, when, keep="cov", **options
     )
@@ -83,8 +83,8 @@ def measurements(rng, *batch):
 
 
 def joint(z, prior_cov, transitions, noises, H=H_, R=R):
-    """Mean and covariance of all states given all that was measured, from their joint Gaussian;
-    written out.
+    """Mean and covariance of all states given all measurements, from their joint Gaussian, written
+    out.
     """
     n, steps = len(prior_cov), len(z)
     sources = [np.linalg.cholesky(prior_cov + 0.0), *noises]
@@ -254,7 +254,7 @@ def test_better_than_the_filter():
 @pytest.mark.parametrize("rule", [unscented(2), unscented(2, 0.5, 2.0), Taylor()], ids=repr)
 @FORMS
 def test_batch_is_singles(rule, form):
-    """Runs do not know each other, on any number of batch axes; forms agree."""
+    """Runs are independent, for any number of batch axes; forms agree."""
     _, z, times, motion, sensor = simulate_pendulum(np.random.default_rng(5), 6, 15)
     z[4, 2] = np.nan
     z = z.reshape(15, 2, 3, 1)
@@ -284,8 +284,8 @@ def test_batch_is_singles(rule, form):
     ids=["unscented", "cubature 5", "Taylor"],
 )
 def test_noise_through_the_points(rule):
-    """Noise that goes through the points is noise all the same: with an additive model, exactly,
-    also by negative weights.
+    """Noise through the points gives the same result as additive noise if it enters additively,
+    also with negative weights.
     """
     z = measurements(np.random.default_rng(6))
 
@@ -301,8 +301,8 @@ def test_noise_through_the_points(rule):
 
 
 def test_a_turn_more_changes_nothing():
-    """A heading on the circle: start it half a turn away so that it wraps, and the smoother does
-    not notice.
+    """A heading on the circle: the smoother gives the same result if the heading starts half a turn
+    away, so that it wraps.
     """
     rng = np.random.default_rng(7)
     times, turn = np.arange(15.0), 0.3
@@ -337,8 +337,8 @@ def test_a_turn_more_changes_nothing():
 
 @FORMS
 def test_deviations_are_carried_to_where_they_belong(form):
-    """A position with deviations in body axes: a moving frame of a flat space must give what the
-    fixed one gives.
+    """A position with differences in body axes: a moving frame of a flat space must give the
+    results of the fixed frame.
     """
 
     def turned(heading, vector):
@@ -385,8 +385,8 @@ def test_deviations_are_carried_to_where_they_belong(form):
 
 
 def test_colored_noise():
-    """The augmented filter's track smooths states and colored noise together, as the joint Gaussian
-    of both has it.
+    """The augmented filter's track smooths states and colored noise together, and equals the joint
+    Gaussian of both.
     """
     Phi, increments, first = np.diag([0.9, 0.6]), np.diag([0.02, 0.05]), np.diag([0.3, 0.2])
     Q = SQRT_Q @ SQRT_Q.T + 0.01 * np.eye(3)
@@ -470,8 +470,8 @@ def test_what_cannot_be_smoothed_says_why_and_what_can(name):
 
 @FORMS
 def test_known_directions(form):
-    """A known constant, and a known combination of two states: as if they were not part of the
-    state.
+    """An exact constant, and an exact combination of two states, have no effect on the other
+    states.
     """
     z = measurements(np.random.default_rng(10))
     when = epochs(np.arange(T), z)
@@ -503,7 +503,7 @@ def test_known_directions(form):
 
 
 def breaks(x, epoch):
-    """Loses the second run in the sixth interval."""
+    """A model with which the second run fails in the sixth interval."""
     y = x @ A_.T
     if epoch.k == 6:
         y[:, 1] = np.nan
@@ -517,8 +517,8 @@ BROKEN = Motion(breaks, sqrt_Q=SQRT_Q)
 @FORMS
 @pytest.mark.parametrize("kappa", [-1.0, -1.9])
 def test_a_state_that_the_next_one_tells_exactly(form, kappa):
-    """A constant beside one that walks: nothing is left of its columns but round-off, and with
-    negative weights of that too.
+    """A constant together with a random walk: only round-off remains of its columns, also with
+    negative weights.
     """
     F, seen = np.array([[1.0, 1.0], [0.0, 1.0]]), Sensor(np.eye(1, 2), R=[[1.0]])
     motion, prior = Motion(F, Q=np.diag([0.01, 0.0])), Gaussian(np.zeros(2), np.diag([1.0, 1e-4]))
@@ -534,7 +534,9 @@ def test_a_state_that_the_next_one_tells_exactly(form, kappa):
 
 
 def test_a_lost_run_is_smoothed_up_to_its_loss():
-    """Up to there it is the smoother of the shorter run; the neighbor does not notice."""
+    """Up to its failure it equals the smoother of the shorter run; the other
+    run is not affected.
+    """
     z = measurements(np.random.default_rng(12), 2)
     both = smooth(filtered(BROKEN, SEEN, PAIR, epochs(np.arange(T), z), on_failure="flag"))
     np.testing.assert_array_equal(both.failed_at, [-1, 6])
@@ -546,7 +548,9 @@ def test_a_lost_run_is_smoothed_up_to_its_loss():
 
 
 def test_a_run_that_the_smoother_loses_is_told():
-    """The dynamics fail going back only: raised with the step, or flagged where it happened."""
+    """The dynamics fail only in the backward pass: the error names the step, or the run is flagged
+    at it.
+    """
     track = filtered(
         MOTION, SEEN, PAIR, epochs(np.arange(T), measurements(np.random.default_rng(13), 2))
     )
@@ -619,8 +623,8 @@ def test_bad_input_is_refused_by_name(call, message):
 
 
 def test_one_epoch_a_stream_of_epochs_a_pickle_and_a_fallback():
-    """With one epoch there is nothing to do; epochs may come from a generator; a track that was
-    pickled is told its filter.
+    """With one epoch nothing changes; epochs may be a generator; a pickled track needs its filter
+    as an argument.
     """
     z = measurements(np.random.default_rng(15))
     one = run(PLAIN, PRIOR, epochs([0.0], z[:1]), keep="cov")
@@ -661,7 +665,7 @@ def test_a_copied_track_is_smoothed_like_the_track(form, copied):
 
 @FORMS
 def test_an_epoch_at_the_same_time_has_the_gain_one(form):
-    """Nothing moves between the two, so the later estimate is that of both."""
+    """Nothing moves between the two epochs, so both have the later estimate."""
     motion, rule = RULES["unscented"]
     times, z = np.array([0.0, 1.0, 1.0, 2.0]), measurements(np.random.default_rng(1))[:4]
     track = filtered(motion, SEEN, PRIOR, epochs(times, z), rule, form)

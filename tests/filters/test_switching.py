@@ -1,4 +1,4 @@
-"""Filters that take turns, against the same filters stepped by hand."""
+"""Switching filters, compared with the same filters stepped by hand."""
 
 import numpy as np
 import pytest
@@ -93,7 +93,7 @@ def test_any_sequence_of_rules_on_a_linear_model_is_the_kalman_filter():
 
 
 def test_runs_of_the_measurements_choose_for_themselves():
-    """A prior without runs becomes as many as were measured."""
+    """A prior without an axis of runs gets the number of runs from the measurements."""
     own = filters()
     alone = Gaussian(PRIOR.mean[0], PRIOR.cov)
     turns = Switching(

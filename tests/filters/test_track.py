@@ -1,4 +1,4 @@
-"""What a track exports."""
+"""Exports of a track."""
 
 from __future__ import annotations
 
@@ -32,7 +32,9 @@ FORMS = pytest.mark.parametrize("form", ["square root", "covariance"])
 
 @FORMS
 def test_a_measurement_may_have_more_components_at_some_epochs(form):
-    """Satellites come and go. What is not there is what nan is in a measurement of all."""
+    """Satellites rise and set. A missing satellite has the same effect as nan in a measurement with
+    all satellites.
+    """
     H, R = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]]), np.diag([1.0, 2.0, 3.0])
     z = [np.arange(1.0, 1.0 + m) for m in (2, 3, 1, 0)]
     whole = np.full((4, 3), np.nan)
@@ -54,8 +56,8 @@ def test_a_measurement_may_have_more_components_at_some_epochs(form):
 
 @FORMS
 def test_none_is_missing_as_nan_is(form):
-    """Two sensors, runs; what has no measurement counts by the components that its sensor has
-    otherwise.
+    """Two sensors and several runs: an epoch without a measurement counts the sensor's usual number
+    of components as missing.
     """
     filter = celnav.ukf(
         MOTION, celnav.Sensor([[1.0, 0.0]], [[1.0]]), celnav.Sensor(EYE, EYE), form=form
@@ -128,7 +130,7 @@ def test_no_components_and_no_runs(form, linear):
     "keep", [("mean",), ("std", "mean"), ["innovation", "std"], ("cov",), {"innovation"}, ()]
 )
 def test_only_rows_that_are_asked_for_are_kept(engine, keep):
-    """They are those of a track that keeps all. Covariances need their means, and have their
+    """They equal the rows of a full track. Covariances are stored with means and standard
     deviations.
     """
     times, z = np.arange(12.0), np.random.default_rng(0).standard_normal((12, 5, 2))

@@ -1,4 +1,4 @@
-"""Two stages against the augmented Kalman filter."""
+"""Two-stage filters against the augmented Kalman filter."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def test_two_stages_are_the_augmented_filter(form, Qb):
     [np.zeros((B, B)), np.diag([4.0, 0.0]), np.diag([0.0, 1.0]), np.outer([1.0, 3.0], [1.0, 3.0])],
 )
 def test_a_bias_that_is_known_exactly(form, M0, Qb):
-    """In all, some or a combination of its components, whichever of them walk."""
+    """In all, some or a combination of its components, whichever components walk."""
     z = measured()
     z[7, 1] = np.nan
     two, one = staged(form, z, M0, Qb=Qb), augmented(form, z, Qb, M0)
@@ -88,7 +88,7 @@ def test_a_bias_that_is_known_exactly(form, M0, Qb):
 
 @pytest.mark.parametrize("precise", [1.0, 1e-5])
 def test_a_combination_of_biases_stays_known_for_long(precise):
-    """In covariance form, where round-off is left from when the covariance was large."""
+    """In covariance form, where round-off remains from the time when the covariance was large."""
     sensor, known = Sensor(H, precise * R), Gaussian(B0, np.outer([1.0, 3.0], [1.0, 3.0]))
     z = np.concatenate([measured(seed=seed) for seed in range(4)])
     forms = (
@@ -138,15 +138,16 @@ def test_the_sensitivity_is_the_derivative():
 
 
 class Fixed(NamedTuple):
-    """State of `Lagged`: the estimate, and what the last measurement left over."""
+    """State of `Lagged`: the estimate, and the residual of the last measurement."""
 
     belief: SquareRoot
     rest: Any = None
 
 
 class Lagged:
-    """A first stage of constant gain K. It takes D times the last residual off the measurement,
-    and Omega times the innovation moves its prediction."""
+    """A first stage with constant gain K. It subtracts D times the last residual from the
+    measurement, and adds Omega times the innovation to its prediction.
+    """
 
     D = np.array([[0.6, 0.2, 0.0], [0.0, -0.4, 0.1], [0.3, 0.0, 0.5]])
     K = 0.2 * H.T
@@ -176,7 +177,7 @@ class Lagged:
 
 @pytest.mark.parametrize("omega", [False, True], ids=["", "Omega"])
 def test_the_sensitivity_is_the_derivative_where_measurements_are_differenced(omega):
-    """By a linear first stage: the bias acts on a measurement directly and through the lag."""
+    """With a linear first stage: the bias acts on a measurement directly and through the lag."""
     z, unit = measured(runs=1), np.array([0.7, -1.3])
     filter = TwoStage.of(Lagged(omega), GAMMA, BIAS)
     state = moved = filter.start(prior(1))
@@ -209,7 +210,7 @@ def test_a_boost_of_one_is_none_and_inflates_the_gain_only(form):
     np.testing.assert_allclose(one.mean, none.mean, atol=1e-10)
     np.testing.assert_allclose(four.cov, none.cov, atol=1e-12)
     assert np.abs(four.mean[..., N:] - none.mean[..., N:]).max() > 0.1
-    # The gain of an inflated covariance, written out.
+    # The gain from an inflated covariance, written out.
     filter = two_stage(MOTION, SEEN, GAMMA, BIAS, form=form, boost=constant(4.0))
     state, _ = filter.step(filter.start(prior(len(z[0]))), epochs(np.arange(float(T)), z)[0])
     innovation, S = z[0], GAMMA - H @ np.zeros((N, B))

@@ -1,5 +1,5 @@
-"""Wrong arguments at the doors of the filters: each is refused by its name, or does what it says.
-No raw error comes through.
+"""Wrong arguments of the filters' public functions: each raises an error that names it, or has the
+effect that it states. No raw error comes through.
 """
 
 import re
@@ -76,13 +76,15 @@ def flown(filter, prior=PRIOR, epochs=WHEN):
 
 
 def seen(hooks=(), gain=None):
-    """A filter of which a hook or a gain sees all: a whole measurement, a part of it, none."""
+    """A filter whose hook or gain is called with a complete, a partial and a
+    missing measurement.
+    """
     z = np.array([[1.0, 1.0], [np.nan, 1.0], [1.0, 1.0]])
     return celnav.run(celnav.ukf(MOTION, SENSOR, hooks=hooks, gain=gain), PRIOR, TIMES, z)
 
 
 def made(make):
-    """PartFilter, of one that makes a filter of a motion, a sensor and other arguments."""
+    """A wrapper for a function that makes a filter from a motion, a sensor and other arguments."""
     return lambda motion=MOTION, sensor=SENSOR, **a: flown(make(motion, sensor, **a))
 
 
@@ -350,7 +352,7 @@ NAMES = {name for _, good in DOORS.values() for name in good} | {
 
 
 def named(error):
-    """Whether an error says which argument it is about and what was expected of it."""
+    """Whether an error names the argument and what was expected."""
     said = re.match(r"(\w+)(?:, \w+)*(?: returned shape|: )", str(error))
     return (
         isinstance(error, ValueError | TypeError | celnav.FilterError)
@@ -368,8 +370,8 @@ def test_right_arguments_are_accepted(door):
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 @pytest.mark.parametrize("door", DOORS)
 def test_wrong_arguments_are_told_by_name(door):
-    """What is accepted does what it says; whatever is not is told by its name, before anything
-    takes long or much memory.
+    """An accepted argument has its stated effect; any other raises an error that names it, before
+    long or memory-consuming work.
     """
     call, good = DOORS[door]
     for argument, (what, wrong) in product(good, WRONG.items()):

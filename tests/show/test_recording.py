@@ -373,9 +373,7 @@ def test_the_viewer_draws_a_picture_without_a_screen(tmp_path):
 
 
 def test_a_picture_is_of_the_recording_at_its_time_without_the_bar(tmp_path, monkeypatch):
-    """By a viewer without a time bar; 31 of the 900 rows of its window show the
-    viewer's controls.
-    """
+    """With a stand-in for the viewer; 31 of the 900 rows of its window are the viewer's bar."""
     from PIL import Image
 
     from celnav.show import picture
