@@ -84,12 +84,12 @@ def seen(hooks=(), gain=None):
 
 
 def made(make):
-    """A wrapper for a function that makes a filter from a motion, a sensor and other arguments."""
+    """A function that runs the filter from ``make(motion, sensor, ...)``."""
     return lambda motion=MOTION, sensor=SENSOR, **a: flown(make(motion, sensor, **a))
 
 
 def of(make, *fixed):
-    """PartFilter by points and by Jacobians."""
+    """A filter with sigma points and a filter with Jacobians."""
 
     def call(**a):
         record = make(*fixed, **a)

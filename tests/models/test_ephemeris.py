@@ -1,6 +1,4 @@
-"""Ephemerides: DE421 against facts, files that are not what they should be, and the older
-ephemerides of the data.
-"""
+"""Ephemerides: DE421 against known values, invalid files, and the older ephemerides of the data."""
 
 from __future__ import annotations
 
@@ -89,7 +87,7 @@ def test_a_missing_file_is_an_error_of_the_system(tmp_path):
 # -- the older ephemerides, arrays of Chebyshev coefficients, from which the data was made ---------
 @pytest.fixture
 def older(tmp_path):
-    """A small ephemeris of polynomials, 4 sets of 8 days, and positions by it."""
+    """A small ephemeris of polynomials, 4 sets of 8 days, and positions from it."""
     values = {"jalpha": 2457300.5, "jomega": 2457332.5, "EMRAT": 81.3}
     rows = [(name.encode(), value) for name, value in values.items()]
     np.save(tmp_path / "constants.npy", np.array(rows, dtype=[("name", "S6"), ("value", "f8")]))

@@ -87,7 +87,7 @@ def test_bad_input_is_refused_by_name():
 
 
 def test_the_spin_of_axes_is_the_rotation_vector_from_each_to_the_next():
-    """Of turns from none and a microradian to nearly a right angle."""
+    """For rotations from zero and a microradian to nearly a right angle."""
     turns = np.random.default_rng(0).standard_normal((6, 3))
     turns *= (np.array([1e-6, 1e-3, 0.1, 0.7, 1.5, 0.0]) / np.linalg.norm(turns, axis=1))[:, None]
     start = Rotation.from_rotvec([0.3, -1.0, 0.5])

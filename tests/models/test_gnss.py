@@ -1,4 +1,4 @@
-"""Broadcast orbits: against two-body motion, finite differences, and forms written down anew."""
+"""Broadcast orbits: against two-body motion, finite differences, and independent formulas."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ TOE = 345600.0
 
 
 def broadcast(**changes):
-    """One MEO, one IGSO and one GEO with every correction switched on."""
+    """One MEO, one IGSO and one GEO with every correction different from zero."""
     S = 3
     values = {f.name: np.zeros(S) for f in fields(Broadcast)}
     values |= {
@@ -133,7 +133,7 @@ def by_rotations(b, s, t, mu, relativity):
 def test_satellites_are_those_of_their_interface_documents(
     toe, after, system, letter, mu, relativity
 ):
-    """Also at the ends of the week, which is the system's own, 14 s before BeiDou's."""
+    """Also at the ends of the system's week, which are 14 s before BeiDou's."""
     when = np.full(3, toe)
     b = broadcast(
         system=np.full(3, system),
@@ -180,7 +180,7 @@ def test_a_geostationary_satellite_by_the_other_formula_is_far_off():
 
 
 def two_body(r, v, dt):
-    """Kepler motion by universal variables."""
+    """Kepler motion with universal variables."""
     r0, mu = np.linalg.norm(r), GRAVITY_PARAMETER
     alpha, along = 2.0 / r0 - v @ v / mu, r @ v / np.sqrt(mu)
     x = np.sqrt(mu) * dt * alpha
@@ -195,7 +195,9 @@ def two_body(r, v, dt):
 
 
 def test_synthetic_satellites_move_as_two_bodies():
-    """Elements made from a place and a velocity give that motion again, the geostationary ones too."""
+    """Elements from a position and a velocity reproduce the motion, also for geostationary
+    satellites.
+    """
     b = synthetic(TOE)
     start = satellites(b, TOE)
     spin = ROTATION_RATE * np.stack(

@@ -20,7 +20,7 @@ J2 = 1.08262668e-3
 
 
 def random(degree):
-    """A field of random coefficients that fall as the Earth's do."""
+    """A field with random coefficients that decrease like the Earth's."""
     C, S = (
         RNG.standard_normal((2, degree + 1, degree + 1))
         * 1e-5
@@ -31,7 +31,7 @@ def random(degree):
 
 
 def places(*shape):
-    """Above all latitudes, poles and equator among them."""
+    """Places above all latitudes, including poles and equator."""
     r = RNG.standard_normal((*shape, 3))
     r.reshape(-1, 3)[:3] = [[0.0, 0.0, 1.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]]
     return 6.8e6 * r / np.linalg.norm(r, axis=-1, keepdims=True)
@@ -89,7 +89,7 @@ def test_the_potential_is_the_sum_of_its_terms_and_the_acceleration_its_slope(de
 
 
 def test_the_gradient_is_the_slope_of_the_acceleration_and_empty_space_has_none():
-    """Laplace's equation: its trace is zero, at the poles too."""
+    """Laplace's equation: the trace of the gradient is zero, also at the poles."""
     field, r = random(20), places(2, 4)
     found = field.gradient(r)
     np.testing.assert_allclose(found, slope(field.acceleration, r, 2e4), atol=1e-14)
@@ -113,7 +113,7 @@ def test_places_are_a_batch_and_orders_above_the_degree_and_sines_of_order_zero_
 
 
 def test_a_field_equals_only_itself():
-    """It can be a key, although its arrays cannot."""
+    """It can be a dictionary key, although its arrays cannot."""
     field, other = (gravity.Gravity(GM, RADIUS, np.eye(3), np.zeros((3, 3))) for _ in range(2))
     assert field == field != other
     assert len({field, field}) == 1
@@ -121,7 +121,7 @@ def test_a_field_equals_only_itself():
 
 @pytest.mark.parametrize("degree", [2, 4])
 def test_a_filter_of_it_is_compiled(degree):
-    """Recorded once, and the same as by numpy."""
+    """Recorded once, with numpy's result."""
     field = random(degree)
 
     def f(x, epoch):
@@ -142,9 +142,7 @@ def test_a_filter_of_it_is_compiled(degree):
 
 
 def test_an_orbit_on_turning_axes_is_the_one_in_space():
-    """Forces of rotating axes against ERFA's rotation from the celestial ones, over ten minutes:
-    nothing else turns the Earth.
-    """
+    """Forces in rotating axes against ERFA's rotation from celestial axes, over ten minutes."""
     field = random(4)
     h, steps, pole = 10.0, 60, (1e-6, 2e-6)
 

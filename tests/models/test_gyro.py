@@ -83,7 +83,7 @@ def test_a_gyro_without_noise_gives_the_attitude_back():
 
 @pytest.mark.parametrize("size", [1.0, 1e-4], ids=["large", "small"])
 def test_the_transition_of_errors_is_the_integral_of_their_equation(size):
-    """Of a constant rate w, errors of attitude and drift follow a' = -w x a - b, b' = 0."""
+    """For a constant rate w, errors of attitude and drift follow a' = -w x a - b, b' = 0."""
     rate, dt = size * np.array([0.3, -0.5, 0.4]), 1.5
     x = np.concatenate([at.exp(np.array([0.4, -0.7, 0.2])), [1e-3, -2e-3, 3e-3]])
     w = at.cross(rate)
@@ -96,7 +96,7 @@ def test_the_transition_of_errors_is_the_integral_of_their_equation(size):
 @pytest.mark.parametrize("T", [2, 3, 7])
 @pytest.mark.parametrize("runs", [(), (4,)], ids=["one", "runs"])
 def test_a_sample_is_the_mean_rate_and_the_drift_at_its_start(T, runs):
-    """With drifts of the T attitudes, of the T - 1 samples, or constant ones of each run."""
+    """With drifts for T attitudes, for T - 1 samples, or constant drifts for each run."""
     rng, dt = np.random.default_rng(T), 0.5
     turns, noise = 0.1 * rng.standard_normal((2, T - 1, *runs, 3))
     q = [at.exp(0.3 * rng.standard_normal((*runs, 3)))]
@@ -174,7 +174,7 @@ FORMS = pytest.mark.parametrize("form", ["square root", "covariance"])
 
 
 def f(x, epoch, *noise):
-    """The drift's noise is added; of more noises the first is that of the gyro."""
+    """The drift's noise is additive; the first noise argument is the gyro's."""
     if not noise:
         return GYRO.propagate(x, epoch.u, epoch.dt)
     y = GYRO.propagate(x, epoch.u, epoch.dt, noise[0][..., :3])
@@ -183,7 +183,7 @@ def f(x, epoch, *noise):
 
 
 def h(x, _epoch, *noise):
-    """Of more noises the last is that of the star tracker."""
+    """The last noise argument is the star tracker's."""
     return at.multiply(at.exp(noise[-1]), x[..., :4]) if noise else x[..., :4]
 
 
@@ -207,7 +207,7 @@ def filtered(parts, z, gyro, rule=unscented, form="covariance", hooks=()):
 
 
 def spread(c):
-    """Rules of the same spread c, whatever the dimension."""
+    """Rules with the same spread c for any dimension."""
     return lambda L: unscented(L, 1.0, 0.0, c - L)
 
 
@@ -293,7 +293,7 @@ def test_an_interval_without_length_is_refused():
 
 
 def test_a_body_equals_only_itself():
-    """It can be a key, although its arrays cannot."""
+    """It can be a dictionary key, although its arrays cannot."""
     body = Body(J)
     assert body == body != Body(J)
     assert len({body, body}) == 1
@@ -330,7 +330,7 @@ def test_numbers_of_a_data_sheet_by_hand():
     assert walk.sigma_v == pytest.approx(np.radians(0.005))
     assert walk.sigma_u == pytest.approx(np.radians(3.0 / 216000.0))
     assert np.isinf(walk.tau)
-    # After an hour the angle has walked 0.3 deg; the drift of the walk alone 3 deg/h.
+    # After an hour the angle random walk is 0.3 deg, and the drift of the rate random walk 3 deg/h.
     assert np.degrees(walk.rate_std(3600.0) * 3600.0) == pytest.approx(0.3)
     assert np.degrees(walk.drift_std(3600.0)) * 3600.0 == pytest.approx(3.0)
     settled = Gyro.datasheet(0.3, bias_instability=5.0, tau=600.0)

@@ -1,4 +1,6 @@
-"""The strapdown system against an integration in inertial space, its sensors against trajectories that are differentiated."""
+"""The strapdown system against an integration in inertial space, its sensors against differentiated
+trajectories.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,7 @@ SPIN = 7.2921151467e-5
 
 
 def rates(t):
-    """What ideal gyros measure, rad/s on body axes."""
+    """Measurements of ideal gyros, rad/s on body axes."""
     return np.array([0.3 * np.sin(1.1 * t), 0.2 * np.cos(0.7 * t), 0.25 + 0.2 * np.sin(0.5 * t)])
 
 
@@ -46,7 +48,9 @@ def place(latitude, height):
 
 
 def gravitation(r):
-    """Normal gravity less the centrifugal acceleration, at an Earth-fixed place; textbook formulas."""
+    """Normal gravity minus the centrifugal acceleration at an Earth-fixed place, from textbook
+    formulas.
+    """
     a, f, gm, e2 = 6378137.0, 1.0 / 298.257223563, 3.986004418e14, 6.69437999014e-3
     across, latitude, height = np.hypot(r[0], r[1]), np.arctan2(r[2], np.hypot(r[0], r[1])), 0.0
     for _ in range(8):
@@ -67,7 +71,9 @@ def gravitation(r):
 
 
 def flown(times, q, v, p):
-    """Attitude, velocity, position at the times: rotation matrices and Newton's law in inertial space, by Runge-Kutta."""
+    """Attitude, velocity and position at the times, from rotation matrices and Newton's law in
+    inertial space, by Runge-Kutta.
+    """
     local = fixed_to_local(LATITUDE)
     origin, w = place(LATITUDE, HEIGHT), np.array([0.0, 0.0, SPIN])
 
@@ -99,7 +105,7 @@ START = np.r_[at.from_euler([0.1, -0.2, 1.0]), 20.0, -10.0, 1.0, 3000.0, -5000.0
 
 
 def moved(system, times, x):
-    """The motion by itself, with the inputs in the middles of the intervals."""
+    """The motion alone, with the inputs in the middle of each interval."""
     for t, dt in zip(times[:-1], np.diff(times), strict=True):
         middle = t + 0.5 * dt
         epoch = celnav.Epoch(t=t + dt, dt=dt, u=(rates(middle), forces(middle)))
@@ -108,7 +114,7 @@ def moved(system, times, x):
 
 
 def test_the_motion_against_newton_in_inertial_space():
-    """It is of second order."""
+    """The error is of second order."""
     near = np.r_[START[:7], 0.1 * START[7:]]
     truth = flown(np.array([0.0, 10.0]), near[:4], near[4:7], near[7:])[-1]
     system, errors = inertial.strapdown(LATITUDE, HEIGHT, IMU), []
@@ -139,13 +145,15 @@ def test_gravity_away_from_the_origin(kilometers, most):
 
 @pytest.mark.parametrize("error", ERRORS)
 def test_the_process_noise_against_an_integral(error):
-    """Of the errors' linear dynamics, with white noise acting all along; what is left out is below 1 %."""
+    """An integral of the errors' linear dynamics with continuous white noise; neglected terms are
+    below 1 %.
+    """
     system = inertial.strapdown(LATITUDE, HEIGHT, IMU, error=error)
     x = np.r_[START, np.zeros(6)]
     dt, u = 0.01, (rates(0.0), forces(0.0))
 
     def jacobian(h):
-        """Of the transition over h seconds, by differences of the space."""
+        """Jacobian of the transition over h seconds, by differences of the space."""
         epoch = celnav.Epoch(dt=h, u=u)
         f, space = system.motion.f, system.space
         sides = [f(space.plus(x, s * 1e-4 * np.eye(15)), epoch) for s in (1.0, -1.0)]
@@ -194,7 +202,9 @@ SPUN = SPIN * np.array([np.cos(LATITUDE), 0.0, -np.sin(LATITUDE)])
 
 
 def ideal(t):
-    """What ideal units measure at ``t (...)``: rate and force on body axes, of the trajectory, differentiated."""
+    """Measurements of ideal units at ``t (...)``: rate and force on body axes, from the
+    differentiated trajectory.
+    """
     t = np.asarray(t)
     C = body(t)
     rate = axial(C @ slope(lambda s: body(s).swapaxes(-1, -2), t)) + C @ SPUN
@@ -234,7 +244,7 @@ def with_errors(t, states):
 @pytest.mark.parametrize("states", [(), ("lever",), ("lever", "scale")])
 @pytest.mark.parametrize("t", [0.0, 2.7, 11.0])
 def test_fixes_are_those_of_the_antenna(t, states):
-    """Of its trajectory, differentiated."""
+    """They equal the differentiated trajectory of the antenna."""
     system, x, epoch = with_errors(t, states)
     arm = LEVER + (EXTRA["lever"] if "lever" in states else 0.0)
 
@@ -248,7 +258,7 @@ def test_fixes_are_those_of_the_antenna(t, states):
 
 @pytest.mark.parametrize("t", [0.9, 2.7, 11.0])
 def test_fixes_are_later_by_the_lag(t):
-    """To second order of it."""
+    """To second order in the lag."""
     remaining = []
     for lag in (0.02, 0.01):
         system, x, epoch = with_errors(t, ("scale", "lag"))
@@ -273,7 +283,7 @@ def test_the_axle_moves_as_its_trajectory_differentiated(t, states):
 
 
 def test_at_the_first_epoch_nothing_is_known_to_turn():
-    """No interval leads up to it, so there is no input; the filter runs with each engine."""
+    """There is no interval before it, so there is no input; the filter runs with each engine."""
     system, x, _ = with_errors(0.0, NAMES)
     first = celnav.Epoch()
     sensor = system.gnss(LEVER, sigma_position=1.0, sigma_velocity=1.0)
@@ -304,7 +314,9 @@ LOW_COST = inertial.Imu(7e-4, 0.011, 3e-3, 0.1, 1e-6, 1e-4)
 
 
 def flights(system, runs, seconds, heading, seed=0):
-    """Times, inputs, fixes, truth and prior: units with errors of their own along one trajectory, fixes at 4 Hz."""
+    """Times, inputs, fixes, truth and prior: units with different errors along one trajectory,
+    fixes at 4 Hz.
+    """
     rng, imu, dt = np.random.default_rng(seed), system.imu, 0.01
     times = dt * np.arange(round(seconds / dt) + 1)
     walks = np.repeat([imu.gyro_walk, imu.accelerometer_walk], 3) * np.sqrt(dt)
@@ -372,7 +384,9 @@ def test_errors_are_as_large_as_predicted(error, kind, form):
 
 
 def test_a_poor_heading():
-    """60 degrees: the invariant error ends consistent and is never far from it; the others are overconfident."""
+    """60 degrees: the filter with the invariant error is consistent at the end and nearly so
+    before; the others are overconfident.
+    """
     values = {}
     for error in ERRORS:
         system = inertial.strapdown(LATITUDE, HEIGHT, LOW_COST, error=error)
@@ -427,7 +441,7 @@ def test_machine_code_equals_numpy_and_runs_do_not_mix(error):
 
 
 def test_parts_of_the_track_and_of_the_prior():
-    """The prior's deviations are on the axes that the error has; several headings are runs."""
+    """The prior's standard deviations refer to the axes of the error; several headings are runs."""
     angles, heading = [0.1, -0.2], np.radians([0.0, 90.0, 200.0])
     for error in ERRORS:
         system = inertial.strapdown(LATITUDE, HEIGHT, IMU, {"lag": 0.02, "mount": 0.1}, error=error)
@@ -480,7 +494,7 @@ def test_a_datasheet_in_its_units():
 
 
 def test_a_log_at_rest_tells_the_white_noise():
-    """Within the interval of the Allan deviation; also where biases walk."""
+    """Within the interval of the Allan deviation; also with random-walk biases."""
     rng, dt = np.random.default_rng(1), 0.01
     t = dt * np.arange(12000)
     rate = 2e-3 / np.sqrt(dt) * rng.standard_normal((12000, 3)) + 0.1
@@ -507,7 +521,7 @@ def test_the_allan_deviation_against_its_definition():
 
 
 def test_windows_in_which_the_unit_stands():
-    """Against a loop; a slow turn and a shaken window are none."""
+    """Against a loop; a slow turn and a shaken window do not count as standstill."""
     rng, t = np.random.default_rng(0), 0.01 * np.arange(1000)
     rate, force = 1e-3 * rng.standard_normal((2, 1000, 3))
     rate[300:420, 2] += 0.5

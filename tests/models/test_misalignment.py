@@ -1,5 +1,5 @@
-"""The inertial error model against its equations written with matrices, and against a whole
-navigation system.
+"""The inertial error model against its equations in matrix form, and against a complete navigation
+system.
 """
 
 from __future__ import annotations
@@ -169,7 +169,8 @@ def test_arguments_are_left_alone_in_any_memory_order():
 
 def test_complex_states_give_derivatives():
     nav, x, h = example(), state(), 1e-20
-    # The rate is linear in all but the angles: a difference over any length is exact there.
+    # The rate is linear in all components except the angles: a difference over any length is exact
+    # there.
     lengths = np.repeat([1e-5, 1.0, 1e-3, 1e-5, 1e-2], [3, 2, 2, 3, 3])
     for j, d in enumerate(lengths):
         step = np.imag(misalignment.derivative(x + 1j * h * np.eye(13)[j], nav)) / h
@@ -252,7 +253,7 @@ def test_a_flight_without_the_middle_of_each_step_is_refused(count):
 
 
 def test_stars_are_parallel_only_if_all_pairs_are():
-    """Two of three may be: the third direction fixes the rotation."""
+    """Two of three stars may be parallel: the third direction determines the rotation."""
     attitude, phi = (
         misalignment.misalignment_matrix(np.array([0.2, -0.5, 1.0])),
         np.array([0.3, 0.1, -0.2]),
@@ -277,7 +278,7 @@ def test_stars_are_parallel_only_if_all_pairs_are():
     ids=["one star", "one twice", "opposite", "nearly", "in one run of two"],
 )
 def test_parallel_stars_are_refused(stars):
-    """In any run: the misalignment would be an arbitrary one."""
+    """In any run, because the misalignment would be arbitrary."""
     z = np.zeros((*stars.shape[:-2], 3 * stars.shape[-2]))
     with pytest.raises(
         ValueError,

@@ -1,4 +1,4 @@
-"""Kinematic motions against the matrix exponential, over intervals of any length; flown by both
+"""Kinematic motions against the matrix exponential, over intervals of any length; run by both
 engines.
 """
 

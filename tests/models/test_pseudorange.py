@@ -1,4 +1,4 @@
-"""What a receiver sees, against light time and differences."""
+"""Measurements of a receiver, against light time and differences."""
 
 from __future__ import annotations
 

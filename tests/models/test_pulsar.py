@@ -36,8 +36,8 @@ def test_accuracy_grows_with_time_and_area():
 
 
 def test_the_delay_is_the_difference_of_distances():
-    """Roemer and parallax terms against exact geometry, with a pulsar as near as the second order
-    needs.
+    """Roemer and parallax terms against exact geometry, with a pulsar near enough to show the
+    second order.
     """
     (crab,) = pulsars(NAMES[:1])
     near = replace(crab, distance_kpc=1e4 * AU / KPC_KM)
@@ -46,7 +46,7 @@ def test_the_delay_is_the_difference_of_distances():
     source = near.distance_km * near.direction + sun  # the distance is that from the Sun
     exact = np.linalg.norm(source, axis=-1) - np.linalg.norm(source - r, axis=-1)
     geometric = timing.delay(r, sun)[:, 0] - timing.shapiro(r, sun)[:, 0]
-    # What is left is of third order, r (r / D)^2.
+    # The remaining error is of third order, r (r / D)^2.
     assert np.abs(geometric - exact).max() < 10.0 * AU * 1e-8
     assert np.abs(r @ near.direction - exact).max() > 1e3 * np.abs(geometric - exact).max()
 

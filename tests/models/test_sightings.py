@@ -1,5 +1,5 @@
-"""Sightings: angles and back, the Jacobian against differences, what the Earth hides, what angles
-cannot tell.
+"""Sightings: position to angles and back, the Jacobian against differences, stars behind the Earth,
+ambiguous angles.
 """
 
 import numpy as np
@@ -38,8 +38,7 @@ def test_angles_and_back(radius, latitude, longitude, separation, side):
     ]
     r = radius * np.array(u)
     back = position(angles(r, star_directions(separation)), separation, side)
-    # arccos near 0 or pi, and the root near the plane of the stars, cost digits: stay where they do
-    # not
+    # arccos near 0 or pi, and the root near the plane of the stars, lose digits: use other angles.
     assume(np.abs(u[0]) < 0.99)
     assert np.abs(back - r).max() < 1e-8 * radius / 7000.0
 

@@ -1,4 +1,4 @@
-"""Instants: against published values, leap seconds, and what is refused."""
+"""Instants: published values, leap seconds, and invalid arguments."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""The study of aasghqf: contract, exactness, independence of the number of runs, and what the
-ledger says.
-"""
+"""The study of aasghqf: contract, exactness, independence of the number of runs, and the ledger."""
 
 from __future__ import annotations
 
@@ -241,7 +239,7 @@ def test_only_the_misalignment_is_nonlinear(short):
 
 
 def at_rest(config, turned=None):
-    """What is known at the start of a flight without errors, with a body that is turned against it."""
+    """The observability at the start of an error-free flight, with a rotated body."""
     nav = misalignment.navigation(config.flight, 0, np.zeros(3), np.zeros(3))
     if turned is not None:
         nav = nav._replace(attitude=nav.attitude @ turned)
@@ -280,8 +278,8 @@ def test_level_flight_does_not_tell_the_vertical_bias_and_a_roll_tells_it_by_its
 
 
 def test_pieces_without_transitions_are_those_with_them():
-    """The null space of each is in that of its rates, so that the stacks of both kinds have the
-    same one.
+    """The null space of each piece is contained in the null space of its rates, so the stacks of
+    both kinds have the same null space.
     """
     x, known = (
         np.zeros(13),
@@ -323,8 +321,8 @@ def test_counts_of_points_and_what_they_save():
 
 @pytest.mark.parametrize("n", [2, 5, 13, 20, 40])
 def test_sparse_grids_have_as_many_points_as_their_polynomials(n):
-    """Isotropic, of 1, 3, 7 and 15 points, which share the middle only: closed forms of degree
-    level - 1, beside m^n.
+    """Isotropic grids from rules with 1, 3, 7 and 15 points, which share only the center: closed
+    forms of degree level - 1, compared with m^n.
     """
     assert point_count(n, 3) == 1 + 6 * n + 2 * n * n
     pairs, triples = n * (n - 1) // 2, n * (n - 1) * (n - 2) // 6
@@ -368,8 +366,8 @@ def test_small_misalignment_is_the_kalman_filter():
 
 
 def test_an_anisotropic_rule_needs_the_nonlinear_states_first_and_a_lower_root():
-    """Errors of the mean star residuals over random correlated covariances: a permuted root costs
-    57 points their accuracy.
+    """Errors of the mean star residuals over random correlated covariances: with a permuted root
+    the rule with 57 points loses its accuracy.
     """
     epoch = next(aasghqf.simulate(replace(A, steps=1), study.UNDISTURBED).epochs())
     rng, scale = np.random.default_rng(0), np.repeat([10.0 * DEGREE, 1.0], [3, 10])
@@ -399,7 +397,9 @@ def test_an_anisotropic_rule_needs_the_nonlinear_states_first_and_a_lower_root()
 
 
 def test_the_marginalized_rule_is_the_tensor_rule():
-    """Three dimensions are nonlinear, two linear given these: 3^3 x 3 points do what 3^5 do."""
+    """Three dimensions are nonlinear, two are linear given these: 3^3 x 3 points give the result of
+    3^5.
+    """
     rng = np.random.default_rng(0)
     B = rng.standard_normal((5, 2))
 
@@ -471,8 +471,8 @@ def test_weights_by_nonlinearity_on_line_are_those_of_57_points_then_of_27(short
 
 
 def test_mounting_errors_that_are_known_change_nothing():
-    """Reading K: a filter that turns what it expects as the sensors turn what they see, isotropic
-    noise and all.
+    """Reading K: a filter that rotates its prediction as the sensors rotate their measurements,
+    with isotropic noise.
     """
     config = replace(A, steps=10)
     sim, rng = (
@@ -492,8 +492,8 @@ def test_mounting_errors_that_are_known_change_nothing():
 
 
 def test_mounting_errors_turn_the_attitude_by_the_closed_form():
-    """Reading U, one fix without noise: the bias is the least-squares solution, of a common error
-    that error itself.
+    """Reading U, one fix without noise: the bias is the least-squares solution; a common error is
+    reproduced exactly.
     """
     config, mu = (
         replace(A, steps=1),
@@ -514,7 +514,7 @@ def test_mounting_errors_turn_the_attitude_by_the_closed_form():
 
 
 def test_estimated_mounting_errors_are_in_the_model(short):
-    """Reading S: at a state that has them, it expects what the sensors see."""
+    """Reading S: at a state with these errors, the prediction equals the measurement."""
     config = replace(A, steps=1)
     mu = 1e-4 * np.array([[[0.3, -0.8, 0.5], [1.1, 0.4, -0.2]]])
     sim = aasghqf.simulate(config, [generator(0, 0, 0)])
@@ -582,8 +582,8 @@ def test_iterations_are_the_posterior_linearization_filter_written_out(form, nam
 
 
 def test_the_unscented_filter_sees_the_bend_of_the_stars_in_two_of_six_directions():
-    """Its points move one angle at a time: where two bend a star together it takes the star for
-    straight, and for that precise.
+    """Its points move one angle at a time. If two angles together bend a star's measurement, the
+    filter treats it as linear and as precise.
     """
     sim = aasghqf.simulate(A, study.UNDISTURBED)
     epoch, fine = next(sim.epochs()), tensor_product(gauss_hermite(3, 20), simplex(10))
@@ -598,8 +598,8 @@ def test_the_unscented_filter_sees_the_bend_of_the_stars_in_two_of_six_direction
 
 
 def test_three_linearizations_of_the_first_fix_leave_no_filter_overconfident():
-    """One about an error of e rad leaves out e^2 / 2: 10 deg leave 1 deg, this 30 arcsec, these
-    nothing beside the noise.
+    """A linearization about an error of e rad neglects e^2 / 2: 10 deg give 1 deg, 1 deg gives 30
+    arcsec, and 30 arcsec gives an error far below the noise.
     """
     config = replace(PRESETS["A-slow"], steps=10)
     sim = aasghqf.simulate(config, [generator(12, 0, r) for r in range(200)])
@@ -645,8 +645,8 @@ def test_of_a_prior_of_45_degrees_iterations_may_end_in_other_angles_but_of_the_
 
 # -- six states ------------------------------------------------------------------------------------
 def test_six_states_are_those_of_the_error_model_without_the_others():
-    """The filter of six states does what that of 13 states does where the other seven have no error
-    and do not move.
+    """The filter with six states equals the filter with 13 states if the other seven states have no
+    error and do not move.
     """
     config = replace(study.SIX, steps=8)
     sim, known, prior = scenario.six_states(config, [generator(7, 0, r) for r in range(3)])
@@ -679,8 +679,8 @@ def test_times_to_a_tenth_and_what_three_conditions_make(results):
     row = next(row for row in study.ROWS if row.id.startswith("sghqf-beats"))
 
     def verdict(ekf, ukf, ghqf, operations=1.0):
-        """RMSE of the filters in that of SGHQF, constant over time; half of them at once below a
-        tenth of the initial error.
+        """RMSE of the filters over the RMSE of SGHQF, constant over time; half of the filters are
+        at once below a tenth of the initial error.
         """
         noise = np.random.default_rng(0).uniform(0.9, 1.1, (3, 40, 3))
         sizes = {"sghqf": 1.0, "ekf": ekf, "ukf": ukf, "ghqf": ghqf}

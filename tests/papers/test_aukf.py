@@ -1,4 +1,4 @@
-"""The BeiDou paper: its track, its sky, and filters that are the same where they must be."""
+"""The BeiDou paper: its track, its sky, and filters that must agree."""
 
 from __future__ import annotations
 
@@ -112,12 +112,12 @@ def test_in_a_burst_adaptation_helps(errors):
 
 
 def test_models_that_take_turns_tell_a_maneuver_from_noise():
-    """As in the notebook on methods, shorter: a turn from 4 to 8 s, and a burst from 11 to 13 s in
-    straight flight.
+    """As in the notebook on methods, but shorter: a turn from 4 to 8 s, and a noise burst from 11
+    to 13 s in straight flight.
 
-    The window takes the turn for noise where the process noise has none, and pays in straight
-    flight where it has. Two process noises that take turns do neither, but have no model of the
-    burst; with a second noise of the ranges they do.
+    The window treats the turn as noise if the process noise does not cover it, and is less accurate
+    in straight flight if it does. An IMM with two process noises avoids both, but has no model of
+    the burst; with a second noise of the ranges it has one.
     """
     turning = replace(PRESETS["burst"], turn_s=(4.0, 8.0), burst_s=(11.0, 13.0), duration_s=13.0)
     straight, sim = (
@@ -185,9 +185,7 @@ def test_batches_are_singles(errors):
 
 
 def test_every_rule_moves_a_linear_model_alike():
-    """The prediction is a matrix: the unscented filter drawn through it is that which is moved by
-    its Jacobian.
-    """
+    """The prediction is a matrix: propagating sigma points gives the same result as the Jacobian."""
     sim, S = simulate(SHORT, runs(2)), len(visible(SHORT).names)
     rule = unscented(8, 1.0, 2.0, 0.0)
     plain = adapted(SHORT, S, rule)
@@ -252,7 +250,7 @@ def test_without_drawing_anew_the_gain_lacks_the_process_noise():
         for n, t in tracks.items()
     }
     assert sizes["no redraw"] > 3.0 * sizes["ukf"]
-    # Without process noise there is nothing to lack.
+    # Without process noise no hook can lack any.
     still = replace(
         SHORT,
         acceleration_noise_m2_per_s3=1e-12,
@@ -369,7 +367,7 @@ def test_a_linear_measurement_makes_all_of_them_the_textbooks_filter(alpha):
 
 
 def test_without_satellites_it_is_a_prediction():
-    """One of two runs is blind: the hooks see both."""
+    """One of two runs has no measurements; the hooks are called with both."""
     sim = simulate(replace(SHORT, duration_s=1.0), runs(2))
     z = sim.z.copy()
     z[:, 0] = np.nan
@@ -402,7 +400,9 @@ def test_the_smallest_window_takes_each_innovation_for_itself():
 
 
 def test_factors_of_the_noise_are_told_by_what_is_struck():
-    """Means and fractions, of disturbed and undisturbed ranges apart; 1 for a missing range."""
+    """Means and fractions, separately for disturbed and undisturbed ranges; 1
+    for a missing range.
+    """
     S, missing = 3, np.array([[1.0, 9.0, np.nan, 1.0, 4.0, 1.0]])
     R = np.repeat([SHORT.sigma_range_m, SHORT.sigma_rate_m_per_s], S) ** 2
     track = SimpleNamespace(extra={"R": missing * R})
@@ -423,7 +423,7 @@ def test_factors_of_the_noise_are_told_by_what_is_struck():
 
 # -- the state as an error -------------------------------------------------------------------------
 def of_errors(filter, form):
-    """The same filter of the errors of a nominal state, which is the last input of an epoch."""
+    """The same filter for the errors of a nominal state, which is the last input of an epoch."""
 
     def slopes(d, epoch):
         return pseudorange.jacobian(
@@ -441,7 +441,9 @@ def of_errors(filter, form):
 
 
 def apart(sim, name, form):
-    """Estimates of the error form less those of the full state, and the nominal state at the end."""
+    """Estimates of the error-state filter minus those of the full-state filter, and the last
+    nominal state.
+    """
     full, x, out = filters(sim.config)[name], sim.prior.mean, []
     filter, other = of_errors(full, form), full.start(sim.prior)
     state = filter.start(Gaussian(0.0 * x, sim.prior.cov))
@@ -499,14 +501,14 @@ def test_what_is_linearized_once_for_all_is_off_by_the_curvature_of_the_range():
         H.mT @ np.linalg.solve(R, H), H.mT @ np.linalg.solve(R, curved[..., None])
     )[:, :3, 0]
     np.testing.assert_allclose(off[-1, :, :3], fit, atol=0.2 * np.abs(fit).max())
-    # With the exact measurement it is only the gain that is linearized elsewhere.
+    # With the exact measurement only the gain is linearized at another state.
     assert np.abs(apart(sim, "ekf", "slopes")[0][..., :3]).max() < 0.05 * np.abs(off[..., :3]).max()
 
 
 # -- the window ------------------------------------------------------------------------------------
 def walk(hook, z, R=4.0, Q=1.0, apply=True):
-    """Factors of a hook in a scalar Kalman filter of a random walk, which heeds them or not; its
-    gains and innovation variances.
+    """Factors of a hook in a scalar Kalman filter for a random walk, which uses or ignores them;
+    its gains and innovation variances.
     """
 
     def seen(memory, joint, epoch):
@@ -596,8 +598,8 @@ def test_all_ranges_too_long_are_a_step_of_the_clock():
     np.testing.assert_allclose(
         steps["ls"][25][:, [0, 1, 2, 6]], [[0.0, 0.0, 0.0, 50.0]] * 3, rtol=0, atol=1e-5
     )
-    # A filter that knows its clock takes a part of it for position; what no state explains is blind
-    # to it.
+    # A filter with an exact clock state assigns a part of the fault to position; the parity
+    # residual is independent of it.
     assert np.linalg.norm(steps["ukf"][29, :, :3], axis=-1).min() > 5.0
 
     def blind(memory, joint, epoch):
@@ -702,11 +704,11 @@ def test_the_rate_is_that_of_the_range():
 
 
 def test_operations_of_a_step_grow_by_what_the_measurement_does_at_each_point():
-    """A magnitude more for each measured value: at the 17 points of the UKF, once in the EKF,
-    whatever the engine.
+    """One more square root for each predicted measurement: at the 17 points of the UKF, once in the
+    EKF, with each engine.
 
-    Two points move the drift of the clock alone: their ranges are the center's, and are not
-    computed again.
+    Two points differ only in the clock drift: their ranges equal the center's, and are not computed
+    again.
     """
     config = replace(SHORT, duration_s=0.1, burst="none", mask_deg=50.0)
     sim = simulate(config, runs(1))
@@ -741,8 +743,8 @@ def test_a_gap_is_compared_with_that_of_the_right_noise():
 
 
 def test_which_half_of_a_statement_holds():
-    """In part: an error that is larger, by any factor, and slow starts; sooner after the burst,
-    though later from afar.
+    """In part: an error that is larger by any factor, and slow starts; a faster recovery after the
+    burst, but a slower start from far away.
     """
     rows = {row.id: row for row in aukf.STUDY.rows}
     times = np.arange(0.0, 90.05, 0.1)
@@ -879,7 +881,9 @@ def test_an_absent_receiver_is_absent_and_a_folder_without_files_is_told(tmp_pat
 
 
 def test_a_receivers_files_make_a_part_of_their_own(tmp_path):
-    """A short log of the synthetic sky; what a real day gives, `celnav reproduce --rinex` says."""
+    """A short log of the synthetic constellation; `celnav reproduce --rinex`
+    computes a real day.
+    """
     sky, times = constellation(), TOE + 1800.0 + 10.0 * np.arange(120)
     written(tmp_path, observations(sky, times)[0], "TEST_MO.rnx")
     written(tmp_path, navigation(sky), "TEST_MN.rnx")

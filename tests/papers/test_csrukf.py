@@ -35,7 +35,7 @@ PRINTED = """
 40.373 34.767 31.659 10.281 10.479 11.694
 0.6935 0.5870 0.9375 0.8720 0.6347 0.6273
 """
-"""Tables 1, 2 and 3, as the paper has them."""
+"""Tables 1, 2 and 3 as printed in the paper."""
 
 
 @pytest.fixture(scope="module")
@@ -144,8 +144,8 @@ def test_linear_theory_has_the_values_of_an_independent_prototype():
 
 @pytest.mark.parametrize(("preset", "averaged"), [("P", False), ("B", True)])
 def test_tables_1_and_2_come_out_together(preset, averaged):
-    """R.m.s. factor over eight lengths, position and velocity of two filters, by linear theory:
-    what P and B were fitted to.
+    """RMS factor over eight lengths, position and velocity of two filters, from linear theory: the
+    quantity to which P and B were fitted.
     """
     expected, logs = study.expected(csrukf.PRESETS[preset], (0.0, 1.0)), []
     for i, table in enumerate((study.TABLE_1, study.TABLE_2)):
@@ -172,8 +172,8 @@ def test_monte_carlo_follows_linear_theory_within_its_scatter():
 
 
 def conditioned(F, H, Phi, Q, R, P0, Sigma0):
-    """Covariances of the last state of a linear system given all measurements, and given their
-    differences only: by conditioning the joint of everything, written out.
+    """Covariances of the last state of a linear system given all measurements, and given only their
+    differences, by conditioning the joint of all variables, written out.
     """
     T, n = len(F), len(P0)
     roots = [P0, *[Q] * T, Sigma0, *[R] * T]
@@ -192,8 +192,8 @@ def conditioned(F, H, Phi, Q, R, P0, Sigma0):
 
 @pytest.mark.parametrize("phi", [0.0, 0.8, 1.0])
 def test_the_bound_of_all_measurements_is_below_that_of_their_differences(phi):
-    """CSRUKF reaches the second. A filter that uses the samples themselves, as SRUKF does, has to
-    obey the first only.
+    """CSRUKF attains the second bound. A filter that uses the samples themselves, such as SRUKF, is
+    limited only by the first.
     """
     config = replace(csrukf.PRESETS["P"], steps=12)
     F, Phi = orbit.transition(config.nominal()[:-1], config.step_s), phi * np.eye(3)
@@ -207,7 +207,9 @@ def test_the_bound_of_all_measurements_is_below_that_of_their_differences(phi):
 
 
 def test_no_filter_of_any_setting_is_better_than_any_filter():
-    """SRUKF is one of them. By the bound of differences it would be in many settings."""
+    """SRUKF is one of these filters. It is better than the bound from
+    differences in many settings.
+    """
     gain = study.settings(50, csrukf.PRESETS["P"], [generator(0, 20, 0)])["gain"]
     assert (gain >= 1.0).all()
 

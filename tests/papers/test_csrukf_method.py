@@ -1,5 +1,5 @@
-"""The covariance of csrukf in five forms: where each loses digits; and closed forms of what a
-larger Phi costs.
+"""The covariance of csrukf in five forms, and where each loses digits; closed forms for the loss
+from a larger Phi.
 """
 
 from __future__ import annotations
@@ -28,7 +28,9 @@ def posterior(form, spread, D, E, sqrt_R):
 
 
 def scalar(form, e, make=np.array):
-    """The variance that is left of 1 by a measurement of deviation ``e``; e^2 / (1 + e^2) is right."""
+    """The variance after a prior variance of 1 and a measurement with standard deviation ``e``; e^2
+    / (1 + e^2) is correct.
+    """
     one = make([[1.0]])
     return posterior(form, one, one, one, make([[e]]))[0, 0]
 
@@ -89,7 +91,7 @@ def test_factorizations_are_those_of_lapack_and_stay_in_single_precision():
 
 
 def test_what_is_small_keeps_its_digits_where_what_is_large_stands_first():
-    """A reflection that begins with the noise of a precise measurement leaves half of them."""
+    """A reflection that starts with the noise of a precise measurement keeps half of the digits."""
     large, small = np.array([[1.0], [1.0]]), np.array([[1e-6], [0.0]])
     first, last = (
         method.tria(np.concatenate(columns, -1))[1, 1]
@@ -137,8 +139,8 @@ def test_every_form_is_the_library_s_filter(changes, name, form):
 
 @pytest.mark.parametrize("phi", [0.0, 0.5, 0.9])
 def test_what_color_costs_the_mean_of_samples(phi):
-    """A constant in stationary noise: the best estimate, and the mean of the samples, which is that
-    of a filter for white noise.
+    """A constant in stationary noise: the best estimate, and the mean of the samples, which is the
+    estimate of a filter for white noise.
     """
     N, one, R, far = 40, np.ones((1, 1)), 0.04, 1e8 * np.ones((1, 1))
     first = R / (1.0 - phi**2)
@@ -156,8 +158,8 @@ def test_what_color_costs_the_mean_of_samples(phi):
 
 @pytest.mark.parametrize("N", [2, 30])
 def test_larger_phi_worse_is_no_theorem(N):
-    """The slope of a line, nothing known of its start: of two samples a random walk tells more than
-    white noise, of many less.
+    """The slope of a line with unknown start: with two samples it is more precise in random-walk
+    noise than in white noise, with many samples less.
     """
     F, H, R = np.tile([[1.0, 1.0], [0.0, 1.0]], (N - 1, 1, 1)), np.eye(1, 2), 0.04 * np.ones((1, 1))
     white, walk = (

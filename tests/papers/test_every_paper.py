@@ -1,4 +1,4 @@
-"""What holds for the studies of all papers."""
+"""Properties of the studies of all papers."""
 
 from __future__ import annotations
 
@@ -34,12 +34,14 @@ BY_ENGINE = {
     "aasghqf": ["bound"],
     "aukf": ["near/Q 1"],
 }
-"""Parts by paper that are run by both engines. Between them they have the filters that compile."""
+"""Parts by paper that are run by both engines. Together they contain all filters that compile."""
 
 
 @pytest.mark.parametrize("paper", PAPERS)
 def test_neither_verdicts_nor_numbers_depend_on_the_engine(paper, monkeypatch):
-    """So few runs repay no compiling, so that all is numpy's; here all is compiled that can be."""
+    """With so few runs compiling is not worthwhile and numpy would run all filters; here every
+    filter is compiled if possible.
+    """
     study = load(paper).STUDY
     by_numpy = once(study)
     monkeypatch.setattr(compiled, "operation_limit", lambda *_work: compiled.MOST_AUTO)
@@ -63,9 +65,7 @@ STUDIES = {name: partial(load, name) for name in PAPERS} | {
 
 @pytest.mark.parametrize("name", STUDIES)
 def test_each_sentence_of_an_answer_rests_on_rows_that_are_expected_to_bear_it(name):
-    """A verdict that is expected to turn takes the sentence with it, and so does a number that it
-    is made of.
-    """
+    """A changed verdict removes the sentence, and so does a changed number in it."""
     study = STUDIES[name]().STUDY
     expected = {row.id: row.expected or WORDS[row.kind][0] for row in study.rows}
     assert study.found

@@ -1,5 +1,5 @@
-"""A study of one's own: the one that `celnav new` writes runs, and what is wrong with a file is
-told before anything runs.
+"""A user's study: the template from `celnav new` runs, and faults in a file are reported before
+anything runs.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ FEW = ["--effort", "0.02", "--jobs", "1"]
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """Where one works, with the template in it."""
+    """A working folder with the template."""
     monkeypatch.chdir(tmp_path)
     assert cli.main(["new", "study.py"]) == 0
     return tmp_path
@@ -97,7 +97,7 @@ def test_the_page_on_studies_shows_what_is_written():
 
 
 def test_papers_are_made_of_the_same_names():
-    """``celnav.study`` has no names of its own: those of the template are what papers import."""
+    """``celnav.study`` defines no names: the template imports the same names as the papers."""
     names = set(re.findall(r"celnav\.study\.(?:numbers\.)?(\w+)", TEMPLATE)) - {"numbers"}
     assert names >= {"Study", "Timed", "consistency", "monte_carlo", "param", "statement"}
     rows = {"statement"}  # of papers, in ledger.toml
@@ -109,7 +109,7 @@ def test_papers_are_made_of_the_same_names():
 
 
 def test_the_template_runs_where_nothing_of_celnav_lies(folder):
-    """As its users have it: a process of its own, in a folder of their own."""
+    """As a user runs it: in a separate process and folder."""
     command = [
         sys.executable,
         "-m",
@@ -160,7 +160,7 @@ def test_modules_beside_the_file_belong_to_it(folder):
 
 
 def test_processes_give_the_same_and_refuse_a_file_that_has_changed(folder):
-    """Real ones: functions of the file go to them by the file's place and hash."""
+    """Real processes: functions of the file are sent as the file's path and hash."""
     for jobs, out in (("1", "one"), ("2", "two")):
         words = ["reproduce", "study.py", "--effort", "0.5", "--jobs", jobs, "--out", out]
         subprocess.run([sys.executable, "-m", "celnav", *words], check=True, capture_output=True)

@@ -1,5 +1,5 @@
-"""The attitude paper: its filters are one filter, settle where theory says, and differ where a
-single vector is measured.
+"""The attitude paper: its filters agree, settle at the theoretical values, and differ if a single
+vector is measured.
 """
 
 from __future__ import annotations
@@ -79,8 +79,8 @@ def test_the_filters_are_one_filter(sim):
 def test_at_equal_spread_switching_is_full_augmentation(sim, c):
     known = filters(sim.config, c=c)
     a = run(known["aukf"], sim.prior, sim.epochs())
-    # In parameters the angle of a star's noise is 4 tan(angle / 4), and Q is a series in the
-    # interval.
+    # In modified Rodrigues parameters a star's noise angle is 4 tan(angle / 4), and Q is a series
+    # in the interval.
     for name, most, rtol in (("ssukf", 1e-7, 1e-9), ("pa", 1e-7, 1e-8), ("ma", 1e-4, 1e-5)):
         b = run(known[name], sim.prior, sim.epochs())
         assert apart(a, b) < most, name
@@ -366,8 +366,8 @@ SQUARE = {"rule": lambda n: unscented(n, kappa=3.0 - n), "form": "covariance"}
 
 @pytest.mark.parametrize("through", ["process", "measurement"])
 def test_the_side_that_is_augmented_knows_the_square_of_its_noise(through):
-    """Scalar ``x + w^2`` has mean ``x + q`` and variance ``P + 2 q^2``; linearized about ``w = 0``
-    the noise is not there.
+    """The scalar ``x + w^2`` has mean ``x + q`` and variance ``P + 2 q^2``; linearized about
+    ``w = 0`` the noise vanishes.
     """
     prior, q = Gaussian(np.array([2.0]), np.array([[0.5]])), 0.3
 
@@ -393,8 +393,8 @@ def test_the_side_that_is_augmented_knows_the_square_of_its_noise(through):
 
 
 def test_noise_of_a_turning_gyros_scales_tells_no_side_from_another():
-    """The rate is ``1 + s`` times what is measured less drift and noise, ``s`` of 0.01 anew in each
-    sample.
+    """The rate is ``1 + s`` times the measurement minus drift and noise; ``s`` with σ 0.01 is drawn
+    for each sample.
     """
     config, runs = replace(study.COARSE, duration_s=20.0), [generator(0, 31, r) for r in range(50)]
     sim, gyro, dt = simulate(config, runs), config.gyro, config.step_s
@@ -438,7 +438,7 @@ def test_noise_of_a_turning_gyros_scales_tells_no_side_from_another():
 
 
 class Counting(float):
-    """A float that counts what is done to it."""
+    """A float that counts its operations."""
 
     count = 0
 
@@ -486,8 +486,8 @@ def plain_python(noise, dense, per, monkeypatch):
 
 
 def test_operations_are_those_that_plain_python_does(result, monkeypatch):
-    """Written otherwise, point by point on floats, it takes other numbers of operations, but saves
-    the same part of them.
+    """In another form, point by point on floats, it takes other numbers of operations, but saves
+    the same fraction.
     """
     each = {}
     for roots in study.ROOTS:
@@ -505,7 +505,7 @@ def test_operations_are_those_that_plain_python_does(result, monkeypatch):
             ), (roots, per)
             for name in benchmark.POINTWISE:
                 each[name, roots, per] = own[name], other[name]
-                # What only the tape counts: choices of a sign, and of what is no root.
+                # Only the tape counts selections of a sign and of invalid roots.
                 assert 1.0 < own[name] / other[name] < 1.25
     # Each prediction takes as many operations as any other. Factoring the whole joint covariance
     # costs the AUKF as much in an update as in a prediction, for it has the same noise in both.
@@ -570,8 +570,8 @@ def test_means_of_quaternions_have_their_closed_forms(result):
 
 @pytest.mark.parametrize("ratio", [5.0, 8.0, 16.0])
 def test_heads_at_right_angles_have_no_weak_axis(ratio, monkeypatch):
-    """What both measure together, in closed form, and what settles with it, whatever the chosen
-    noise about the line of sight.
+    """The combined information of both heads in closed form, and the steady state with it, for any
+    assumed noise about the line of sight.
     """
     monkeypatch.setattr(study, "ABOUT", ratio)
     settled = {}
@@ -594,7 +594,7 @@ def test_heads_at_right_angles_have_no_weak_axis(ratio, monkeypatch):
 
 
 def test_two_heads_one_after_the_other_are_one_with_their_noise_together(sim):
-    """And the SSUKF has of them what the MEKF has."""
+    """And the SSUKF gives the result of the MEKF."""
     roots = [sim.config.sigma_n * np.diag(d) for d in ([8.0, 1.0, 1.0], [1.0, 8.0, 1.0])]
     weights = [np.linalg.solve(root @ root, np.eye(3)) for root in roots]
     together = np.linalg.solve(sum(weights), np.eye(3))
@@ -709,8 +709,8 @@ def test_usque_is_that_of_the_textbook(sim):
 
 
 def careless_mekf(sim, *, gibbs):
-    """A multiplicative extended filter, 4 Hz; ``gibbs``: whether residual and update speak the same
-    language.
+    """A multiplicative extended filter, 4 Hz; ``gibbs``: whether residual and update use the same
+    parameters.
     """
     c, gyro, T = sim.config, sim.config.gyro, 1.0 / sim.config.star_hz
     runs = len(sim.prior.mean)
@@ -791,7 +791,7 @@ def test_dense_roots_and_total_attitudes_are_the_same_filters(sim):
 
 
 def test_variants_give_the_same_in_square_root_form(sim):
-    """A covariance under the name of a root lost all runs, or ten times the accuracy."""
+    """With a covariance in place of a root all runs failed, or the error was ten times larger."""
 
     def total(config, form):
         return {"ssukf": study.total_filter(config, form=form)}
@@ -849,8 +849,7 @@ def test_the_total_form_switches_its_parameters_with_the_covariance():
     )
     points = total.plus(q, deviations)
     moved = attitude.positive(attitude.multiply(step, points))
-    # The center has switched: its parameters are those of -179 deg. Differences are taken on its
-    # side.
+    # The center has switched to the parameters of -179 deg. Differences are taken on the same side.
     assert moved[0] @ attitude.multiply(step, points)[0] < 0.0
     differences = total.minus(moved, moved[0])
     assert np.abs(differences).max() < 2e-5

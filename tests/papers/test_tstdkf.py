@@ -1,6 +1,4 @@
-"""The pulsar paper: its ephemerides, its noises, filters that are the same where they must be, and
-the ledger.
-"""
+"""The pulsar paper: its ephemerides, its noises, filters that must agree, and the ledger."""
 
 from __future__ import annotations
 
@@ -123,14 +121,14 @@ def test_other_ephemerides():
 
 
 def test_planets_of_de440_are_those_of_the_longer_table():
-    """Made apart, every eight days."""
+    """Computed separately, every eight days."""
     dates, differences = study.ephemerides()
     mjd = (dates.day - 2400000.5) + np.asarray(dates.rest)[::8]
     years = read_npz(data("ephemeris_years.npz"))
     for body in ("earth", "sun"):
         other = CubicSpline(years["mjd"], years[f"de440-de421/{body}"])(mjd)
         np.testing.assert_allclose(differences[f"de440/{body}"], other, atol=1e-4)
-    # By DE405 the Moon is about as far off as the Earth.
+    # In DE405 the Moon's error is about as large as the Earth's.
     earth, moon = differences["de405/earth"][::8], differences["de405/moon"]
     assert 1e-5 < np.abs(earth - moon).max() < 0.02
 
@@ -312,7 +310,8 @@ def test_noises_are_stationary_and_correlated_as_the_model_has_them():
         np.testing.assert_allclose(
             V.std(0), config.sigma_km / np.sqrt(0.75), rtol=4.0 / np.sqrt(600.0)
         )
-    # W = J V + Q: what is left of the flow, in units of its deviation, goes with V.
+    # W = J V + Q: the residual of the flow, in units of its standard deviation, is proportional to
+    # V.
     k = len(sim.z) - 1
     moved = flow(sim.truth[k - 1], config.step_s)
     W = np.linalg.solve(moved.G, (sim.truth[k] - moved.state)[..., None])[..., 0]
@@ -370,7 +369,9 @@ def test_the_exact_filter_is_the_two_stages_where_the_bias_is_constant():
 
 
 def test_nine_states_are_the_two_stages_where_the_bias_is_constant_or_walks():
-    """With M_0 = 0 and no walk they are the EKF; without a slope the bias stays at its prior."""
+    """With M_0 = 0 and no random walk they equal the EKF; with Gamma = 0 the bias remains at its
+    prior.
+    """
     for walk in (0.0, 1e-3):
         config = replace(YEAR, days=0.5, walk_km=walk)
         known, sim = filters(config, LINEAR), linearized([config], runs(3))
@@ -398,8 +399,8 @@ def test_nine_states_are_the_two_stages_where_the_bias_is_constant_or_walks():
 
 
 def test_a_constant_bias_is_followed_by_a_gain_that_falls():
-    """A scalar bias that is constant: the gain after k timings is 1 / k, so that the lag behind a
-    ramp grows as k / 2.
+    """For a constant scalar bias the gain after k timings is 1 / k, so the lag behind a ramp grows
+    as k / 2.
     """
     R, prior, times = 1.0, Gaussian(np.zeros(1), 1e6 * np.eye(1)), np.arange(401.0)
     track = run(
@@ -557,7 +558,8 @@ def test_the_linear_driver_is_the_nonlinear_one():
     for name in ("ekf", "tkf", "tdkf", "C", "B", "aug"):
         for trend in study.TRENDS:
             a, b = (found[f"{trend}/{name}/error"][20:, :, 0] for found in (linear, other))
-            # A kilometer off the nominal orbit, curvature makes some meters in the first turns.
+            # One kilometer from the nominal orbit, the curvature causes errors of some meters in
+            # the first revolutions.
             np.testing.assert_allclose(a, b, atol=0.02, err_msg=name)
 
 
@@ -617,7 +619,7 @@ def test_color_of_the_process_noise_alone_is_nearly_exact():
 
 
 def test_what_pulls_in_the_truth_is_what_the_filter_may_model():
-    """A filter that models Sun and Moon sees the same residuals as one without them of a truth
+    """A filter that models Sun and Moon has the same residuals as a filter without them on a truth
     without them.
     """
     config = replace(WHITE, days=0.25)

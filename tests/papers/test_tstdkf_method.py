@@ -1,5 +1,5 @@
-"""The differenced stage: the cases in which it is exact, its own algebra in joint form, the bias's
-way through it; its boosts.
+"""The differenced stage: the cases in which it is exact, its algebra in joint form, the effect of a
+bias, and its boosts.
 """
 
 from __future__ import annotations
@@ -100,8 +100,8 @@ def test_white_noise_that_is_correlated_is_exact(coupling):
     ("F", "L", "coupling"), [(0.5, 0.5, 1.0), (0.8, 0.0, 0.5), (0.0, 0.9, 0.0), (0.5, 0.5, 0.0)]
 )
 def test_its_covariances_are_those_of_a_consider_filter(F, L, coupling):
-    """Joint covariance of (x, V, Q), with a gain that leaves V and Q alone: the same numbers
-    without any of the algebra.
+    """The joint covariance of (x, V, Q), with a gain that does not change V and Q, gives the same
+    numbers without that algebra.
     """
     noise, first = stage(F, L, coupling)
     n, m, q = N, M, N
@@ -155,8 +155,8 @@ def test_its_covariances_are_those_of_a_consider_filter(F, L, coupling):
     ("F", "L", "coupling"), [(0.5, 0.5, 1.0), (0.8, 0.3, 0.5), (0.0, 0.9, 2.0)]
 )
 def test_conditioning_is_the_filter_that_is_written_out(F, L, coupling):
-    """Gain and all, without a joint belief: correlations of the estimate with Q and V by their own
-    recursions.
+    """Also the gain, without a joint belief: correlations of the estimate with Q and V from
+    separate recursions.
     """
     noise, first = stage(F, L, coupling)
     z, mean, P, DQ, DV = measured(runs=1)[:, 0], np.zeros(N), P0, np.zeros((N, N)), np.zeros((N, M))
@@ -180,7 +180,7 @@ def test_conditioning_is_the_filter_that_is_written_out(F, L, coupling):
 
 @pytest.mark.parametrize(("F", "L"), [(0.8, 0.0), (0.5, 0.9), (-0.9, 0.5)])
 def test_the_first_measurement_is_exact(F, L):
-    """By conditioning the joint of (x, V, Q) as a whole, whatever the colors are."""
+    """By conditioning the complete joint of (x, V, Q), for any correlation of the noises."""
     noise, first = stage(F, L, coupling=5.0)
     W = np.hstack([PHI, G @ noise.J, G])  # x' of (x, V', Q')
     C = np.zeros((2 * N + M, 2 * N + M))
@@ -206,7 +206,7 @@ def test_the_first_measurement_is_exact(F, L):
 
 
 def test_the_first_variance_is_that_of_samples():
-    """One state, F = 0.8: of 1.21 that were claimed there are 0.60."""
+    """One state, F = 0.8: the true variance is 0.60, not the predicted 1.21."""
     one, runs = np.eye(1), 40_000
     noise = ar1_noise(0.8 * one, 0.0 * one, 2.0 * one, 0.36 * one, 0.5 * one)
     first = Differenced(
@@ -243,7 +243,9 @@ def test_a_lost_run_does_not_begin_its_neighbors_anew():
 
 
 def test_process_noise_of_one_color_is_nearly_exact():
-    """Against the filter that has Q among its states; dropping the correlation loses much more."""
+    """Compared with the filter that has Q in its state; neglecting the
+    correlation loses much more.
+    """
     z, L = measured(runs=1), 0.9
     noise, first = stage(L=L)
     A = np.block([[PHI, G * L], [np.zeros((N, N)), L * np.eye(N)]])
@@ -266,7 +268,7 @@ def test_process_noise_of_one_color_is_nearly_exact():
 
 
 class Forgetful(Differenced):
-    """The stage, but it loses the correlation with the process noise."""
+    """The stage without the correlation with the process noise."""
 
     def update(self, state, epoch):
         state, seen, info = super().update(state, epoch)
@@ -326,8 +328,8 @@ def test_factors_compare_a_window_of_residuals_with_their_variances():
 
 
 def test_of_consistent_white_residuals_form_c_tends_to_one_and_form_b_to_rho():
-    """And a step of their variance is followed as 1 - (1 - 1 / tau)^j, the first tau of them by
-    their plain mean.
+    """After a step of their variance the estimate follows 1 - (1 - 1 / tau)^j; the first tau epochs
+    use the plain mean.
     """
     residuals, made = np.random.default_rng(4).standard_normal((4000, 2)), {}
     for form in (False, True):
