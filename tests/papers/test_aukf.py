@@ -250,7 +250,7 @@ def test_without_drawing_anew_the_gain_lacks_the_process_noise():
         for n, t in tracks.items()
     }
     assert sizes["no redraw"] > 3.0 * sizes["ukf"]
-    # Without process noise no hook can lack any.
+    # Without process noise it makes no difference whether the points are redrawn.
     still = replace(
         SHORT,
         acceleration_noise_m2_per_s3=1e-12,

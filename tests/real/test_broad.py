@@ -1,5 +1,5 @@
-"""A sensor in a hand: made trials in the fields of BROAD's files, damaged ones, and real ones
-beside the checkout.
+"""A sensor in a hand: simulated trials with the fields of BROAD's files, damaged trials, and real
+trials if available.
 """
 
 from __future__ import annotations
@@ -31,7 +31,9 @@ real_only = pytest.mark.skipif(not REAL.is_dir(), reason="no real files beside t
 
 @cache
 def made():
-    """A trial: six seconds at rest, then a hand that turns and shakes; fields as BROAD has them."""
+    """A simulated trial: six seconds at rest, then a hand that turns and shakes; with BROAD's
+    fields.
+    """
     rng, S = np.random.default_rng(0), int(30.0 * HZ)
     t = np.arange(S) / HZ
     on = np.clip(t - 6.0, 0.0, 1.0)[:, None]
@@ -78,7 +80,7 @@ def test_a_made_trial_is_followed_and_missing_samples_cost_nothing_but_themselve
     )
     rmse = np.sqrt(np.nanmean(np.square(errors), (0, 1)))
     assert (rmse < [3.0, 3.0, 1.0]).all(), rmse
-    # The made field is the same everywhere, and nothing is skewed: errors are small.
+    # The simulated field is uniform and nothing is skewed, so errors are small.
     assert np.nanmean(out["mekf/nees"][100:, 1]) / 3.0 < 2.0
     assert (np.nanmean(out["mekf/std"][100:, 1], 0) < [1.0, 1.0, 4.0]).all()
 
@@ -106,7 +108,7 @@ def test_steps_are_what_samples_one_by_one_give():
                 0,
             )
             np.testing.assert_allclose(getattr(log, name)[k], mean, atol=1e-9)
-    # How lively: on Earth axes by the gyro's own samples, about the mean of the last second.
+    # Activity: on Earth axes from the gyro's samples, about the mean of the last second.
     earth = Rotation.identity()
     forces = []
     for k in range(161):
@@ -144,8 +146,8 @@ def test_deviations_turn_vectors_along():
     x[:, :4] /= np.linalg.norm(x[:, :4], axis=-1, keepdims=True)
     y = space.plus(x, d)
     np.testing.assert_allclose(space.minus(y, x), d, atol=1e-12)
-    # What a sensor sees of a vector is that of the vector's own deviation; with the other space the
-    # attitude's enters.
+    # A sensor's measurement depends only on the error of the vector; with the other space it also
+    # depends on the attitude's error.
     for part in handheld.VECTORS:
         deviation = d[:, part.start - 1 : part.stop - 1]
         expected = attitude.rotate(x[:, :4], x[:, part] + deviation)
@@ -181,16 +183,18 @@ def test_the_magnetometer_measures_heading_alone():
 
 
 def waves(rng, t, rms, low, high):
-    """Random sums of six waves ``(T, 3)`` of an RMS, with angular rates from low to high, and their
-    second derivatives."""
+    """Random sums of six waves ``(T, 3)`` with a given RMS and angular rates from low to high, and
+    their second derivatives.
+    """
     w, phase = rng.uniform(low, high, (6, 1, 3)), rng.uniform(0.0, 2.0 * np.pi, (6, 1, 3))
     each = rms / np.sqrt(3.0) * np.sin(w * t[:, None] + phase)
     return each.sum(0), (-(w**2) * each).sum(0)
 
 
 def test_claims_of_inclination_are_honest_where_truth_is_known_exactly():
-    """Hands that move as no model says: sums of waves. Errors of the sensors as the settings have
-    them; fields that change from place to place by twice what is believed."""
+    """Hands move as sums of waves, which no filter models. Sensor errors have the assumed size; the
+    field varies from place to place by twice the assumed amount.
+    """
     s = handheld.SETTINGS
     S = round(60.0 * HZ)
     t = np.arange(S) / HZ
@@ -343,7 +347,7 @@ def test_vqf_follows_a_made_trial(folder):
 
 # -- on the real files -----------------------------------------------------------------------------
 def madgwick(gyr, acc, mag, hz, beta):
-    """Madgwick's gradient filter as it is published; its code takes half of the reference field."""
+    """Madgwick's gradient filter as published; its code uses half of the reference field."""
     acc, mag = (v / np.linalg.norm(v, axis=-1, keepdims=True) for v in (acc, mag))
     north = np.cross(np.cross(acc[0], mag[0]), acc[0])
     axes = np.stack(

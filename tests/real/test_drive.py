@@ -1,4 +1,6 @@
-"""Files of a drive: made ones read back, and damaged ones refused with their line."""
+"""Files of a drive: simulated files are read back, and damaged files raise an
+error with the line.
+"""
 
 from __future__ import annotations
 
@@ -79,7 +81,7 @@ SAMPLES = ["0.1,0.0", *(f"0.0,0.5,1.0,10.0,-20.0,0.0,{500 + 10 * k}" for k in ra
 
 
 def test_samples_by_time_tags(tmp_path):
-    """The unit's clock is stretched to the tags: 1 s of it took 1.131 s."""
+    """The unit's clock is scaled to the tags: 1 s on it is 1.131 s."""
     table = solution(tmp_path / "a.csv", SAMPLES)
     samples = drive.read_imu(table, tags(tmp_path / "a.tag"))
     assert samples.t[0] == 1752003261.25

@@ -1,5 +1,5 @@
-"""GRACE-A: made files of the same formats, files that are none, parts of filters against
-independent forms, real files.
+"""GRACE-A: simulated files in the same formats, invalid files, parts of filters against independent
+formulas, real files.
 """
 
 from __future__ import annotations
@@ -31,7 +31,9 @@ HEAD = "earth_gravity_constant 0.3986004415E+15\nradius 0.63781363E+07\nnorm ful
 
 
 def field_text():
-    """A field to degree 16: two bodies, the Earth's flattening, and a little of every degree."""
+    """A field to degree 16: two-body term, the Earth's flattening, and small
+    terms of every degree.
+    """
     lines = ["gfc 0 0 1.0 0.0", "gfc 2 0 -0.484165143790815d-03 0.0"]
     rng = np.random.default_rng(1)
     for n in range(2, 17):
@@ -44,8 +46,8 @@ def field_text():
 
 
 def orbit(field, count):
-    """States at every 10 s on Earth-fixed axes, integrated in space by a method of high order: not
-    as filters do it.
+    """States every 10 s on Earth-fixed axes, integrated in inertial space by a high-order method,
+    unlike the filters.
     """
     bodies, center = (
         [],
@@ -98,8 +100,8 @@ def written(path, times, xyz, pack=True):
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """Three days of 320 fixes with errors of 4 m that are correlated by 0.98, a gap, an outlier;
-    and where the satellite was.
+    """Three days with 320 fixes, errors of 4 m with correlation 0.98, a gap, and an outlier; and
+    the true positions.
     """
     where = tmp_path_factory.mktemp("grace")
     (where / "made.gfc").write_text(field_text())
@@ -120,7 +122,7 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def results(folder):
-    """The study of the made files, in which a revolution is an eighth of the day."""
+    """The study on the simulated files, in which a revolution is an eighth of the day."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(study, "REVOLUTION", 40)
         patch.setattr(show, "REVOLUTION", 40)  # which took it over when it was imported
@@ -225,7 +227,7 @@ def test_a_file_that_is_cut_off_garbled_or_too_large_is_refused(folder, tmp_path
 
 
 def test_a_step_is_the_orbit(folder):
-    """Against an integrator of high order in space, over three minutes."""
+    """Against a high-order integrator in inertial space, over three minutes."""
     field = gravity.read(folder / "made.gfc")
     states, u = orbit(field, 20), settings.around(START + settings.STEP_S * np.arange(20))
     x = states[0]
@@ -249,7 +251,7 @@ def test_axes_are_radial_along_and_across(folder):
 
 
 def test_the_study_judges_made_files(results):
-    """Errors as they were made: correlated by 0.98, one outlier of the fixes, which the gate finds."""
+    """The errors as simulated: a correlation of 0.98, and one outlier, which the gate finds."""
     claims = {claim.id: claim for claim in results.claims()}
     assert set(claims) == {row.id for row in grace.STUDY.rows}
     assert claims["fixes-colored"].numbers[0].value == pytest.approx(0.98, abs=0.03)
@@ -281,7 +283,9 @@ def test_what_is_shown_can_be_drawn(results, tmp_path):
 
 
 def test_the_filters_of_a_batch_are_those_alone(folder):
-    """Settings and hooks as runs: each flown by itself, a white one as a plain UKF, gives the same."""
+    """Settings and hooks as runs of a batch: each setting run alone gives the same, and the white
+    one equals a plain UKF.
+    """
     field, log = (
         gravity.read(folder / "made.gfc", 2),
         positions.read(folder / "GPS1B_2008-08-01_A_01.pos.spp.gz"),
@@ -320,7 +324,7 @@ def test_the_filters_of_a_batch_are_those_alone(folder):
 
 @pytest.fixture(scope="module")
 def data(folder):
-    """Of a few fixes, with gravity of the truth, or nearly."""
+    """Data of a few fixes, with the true gravity field or nearly so."""
     paths = [folder / f"GPS1B_2008-08-0{day}_A_01.pos.spp.gz" for day in (2, 3)]
     return settings.training(paths, gravity.read(folder / "made.gfc", 2), 120)
 
@@ -334,7 +338,7 @@ def test_far_fixes_are_screened(data):
 
 
 def test_the_linear_motion_of_a_search_is_the_motion(folder, data):
-    """Likelihoods about a trajectory are those of the filter itself."""
+    """Likelihoods from the linearization about a trajectory equal the filter's likelihoods."""
     field = gravity.read(folder / "made.gfc", 2)
     logs = [positions.read(folder / f"GPS1B_2008-08-0{day}_A_01.pos.spp.gz") for day in (2, 3)]
     M, S, Phi = settings.believed(field, settings.SETTINGS["colored"])
@@ -352,8 +356,8 @@ def test_the_linear_motion_of_a_search_is_the_motion(folder, data):
 
 
 def test_the_density_of_an_innovation_is_that_of_students_t(folder, data):
-    """Of the last one, by scipy, before the weights; and of normal ones where the degrees of
-    freedom are many.
+    """For the last innovation, from scipy, before the weights; and the normal density for many
+    degrees of freedom.
     """
     field = gravity.read(folder / "made.gfc", 2)
     M, S, Phi = settings.linear(settings.believed(field, settings.SETTINGS["robust"]))
@@ -377,9 +381,10 @@ def test_the_density_of_an_innovation_is_that_of_students_t(folder, data):
 
 
 def students_scale(far):
-    """The most probable scale s of Student's t for normal samples of deviation 1, of which a part
-    is far away, by ``E psi(u) = 0``; and the relative deviation of its estimate from one sample,
-    ``sqrt(E psi^2) / E s dpsi/ds``."""
+    """The most probable scale s of Student's t for unit normal samples, some of which are far away,
+    from ``E psi(u) = 0``; and the relative standard deviation of its estimate from one sample,
+    ``sqrt(E psi^2) / E s dpsi/ds``.
+    """
     nu = settings.DOF
 
     def mean(function):
@@ -395,7 +400,7 @@ def students_scale(far):
 
 @pytest.mark.parametrize("kind", ["colored", "tails"])
 def test_likelihood_finds_what_made_the_fixes(folder, data, kind):
-    """Within four deviations of what so few say; Student's t needs nothing left out."""
+    """Within four standard deviations for so few samples; Student's t needs no samples left out."""
     field = gravity.read(folder / "made.gfc", 2)
     found = settings.fitted(
         data if kind == "tails" else data.screened(), field, settings.Setting(3.0, 0.97, 3e-4), kind
@@ -421,7 +426,7 @@ def test_the_real_files_are_as_their_source_says():
 
 
 def test_shares_inside_of_an_interval_say_of_which_errors_they_are(results):
-    """Of all components in the ledger and the docs, of the radial errors in the figure."""
+    """For all components in the ledger and the docs, for the radial errors in the figure."""
     root = Path(__file__).parents[2]
     page = " ".join((root / "docs" / "real_data.md").read_text(encoding="utf-8").split())
     said = re.search(

@@ -1,4 +1,6 @@
-"""A car with an inertial unit: a made drive in the form of the files, and the real one beside the checkout."""
+"""A car with an inertial unit: a simulated drive in the format of the files, and the real drive if
+available.
+"""
 
 from __future__ import annotations
 
@@ -39,7 +41,7 @@ def heading(t):
 
 @cache
 def made():
-    """Rows of the unit, on its own axes, and of the solution."""
+    """Rows of the unit, on its axes, and of the solution."""
     rng = np.random.default_rng(0)
     fine = np.arange(-0.5, END_S + 1.0, DT / 2)
     s, psi = speed(fine), heading(fine)
@@ -113,7 +115,9 @@ def test_outages_are_those_of_the_program():
 
 @pytest.mark.parametrize("name", ["fixes", "wheels", "smoothed"])
 def test_a_made_drive_is_followed(folder, name):
-    """Drift, deviations and NEES of two outages; another filter's would be tens of meters."""
+    """Drift, standard deviations and NEES in two outages; a wrong filter's drift would be tens of
+    meters.
+    """
     config = ins.Drive(folder, **ins.FLOWN[name])
     out = ins.fly(config, [])
     assert out["drift"].shape == (2, 2)
@@ -123,7 +127,7 @@ def test_a_made_drive_is_followed(folder, name):
 
 
 def test_the_ledger_is_decided_by_what_the_parts_gave():
-    """Of made results: each row has a number; the worst that is too large is not shown."""
+    """With simulated results each row has a number; a worst case that is too large is not shown."""
     rng = np.random.default_rng(0)
     data = {
         name: {
@@ -147,7 +151,7 @@ def test_the_ledger_is_decided_by_what_the_parts_gave():
 
 
 def test_the_program_for_files_in_the_documentation_runs(folder, capsys):
-    """On a made drive, whose unit is mounted a little askew and late."""
+    """On a simulated drive, with a slightly rotated and delayed unit."""
     page = (Path(ins.__file__).parents[2] / "docs/howto/inertial.md").read_text(encoding="utf-8")
     program = re.search(r"```py\n(.*?)```", page, re.DOTALL)[1]
     for name, file in (("imu.csv.tag", "imu_1.csv.tag"), ("imu.csv", "imu_1.csv")):
@@ -155,14 +159,14 @@ def test_the_program_for_files_in_the_documentation_runs(folder, capsys):
     program = program.replace('"rover.pos"', repr(str(folder / "gnss_1.pos")))
     exec(program, {})
     ratio, lag = capsys.readouterr().out.splitlines()
-    # Its positions are exact, and half of the components; its velocities have (0.05 / 0.06)^2.
+    # Positions, half of the components, are exact; velocities contribute (0.05 / 0.06)^2.
     assert 0.2 < float(ratio) < 1.0
     assert float(lag.split()[0].strip("[]")) == pytest.approx(ins.LATE_S, abs=0.02)
 
 
 @real_only
 def test_real_outages():
-    """The first two of the real log, as the study has them."""
+    """The first two outages of the real log, as in the study."""
     out = ins.fly(ins.Drive(REAL, constrained=True, end_s=150.0), [])
     assert out["drift"].shape == (3, 2)
     assert out["drift"][:, 1].max() == pytest.approx(5.235, abs=0.02)

@@ -1,5 +1,5 @@
-"""Arrival times of pulsars: timing models, fixes and filters, on made arrivals of which all is
-known, and on the real ones.
+"""Arrival times of pulsars: timing models, fixes and filters, on simulated arrivals with known
+truth and on real arrivals.
 """
 
 from __future__ import annotations
@@ -30,8 +30,9 @@ def directions(count, rng):
 def made(
     folder, count=12, noise_km=0.3, seed=0, every=9.0, end=nanograv.END, moved=None, model_km=5.0
 ):
-    """Arrivals of some pulsars from 2011 on, half of them solitary, each with a timing model off by
-    some km, white noise, and an Earth that is ``moved(day)`` km."""
+    """Simulated arrivals from some pulsars from 2011 on, half of them solitary, each with a timing
+    model wrong by some km, white noise, and an Earth displaced by ``moved(day)`` km.
+    """
     rng = np.random.default_rng(seed)
     rows = []
     for i, n in enumerate(directions(count, rng)):
@@ -74,8 +75,9 @@ def folder(tmp_path_factory):
 
 # -- timing models ---------------------------------------------------------------------------------
 def test_a_timing_model_is_what_a_pulsar_elsewhere_shows(folder):
-    """The columns of position and parallax are derivatives of the delay of a pulsar at a finite
-    distance; proper motion is theirs times the years."""
+    """The columns for position and parallax are derivatives of the delay of a pulsar at a finite
+    distance; the columns for proper motion are the position columns times the years.
+    """
     a = arrivals.read(folder)[3]
     M, earth, far = arrivals.model(a), a.earth, 3e4
 
@@ -103,8 +105,8 @@ def test_a_spin_that_walks_has_the_covariance_of_one_that_was_walked(folder):
 
 
 def test_predictions_are_those_of_the_joint_law_of_past_future_and_parameters(folder):
-    """An independent form: a prior of the parameters, so wide that it does not count, and one
-    conditioning of all arrivals.
+    """An independent formula: a very wide prior of the parameters, and a single conditioning on all
+    arrivals.
     """
     c = arrivals.clocks(folder, 57023.0, 57754.0)[2]
     a, (white, red) = c.arrivals, c.noise
@@ -130,22 +132,24 @@ def test_noise_is_found_as_large_as_it_was_made(folder):
             + 2.0 * np.append(0.0, red)
         )
         found.append(arrivals.sized(late, np.full(len(K), 0.3), M, K))
-    # Fisher's information of the restricted likelihood, 0.5 tr(P V_i P V_j): P leaves out what the
-    # model explains.
+    # Fisher's information of the restricted likelihood, 0.5 tr(P V_i P V_j): P projects out the
+    # columns of the model.
     V_inv = np.linalg.inv(0.25 * np.eye(len(K)) + 4.0 * K)
     P = V_inv - V_inv @ M @ np.linalg.solve(M.T @ V_inv @ M, M.T @ V_inv)
     slopes = P @ (2.0 * 0.4 * np.eye(len(K))), P @ (2.0 * 2.0 * K)
     information = 0.5 * np.array([[np.trace(a @ b) for b in slopes] for a in slopes])
     scatter = np.sqrt(np.linalg.inv(information).diagonal() / runs)
     white, walked = np.mean(found, axis=0)
-    # The search ends within 2 % of its optimum.
+    # The search ends within 2 % of the optimum.
     assert white == pytest.approx(0.4, abs=4.0 * scatter[0] + 0.02 * 0.4)  # with 0.3 claimed
     assert walked == pytest.approx(2.0, abs=4.0 * scatter[1] + 0.02 * 2.0)
 
 
 # -- fixes -----------------------------------------------------------------------------------------
 def test_fixes_of_made_arrivals_err_by_what_they_claim(folder):
-    """Within four deviations, by the joint law of all weeks, which share the timing models."""
+    """Within four standard deviations, with the joint distribution of all weeks, which share the
+    timing models.
+    """
     out = nanograv.fixes(folder, [])
     nees = out["all/nees"][:, 0]
     assert len(nees) > 150
@@ -194,8 +198,8 @@ def test_a_fix_is_weighted_least_squares(folder):
 
 
 def test_what_every_timing_model_has_is_hidden_and_the_rest_is_seen(folder):
-    """Constant, growing and yearly errors of the Earth leave nothing: they are columns of every
-    model. A fast swing stays.
+    """Constant, linear and yearly errors of the Earth vanish, because they are columns of every
+    model. A fast oscillation remains.
     """
     heard = arrivals.clocks(folder, nanograv.FLOWN, nanograv.END)
 
@@ -217,7 +221,7 @@ def test_what_every_timing_model_has_is_hidden_and_the_rest_is_seen(folder):
 
 # -- ephemerides and flights -----------------------------------------------------------------------
 def test_the_table_of_ephemerides_is_that_of_the_longer_one_where_both_are():
-    """DE405 less DE421 in 2015 and 2016, made apart, every five hours."""
+    """DE405 minus DE421 in 2015 and 2016, computed separately, every five hours."""
     other = read_npz(data("ephemeris_2015.npz"))
     mjd = (other["day"] - 2400000.5) + other["rest"]
     for body in ("earth", "sun"):
@@ -253,8 +257,8 @@ def test_errors_of_the_orbit_grow_as_those_of_the_orbit_itself():
 
 
 def test_arrivals_that_remember_are_all_arrivals_at_once(folder):
-    """The filter of clocks, after all weeks, is one weighted least-squares fit of every arrival
-    with its whole covariance.
+    """The filter with clock states, after all weeks, equals a single weighted least-squares fit to
+    all arrivals with their full covariance.
     """
     flight = nanograv.trial(nanograv.Flight(folder, "de405"), [])
     whole = nanograv.fly_all(nanograv.Flight(folder, "de405"), [None])
@@ -280,8 +284,8 @@ def test_arrivals_that_remember_are_all_arrivals_at_once(folder):
         first = (k < len(w.day)) & (k == 0)
         A = np.array([c.arrivals.n @ (moves[i][:3] + moves[i][6:9]) for i in k[use]])
         z = (c.early + error(c.arrivals.day[c.after] + 0.5) @ c.arrivals.n)[use]
-        # of the first week's arrivals what is not noise is unknown to the filter: they are
-        # conditioned on, with their place unknown
+        # In the first week the filter models only the noise of the arrivals: condition on them with
+        # unknown position.
         if first.any():
             F = np.array([c.arrivals.n @ (moves[0][:3] + moves[0][6:9])] * int(first.sum()))
             z0 = (c.early + error(c.arrivals.day[c.after] + 0.5) @ c.arrivals.n)[first]
@@ -302,7 +306,7 @@ def test_arrivals_that_remember_are_all_arrivals_at_once(folder):
 
 
 def test_on_made_arrivals_the_filter_that_remembers_is_consistent(tmp_path):
-    """Over several skies: what no filter of independent weeks can be."""
+    """Over several sets of pulsars; a filter with independent weeks is not consistent."""
     nees = {name: [] for name in ("ekf", "clocks")}
     for seed in range(3):
         folder = made(tmp_path / str(seed), seed=seed, every=14.0)

@@ -1,6 +1,4 @@
-"""Studies on real data beside the papers: done where their data are given, and otherwise only
-offered.
-"""
+"""Studies on real data: computed if their data are given, otherwise only listed."""
 
 from __future__ import annotations
 
@@ -17,7 +15,7 @@ from celnav.study.study import Part, Study
 
 
 def measured():
-    """A study that takes no time: what it finds is the length of the name of its folder."""
+    """A study that takes no time: its result is the length of its folder's name."""
 
     def parts(effort, clocks):
         (file,) = real.found(clocks, ["*.txt"])

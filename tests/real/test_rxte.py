@@ -1,5 +1,5 @@
-"""Photons of a pulsar: files, folding and places, on made photons of which everything is known, and
-on the real ones.
+"""Photons of a pulsar: files, folding and positions, on simulated photons with known truth and on
+real photons.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ DAY, START = 49353, 537721716.0
 
 
 def written(path, name, columns, zero=0.0):
-    """A FITS file as the instrument's programs write them."""
+    """A FITS file in the format of the instrument's programs."""
     table = fits.BinTableHDU.from_columns(
         [fits.Column(n, form, array=a) for n, form, a in columns], name=name
     )
@@ -36,7 +36,7 @@ def written(path, name, columns, zero=0.0):
 
 
 def made(folder, seed=0, rate=12.0, seconds=2400.0, fraction=0.6):
-    """A pulse ``1 + fraction cos``, caught in a low orbit."""
+    """Photons of a pulse ``1 + fraction cos``, detected in a low orbit."""
     folder.mkdir(exist_ok=True)
     (folder / "model.par").write_text(PAR)
     rng = np.random.default_rng(seed)
@@ -75,7 +75,7 @@ def folder(tmp_path_factory):
 
 # -- times -----------------------------------------------------------------------------------------
 def test_a_time_at_the_barycenter_is_that_of_the_printed_formula(folder):
-    """Einstein by ERFA, Roemer and Shapiro by hand, of one photon."""
+    """For one photon: the Einstein term from ERFA, the Roemer and Shapiro terms by hand."""
     p = photons.read(folder)
     tt = (
         DAY
@@ -146,8 +146,8 @@ def test_a_light_curve_has_the_information_of_its_formula():
 
 
 def test_shifts_are_found_and_err_by_what_they_claim():
-    """Of four sizes, each in a quarter of the flights; errors would show by themselves where one is
-    wrapped.
+    """Shifts of four sizes, each in a quarter of the runs; a wrapped shift would appear as a large
+    error.
     """
     rng, light = np.random.default_rng(3), rxte.Light(np.array([0.3, 0.1j, 0.05]), 1.0)
     errors, inside, count, often = [], [], 600, 400
@@ -160,7 +160,7 @@ def test_shifts_are_found_and_err_by_what_they_claim():
         errors.append((shift - true + 0.5) % 1.0 - 0.5)
         inside.append(-2.0 * np.interp(true, rxte.SHIFTS, logs) < 3.84)
     claimed = 1.0 / np.sqrt(count * light.information)
-    # Four deviations of what so many tell.
+    # Four standard deviations for this number of photons.
     rms = np.sqrt(np.mean(np.square(errors)))
     assert rms == pytest.approx(claimed, rel=4.0 / np.sqrt(2.0 * often))
     assert np.mean(inside) == pytest.approx(0.95, abs=4.0 * np.sqrt(0.95 * 0.05 / often))

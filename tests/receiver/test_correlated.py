@@ -1,5 +1,5 @@
-"""Errors that last: their shares are found in residuals, and covariances of a filter that takes
-them for new are those of simulated runs.
+"""Correlated errors: their shares are estimated from residuals, and the covariances of a filter
+that treats them as white agree with simulated runs.
 """
 
 from __future__ import annotations
@@ -49,8 +49,8 @@ STEPS, RUNS = 80, 10_000
 
 @pytest.fixture(scope="module")
 def simulated():
-    """A filter of a position that walks, and of a clock, with errors ``(T, runs, 7)`` that it takes
-    for white; errors of its state, means of distances, and what is predicted of both.
+    """A filter for a random-walk position and a clock, with errors ``(T, runs, 7)`` that it treats
+    as white; errors of its state, means of distances, and the predicted covariances of both.
     """
     rng = np.random.default_rng(2)
     H = np.concatenate([rng.normal(size=(7, 3)), np.ones((7, 1))], -1)
@@ -83,7 +83,7 @@ def test_covariances_are_those_of_simulated_runs(simulated):
     L = np.linalg.cholesky(found.cov)
     whitened = np.linalg.solve(L, samples.T @ samples / RUNS) @ np.linalg.inv(L).T
     np.testing.assert_allclose(whitened, np.eye(7), atol=5.0 / np.sqrt(RUNS))
-    # The filter's own covariance is too small by far.
+    # The filter's covariance is much too small.
     assert (samples[:, :3].var(0) > 1.5 * P.diagonal()[:3]).all()
 
 

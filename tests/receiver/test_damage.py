@@ -1,4 +1,4 @@
-"""Files that are cut off or damaged: what is read is what was written, and what is lost is said."""
+"""Truncated or damaged files: the values read equal those written, and losses are reported."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from celnav.receiver.rinex import read_navigation, read_observations
 
 TIMES = TOE + 1800.0 + 30.0 * np.arange(6)
 FIELDS = {"observations": (3, 16, (0, 14, 15)), "navigation": (4, 19, (0,))}
-"""Of lines: where the fields begin, how wide they are, and which rests are of a whole line."""
+"""For lines: start and width of the fields, and valid lengths of the last field."""
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +26,7 @@ HOW = ["letter", "cut", "lost", "twice"]
 
 
 def cut(rng, line, kind):
-    """A line that ends within a field: to RINEX one that ends with a field is whole."""
+    """A line that ends within a field; a line that ends with a field is complete in RINEX."""
     start, width, whole = FIELDS[kind]
     pieces = [line[:k].rstrip() for k in range(start + 1, len(line))]
     return str(
@@ -35,7 +35,7 @@ def cut(rng, line, kind):
 
 
 def damaged(rng, lines, k, how, kind):
-    """Lines of which one is damaged."""
+    """Lines with one damaged line."""
     before, line, after = lines[:k], lines[k], lines[k + 1 :]
     match how:
         case "letter":
@@ -52,7 +52,7 @@ def damaged(rng, lines, k, how, kind):
 
 
 def block_of(lines, kind, k):
-    """Which epoch, or which broadcast set, a line is of."""
+    """The epoch or broadcast set to which a line belongs."""
     head = ">" if kind == "observations" else ("C", "G")
     body = lines[next(i for i, line in enumerate(lines) if "END OF HEADER" in line) + 1 :]
     first = len(lines) - len(body)
@@ -60,7 +60,7 @@ def block_of(lines, kind, k):
 
 
 def values(found):
-    """What was read, by time or by satellite."""
+    """The values read, by time or by satellite."""
     if hasattr(found, "times"):
         return {
             float(t): {
@@ -75,7 +75,7 @@ def values(found):
 
 
 def same(one, other):
-    """Of an epoch satellites may be missing that no epoch has."""
+    """A satellite that is missing in all epochs may also be missing in the result."""
     if isinstance(one, dict):
         return all(np.array_equal(one[n], other.get(n, (np.nan,) * 2), equal_nan=True) for n in one)
     return one == other
@@ -85,7 +85,7 @@ READ = {"observations": read_observations, "navigation": read_navigation}
 
 
 def attempt(read, path):
-    """What is read, or the refusal."""
+    """The values read, or the error."""
     try:
         return read(path), ""
     except InputError as error:
@@ -115,7 +115,7 @@ def test_what_one_damage_leaves_is_read_as_written_and_the_rest_is_said(texts, t
         left = values(found)
         assert all(same(whole[name], left[name]) for name in left), seed
         missing = {order.index(name) for name in whole if name not in left}
-        # Without its first line a broadcast set cannot be told from the one before.
+        # Without its first line a broadcast set cannot be distinguished from the set before.
         touched = {block, block - 1} if (how, kind) == ("lost", "navigation") else {block}
         touched = set(range(block, len(order))) if how == "end" else touched
         assert missing <= touched, seed
@@ -139,7 +139,8 @@ def test_what_much_damage_leaves_is_read_as_written_or_refused(texts, tmp_path, 
     refused = 0
     for seed in range(150):
         rng, changed = np.random.default_rng(1000 + seed), lines
-        # One line of a block: a lost one and a repeated one leave as many as there were.
+        # Change only one line of a block: a lost line and a repeated line together keep the number
+        # of lines.
         some = rng.choice(blocks[-1] + 1, rng.integers(1, blocks[-1] + 2), replace=False)
         for block in sorted(some.tolist(), reverse=True):
             k = first + int(rng.choice(np.flatnonzero(np.equal(blocks, block))))

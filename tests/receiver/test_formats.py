@@ -53,7 +53,7 @@ def three_systems():
 
 
 def observations_2(b, times, bias, kinds=("C1", "L1", "D1", "S1", "P1", "C2")):
-    """An observation file of version 2.11 of the satellites of one system."""
+    """An observation file in version 2.11 with the satellites of one system."""
     log = observed(b, times, bias)
     text = label(
         f"{2.11:9.2f}{'':11}{'OBSERVATION DATA':<20}{'M (MIXED)':<20}", "RINEX VERSION / TYPE"
@@ -78,7 +78,7 @@ def observations_2(b, times, bias, kinds=("C1", "L1", "D1", "S1", "P1", "C2")):
 
 
 def navigation_2(b, toe=TOE):
-    """The same sets of GPS as in version 3, in the columns of version 2.11."""
+    """The GPS sets of version 3 in the columns of version 2.11."""
     lines = navigation(b, toe).splitlines()
     first = next(k for k, line in enumerate(lines) if "END OF HEADER" in line) + 1
     out = label(f"{2.11:9.2f}{'':11}{'N: GPS NAV DATA':<20}", "RINEX VERSION / TYPE")
@@ -167,7 +167,8 @@ def test_damage_in_version_2_costs_its_epoch(tmp_path):
         assert len(found.damaged) == 1, what
         number = int(re.search(r", line (\d+): expected", found.damaged[0])[1])
         assert head < number <= heads[3] + 1, what
-    # Without its head an epoch's rows cannot be told from those of the epoch before.
+    # Without its first line an epoch's rows cannot be distinguished from the rows of the epoch
+    # before.
     changed = "\n".join([*lines[:head], "x" + lines[head][1:], *lines[head + 1 :]]) + "\n"
     found = read_observations(written(tmp_path, changed))
     np.testing.assert_array_equal(found.times, np.delete(whole.times, [1, 2]))
@@ -245,7 +246,7 @@ def test_damaged_records_of_version_4_are_left_out_and_told(tmp_path):
 
 
 def glonass(version):
-    """Two sets of GLONASS, in a file of its own."""
+    """Two GLONASS sets in a separate file."""
     kind = "N: GNSS NAV DATA" if version == 3 else "GLONASS NAV DATA"
     text = label(
         f"{3.04 if version == 3 else 2.11:9.2f}{'':11}{kind:<20}R: GLONASS", "RINEX VERSION / TYPE"
@@ -333,7 +334,7 @@ def test_where_systems_are_missing_the_others_go_on(missing):
 
 
 def test_offsets_that_satellites_leave_open():
-    """Against the rank of the clocks' columns, for all ways in which systems are there."""
+    """Against the rank of the clocks' columns, for all combinations of available systems."""
     offsets = np.array([[0.0, 0.0, 1.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0, 1.0, 1.0]])
     columns = np.column_stack([np.ones(6), offsets.T])
     for pattern in range(8):
@@ -360,7 +361,7 @@ def test_dilution_with_three_clocks():
 
 
 def written_galileo(tmp_path, change):
-    """What is read of Galileo's sets whose lines are changed by a function of satellite and line."""
+    """Values read from Galileo sets whose lines are changed by a function of satellite and line."""
     lines = navigation(galileo()).splitlines()
     first = next(k for k, line in enumerate(lines) if "END OF HEADER" in line) + 1
     for k in range(first, len(lines), 8):
@@ -435,7 +436,7 @@ def test_the_health_of_the_signal_that_is_used(tmp_path, source, health, accurac
 
 
 def test_e1_is_on_the_carrier_of_l1(tmp_path):
-    """The ionosphere's delay is that at L1, and Doppler is in its waves."""
+    """The ionospheric delay equals the delay at L1, and Doppler is in cycles of L1."""
     b = above(galileo(), LONG[[0, -1]])
     nav, obs = Navigation(Path("nav.rnx"), b, KLOBUCHAR), observed(b, LONG, DRIFTING)
     np.testing.assert_allclose(positioning.prepare(obs, nav).fixes[:, 3:6], 0.0, atol=1e-4)

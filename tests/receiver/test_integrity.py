@@ -59,7 +59,7 @@ def off(found, filter):
 
 
 def high(nav, obs, count):
-    """The satellites that are seen all the time, the highest first."""
+    """The satellites that are visible all the time, the highest first."""
     log = positioning.prepare(obs, nav)
     there = np.flatnonzero(log.used.all(0))
     return there[np.argsort(-log.elevation[0, there])][:count]
@@ -128,7 +128,7 @@ def test_a_wrong_broadcast_orbit_is_excluded(noisy, part, change):
     values[s] += change
     wrong = replace(nav.sets, **{part: values})
     found = positioning.prepare(obs, replace(nav, sets=wrong))
-    # Excluded, or below the horizon by that orbit; a range within 8 σ may pass the test.
+    # Excluded, or below the horizon according to this orbit; a range within 8 σ may pass the test.
     right, other = (pseudorange.sources(sets, obs.times, PLACE) for sets in (nav.sets, wrong))
     ranges = [np.linalg.norm(each.q - PLACE, axis=-1) - each.clock for each in (right, other)]
     used = found.used[:, s]
@@ -155,7 +155,9 @@ def test_a_faulty_rate_is_excluded_alone(noisy):
 
 @pytest.mark.parametrize(("left", "state"), [(5, "contradiction"), (4, "untested")])
 def test_where_no_redundancy_is_left_it_is_said(noisy, left, state):
-    """Of five one is faulty: that is seen, not which. Of four nothing is seen."""
+    """One of five is faulty: the fault is detected, but not located. With four
+    nothing is detected.
+    """
     nav, obs = noisy
     some = high(nav, obs, left)
     code = obs.code.copy()
@@ -232,14 +234,14 @@ def test_noise_that_grows_towards_the_horizon_is_told_from_noise_that_does_not(n
     noise, _ = estimated(seen, 1e-5)
     assert noise.zenith == pytest.approx((0.4,), rel=0.15)
     assert noise.level == pytest.approx((0.6,), rel=0.2)
-    # What is known of the variance is not counted as noise.
+    # The known part of the variance is not included in the noise.
     noise, _ = estimated(seen._replace(modeled=np.full(size.shape, 0.36)), 1e-5)
     assert noise.zenith == pytest.approx((0.4,), rel=0.15)
     assert noise.level[0] < 0.3
 
 
 def test_each_system_has_noise_of_its_own():
-    """GPS of a jammed receiver does not spoil Galileo's ranges."""
+    """A jammed GPS signal does not change the noise of Galileo's ranges."""
     times = TOE + 1800.0 + 30.0 * np.arange(120)
     b = above(joined(gps(), galileo()), times[[0, -1]])
     nav = Navigation(Path("nav.rnx"), b, (np.array(ALPHA), np.array(BETA)))
@@ -328,7 +330,7 @@ def test_sets_that_are_none_and_epochs_out_of_order_are_in_the_summary(noisy):
 
 
 def test_positions_far_from_the_earth_are_none(noisy):
-    """In months of silence a velocity of 50 m/s leads out of the world."""
+    """In months without measurements a velocity of 50 m/s leads far away from the Earth."""
     nav, obs = noisy
     log = positioning.prepare(obs, nav)
     z = log.z.copy()

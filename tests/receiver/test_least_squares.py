@@ -1,5 +1,5 @@
-"""Fixes from single measurements: against a linear solution, a known position, and what cannot be
-fixed.
+"""Fixes from single measurements: against a linear solution, a known position, and undetermined
+states.
 """
 
 from __future__ import annotations
@@ -91,8 +91,8 @@ def test_bad_input_is_refused_by_name(make, name):
 @pytest.mark.parametrize("matrix", [False, True])
 @pytest.mark.parametrize("shape", [(2,), (0,), (4, 2), (4, 0), (0, 2), (0, 0)])
 def test_fewer_measurements_than_states_make_no_fix(shape, matrix):
-    """Nor an error, with whatever runs: the state is nan, and a later whole measurement starts from
-    the last fix.
+    """They do not raise an error, for any axes of runs: the state is nan, and a later complete
+    measurement starts from the last fix.
     """
     m, few = shape[-1], np.eye(3)[: shape[-1]]
     seen = lambda x, _e: np.broadcast_to(few, (*x.shape[:-1], m, 3))  # noqa: E731

@@ -1,5 +1,5 @@
-"""A receiver is positioned from its files: clocks, atmosphere, gaps, jumps; what cannot be is told
-in one line.
+"""Positions of a receiver from its files: clocks, atmosphere, gaps, jumps; invalid input gives one
+line.
 """
 
 from __future__ import annotations
@@ -83,8 +83,8 @@ def test_clocks_that_are_set_by_milliseconds_leave_no_trace(pair, log):
     jumps = 1e-3 * LIGHT * np.repeat([0.0, 1.0, -1.0], 4)
     found = positioning.prepare(observed(nav.sets, LONG, DRIFTING + jumps), nav)
     np.testing.assert_allclose(found.fixes, log.fixes, atol=2e-4)
-    # The receiver samples a millisecond earlier or later: ranges change by less than a meter, not
-    # by 300 km.
+    # If the receiver samples a millisecond earlier or later, ranges change by less than a meter,
+    # not by 300 km.
     np.testing.assert_allclose(found.z[:, :32][found.used], log.z[:, :32][log.used], atol=1.0)
 
 
@@ -153,7 +153,9 @@ def test_wild_rates_are_left_out_and_counted(pair):
 
 
 def test_it_starts_at_a_fix_that_was_tested(pair):
-    """At the first epoch four satellites are left, of which one is wrong: nothing tells."""
+    """At the first epoch four satellites are left, one of which is wrong: this
+    cannot be detected.
+    """
     nav, obs = pair
     code = obs.code + np.random.default_rng(0).normal(size=obs.code.shape)
     seen = np.flatnonzero(np.isfinite(positioning.prepare(obs, nav).z[0, : len(obs.names)]))
@@ -183,7 +185,7 @@ def test_a_clock_that_is_set_in_a_gap_costs_the_ranges_of_the_gap(pair):
 
 
 def test_a_fast_clock_without_rates_is_no_jump(pair):
-    """300 m/s and half an hour of silence make 540 km: nearly two milliseconds."""
+    """300 m/s over half an hour without measurements is 540 km, nearly two milliseconds."""
     nav, _ = pair
     times = np.concatenate([LONG, LONG[-1] + 1800.0 + 30.0 * np.arange(3)])
     bias = 3e4 + 300.0 * (times - times[0])
@@ -214,7 +216,7 @@ def test_one_epoch_is_enough(pair):
 
 
 def test_the_nearest_set_is_asked_for_its_health(pair):
-    """A satellite that is flagged now is not used by its sound set of an hour ago."""
+    """A satellite that is flagged now is not used with its healthy set from an hour ago."""
     nav, _ = pair
     sets = nav.sets
     later = replace(sets.chosen(np.array([4])), toe=sets.toe[4:5] + 3600.0, health=np.ones(1))
@@ -242,7 +244,7 @@ def test_what_corrects_the_ionosphere_is_told(pair):
 
 
 def test_without_a_message_the_ionosphere_is_typical(pair):
-    """Klobuchar's delay of a day of middling activity, and as large a part of it may be left."""
+    """Klobuchar's delay for a day of medium activity, and the remaining delay may be as large."""
     nav, obs = pair
     given = replace(nav, klobuchar=TYPICAL_IONOSPHERE)
     with_it, without = (positioning.prepare(obs, n) for n in (given, replace(nav, klobuchar=None)))

@@ -1,4 +1,4 @@
-"""`celnav position`: what it writes, and damaged files, which are told in one line."""
+"""`celnav position`: its outputs, and damaged files, which give one line."""
 
 from __future__ import annotations
 
@@ -275,7 +275,7 @@ def test_damaged_files_are_one_line_and_nothing_is_written(
 
 @pytest.mark.parametrize("to", ["", "/track.csv", "/track.pos", "/track.geojson", "/track.nmea"])
 def test_a_truncated_log_is_positioned_and_its_line_is_told(files, tmp_path, capsys, to):
-    """The last epoch, of which four satellites are missing, is left out as a whole."""
+    """The last epoch, in which four satellites are missing, is left out completely."""
     kept = Path(files[0]).read_text("ascii").splitlines()[:-4]
     head = max(k for k, line in enumerate(kept) if line.startswith(">"))
     Path(files[0]).write_text("\n".join(kept) + "\n", "ascii")
@@ -324,7 +324,7 @@ def test_absent_files_and_foreign_results_are_told(files, tmp_path, capsys):
 
 
 def damaged(text, rng):
-    """With a letter, a field or a line that is another, or nothing from somewhere on."""
+    """A file with a changed letter, field or line, or cut off at some place."""
     lines = text.split("\n")
     k = int(rng.integers(len(lines) - 1))
     at = int(rng.integers(max(len(lines[k]), 1)))
@@ -379,7 +379,7 @@ def test_damage_is_an_error_of_input_or_is_told_in_the_summary(tmp_path, which, 
 
 
 def test_the_nearest_epoch_with_a_fix():
-    """The earlier of two that are as near, for all ways in which nine epochs have fixes."""
+    """The earlier of two equally near epochs, for all combinations of fixes at nine epochs."""
     for there in product([False, True], repeat=9):
         fixes = [k for k, fix in enumerate(there) if fix]
         if fixes:

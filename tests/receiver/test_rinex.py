@@ -1,6 +1,4 @@
-"""Receiver logs are read as they were written; what is damaged or something else is refused with
-file and line.
-"""
+"""Receiver logs are read as written; damaged or other files raise an error with file and line."""
 
 from __future__ import annotations
 
@@ -165,7 +163,7 @@ def test_the_one_for_the_other_and_a_broken_archive_are_refused(texts, tmp_path)
 
 
 def blanked(text, line, first, last, name="C21"):
-    """The columns from first to last of a line of the first set of a satellite."""
+    """Blank the columns from first to last in a line of a satellite's first set."""
     lines = text.split("\n")
     k = next(k for k, row in enumerate(lines) if row.startswith(name)) + line - 1
     lines[k] = lines[k][: first - 1] + " " * (last - first + 1) + lines[k][last:]
@@ -211,7 +209,7 @@ def test_a_set_that_is_none_is_left_out_and_counted(texts, tmp_path, name):
 
 
 def signed(bits, scale):
-    """The largest size of a signed number of the message, in the units of the file."""
+    """The largest magnitude of a signed number in the message, in the units of the file."""
     return 2.0 ** (bits - 1) * scale
 
 
@@ -231,11 +229,11 @@ HOLDS = {
     "i_dot": (signed(14, 2.0**-43) * CIRCLE, signed(14, 2.0**-43) * CIRCLE),
     "tgd": (signed(10, 1e-10), signed(8, 2.0**-31)),
 }
-"""Largest size of what the messages of BeiDou and GPS hold, by the tables of their documents."""
+"""Largest magnitudes in the messages of BeiDou and GPS, from the tables of their documents."""
 
 
 def left_out(tmp_path, b, name, number, value):
-    """Whether a set is left out whose number is ``value``."""
+    """Whether a set with the number ``value`` is left out."""
     values = getattr(b, name).copy()
     values[number] = value
     found = read_navigation(written(tmp_path, navigation(replace(b, **{name: values}))))
@@ -411,7 +409,7 @@ def test_hatanakas_compression_is_read_and_is_no_way_around_the_limit(tmp_path, 
     path.write_bytes(gzip.compress(packed))
     plain = read_observations(written(tmp_path, texts[2]))
     np.testing.assert_array_equal(read_observations(path).code, plain.code)
-    # What does not change is a few bytes in this compression, again and again.
+    # Constant values take few bytes in this compression.
     head, first, *_ = re.split(r"(?m)^(?=>)", texts[2])
     day = np.datetime64("2020-06-25T00:00:00") + np.arange(20_000) * np.timedelta64(1, "s")
     dates = (str(t).replace("-", " ").replace("T", " ").replace(":", " ") for t in day)

@@ -1,4 +1,4 @@
-"""Geometry of the sky; delays of the atmosphere: published sizes, limits, the interface document's
+"""Geometry of satellites; atmospheric delays: published sizes, limits, the interface document's
 steps.
 """
 

@@ -1,5 +1,5 @@
-"""Tracks in the formats of others: read back by plain readers, they say where the receiver was, and
-when.
+"""Tracks in exchange formats: read back by simple readers, they contain the receiver's positions
+and times.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def test_positions_are_those_of_pymap3d():
 
 
 def test_a_solution_of_rtklib_has_its_columns_and_its_time(found):
-    """The columns are read by their places, as RTKPLOT does: the header has a word over each."""
+    """The columns are read by position, as in RTKPLOT: the header has a word above each column."""
     *header, names = [line for line in tracks.pos(found).splitlines() if line.startswith("%")]
     rows = [line for line in tracks.pos(found).splitlines() if not line.startswith("%")]
     assert "% inp file  : obs.rnx" in header
@@ -173,7 +173,7 @@ def test_geojson_is_a_line_or_a_point(found):
 
 @pytest.fixture(scope="module")
 def doubtful():
-    """Four satellites are left in two epochs, and a range of one of them is 10 km too long."""
+    """In two epochs four satellites are left, and the range of one satellite is 10 km too long."""
     sky = above(both(), LONG)
     nav = Navigation(Path("nav.rnx"), sky, (np.array(ALPHA), np.array(BETA)))
     obs = observed(sky, LONG, 3e4 + 30.0 * (LONG - LONG[0]))

@@ -1,5 +1,5 @@
 """A track is trusted as long as the ranges of each epoch agree with it: simulated receivers with
-phones' clocks, wrong filters, and ranges that are pulled away.
+phone clocks, wrong filters, and falsified ranges.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ NAVIGATION = Navigation(Path("nav.rnx"), SKY, (np.array(ALPHA), np.array(BETA)))
 NOISE = 1.0
 WHITE = Correlation(0.0, 1.0, 0.0)
 PULL = np.array([4000.0, -3000.0, 2000.0])
-"""From the receiver to where its ranges are pulled."""
+"""From the receiver to the position that falsified ranges indicate."""
 
 
 def logged(bias, seed=0):
@@ -81,7 +81,7 @@ def error(found):
 
 
 def four(log):
-    """Places of four satellites with a good geometry that are seen all the time."""
+    """Indices of four satellites with a good geometry that are visible all the time."""
     names = ("C01", "C02", "C05", "C38")
     return [list(log.names).index(name) for name in names]
 
@@ -95,8 +95,8 @@ def test_a_sound_log_is_sound(steady):
 
 
 def test_a_clock_that_is_set_anew_at_each_epoch_does_not_pull_the_track():
-    """With the noise of a crystal the steps of the clock are errors of the position; no error of
-    that kind is called sound.
+    """With the process noise of a crystal the clock steps become position errors; such positions
+    are not called sound.
     """
     steps = 30.0 * np.random.default_rng(1).normal(size=T)
     log = logged(3e4 + 30.0 * (TIMES - TIMES[0]) + steps)
@@ -112,7 +112,7 @@ def test_a_clock_that_is_set_anew_at_each_epoch_does_not_pull_the_track():
 
 
 def test_a_reset_that_is_no_millisecond_costs_nothing(steady):
-    """The clock is set by 2 km in the middle: the track goes on."""
+    """The clock is set by 2 km in the middle: the track continues."""
     late = TIMES[50] <= TIMES
     found = positioned(replace(steady, code=steady.code + 2000.0 * late[:, None]))
     assert np.flatnonzero(found.log.clock.reset).tolist() == [50]
@@ -131,7 +131,9 @@ def without_redundancy(log, epochs):
 
 @pytest.mark.parametrize("filter", ["student", "ekf", "aukf", "ls"])
 def test_four_satellites_that_pull_the_track_away_are_not_followed(steady, filter):
-    """Nothing tests them, but the track does: it coasts until there is redundancy again."""
+    """They cannot be tested alone, but the track contradicts them: the filter only predicts until
+    there is redundancy again.
+    """
     bad = np.arange(40, 60)
     log = without_redundancy(pulled(steady, bad), bad)
     found = positioned(log, filter)
@@ -152,7 +154,9 @@ def test_four_sound_satellites_are_followed_with_a_word(steady):
 
 
 def test_after_a_contradiction_four_satellites_are_not_followed(steady):
-    """Even if they agree with the track: it has just lost trust, and there is no redundancy."""
+    """Even if they agree with the track, because the track is doubted and there
+    is no redundancy.
+    """
     log = without_redundancy(steady, np.arange(41, 60))
     code = log.code.copy()
     code[40] += 1e4 * np.random.default_rng(3).normal(size=code.shape[1])
@@ -164,7 +168,9 @@ def test_after_a_contradiction_four_satellites_are_not_followed(steady):
 
 @pytest.mark.parametrize("back", [70, T])
 def test_a_receiver_that_all_satellites_displace_says_so_until_it_is_back(steady, back):
-    """Spoofed as a whole: ranges agree with each other, but no receiver moves 5 km in a second."""
+    """All ranges are spoofed: they agree with each other, but no receiver moves
+    5 km in one second.
+    """
     found = positioned(pulled(steady, np.arange(40, back)))
     away = AGREEING - 1
     assert set(found.trust[:40]) == {""}
@@ -185,7 +191,7 @@ def test_a_track_that_begins_at_a_wrong_fix_is_not_the_one_that_is_trusted(stead
 
 
 def test_a_log_without_any_trust_is_told_as_a_whole(steady):
-    """Three fixes that later ones contradict, and too few after them."""
+    """Three fixes that later fixes contradict, and too few fixes after them."""
     found = positioned(pulled(steady, np.arange(3)).part(slice(0, 6)))
     assert found.doubtful.all()
     assert report.summary(found).startswith("NOT SOUND    do not trust 6 of 6 positions")
@@ -215,8 +221,8 @@ def test_distrust_is_in_every_track_and_in_the_exit_status(steady, tmp_path):
 
 @pytest.mark.parametrize(("pull", "status"), [(0.0, 1), (5e3, 3)])
 def test_strict_ends_with_3_where_ranges_contradict_the_track(tmp_path, capsys, pull, status):
-    """Four satellites are left in the file after half a minute, and the range of one is pulled;
-    four that agree are untested.
+    """After half a minute four satellites are left in the file, and the range of one is falsified;
+    four satellites that agree are untested.
     """
     head, *epochs = observations(SKY, TIMES[:40])[0].split("\n>")
     names = [SKY.names[s] for s in four(SKY)]
@@ -242,7 +248,7 @@ def test_strict_ends_with_3_where_ranges_contradict_the_track(tmp_path, capsys, 
 
 
 def test_the_distance_is_that_of_the_plain_formula(steady):
-    """Prediction and fix by their covariances, with matrices that are inverted in full."""
+    """From the covariances of prediction and fix, with explicit matrix inverses."""
     log = positioning.prepare(steady, NAVIGATION, sigma=(NOISE, 0.05))
     filter = filters(len(log.names))["ekf"]
     found = guarded(filter, log, 1e-3)
@@ -271,8 +277,8 @@ def test_satellites_without_measurements_make_no_difference(steady, name):
 
 
 def test_a_sound_epoch_is_called_apart_as_often_as_is_allowed(steady):
-    """Receivers that move, with clocks that run, as the filter assumes: the squared distances are
-    chi-square with three degrees.
+    """Receivers that move, with clocks as the filter assumes: the squared distances are chi-square
+    with three degrees of freedom.
     """
     log = positioning.prepare(steady, NAVIGATION, sigma=(NOISE, 0.05))
     S, rng, squares, means = len(log.names), np.random.default_rng(6), [], []
@@ -309,7 +315,9 @@ def test_a_sound_epoch_is_called_apart_as_often_as_is_allowed(steady):
 
 
 def crept(log, speed, first, ranges=True):
-    """The log with ranges alone, or rates alone, of a receiver that moves off at ``speed`` m/s."""
+    """The log with the ranges alone, or the rates alone, of a receiver that departs at ``speed``
+    m/s.
+    """
     along = np.array([0.6, -0.5, 0.62]) / np.linalg.norm([0.6, -0.5, 0.62])
     sources = pseudorange.sources(SKY, TIMES, np.broadcast_to(PLACE, (T, 3)))
     seconds = np.maximum(TIMES - TIMES[first], 0.0)[:, None]
@@ -327,7 +335,9 @@ def crept(log, speed, first, ranges=True):
 @pytest.mark.parametrize("ranges", [True, False])
 @pytest.mark.parametrize("speed", [0.2, 1.0, 3.0])
 def test_a_slow_pull_is_found_before_it_is_25_m(speed, ranges):
-    """Fixes scatter by 2 m, so no single epoch shows a pull of a few decimeters a second."""
+    """Fixes scatter by 2 m, so a single epoch cannot show a drift of a few
+    decimeters per second.
+    """
     first = 30
     for seed in range(3):
         log = crept(logged(3e4 + 30.0 * (TIMES - TIMES[0]), seed), speed, first, ranges)
@@ -340,7 +350,7 @@ def test_a_slow_pull_is_found_before_it_is_25_m(speed, ranges):
 
 
 def test_a_pull_that_ends_costs_trust_only_for_a_while(steady):
-    """Ranges creep away by 8 m and are right again from then on."""
+    """Ranges drift by 8 m and are correct again afterwards."""
     log = crept(steady, 0.8, 30)
     code = np.where((np.arange(T) < 40)[:, None], log.code, steady.code)
     found = positioned(replace(log, code=code))
@@ -350,7 +360,7 @@ def test_a_pull_that_ends_costs_trust_only_for_a_while(steady):
 
 
 def test_where_fixes_scatter_by_more_than_20_m_no_position_is_sound(steady):
-    """The track is better, but nothing would show an error of 100 m."""
+    """The track is better, but no test would detect an error of 100 m."""
     log = positioning.prepare(steady, NAVIGATION, sigma=(20.0, 0.05))
     found = report.position(log, "student", PLACE)
     scatter = np.sqrt(np.linalg.eigvalsh(log.fix_cov)[:, -1])
@@ -360,7 +370,7 @@ def test_where_fixes_scatter_by_more_than_20_m_no_position_is_sound(steady):
 
 
 def test_errors_that_last_are_claimed():
-    """Constant errors of satellites do not average out, and the covariance says so."""
+    """Constant errors of satellites do not average out, and the covariance includes them."""
     squares, white = [], []
     for seed in range(8):
         log = logged(3e4 + 30.0 * (TIMES - TIMES[0]), seed)
@@ -375,14 +385,15 @@ def test_errors_that_last_are_claimed():
         ):
             values.append(np.square(each.local(each.mean[-1]) / each.local_std[-1]))
         np.testing.assert_array_equal(found.mean, each.mean)
-    # Deviations are estimated of some five residuals that last, so the mean is above 1: 5/3.
+    # Standard deviations are estimated from about five constant residuals, so the mean is above 1:
+    # 5/3.
     assert 0.6 < np.mean(squares) < 3.0
     assert np.mean(white) > 3.0 * np.mean(squares)
 
 
 @pytest.mark.parametrize("many", [2, 3, 4])
 def test_epochs_without_redundancy_say_nothing_of_what_lasts(steady, many):
-    """Without a fix there are no residuals, and with four satellites they are zero."""
+    """Without a fix there are no residuals, and with four satellites the residuals are zero."""
     few, none = steady.code.copy(), steady.code.copy()
     none[40:60] = few[40:60, np.setdiff1d(np.arange(few.shape[1]), four(steady)[:many])] = np.nan
     found, expected = (
@@ -420,7 +431,9 @@ MOTIONS = {
 @pytest.mark.parametrize("rates", [True, False])
 @pytest.mark.parametrize("motion", MOTIONS)
 def test_a_receiver_that_moves_is_followed(motion, rates):
-    """The log shows its acceleration, and the ranges its velocity, if there are no rates."""
+    """Its acceleration is estimated from the log, and its velocity from the ranges if there are no
+    rates.
+    """
     path, velocity = MOTIONS[motion]
     log = moving(path, velocity)
     log = log if rates else replace(log, doppler=np.full_like(log.doppler, np.nan))

@@ -1,5 +1,5 @@
-"""GPS beside BeiDou: one offset between their clocks, wherever one is missing, and what nothing
-tests.
+"""GPS together with BeiDou: one offset between their clocks, epochs without one of them, and ranges
+that cannot be tested.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def without(obs, names, rows=slice(None)):
 
 
 def seen(log, letter):
-    """Satellites of a system that are used all the time."""
+    """Satellites of one system that are used all the time."""
     return [name for s, name in enumerate(log.names) if name[0] == letter and log.used[:, s].all()]
 
 
@@ -247,7 +247,7 @@ def test_files_of_both_are_read_as_written(tmp_path):
 
 @pytest.mark.parametrize("into", [-7200.0, -14.0, 0.0, 7200.0])
 def test_a_set_at_the_end_of_the_week_has_its_own_week(tmp_path, into):
-    """Of GPS, whose week ends 14 s before BeiDou's."""
+    """For GPS, whose week ends 14 s before BeiDou's."""
     toe = 604800.0 * 956 + into
     b = replace(gps(), toe=np.full(24, toe), toc=np.full(24, toe))
     found = read_navigation(written(tmp_path, navigation(b, toe))).sets
@@ -295,8 +295,8 @@ STATIONS = [("rinex", ["*_MN.rnx.gz"]), ("nya1", ["*_CN.rnx.gz", "*_GN.rnx.gz"])
 @pytest.mark.skipif(not (REAL / "nya1").is_dir(), reason="no real files beside the checkout")
 @pytest.mark.parametrize(("folder", "names"), STATIONS)
 def test_real_receivers_stand_where_their_headers_say(folder, names):
-    """Two hours, where the geometry is one (PDOP below 10); both systems together are nearer than
-    the worse of them.
+    """Two hours, at epochs with PDOP below 10; both systems together are more accurate than the
+    worse of the two.
     """
     obs = read_observations(next((REAL / folder).glob("*_MO.crx.gz")))
     obs, nav = (

@@ -1,7 +1,6 @@
-"""Process noise is estimated from steps of a simulated clock or velocity whose densities are
-known.
+"""Process noise is estimated from steps of a simulated clock or velocity with known densities.
 
-Clocks are simulated in small steps, which need no formula of the noise over an interval.
+Clocks are simulated in small steps, so that no formula for the noise over an interval is needed.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ def clocks(white, walk, times, seed, runs=RUNS):
 
 
 def measured(white, walk, times, sigma, seed=0):
-    """Those clocks with errors of deviations ``sigma``."""
+    """These clocks with measurement errors of standard deviation ``sigma``."""
     values = clocks(white, walk, times, seed)
     rng = np.random.default_rng(seed + 1)
     return [v + s * rng.normal(size=v.shape) for v, s in zip(values, sigma, strict=True)]
@@ -54,7 +53,9 @@ CASES = {
 @pytest.mark.parametrize("name", CASES)
 @pytest.mark.parametrize("rates", [True, False])
 def test_clocks_are_found_within_what_is_claimed(name, rates):
-    """Means of the runs lie within four standard errors, and runs scatter as the deviations say."""
+    """Means over the runs are within four standard errors, and the runs scatter with the predicted
+    standard deviations.
+    """
     densities, times, sigma = CASES[name]
     b, d = measured(*densities, times, sigma)
     walks = estimates(times, b, d if rates else np.full_like(d, np.nan), sigma)
@@ -66,7 +67,7 @@ def test_clocks_are_found_within_what_is_claimed(name, rates):
     assert (values.std(0) < 1.6 * std).all()
     if rates:
         assert not clipped[1]
-        # The white noise of a crystal drowns in errors of decimeters, or in its walk.
+        # The white noise of a crystal is hidden by errors of decimeters, or by its random walk.
         assert not clipped[0] or name in ("a crystal", "a crystal at 30 s")
     assert (np.array([walk.cautious for walk in walks]).mean(0) >= 0.9 * np.array(densities)).all()
 
@@ -83,13 +84,15 @@ def test_resets_are_found_and_are_not_noise(rates, size):
         assert abs(after.white - before.white) < 2.0 * before.white_std
         assert set(at) <= set(np.flatnonzero(after.reset))
         np.testing.assert_allclose(after.reset[at], size, atol=100.0)
-        # Without rates a step is in two second differences.
+        # Without rates a clock step enters two second differences.
         assert np.count_nonzero(after.reset) <= len(at) * (1 if rates else 2) + 1
     assert np.mean([np.count_nonzero(walk.reset) for walk in plain]) < 0.5
 
 
 def test_short_logs_give_cautious_estimates_or_none():
-    """With `ENOUGH` steps the larger end of the estimate covers the truth in most runs."""
+    """With `ENOUGH` steps the estimate plus one standard deviation covers the
+    truth in most runs.
+    """
     times = EVERY_SECOND[: ENOUGH + 1]
     sigma = (6.0, 0.03)
     b, d = measured(*PHONE, times, sigma)
