@@ -704,8 +704,8 @@ def test_the_rate_is_that_of_the_range():
 
 
 def test_operations_of_a_step_grow_by_what_the_measurement_does_at_each_point():
-    """One more square root for each predicted measurement: at the 17 points of the UKF, once in the
-    EKF, with each engine.
+    """An absolute value in ``h`` adds one operation for each measured component: at the 17 points
+    of the UKF, once in the EKF, with each engine.
 
     Two points differ only in the clock drift: their ranges equal the center's, and are not computed
     again.
