@@ -481,7 +481,7 @@ def compiled(filter: Any, *, jobs: int = 1, engine: str = "compiled") -> Compile
         higher), with a run in each of its threads, while ``jobs`` threads arrange and copy data.
         RuntimeError names what is missing, or the driver call that failed.
 
-    >>> flown = celnav.compiled(celnav.ukf(motion, gps)).run(prior, times, z)
+    >>> track = celnav.compiled(celnav.ukf(motion, gps)).run(prior, times, z)
     """
     choice("engine", engine, ("compiled", "cuda"))
     return Compiled(

@@ -172,7 +172,7 @@ def two_stage(
     rule, options: for the first stage, as in `celnav.sigma_point`.
 
     The filter starts from a prior of the state alone; its belief is about state and bias,
-    ``(..., n + p)``. Innovations, NIS and likelihood equal those of the augmented filter; gain and
+    ``(..., n + p)``. Innovations, NIS and likelihood equal the augmented filter's; gain and
     Jacobian are from the first stage. If the runs of a linear model share the prior's covariance,
     they share all covariances and the sensitivity, which then have no axis of runs. ValueError
     names an argument that does not fit.

@@ -63,7 +63,7 @@ class Log:
 
     Attributes
     ----------
-    times: ``(T,)`` s of BDT. names: of the satellites, ``S``, those of the first system first.
+    times: ``(T,)`` s of BDT. names: of the satellites, ``S``, starting with the first system.
     z: ``(T, 2 S)``, ranges (m) and rates (m/s), nan where missing. They are corrected for satellite
         clocks, atmosphere and jumps of the receiver's clock. sigma: ``(T, 2 S)``, their standard
         deviations. q, w: ``(T, S, 3)``, see `celnav.models.pseudorange.Sources`.

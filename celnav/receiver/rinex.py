@@ -46,7 +46,7 @@ from celnav.receiver.rinex_text import (
 from celnav.receiver.sky import local_axes, on_earth
 
 LONGEST_S = 14400.0
-"""Longest validity of a broadcast set, that of Galileo."""
+"""Longest validity of a broadcast set, s: Galileo's."""
 AHEAD_S = {"BDT": 0.0, "GPS": GPS_AHEAD_S, "GAL": GPS_AHEAD_S}
 """Offsets of the time systems of observation files from BDT, s."""
 
@@ -93,9 +93,10 @@ class Observations:
         position in the header; None if the header has none. times: ``(T,)`` s of BDT, increasing.
         names: of the satellites, ``S``. code: pseudoranges ``(T, S)`` m. doppler: ``(T, S)`` Hz;
         both nan where nothing was measured. antenna: ``(3,)`` m, offset of the antenna from the
-        marker: east, north, up. out_of_order: how many epochs were left out because their time lies
-        before or after those of both neighbors. others: letters of systems in the file that are not
-        in `SYSTEMS`. damaged: one message for each damaged epoch that was left out, with its line.
+        marker: east, north, up. out_of_order: how many epochs were left out because their time is
+        before or after the times of both neighbors. others: letters of systems in the file that are
+        not in `SYSTEMS`. damaged: one message for each damaged epoch that was left out, with its
+        line.
     """
 
     path: Path

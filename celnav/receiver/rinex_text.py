@@ -172,7 +172,7 @@ def read_text(path: Path, kind: str) -> File:
 def kinds_of(file: File, system: str) -> list[str]:
     """Names of a system's observations in the order of the fields; empty if it has no header line.
 
-    The names are those of version 3. Other observations of version 2 keep their names.
+    The names follow version 3. Other observations of version 2 keep their names.
     """
     if file.version < 3.0:
         rows = file.header.get("# / TYPES OF OBSERV", [])

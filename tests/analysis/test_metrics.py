@@ -111,7 +111,7 @@ def test_the_interval_of_a_positive_quantity_is_positive():
     assert 0.0 < low < value < high
     assert metrics.bootstrap(np.mean, np.append(squares, -1e-9))[0] < 0.0
     assert metrics.bootstrap(metrics.rms, np.zeros(4)) == (0.0, 0.0)
-    # Many runs: as Gauss has it, where a factor and a sum are one.
+    # Many runs: the normal approximation, for which a factor and a sum agree.
     many = np.random.default_rng(6).chisquare(1.0, 4000)
     found, half = metrics.bootstrap(np.mean, many), 1.96 * np.sqrt(2.0 / 4000)
     np.testing.assert_allclose(found, many.mean() + np.array([-half, half]), rtol=0.01)

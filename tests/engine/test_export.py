@@ -100,7 +100,7 @@ def test_the_code_gives_what_the_library_gives(tmp_path, name):
 def test_a_fixed_interval_is_part_of_the_code(tmp_path):
     flown = Exported(tmp_path, FILTERS["root"], dt=0.5)
     z = np.zeros((3, 2))
-    rows = [flown.step(k, 0.5 * k, np.nan, z[k]) for k in range(3)]  # nobody reads it
+    rows = [flown.step(k, 0.5 * k, np.nan, z[k]) for k in range(3)]  # the rows are not used
     known = celnav.run(FILTERS["root"], PRIOR, TIMES[:3], z)
     np.testing.assert_allclose([row[:2] for row in rows], known.mean, rtol=1e-12, atol=1e-12)
     assert "every interval is 0.5 s" in flown.text

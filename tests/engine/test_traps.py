@@ -2582,7 +2582,7 @@ WITH_U, WITH_LATE, WITH_RUN_U = LINE | {"u": SHARED_U}, LINE | {"u": LATE_U}, LI
 WIDE_U = LINE | {"u": np.concatenate([SHARED_U, 0.1 + SHARED_U], -1)}
 IN_GAPS = LINE | {"z": np.where(np.arange(T)[:, None, None] % 7 == 3, np.nan, POSITIONS)}
 OTHER_PRIOR = LINE | {"prior": celnav.Gaussian([25.0, 1.0], START.cov)}
-KEPT = {  # (a filter of a world, the first flight, what changes, the second flight)
+KEPT = {  # (a filter of a world, the first run, what changes, the second run)
     "nan in the inputs": (
         of_world(lambda w, x, e: np.nan_to_num(e.u[..., 0], nan=0.5)),
         WITH_U,

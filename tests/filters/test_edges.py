@@ -219,7 +219,7 @@ def test_a_combination_known_exactly_stays_known_however_precise_the_sensor(r, m
     track = celnav.run(
         filter, celnav.Gaussian(np.zeros((4, 2)), np.outer(a, a)), np.arange(200.0), z, keep="cov"
     )
-    celnav.Gaussian(track.mean[-1], track.cov[-1])  # what it believes is a prior of another
+    celnav.Gaussian(track.mean[-1], track.cov[-1])  # its belief is a valid prior
     k, sees = np.arange(1.0, 201.0)[:, None], float((h @ a)[0])
     variance = 1.0 / (1.0 + k * sees**2 / r)
     expected = variance * sees / r * z.cumsum(0)[..., 0]

@@ -83,7 +83,7 @@ EQUATIONS = {
         *range(40, 44),
     },  # 1 to 7 state the problem, 39 is short for 38; 21 to 23 draw points
     "Liang2014": {15, 16, 17, *range(19, 29)},  # those before are textbook rules of points
-    "Xu2023": {19},  # the text at hand has lost the others, and those of Wu2012 and Fan all
+    "Xu2023": {19},  # the available text lacks the others, and all equations of Wu2012 and Fan
 }
 
 

@@ -564,7 +564,8 @@ def test_means_of_quaternions_have_their_closed_forms(result):
     np.testing.assert_allclose(
         result.get("facts", "norm"), (3.0 / c * (1.0 - np.cos(half))).max(0), rtol=1e-5
     )
-    # The eigenvector leaves the center where the square of an axis outweighs that of the scalar.
+    # The eigenvector leaves the center where the square of an axis exceeds the square of the
+    # scalar.
     assert ((4.0 * np.sin(half) ** 2 / c > 1.0) == (result.get("facts", "eigen") > 1.0)).all()
 
 

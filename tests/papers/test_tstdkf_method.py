@@ -196,8 +196,8 @@ def test_the_first_measurement_is_exact(F, L):
     np.testing.assert_allclose(
         state.cross[0], np.hstack([(W @ left)[:, N + M :], (W @ left)[:, N : N + M]]), atol=1e-12
     )
-    # The density of the innovation is that of z, which it is a linear function of: D z, D = I - H
-    # Omega.
+    # The innovation is a linear function of z, so its density follows from the density of z: D z, D
+    # = I - H Omega.
     D = np.eye(M) - H @ stage_.Omega
     np.testing.assert_allclose(info.innovation, z[0] @ D.T, atol=1e-12)
     np.testing.assert_allclose(

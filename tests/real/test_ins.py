@@ -54,7 +54,7 @@ def made():
     force = np.stack([along, s * turn, 0.0 * s - g], -1)[own]
     rate = rate + np.radians(0.05) + 2e-3 * rng.standard_normal(rate.shape)
     force = force + 0.05 + 0.03 * rng.standard_normal(force.shape)
-    mounted = Rotation.from_euler("ZYX", ins.MOUNT[::-1])  # unit to car, as scipy has it
+    mounted = Rotation.from_euler("ZYX", ins.MOUNT[::-1])  # unit to car, in scipy's convention
     unit = [mounted.apply(x) for x in (np.degrees(rate), force / 9.80665)]
     at = np.arange(0.0, END_S, 0.25)
     k = np.round((at + 0.5) / (DT / 2)).astype(int)

@@ -136,7 +136,7 @@ def test_rates_may_be_missing(pair):
     ).mean
     for name, filter in positioning_filters.filters(len(found.names)).items():
         mean = run(filter, found.prior(), found.epochs(), keep="mean").mean
-        if name != "sage-husa":  # nothing says how the clock runs, and it takes that for noise
+        if name != "sage-husa":  # no model of the clock, which it treats as noise
             assert np.abs(mean[:, :3] - PLACE).max() < 1.0, name
         if name == "group":
             np.testing.assert_allclose(mean, plain, atol=0.1)

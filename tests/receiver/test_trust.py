@@ -140,7 +140,7 @@ def test_four_satellites_that_pull_the_track_away_are_not_followed(steady, filte
     assert set(found.trust[40:60]) == {"apart"}
     assert set(found.trust[:40]) | set(found.trust[60:]) == {""}
     assert error(found)[~found.doubtful].max() < 15.0
-    if filter != "ls":  # which has no track to go on with
+    if filter != "ls":  # which has no track to continue
         assert error(found)[bad].max() < 60.0
         assert not found.measured[bad].any()
 

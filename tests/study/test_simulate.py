@@ -97,7 +97,7 @@ def test_moments_are_those_of_the_model():
         x = centered(truth[k], mean)
         matches(x, P)
         matches(centered(z[k], H @ mean), H @ P @ H.T + R)
-        matches(z[k] - truth[k] @ H.T, 0.0 * R, x)  # noise knows nothing of the state
+        matches(z[k] - truth[k] @ H.T, 0.0 * R, x)  # noise is independent of the state
     w, v = truth[1:] - truth[:-1] @ F.T, z - truth @ H.T
     matches(w, Q)
     matches(v, R)
