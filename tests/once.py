@@ -20,7 +20,7 @@ def once(study):
     store = existing(folder) or resumed(folder)
     units = study.units(effort=effort())
     if os.environ.get("PYTEST_XDIST_WORKER") == "gw1":
-        units.reverse()  # where two processes need the same results, each computes a half of them
+        units.reverse()  # if two processes need the same results, each computes half
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(compiled, "operation_limit", lambda *_work: 0)
         for unit in units:

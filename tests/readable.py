@@ -21,7 +21,7 @@ def faults(fig):
 
     solid = {
         text for ax in fig.axes if ax.name == "3d" for text in ax.findobj(Text)
-    }  # whose boxes are known in space only
+    }  # their boxes are known only in 3-D
     hidden = {
         label for ax in flat for axis in _axes(ax) for label in _labels(axis, all_of_them=True)
     } | solid

@@ -681,7 +681,7 @@ def test_sensors_that_are_no_angles_are_left_alone(case):
 def test_jumps_are_a_wrap_only_if_a_third_of_them_are_turns(turns, wraps):
     """Both counts exceed the number of full turns expected for jumps of any size."""
     x = 0.02 * np.random.default_rng(5).standard_normal((2000, 1))
-    x[10:1990:16, 0] = 10.0  # 124 of no whole number of turns
+    x[10:1990:16, 0] = 10.0  # 124 that are not full turns
     x[10 : 10 + 16 * turns : 16, 0] = 2.0 * np.pi
     found = diagnose(x, np.arange(2000.0)).wraps
     assert [line.split(",")[0] for line in found] == wraps * [

@@ -150,7 +150,7 @@ def test_gradient_against_differences_of_flights(case):
     exact = case not in ("extended", "iterated")  # numpy takes differences for their Jacobians
     near = (
         1e-2 if case == "robust" else 1e-6 if exact else 1e-4
-    )  # differences across kinks say little
+    )  # differences across kinks are inaccurate
     np.testing.assert_allclose(found.value, known.value, rtol=1e-9 if exact else 1e-6)
     np.testing.assert_allclose(
         found.gradient, known.gradient, rtol=0, atol=near * np.abs(known.gradient).max()
@@ -396,7 +396,7 @@ def test_the_values_of_names_are_part_of_a_program():
     when, gradient = epochs(TIMES, Z[:, 0]), Gradient(build, epochs(TIMES, Z[:, 0]))
     gradient(np.array([0.2]), np.ones(1))
     with pytest.raises(CannotCompile, match="a model knows the parameters otherwise than by"):
-        gradient(np.array([0.8]), np.ones(1))  # nothing of the step at 0.2 is taken on trust
+        gradient(np.array([0.8]), np.ones(1))  # the step at 0.2 is recorded again
     found = likelihood_gradient(build, [0.8], when).gradient
     np.testing.assert_allclose(
         Gradient(build, when)(np.array([0.8]), np.ones(1))[1], found, rtol=1e-6

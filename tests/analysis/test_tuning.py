@@ -147,7 +147,7 @@ def test_what_the_data_do_not_determine_is_told():
 
     alternating = (
         np.abs(constant) * (-1.0) ** np.arange(40)[:, None]
-    )  # less than white: any walk makes it less probable
+    )  # less scatter than white noise: any random walk is less probable
     tuned = maximize_likelihood(walk, [0.3, 1.0], epochs(np.arange(40), alternating), factor=20.0)
     assert not tuned.converged
     assert "parameter 0" in tuned.message
@@ -266,7 +266,7 @@ def test_parameters_stay_in_their_domain(domain, free):
     when, truth = correlated()
     tuned = maximize_likelihood(
         correlation, [0.3, 0.9], when, domain=domain
-    )  # which asserts that phi is below 1
+    )  # this raises an error unless phi is below 1
     assert tuned.converged, tuned.message
     assert tuned.failures == 0
     assert (np.abs(tuned.parameters - truth) < 3.0 * tuned.standard_errors).all()

@@ -69,7 +69,7 @@ def files(folder):
 
 
 def test_a_mission_is_flown_and_everything_is_written(mission, tmp_path, capsys, monkeypatch):
-    with monkeypatch.context() as patch:  # figures that are empty, which the second replaces
+    with monkeypatch.context() as patch:  # empty figures, which the second run replaces
         patch.setattr("celnav.show.drawing.render", lambda drawing, kind: b"")
         assert cli.main(["run", str(mission)]) == 0
     assert cli.main(["run", str(mission)]) == 0
@@ -138,7 +138,7 @@ def test_a_campaign_writes_a_row_for_each_configuration_and_filter_and_resumes(
     again = capsys.readouterr().out
     assert "0/72 runs" in first
     assert "72/72 runs" in again
-    assert again.index("72/72 runs") == again.index("runs") - 6  # nothing was left to do
+    assert again.index("72/72 runs") == again.index("runs") - 6  # there was no work left
     assert (tmp_path / "here" / "table.csv").read_bytes() == content
     times = pd.read_csv(tmp_path / "here" / "times.csv")
     assert (times.us_per_run_step > 0).all()
@@ -177,7 +177,7 @@ def test_where_the_first_exception_came_from_is_on_the_page(mission, tmp_path, m
 
     monkeypatch.setattr(csrukf, "trial", broken)
     outcome = campaign(read(mission), tmp_path / "store")
-    assert [row["failed"] for row in outcome.rows] == [0, 0]  # one by one they can be simulated
+    assert [row["failed"] for row in outcome.rows] == [0, 0]  # single runs can be simulated
     write(outcome, {}, Outputs(tmp_path / "store"))
     page = (tmp_path / "store" / "index.html").read_text()
     assert "<h2>The first exception</h2><pre>Traceback" in page
@@ -188,7 +188,7 @@ def test_the_effort_scales_the_runs(mission, undrawn, capsys):
     assert cli.main(["campaign", str(mission), "--jobs", "1", "--effort", "0.2"]) == 0
     assert "2/2 runs" in capsys.readouterr().out
     assert cli.main(["campaign", str(mission), "--jobs", "1"]) == 0
-    assert "12/12 runs" in capsys.readouterr().out  # a look at a few of them is no other study
+    assert "12/12 runs" in capsys.readouterr().out  # fewer runs do not make another study
     assert cli.main(["campaign", str(mission), "--jobs", "1", "--effort", "0.2"]) == 2
     assert "belongs to another study (runs: 12 -> 2)" in capsys.readouterr().err
 
@@ -283,7 +283,7 @@ def test_a_scheduler_that_is_not_there_is_one_line(sweep, tmp_path, capsys, monk
     captured = capsys.readouterr()
     assert "tcp://127.0.0.1:1" in captured.err
     assert captured.err.count("\n") == 1
-    assert captured.out == ""  # nothing seemed to begin
+    assert captured.out == ""  # no progress is printed
 
 
 @pytest.mark.parametrize("address", ["nonsense", "ftp://127.0.0.1:1", "tcp://", "127.0.0.1:70000"])

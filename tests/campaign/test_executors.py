@@ -49,7 +49,7 @@ def test_processes_give_the_same_bytes(file, wanted, tmp_path, jobs):
     assert table(campaign(read(file), tmp_path, processes(jobs))) == wanted
 
 
-@pytest.mark.filterwarnings("ignore")  # of distributed's own
+@pytest.mark.filterwarnings("ignore")  # warnings from distributed
 def test_a_local_dask_cluster_gives_the_same_bytes(file, wanted, tmp_path):
     assert table(campaign(read(file), tmp_path, dask(jobs=2))) == wanted
 
@@ -94,7 +94,7 @@ def cluster():
         process.wait(20)
 
 
-@pytest.mark.filterwarnings("ignore")  # of distributed's own
+@pytest.mark.filterwarnings("ignore")  # warnings from distributed
 def test_a_running_cluster_gives_the_same_bytes(file, wanted, tmp_path, cluster):
     assert table(campaign(read(file), tmp_path, dask(cluster))) == wanted
 
@@ -162,9 +162,7 @@ def test_an_interrupt_ends_it_and_leaves_no_process(file, wanted, tmp_path):
     process = subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True, start_new_session=True)
     pids = workers_at_work(process, folder, 1)
     os.killpg(process.pid, signal.SIGINT)
-    _, error = process.communicate(
-        timeout=60
-    )  # it takes less than a second where nothing else runs
+    _, error = process.communicate(timeout=60)  # takes less than a second on an idle machine
     assert process.returncode == 130
     assert (
         error

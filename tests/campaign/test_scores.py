@@ -181,7 +181,7 @@ def test_errors_count_where_the_filter_has_no_covariance_and_the_others_have_the
     found = followed(error)
     std, nees = found.std.copy(), found.nees.copy()
     std[:, 3], nees[:, 3] = np.nan, np.nan
-    std[0, 3] = STD  # but at one epoch, which is not settled
+    std[0, 3] = STD  # but at one unsettled epoch
     scores, failed = score(found._replace(std=std, nees=nees), GROUPS, settle_s=None, limits={})
     assert [(f.run, f.why) for f in failed] == [
         (3, "no positive definite covariance at any settled epoch")
@@ -189,7 +189,7 @@ def test_errors_count_where_the_filter_has_no_covariance_and_the_others_have_the
     np.testing.assert_array_equal(
         accuracies(summed_up(scores)), accuracies(summed_up(scored(error[:, :3])[0]))
     )
-    std[5, 3] = STD  # at a settled one too: now it counts
+    std[5, 3] = STD  # at a settled epoch too: now it counts
     scores, failed = score(found._replace(std=std, nees=nees), GROUPS, settle_s=None, limits={})
     assert failed == []
     found = summed_up(scores)
@@ -202,7 +202,7 @@ def test_errors_count_where_the_filter_has_no_covariance_and_the_others_have_the
 
 def test_a_run_without_an_estimate_where_it_is_judged_is_a_failure_and_no_perfect_run():
     error = errors(4)
-    error[4:7, 2] = np.nan  # it comes back for the last epoch
+    error[4:7, 2] = np.nan  # finite again at the last epoch
     error[7, 2] = 0.1
     found = scored(error, settle_s=4.0)
     assert summed_up(found[0])["runs"] == 4

@@ -248,7 +248,7 @@ def test_another_study_is_refused_with_the_difference(made, change, difference):
         (
             {"config": {"steps": 8, "phi": [0.8, 0.0], "sigma_km": [0.1, 0.2]}},
             2 * 6,
-        ),  # 0.2 is what it was
+        ),  # 0.2 is the old value
         ({"runs": 10, "config": {"steps": 8, "phi": [0.9, 0.8, 0.0]}}, 10 + 2 * 4),
     ],
 )
@@ -268,7 +268,7 @@ def test_a_finished_campaign_grows_and_flies_only_what_is_new(made, tmp_path, ch
     assert seen[-1][0] == seen[-1][1]
     with pytest.raises(
         StoreError, match="belongs to another study"
-    ):  # now it is that of the larger one
+    ):  # now the folder has the larger campaign
         campaign(study(TABLE), folder)
 
 

@@ -72,7 +72,7 @@ def test_a_filter_that_flies_again_and_again_is_compiled(records):
     engines = [celnav.run(again, PRIOR, times, z).engine for _ in range(40)]
     assert engines[0].startswith("numpy")
     assert engines[-1] == "compiled"
-    assert engines == sorted(engines, reverse=True)  # and stays so
+    assert engines == sorted(engines, reverse=True)  # and it remains compiled
     assert len(records) == 2
     assert all(celnav.run(filter_of(), PRIOR, times, z).engine[:5] == "numpy" for _ in range(40))
     token = REPEATED.set(2)

@@ -221,7 +221,7 @@ def test_the_bytes_do_not_depend_on_threads_or_company(gaps):
     z, prior = RNG.standard_normal((6, 37, 2)), many(37)
     if gaps:
         z[RNG.random(z.shape) < 0.3] = np.nan
-        z[np.isnan(z).all(-1)] = 0.5  # a run alone that has nothing at an epoch is another matter
+        z[np.isnan(z).all(-1)] = 0.5  # a single run without a measurement is a different case
     filter = celnav.ukf(
         celnav.Motion(
             lambda x, e: bend(x, e) / np.hypot(x, 3.0) + np.exp(-np.square(x)), 0.01 * EYE
@@ -569,7 +569,7 @@ def test_a_run_that_keeps_nothing_needs_no_room_for_its_rows():
     filter = celnav.compiled(celnav.ukf(motion, celnav.Sensor(np.ones((1, n)), [[0.1]])))
     prior = celnav.Gaussian(RNG.standard_normal((runs, n)), np.eye(n))
     times, z, peak = np.arange(float(T)), np.zeros((T, 1)), {}
-    filter.run(prior, times, z, keep="nothing")  # compiled now
+    filter.run(prior, times, z, keep="nothing")  # this run is compiled
     for keep in ("nothing", "mean"):
         tracemalloc.start()
         track = filter.run(prior, times, z, keep=keep)

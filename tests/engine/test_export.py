@@ -84,7 +84,7 @@ def test_the_code_gives_what_the_library_gives(tmp_path, name):
     rows = np.array([flown.step(k, TIMES[k], 0.5 if k else 0.0, z[k]) for k in range(len(TIMES))])
     track = celnav.run(FILTERS[name], PRIOR, TIMES, z)
     n = track.mean.shape[-1]
-    close = 1e-6 if name == "ekf" else 1e-10  # numpy takes differences, the code derivatives
+    close = 1e-6 if name == "ekf" else 1e-10  # numpy uses differences, the code derivatives
     np.testing.assert_allclose(rows[:, :n], track.mean, rtol=close, atol=close)
     np.testing.assert_allclose(rows[:, n : 2 * n], track.std, rtol=close, atol=1e-12)
     np.testing.assert_array_equal(rows[:, 2 * n + 4 : 2 * n + 6] != 0.0, track.used)

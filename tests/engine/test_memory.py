@@ -25,7 +25,7 @@ def test_what_nobody_holds_is_used_again():
     first = rows.ctypes.data
     view = rows[1:, ::2].T[3:]
     del rows
-    assert memory.empty(SHAPE, float).ctypes.data != first  # the view has it yet
+    assert memory.empty(SHAPE, float).ctypes.data != first  # a view still refers to it
     del view
     gc.collect()
     taken = [memory.empty((*SHAPE[::-1],), float) for _ in range(2)]

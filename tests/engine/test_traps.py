@@ -69,7 +69,7 @@ class Case(NamedTuple):
 
     expected: str
     make: Any  # () -> (filter, arguments of `celnav.run`)
-    model: Any  # the function whose line a refusal names
+    model: Any  # the function whose line an error names
     squared: bool = False  # a covariance form: round-off grows with the square of the condition
 
 
@@ -861,7 +861,7 @@ MEMORIES = {
     "noise at late epochs": random_sometimes,
     "a clock": clock,
 }
-HIDDEN_MEMORIES = {  # what they do at first is nothing
+HIDDEN_MEMORIES = {  # they have no effect at first
     "after 50 calls": counter(lambda n: 0.1 * (n >= 50)),
     "after 100 calls": counter(lambda n: 0.1 * (n >= 100)),
     "after 400 calls": counter(lambda n: 0.1 * (n >= 400)),
@@ -1975,7 +1975,7 @@ cases(EITHER, "pure, no runs", by_motion, NO_RUNS, **ALONE)
 cases(EITHER, "pure, no runs, Q", by_Q, NOISE_NO_RUNS, **ALONE)
 cases(EITHER, "pure, no runs, jacobian", by_jacobian, JACOBIAN_NO_RUNS, **ALONE)
 cases(EITHER, "of each run", by_motion, OF_EACH_RUN, **LINE)
-for runs in (1, 2, 5, 8, 9):  # 2 states, 5 points, 8 runs a vector
+for runs in (1, 2, 5, 8, 9):  # 2 states, 5 points, 8 runs per vector
     cases(
         EQUAL,
         f"pure, {runs} runs",
@@ -2376,7 +2376,7 @@ def test_no_engine_gives_wrong_numbers_without_a_word(name):
     assert case.expected not in (EQUAL, ACCEPTED), f"refused: {type(compiled).__name__}: {compiled}"
     assert_refused(compiled, case.model)
     assert isinstance(auto, celnav.Track), f"auto: {type(auto).__name__}: {auto}"
-    if case.expected in (MEMORY, HIDDEN):  # what it remembers is not the same
+    if case.expected in (MEMORY, HIDDEN):  # its memory differs
         assert auto.engine.startswith("numpy: ")
     else:
         assert auto.engine == f"numpy: {compiled}"

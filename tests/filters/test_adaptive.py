@@ -108,7 +108,7 @@ def test_gate_leaves_out_components(form, rule):
     np.testing.assert_array_equal(track.events["missing"], [1, 0, 0])
     assert rejected[0] >= 1
     assert rejected[1] >= 2
-    assert track.innovation[5, 0, 1] > 40.0  # told, though not used
+    assert track.innovation[5, 0, 1] > 40.0  # recorded, though not used
     assert not track.used[5, 0, 1]
 
 

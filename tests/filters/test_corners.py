@@ -222,7 +222,7 @@ def test_what_a_hook_writes_into_a_joint_stays_there(name, field):
         np.testing.assert_array_equal(x, y)
     plain = celnav.ukf(Motion(EYE, EYE), Sensor(EYE, EYE))
     again, _ = plain.step(plain.start(PRIOR), Epoch(0, 0.0, 0.0, None, np.ones(2)))
-    if name == "state":  # of the measurement the innovation is what counts
+    if name == "state":  # for the measurement only the innovation has an effect
         assert not np.array_equal(after.belief.mean, again.belief.mean)
 
 
@@ -252,7 +252,7 @@ def test_a_search_stays_within_its_range():
     assert found.parameters[0] * (1.0 + 1e-12) >= 1e-3
     assert np.min(tried) >= 1e-3 * np.exp(-2.0 * STEP) * (
         1.0 - 1e-12
-    )  # differences may look over the edge
+    )  # numerical differences may cross the boundary
     assert not found.converged
     assert found.message == "parameter 0 ran to the end of its range, 0.001"
 

@@ -416,7 +416,7 @@ def test_a_step_takes_no_more_than_half_again_of_filterpys_calls(cls, n, m):
 
         kf = kind(n, m, 1.0, h, f, MerweScaledSigmaPoints(n, 0.5, 2.0, 0.0))
         for turn in range(2):
-            if turn:  # the first step makes what is kept
+            if turn:  # the first step computes what later steps reuse
                 seen.clear()
                 sys.setprofile(profile)
             try:

@@ -96,7 +96,7 @@ def test_what_filterpy_accepts_gives_what_it_gives(cls, name):
             warnings.simplefilter("ignore", UserWarning)
             kf.predict()
             kf.update(getattr(kf, "test_z", 0.7))
-            if kf.R is not None:  # filterpy's points need what is left to be regular
+            if kf.R is not None:  # filterpy's points need a regular covariance
                 kf.predict()
         both.append(kf)
     names = "x P Q R x_prior P_prior x_post P_post S SI K y log_likelihood likelihood mahalanobis sigmas_f sigmas_h Wm Wc"
@@ -147,6 +147,6 @@ def test_a_number_for_a_matrix_is_told_once(cls):
     with pytest.warns(UserWarning, match="^R: the number 0.25 counts in every element"):
         kf.update([0.1, 0.2])
     one = pair(cls)
-    one.R = 0.25  # of one component there is nothing to tell
+    one.R = 0.25  # no warning for one component
     one.predict()
     one.update(0.1)

@@ -278,7 +278,7 @@ def test_a_sensor_that_uses_the_input_has_none_at_the_first_epoch(place, engine)
     if place == "h":
         free = celnav.ukf(motion, celnav.Sensor(held, [[1.0]]))
         own = celnav.run(free, START, times, np.ones((4, 1)), u, engine=engine)
-        np.testing.assert_allclose(own.mean, late.mean, atol=1e-12)  # 0 x says nothing
+        np.testing.assert_allclose(own.mean, late.mean, atol=1e-12)  # 0 x has no information
 
 
 @pytest.mark.parametrize("engine", ["numpy", "compiled"])

@@ -236,7 +236,7 @@ def test_noise_is_stationary_unless_its_increments_are_given(make):
             (by_function, Phi),
         ):
             if seen is by_function and make is celnav.augmented:
-                continue  # its V is a state, which begins with one covariance
+                continue  # its V is a state with one initial covariance
             found = celnav.run(make(motion(s), seen, phi), prior, steps, s["z"], keep="cov")
             np.testing.assert_allclose(found.mean, expected.mean, rtol=0, atol=1e-10)
             np.testing.assert_allclose(found.cov, expected.cov, rtol=0, atol=1e-10)

@@ -181,7 +181,7 @@ def test_is_consistent_where_models_switch():
     assert 0.95 < track.nis.mean() / 2.0 < 1.05
     given = np.take_along_axis(mu, modes[..., None], -1)
     np.testing.assert_allclose(given.mean(), np.square(mu).sum(-1).mean(), atol=0.01)
-    for p in (0.2, 0.8):  # of the epochs that have this probability, about as many are so
+    for p in (0.2, 0.8):  # calibration: relative frequency at epochs with this probability
         assert abs(modes[np.abs(mu[..., 1] - p) < 0.05].mean() - p) < 0.05
     for alone in models():
         other = celnav.run(alone, prior, TIMES, z, keep="cov")

@@ -313,7 +313,7 @@ def test_other_parts_take_the_same(form):
     for track in tracks[1:]:
         np.testing.assert_allclose(track.mean[..., :2], tracks[0].mean, atol=1e-8)
         np.testing.assert_allclose(track.cov[..., :2, :2], tracks[0].cov, atol=1e-8)
-    for filter in filters[:2]:  # runs come from Phi
+    for filter in filters[:2]:  # Phi has the axis of runs
         np.testing.assert_allclose(
             run(filter, X0[0], z=Z[:, 0]).mean[:, 0, :2], tracks[0].mean[:, 0], atol=1e-8
         )

@@ -242,7 +242,7 @@ def test_data_of_each_run_are_not_taken_for_it(name, rule, prior):
         filter, PRIORS[prior], celnav.epochs(times, z, u=u), on_failure="flag", keep="cov"
     )
     if name == "random" or (name, rule) == ("a solver for all", "differences"):
-        assert track.mean.shape == (3, 2, 2)  # differences of what a solver leaves over say little
+        assert track.mean.shape == (3, 2, 2)  # differences of solver errors are inaccurate
         return
 
     def made(i):

@@ -84,9 +84,7 @@ def kalman(z, F=F, H=H, Q=Q, P=P0, pad=0):
 def followed(filter, z, prior=SHARED):
     """Means and covariances, the latter with their stored shape."""
     states = [state.belief for _, state, _ in steps(filter, prior, epochs(np.arange(float(T)), z))]
-    shape = states[
-        -1
-    ].mean.shape  # of the first epochs there may be one estimate for several boosts
+    shape = states[-1].mean.shape  # at the first epochs several boosts may share one estimate
     return np.stack([np.broadcast_to(belief.mean, shape) for belief in states]), [
         belief.cov for belief in states
     ]

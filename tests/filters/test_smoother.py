@@ -327,7 +327,7 @@ def test_a_turn_more_changes_nothing():
 
     wrapped = estimate(1.0, space, angles())
     plain = estimate(0.0, EUCLIDEAN, EUCLIDEAN)
-    assert plain.mean[-1, 0] + 1.0 > np.pi  # it did wrap
+    assert plain.mean[-1, 0] + 1.0 > np.pi  # it has wrapped
     assert (np.abs(wrapped.mean[:, 0]) <= np.pi).all()
     np.testing.assert_allclose(
         space.minus(wrapped.mean, plain.mean), np.tile([1.0, 0.0], (15, 1)), rtol=0, atol=1e-9

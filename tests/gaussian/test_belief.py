@@ -93,7 +93,7 @@ def test_condition_with_a_given_gain_is_josephs_form(form, sign):
 @pytest.mark.parametrize("sign", SIGNS.values(), ids=SIGNS)
 def test_conditioning_is_the_same_where_the_prior_covariance_is_given(form, sign):
     A = prearray((3,), sign)
-    A[..., 2:, 8:] = 0.0  # noise that only the first rows have
+    A[..., 2:, 8:] = 0.0  # noise in the first rows only
     known, noise = form.marginal(A[..., 2:, :], sign), A[..., :2, 8:]
     given = form.condition(A, sign, 2, None, prior_factor=known, noise=noise)
     for mine, plain in zip(given, form.condition(A, sign, 2), strict=True):
@@ -159,7 +159,7 @@ def test_samples_have_the_moments():
     for i, scale in enumerate((1.0, 4.0)):
         tolerance = (
             5.0 * np.sqrt(2.0) * 2.0 * scale / np.sqrt(200_000)
-        )  # five deviations of a sample variance
+        )  # five standard deviations of a sample variance
         np.testing.assert_allclose(np.cov(x[:, i].T), scale * P, atol=tolerance)
         np.testing.assert_allclose(
             x[:, i].mean(0), belief.mean[i], atol=5.0 * np.sqrt(2.0 * scale / 200_000)

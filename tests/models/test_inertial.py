@@ -397,7 +397,7 @@ def test_a_poor_heading():
     early, _, late = (bootstrap(np.mean, v, seed=0) for v in values["invariant"])
     assert late[0] < 1.1
     assert late[1] < 1.25
-    assert early[1] < 2.0  # it is overconfident in the first seconds, a little
+    assert early[1] < 2.0  # slightly overconfident in the first seconds
     for error in ("body", "local"):
         for v in values[error]:
             assert bootstrap(np.mean, v, seed=0)[0] > 2.0

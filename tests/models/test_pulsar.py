@@ -43,7 +43,7 @@ def test_the_delay_is_the_difference_of_distances():
     near = replace(crab, distance_kpc=1e4 * AU / KPC_KM)
     timing = Timing([near])
     r, sun = places(20)
-    source = near.distance_km * near.direction + sun  # the distance is that from the Sun
+    source = near.distance_km * near.direction + sun  # distance from the Sun
     exact = np.linalg.norm(source, axis=-1) - np.linalg.norm(source - r, axis=-1)
     geometric = timing.delay(r, sun)[:, 0] - timing.shapiro(r, sun)[:, 0]
     # The remaining error is of third order, r (r / D)^2.
@@ -89,7 +89,7 @@ def test_pulses_that_nobody_counted_are_folded_into_half_a_period():
     )
     far = timing.uncounted.minus(
         np.array([0.0, 0.0, 0.6 * periods[2]]), np.zeros(3)
-    )  # beyond, another pulse is taken for it
+    )  # beyond this another pulse is identified
     np.testing.assert_allclose(far, [0.0, 0.0, -0.4 * periods[2]], atol=1e-9)
 
 

@@ -302,7 +302,7 @@ def test_extreme_thresholds_are_the_isotropic_rule_and_the_rule_before(short):
     everything = scenario.by_observability(sim.config, 0.0)(belief, epoch, None)
     assert {f"{number:013b}"[1:] for number in everything.tolist()} == {
         "1" * 12
-    }  # all but the vertical bias, perhaps
+    }  # perhaps except the vertical bias
     never = scenario.by_observability(sim.config, 1e30)
     np.testing.assert_array_equal(never(belief, epoch, None), 2**13 - 1)
     np.testing.assert_array_equal(never(belief, epoch, np.full(4, 3)), 3)
@@ -593,7 +593,7 @@ def test_the_unscented_filter_sees_the_bend_of_the_stars_in_two_of_six_direction
             noise, noise
         )
         values = np.linalg.eigvalsh(Omega)
-        assert (values > 100.0).sum() == seen  # a deviation of ten times the noise
+        assert (values > 100.0).sum() == seen  # ten standard deviations of the noise
         np.testing.assert_allclose(values[: 6 - seen], 0.0, atol=1e-6)
 
 

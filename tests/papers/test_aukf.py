@@ -339,7 +339,7 @@ def test_a_linear_measurement_makes_all_of_them_the_textbooks_filter(alpha):
     H = pseudorange.jacobian(sim.truth[0, 0], sim.satellites.q[0], sim.satellites.w[0])
     R = SHORT.R(S)
     rng = np.random.default_rng(0)
-    truth = sim.truth - sim.truth[0, :1]  # about the start, so that round-off is of meters
+    truth = sim.truth - sim.truth[0, :1]  # relative to the start, to limit round-off
     z = truth @ H.T + rng.normal(size=(*truth.shape[:2], 2 * S)) @ np.sqrt(R)
     start = sim.prior.mean - sim.truth[0, :1]
     F, Q = SHORT.F, SHORT.Q
@@ -581,7 +581,7 @@ def test_channels_that_share_no_state_do_not_touch_each_other():
     np.testing.assert_allclose(one[..., 0], alone[..., 0], rtol=0, atol=1e-9)
     assert (
         np.abs(one[-1][:, bad]).max() < 3.0 < 1e2 < np.abs(two[-1][:, bad]).min()
-    )  # next to prediction only
+    )  # almost only a prediction
 
 
 def test_all_ranges_too_long_are_a_step_of_the_clock():
@@ -826,7 +826,7 @@ def test_every_statement_is_in_the_ledger_and_nothing_surprises(results):
     assert not {id for id, c in claims.items() if c.surprise}
     assert not any(
         id.startswith("real-") for id in claims
-    )  # without its files nothing is said of the receiver
+    )  # without files no sentence about the receiver
     assert len([c for c in claims.values() if c.kind == "finding"]) <= 10
     dumps(claims.values())
 

@@ -45,7 +45,7 @@ def test_what_subtracts_has_half_the_digits(form):
         assert wrong > 1e3 * EPS
         assert scalar(form, 1e-9) != pytest.approx(
             1e-18, rel=0.5, abs=0.0
-        )  # zero, no root, or rounding
+        )  # zero, not positive definite, or round-off
     else:
         assert scalar(form, 1e-9) == pytest.approx(1e-18, rel=1e-12)
 

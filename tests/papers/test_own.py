@@ -189,7 +189,7 @@ def test_papers_and_own_studies_go_together(folder, monkeypatch, capsys):
     )
     (folder / "other.py").write_text(TEMPLATE.replace("A vehicle by", "Another by"))
     assert reproduce("study.py", "tiny", "other.py") == 0
-    (folder / "other.py").unlink()  # what the page shows of it is kept
+    (folder / "other.py").unlink()  # the page's data are stored
     assert reproduce("tiny") == 0
     page = (folder / "out/index.html").read_text()
     assert all(
@@ -386,7 +386,7 @@ def test_a_mission_takes_a_study_beside_it(folder, capsys, monkeypatch):
     (folder / "elsewhere").mkdir()
     (folder / "study.py").rename(
         folder / "elsewhere" / "study.py"
-    )  # its results go with what it says, not where it lies
+    )  # its results depend on its contents, not its path
     (missions / "sweep.toml").write_text(
         text.replace("1.0", "[0.5, 1.0]").replace("../", "../elsewhere/")
     )

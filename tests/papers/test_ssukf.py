@@ -748,7 +748,7 @@ def test_mekf_is_that_of_the_textbook_and_its_usual_mistake_costs_two_minutes(si
         attitude.log(attitude.multiply(sim.truth[1, :, :4], attitude.inverse(wrong[0, :, :4])))
         / ARCSEC
     )
-    assert 120.0 < np.sqrt(np.square(error[:, 2]).mean()) < 165.0  # where 20 are due
+    assert 120.0 < np.sqrt(np.square(error[:, 2]).mean()) < 165.0  # 20 are expected
     error = (
         attitude.log(attitude.multiply(sim.truth[1, :, :4], attitude.inverse(right[0, :, :4])))
         / ARCSEC
@@ -813,7 +813,7 @@ def test_one_vector_separates_the_filters_and_equal_spread_unites_them():
     for degrees in (10, 30):
         for out, name, other in ((wide, "aukf", "ssukf"), (same, "usque", "ssukf")):
             a, b = (out[f"{one}, {degrees}/error"][..., :3] for one in (name, other))
-            np.testing.assert_allclose(a, b, atol=4e-3)  # arcsec, of degrees
+            np.testing.assert_allclose(a, b, atol=4e-3)  # arcsec
         assert (
             np.abs(same[f"mekf, {degrees}/error"] - same[f"usque, {degrees}/error"])[
                 5:, :, :3

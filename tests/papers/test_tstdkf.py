@@ -721,7 +721,7 @@ def test_recordings_are_written_under_their_names(results, tmp_path):
         "/error/aug/ellipsoid",
         "/plots/bias/x/tstdkf",
     } <= month
-    assert "/plots/bias/x/ekf" not in month  # it does not estimate it
+    assert "/plots/bias/x/ekf" not in month  # this filter does not estimate it
     assert {f"/plots/{trend}/z/B" for trend in ("sine", "growing", "triangle")} <= year
 
 

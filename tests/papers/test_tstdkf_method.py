@@ -263,7 +263,7 @@ def test_process_noise_of_one_color_is_nearly_exact():
         np.trace(P) for P in (state.belief.cov[0, :N, :N], kept[-1, 0], dropped[-1, 0])
     )
     assert kept >= best * (1.0 - 1e-9)  # no filter of these measurements can do better
-    assert dropped < best  # and none can say so
+    assert dropped < best  # and no filter can predict it
     assert abs(kept - best) < abs(dropped - best)
 
 

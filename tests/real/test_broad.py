@@ -445,7 +445,5 @@ def test_the_judge_gives_a_published_filter_its_published_errors(i):
 def test_a_short_piece_of_the_real_trials_is_followed():
     results = broad.STUDY.reproduce(effort=0.02, only=["mekf"], broad=REAL)
     errors = results.get("mekf", "judged")
-    inclination = np.sqrt(
-        np.nanmean(np.square(errors[:, :7, 2]), 0)
-    )  # the magnet beside the last misleads it
+    inclination = np.sqrt(np.nanmean(np.square(errors[:, :7, 2]), 0))  # the last magnet disturbs it
     assert (inclination < 4.0).all(), inclination

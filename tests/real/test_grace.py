@@ -125,7 +125,7 @@ def results(folder):
     """The study on the simulated files, in which a revolution is an eighth of the day."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(study, "REVOLUTION", 40)
-        patch.setattr(show, "REVOLUTION", 40)  # which took it over when it was imported
+        patch.setattr(show, "REVOLUTION", 40)  # which copied the value at import
         patch.setattr(study, "TRAINED", 100)
         yield grace.STUDY.reproduce(grace=folder)
 

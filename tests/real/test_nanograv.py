@@ -214,7 +214,7 @@ def test_what_every_timing_model_has_is_hidden_and_the_rest_is_seen(folder):
     assert left(lambda a: np.outer((a.day - 54000.0) ** 2 / 1e6, still)) < 1e-6
     tilt = (
         np.cross(np.array([1e-6, 2e-6, -1e-6]), np.eye(3)) * AU_KM
-    )  # axes that are turned: yearly, about 300 km
+    )  # rotated axes: a yearly error of about 300 km
     assert left(lambda a: a.earth @ tilt) < 1e-6
     assert left(lambda a: np.outer(np.sin(a.day / 5.0), still)) > 50.0
 

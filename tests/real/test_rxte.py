@@ -53,7 +53,7 @@ def made(folder, seed=0, rate=12.0, seconds=2400.0, fraction=0.6):
     )
     t = np.sort(START + seconds * rng.random(rng.poisson(2.0 * rate * seconds)))
     spin = photons.read_par(folder / "model.par")
-    for _ in range(2):  # the second time with what the pulse leaves of them
+    for _ in range(2):  # the second time with photons drawn from the pulse
         channels = rng.integers(5, 50, len(t))
         written(
             folder / "events.fits",

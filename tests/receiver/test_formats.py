@@ -415,9 +415,9 @@ def test_of_two_messages_of_one_time_that_of_e1_is_taken(tmp_path):
         (517, 0b000000000, 3.12, True),
         (517, 0b000000001, 3.12, False),  # data of E1-B are not valid
         (517, 0b000000010, 3.12, False),  # E1-B is out of service
-        (517, 0b000001000, 3.12, True),  # E5a alone is not well
+        (517, 0b000001000, 3.12, True),  # only E5a is unhealthy
         (258, 0b000010000, 3.12, False),
-        (258, 0b000000010, 3.12, True),  # F/NAV does not say how well E1 is
+        (258, 0b000000010, 3.12, True),  # F/NAV has no health of E1
         (517, 0b000000000, -1.0, False),  # no accuracy is predicted
     ],
 )

@@ -104,7 +104,7 @@ def test_epochs_without_a_fix_are_predictions(pair):
     nav, obs = pair
     code = obs.code.copy()
     code[5] = np.nan
-    code[0, 3:] = np.nan  # three are too few to begin with
+    code[0, 3:] = np.nan  # three are too few to start
     found = positioning.prepare(replace(obs, code=code), nav)
     assert len(found.times) == 11
     assert np.isnan(found.fixes[4]).all()
@@ -173,7 +173,7 @@ def test_a_clock_that_is_set_in_a_gap_costs_the_ranges_of_the_gap(pair):
     for rates in (True, False):
         log = observed(nav.sets, LONG, DRIFTING + 1e-3 * LIGHT * (np.arange(12) >= 5))
         code = log.code.copy()
-        code[5:7, 3:] = np.nan  # three ranges are no fix
+        code[5:7, 3:] = np.nan  # three ranges give no fix
         doppler = log.doppler if rates else np.full_like(log.doppler, np.nan)
         found = positioning.prepare(replace(log, code=code, doppler=doppler), nav)
         assert not found.used[5:7].any()

@@ -86,7 +86,7 @@ def test_a_set_is_chosen_by_time_kind_and_health(texts, tmp_path):
     assert found.nearest("C01", TOE + 3500.0) >= 0
     assert (
         found.nearest("C01", TOE + 3700.0) == -1
-    )  # of a geostationary satellite a set is good for an hour
+    )  # a set of a geostationary satellite is valid for one hour
     assert found.nearest("C20", TOE) == -1
     assert found.nearest("C30", TOE) >= 0
     assert found.nearest("C58", TOE) == -1

@@ -101,5 +101,5 @@ def test_the_sky_and_its_dilution():
     assert np.isnan(few.position).all()
     one_place = np.concatenate(
         [q, np.broadcast_to(q[:1, :1], (1, 7, 3))]
-    )  # that is no geometry, and spoils no other
+    )  # an invalid geometry, which does not affect others
     np.testing.assert_allclose(dilution(one_place, place, axes).position, [*found.position, np.nan])

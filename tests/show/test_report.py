@@ -180,7 +180,7 @@ def test_attitudes_are_judged_by_rotation_vectors_whatever_the_sign(form):
     assert found.nees.band[0] <= found.nees.nis <= found.nees.band[1]
     alone = pickle.loads(pickle.dumps(track)).report(
         truth, space=space
-    )  # a pickle has lost its filter
+    )  # a pickled track has no filter
     assert alone.nees.nis == pytest.approx(found.nees.nis)
     with pytest.raises(
         ValueError, match=r"space: expected the space of the states, which are no vectors"

@@ -195,7 +195,7 @@ def test_what_the_paper_prints_is_not_rounded_and_stands_beside_the_same_quantit
     assert '<td data-name="printed">7136.635</td>' in page
     assert "The paper prints 7136.635, 3." in page
     assert '<td data-name="ours">7136.6</td>' in page
-    few = Number("x", 2.0, ci=(-np.inf, np.inf), printed=3.0)  # of too few runs for an interval
+    few = Number("x", 2.0, ci=(-np.inf, np.inf), printed=3.0)  # too few runs for an interval
     assert "(any)" in table([written(claim(few, kind="statement"))])
     other = table([written(claim(Number("x", 2.0), kind="statement", printed="1/3"))])
     assert "printed</th>" not in other

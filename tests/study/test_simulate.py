@@ -200,7 +200,7 @@ def test_runs_have_the_same_numbers_however_many_there_are(several, Phi):
     ):
         np.testing.assert_allclose(many[:, :3], few, rtol=0, atol=1e-14)
         assert (np.abs(many - other).max(0) > 1e-3).all()
-        assert np.abs(np.diff(many, axis=1)).min() > 0.0  # each run its own
+        assert np.abs(np.diff(many, axis=1)).min() > 0.0  # each run has its numbers
     for one, again in zip(all_of(runs=5), all_of(runs=5, seed=0), strict=True):
         np.testing.assert_array_equal(one, again)
 
@@ -384,7 +384,7 @@ def seen(x, _epoch):
         (
             {"motion": Motion(moved, np.eye(1))},
             r"^Q: expected 2 rows",
-        ),  # which would be one number for both components
+        ),  # one number for both components would result
         ({"sensor": Sensor(seen, np.eye(3))}, r"^R: expected 2 rows"),
         ({"sensor": Sensor(seen, np.eye(1))}, r"^R: expected 2 rows"),
     ],
