@@ -288,6 +288,8 @@ class Plan:
         def per_run(x: Any, array_shape: tuple[int, ...]) -> Array:
             return np.broadcast_to(x, (*batch, *array_shape)).reshape(runs, -1)
 
+        # values (padded runs, size); work (blocks, size, lanes): run i is lane i % lanes of block i
+        # // lanes. Padding repeats the last run.
         values = self.start.copy()
         for (x, _), (at, array_shape) in zip(tree_leaves(state), self.begin, strict=True):
             values[:runs, at] = per_run(x, array_shape)

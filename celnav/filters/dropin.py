@@ -366,6 +366,7 @@ class SigmaPointUKF:
                     UT, belief, function, Qs[k], self.x_mean, self.residual_x
                 )
                 smoothed = self.state_add(xs[k], G @ self.residual_x(after.mean, mean))
+                # x_s = x + G (x_s' - f), P_s = P + G (P_s' - P') G', with G = cov(x, f) P'^-1.
                 after, gains[k] = self._from(smoothed, ps[k] + G @ (after.cov - cov) @ G.T, "Ps"), G
             xs[k], ps[k] = after.mean, after.cov
         return xs, ps, gains

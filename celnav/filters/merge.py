@@ -76,6 +76,8 @@ def merge(*, imu: Any, max_gap: float | None = None, trim: bool = False, **senso
                 f"{np.count_nonzero(~inside)} of {len(at)} that are not{cure}"
             )
         streams[name] = at[inside], z[inside]
+    # Union of all times; times closer than SAME periods become one epoch. row: its index for each
+    # time.
     every = np.unique(np.concatenate([t, *(at for at, _ in streams.values())]))
     new = np.diff(every, prepend=-np.inf) > SAME * period
     times, row = every[new], np.cumsum(new) - 1
@@ -87,6 +89,7 @@ def merge(*, imu: Any, max_gap: float | None = None, trim: bool = False, **senso
         column = np.full((len(times), *z.shape[1:]), np.nan)
         column[rows] = z
         columns.append(column)
+    # Input of an interval: linear interpolation of the samples at its middle.
     middle = 0.5 * (times[1:] + times[:-1])
     before = np.clip(np.searchsorted(t, middle, "right") - 1, 0, len(t) - 2)
     weight = (middle - t[before]) / steps[before]

@@ -189,9 +189,12 @@ def _mixed_inputs(function: Model, arrays: Sequence[Array], epoch: Any, y: Array
         inputs = items[0] if not isinstance(u, tuple) else getattr(u, "_make", tuple)(items)
         return _value(function, arrays, epoch._replace(u=inputs), y)
 
+    # If runs and their inputs are rolled together, the values must be rolled too: no run is mixed
+    # up.
     turned = values(lambda x: np.roll(x, 1, 0), [np.roll(a, 1, -2) for a in arrays])
     if isinstance(turned, str) or _same(turned, np.roll(y, 1, -2)):
         return ""
+    # A mix-up shows if the last run ignores its input, but depends on the inputs of the other runs.
     without = values(lambda x: np.concatenate([x[:-1], x[:1]]), arrays)
     others = values(lambda x: np.concatenate([np.roll(x[:-1], 1, 0) + x[-1:], x[-1:]]), arrays)
     if isinstance(without, str) or isinstance(others, str):

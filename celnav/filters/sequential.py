@@ -617,6 +617,7 @@ class SingleDraw(Sequential):
             return state._replace(belief=marginal(self.form, ahead, space)), (
                 missing_info(sensor, z),
             )
+        # The columns of z = h(f(x, w), w) + v and of x' = f(x, w), from the same points of (x, w).
         both = joint(
             self.rule,
             belief,

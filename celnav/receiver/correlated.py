@@ -120,6 +120,7 @@ class Errors(NamedTuple):
             the fix; None: there is no fix.
         """
         n, mean = len(K), self.mean
+        # A = [[I - K H, 0], [-g E, (1 - g) I]] and B = [K; g G], with g = 1 / WINDOW (see above).
         A, B = np.eye(n + 3), np.concatenate([K, np.zeros((3, K.shape[1]))])
         A[:n, :n] -= K @ H
         if distance is not None:

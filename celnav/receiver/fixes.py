@@ -220,6 +220,7 @@ def _fits(seen: Seen, noise: tuple[Noise, Noise], false_alarm: float) -> tuple[_
     """Fits of ranges and of rates, from `_packed` measurements."""
     n, k = seen.q.shape[-2], seen.offsets.shape[-2]
     sigma = seen.deviations(noise)
+    # Without an earlier position start on the ground below the mean direction of the satellites.
     away = np.where(np.isfinite(seen.z[:, :n, None]), seen.q, 0.0).sum(-2)
     below = GROUND_M[0] * away / np.maximum(np.linalg.norm(away, axis=-1, keepdims=True), 1.0)
     near = np.where(
@@ -227,6 +228,8 @@ def _fits(seen: Seen, noise: tuple[Noise, Noise], false_alarm: float) -> tuple[_
     )
 
     def ranges(rows: Array, x: Array) -> tuple[Array, Array]:
+        # range = |q - x| + c + offsets, (K, n): G = [-(q - x)' / |q - x|, 1, offsets] in rows. The
+        # last k rows are the pseudo-measurements that offsets are 0.
         away = seen.q[rows] - x[:, None, :3]
         distance = np.sqrt(np.einsum("...i,...i->...", away, away))
         clocks = np.concatenate([np.ones((len(x), n, 1)), seen.offsets[rows].mT], -1)
@@ -257,6 +260,7 @@ def _fits(seen: Seen, noise: tuple[Noise, Noise], false_alarm: float) -> tuple[_
     here = np.concatenate(
         [np.where(np.isfinite(first.x[:, :3]), first.x[:, :3], near), np.zeros((len(near), 5))], -1
     )
+    # Rates are linear in velocity and drift at a known position: rate = rate at rest + H (v, d).
     towards = pseudorange.jacobian(here, seen.q, seen.w)[:, n:, [3, 4, 5, 7]]
     still = pseudorange.measure(here, seen.q, seen.w)[:, n:]
 

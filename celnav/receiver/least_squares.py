@@ -100,6 +100,7 @@ class LeastSquares:
         def model(x: Array) -> tuple[Array, Array]:
             return self._value(x, epoch), self._jacobian(x, epoch, z.shape[-1])
 
+        # x minimizes the sum of ((z - h(x)) / deviations)^2; root root' = (J' R^-1 J)^-1.
         x, fix, root = gauss_newton(model, z, deviations, x, self.rounds)
         left = z - self._value(x, epoch)
         whitened = np.nan_to_num(left / deviations)
