@@ -259,9 +259,11 @@ class StepCache:
 class Engine:
     """Records and compiles the steps of a filter, for runs with the batch axes ``batch``.
 
-    One engine serves all priors and data with the same `signature`. most: largest number of
-    operations of a step. rolled: whether long code that repeats for several rows becomes a loop.
-    ``stride``: how many numbers of the compiled state represent one number of the filter's state.
+    One engine serves all priors and data with the same `signature`.
+
+    most: largest number of operations of a step. rolled: whether long code that repeats for several
+        rows becomes a loop.
+    stride: how many numbers of the compiled state represent one number of the filter's state.
     """
 
     stride = 1

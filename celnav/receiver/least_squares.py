@@ -129,8 +129,10 @@ def gauss_newton(
         nan where there is none. deviations: standard deviations ``(..., m)``. start: states
         ``(..., n)``. rounds: iterations at most.
 
-    Returns ------- The last states; the same with nan where measurements do not determine a state;
-    and square roots of their covariances ``(..., n, n)``, with nan likewise.
+    Returns
+    -------
+    The last states; the same with nan where measurements do not determine a state; and square roots
+    of their covariances ``(..., n, n)``, with nan likewise.
     """
     x, n, used = start, start.shape[-1], ~np.isnan(z)
     weight = np.where(used, 1.0 / deviations, 0.0)

@@ -166,11 +166,14 @@ class Positioned:
 
         If `trust` is not empty, its word is used. Otherwise:
 
-        - "tested": the ranges agree. - "excluded": the ranges agree without those that are
-        excluded. - "contradiction": the ranges disagree, and none is used. - "no ranges": no range
-        is used. - "untested": there is no redundancy, or the test is off. - "implausible height":
-        the height is outside `HEIGHTS_M`. - "weak": `BOUND` standard deviations of the distance
-        between the position and the epoch's fix exceed `SOUND_M`.
+        - "tested": the ranges agree.
+        - "excluded": the ranges agree without those that are excluded.
+        - "contradiction": the ranges disagree, and none is used.
+        - "no ranges": no range is used.
+        - "untested": there is no redundancy, or the test is off.
+        - "implausible height": the height is outside `HEIGHTS_M`.
+        - "weak": `BOUND` standard deviations of the distance between the position and the epoch's
+          fix exceed `SOUND_M`.
         """
         log, there = self.log, np.isfinite(self.mean[:, :1])
         height = np.ravel(

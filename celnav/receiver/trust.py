@@ -61,10 +61,11 @@ class Guarded(NamedTuple):
         over a window; nan until a window is full.
     trust: a word ``(T,)``:
 
-    - "": the ranges were used. - "apart": ranges and track contradict each other. - "distrusted":
-    the ranges were not used, because the track was distrusted before. - "displaced": the ranges
-    were used, far from the track that was trusted. - "drifting": the ranges were used, and the
-    track drifts with them.
+    - "": the ranges were used.
+    - "apart": ranges and track contradict each other.
+    - "distrusted": the ranges were not used, because the track was distrusted before.
+    - "displaced": the ranges were used, far from the track that was trusted.
+    - "drifting": the ranges were used, and the track drifts with them.
     """
 
     mean: Array
