@@ -84,7 +84,7 @@ study: concatenated
 study: Results Results.at Results.claims Results.error Results.first Results.get Results.group Results.nees Results.squares
     Results.times Results.value Study Study.at_hand Study.reproduce Study.results Study.units Unit.check Unit.do evaluate_filters
     evaluate_from_priors monte_carlo
-page: macro render
+page: aligned_left macro render
 notebook: Folded Table parameters
 picture: command end picture
 squares: squares

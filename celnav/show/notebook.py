@@ -13,9 +13,6 @@ from typing import Any
 from celnav.gaussian.checks import instance
 from celnav.show.claims import markdown
 
-LEFT = "<style>.celnav td,.celnav th{text-align:left!important;vertical-align:top}</style>"
-"""JupyterLab aligns cells of tables to the right, which suits numbers but not sentences."""
-
 
 class Table:
     """Rows of texts below a head, aligned to the left."""
@@ -30,9 +27,9 @@ class Table:
         return markdown([self._head, ["---"] * len(self._head), *self._rows])
 
     def _repr_html_(self) -> str:
-        from celnav.show.page import macro
+        from celnav.show.page import aligned_left, macro
 
-        return _left(macro("plain_table", self._head, self._rows))
+        return aligned_left(macro("plain_table", self._head, self._rows))
 
 
 class Folded:
@@ -49,8 +46,7 @@ class Folded:
 
     def _repr_html_(self) -> str:
         inside = "".join(x._repr_html_() for x in self._shown)
-        summary = f"<summary><b>{escape(self._title)}</b></summary>"
-        return _left(f"<details>{summary}{inside}</details>")
+        return f"<details><summary><b>{escape(self._title)}</b></summary>{inside}</details>"
 
 
 def parameters(config: Any) -> Table:
@@ -64,7 +60,3 @@ def parameters(config: Any) -> Table:
 
 def _explained(field: dataclasses.Field[Any]) -> tuple[str, str]:
     return field.metadata["source"], field.metadata["meaning"]
-
-
-def _left(html: str) -> str:
-    return f'{LEFT}<div class="celnav">{html}</div>'
