@@ -1,4 +1,4 @@
-"""Whether a figure is readable, from the boxes that matplotlib computes."""
+"""Whether a figure is readable: its boxes, the size of its text, its colors and line styles."""
 
 from __future__ import annotations
 
@@ -6,12 +6,97 @@ from itertools import combinations, pairwise
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import LineCollection
+from matplotlib.colors import to_rgb
 from matplotlib.text import Text
+
+WIDTH, POINTS, DISTANCE = 6.5, 9.0, 15.0
+"""Largest width of a figure, inches; smallest text, points; smallest color distance, CIELAB."""
+VISION = {
+    "normal": np.eye(3),
+    "deuteranopia": np.array(
+        [
+            [0.367322, 0.860646, -0.227968],
+            [0.280085, 0.672501, 0.047413],
+            [-0.011820, 0.042940, 0.968881],
+        ]
+    ),
+    "protanopia": np.array(
+        [
+            [0.152286, 1.052583, -0.204868],
+            [0.114503, 0.786281, 0.099216],
+            [-0.003882, -0.048116, 1.051998],
+        ]
+    ),
+}
+"""What dichromats see, on linear RGB: Machado, Oliveira and Fernandes 2009, severity 1."""
+XYZ = np.array(
+    [
+        [0.4124564, 0.3575761, 0.1804375],
+        [0.2126729, 0.7151522, 0.072175],
+        [0.0193339, 0.119192, 0.9503041],
+    ]
+)
+WHITE = np.array([0.95047, 1.0, 1.08883])
+
+
+def cielab(color, vision="normal"):
+    """CIELAB of an sRGB color, as eyes with a vision see it."""
+    rgb = np.asarray(to_rgb(color))
+    linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+    t = XYZ @ np.clip(VISION[vision] @ linear, 0.0, 1.0) / WHITE
+    f = np.where(t > (6 / 29) ** 3, np.cbrt(t), t / (3 * (6 / 29) ** 2) + 4 / 29)
+    return np.array([116 * f[1] - 16, 500 * (f[0] - f[1]), 200 * (f[1] - f[2])])
+
+
+def color_distance(a, b):
+    """The smallest CIELAB distance of two colors over the three visions."""
+    return min(float(np.linalg.norm(cielab(a, v) - cielab(b, v))) for v in VISION)
+
+
+def alike(fig):
+    """Curves that cannot be told apart: by color in the figure, or by style in their axes."""
+    labeled = {}
+    for ax in fig.axes:
+        curves = [line for line in ax.lines if _is_labeled(line) and len(line.get_xdata())]
+        for line in curves:
+            labeled.setdefault(to_rgb(line.get_color()), line.get_label())
+        for a, b in combinations(curves, 2):
+            if _style(a) == _style(b) and to_rgb(a.get_color()) != to_rgb(b.get_color()):
+                yield f"one style: {a.get_label()!r} and {b.get_label()!r} in {ax.get_title()!r}"
+        for bars in ax.containers:
+            if hasattr(bars, "patches") and bars.patches and _is_labeled(bars):
+                labeled.setdefault(to_rgb(bars.patches[0].get_facecolor()), bars.get_label())
+        for points in ax.collections:
+            colors = points.get_facecolor()
+            if _is_labeled(points) and not isinstance(points, LineCollection) and len(colors) == 1:
+                alpha = colors[0][3]
+                flat = tuple(1.0 - alpha * (1.0 - c) for c in colors[0][:3])
+                if alpha > 0.5:  # a band is told from a curve by its shape
+                    labeled.setdefault(flat, points.get_label())
+    for (a, one), (b, other) in combinations(labeled.items(), 2):
+        if (distance := color_distance(a, b)) < DISTANCE:
+            yield f"colors {distance:.0f} apart: {one!r} and {other!r}"
+
+
+def _is_labeled(artist):
+    return artist.get_label() and not str(artist.get_label()).startswith("_")
+
+
+def _style(line):
+    """What is left of a line's look without color: dashes, marker, and whether it is wide."""
+    dashes = line._dash_pattern if line.get_linestyle() != "None" else None
+    relative = (
+        None
+        if dashes is None or dashes[1] is None
+        else tuple(np.round(np.asarray(dashes[1]) / line.get_linewidth(), 3))
+    )
+    shape = "none" if dashes is None else relative
+    return shape, line.get_marker(), line.get_linewidth() >= 2.5
 
 
 def faults(fig):
-    """Messages about unreadable parts: clipped texts, overlapping texts, legends over data."""
-    renderer, found = FigureCanvasAgg(fig).get_renderer(), []
+"""Whether a figure is readable: its boxes, the size of its text, its colors and line styles."""
     with renderer._draw_disabled():  # boxes need no pixels
         fig.draw(renderer)
     flat = [ax for ax in fig.axes if ax.name != "3d"]
@@ -33,6 +118,8 @@ def faults(fig):
     ]
     for text in texts:
         b = box(text)
+        if text.get_fontsize() < POINTS - 1e-6:
+            found.append(f"text of {text.get_fontsize():g} points: {text.get_text()!r}")
         if b.width and (b.x0 < -1 or b.y0 < -1 or b.x1 > fig.bbox.x1 + 1 or b.y1 > fig.bbox.y1 + 1):
             found.append(f"clipped: {text.get_text()!r}")
     for ax in flat:

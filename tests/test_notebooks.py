@@ -37,8 +37,9 @@ LESSONS = [path for path in NOTEBOOKS if path.stem[3:] in PAPERS]
 @pytest.mark.parametrize("path", LESSONS, ids=lambda p: p.stem)
 def test_a_lesson_has_the_algorithm_and_something_to_try(path):
     cells = [cell for cell in nbformat.read(path, as_version=4).cells if cell.cell_type == "code"]
-    by_hand = [cell.source for cell in cells if "allclose" in cell.source]
-    assert any("def " in source and "celnav.run(" in source for source in by_hand)
+    (by_hand, *_) = [i for i, cell in enumerate(cells) if "allclose" in cell.source]
+    assert any("def " in cell.source for cell in cells[: by_hand + 1])
+    assert "celnav.run(" in cells[by_hand].source
     lines = [line for cell in cells for line in cell.source.splitlines() if line.strip()]
     assert sum("FIGURES" in line or "figures(" in line for line in lines) < 0.5 * len(lines)
     (one,) = [
@@ -48,6 +49,34 @@ def test_a_lesson_has_the_algorithm_and_something_to_try(path):
         datetime.fromisoformat(one[when]) for when in ("iopub.execute_input", "shell.execute_reply")
     )
     assert (ended - begun).total_seconds() < 5.0
+
+
+@pytest.mark.parametrize("path", LESSONS, ids=lambda p: p.stem)
+def test_a_lesson_begins_with_the_idea_and_ends_with_what_holds(path):
+    """An equation and a picture first, the algorithm before the ledger, questions with answers."""
+    cells = nbformat.read(path, as_version=4).cells
+    assert cells[0].source.count("$$") >= 2
+    assert any("image/png" in output.get("data", {}) for output in cells[1].outputs)
+    (second,) = [i for i, cell in enumerate(cells) if cell.source.startswith("# What holds")]
+    lesson, rest = cells[:second], cells[second:]
+    assert any("allclose" in cell.source for cell in lesson[: len(lesson) // 2 + 1])
+    assert not any("Ledger(" in cell.source for cell in lesson)
+    assert any("Folded(" in cell.source for cell in rest)
+    prose = "".join(cell.source for cell in cells if cell.cell_type == "markdown")
+    assert prose.count("<summary>Answer</summary>") >= 2
+    assert not [text for text, id in re.findall(r"\[([^\]]+)\]\(#([\w-]+)\)", prose) if text == id]
+
+
+@pytest.mark.parametrize("path", LESSONS, ids=lambda p: p.stem)
+def test_a_lesson_shows_a_recording_that_a_click_opens(path):
+    cells = nbformat.read(path, as_version=4).cells
+    (shown,) = [cell for cell in cells if cell.get("attachments")]
+    ((name, images),) = shown.attachments.items()
+    assert images["image/png"].startswith("iVBOR")
+    (recording,) = re.findall(
+        rf"\]\(attachment:{name}\)\]\(\.\./out/viewer\.html\?(\S+)\)", shown.source
+    )
+    assert f"{recording}.rrd".removeprefix(f"{path.stem[3:]}/") in load(path.stem[3:]).RECORDINGS
 
 
 @pytest.mark.parametrize("path", LESSONS, ids=lambda p: p.stem)

@@ -61,11 +61,11 @@ longer than the computation.
 INSIDE = """
 checks: as_matrix numbers finite number integer integers as_integer choice function sequence together
     broadcast_batches instance describe unmasked accepts
-drawing: Drawing.set render styled
+drawing: Drawing.draw Drawing.set legend_below render styled
 rules: check_point_count AnyDimension
 sparse_grid: check_orders univariate
 views: blueprint
-draw: band bars components curve grid interval level look panels picture_names pictures quantiles
+draw: band bars components curve grid interval level look note panels picture_names pictures quantiles
 figures: consistency errors rmse rmse_table sigma
 ephemeris: de421
 pulsar: known
@@ -88,7 +88,8 @@ study: concatenated
 study: Results Results.at Results.claims Results.error Results.first Results.get Results.group Results.nees Results.squares
     Results.times Results.value Study Study.at_hand Study.reproduce Study.results Study.units Unit.check Unit.do evaluate_filters
     evaluate_from_priors monte_carlo
-page: macro render
+page: aligned_left macro render
+notebook: Folded Table parameters
 picture: command end picture
 squares: squares
 viewer: address as_script is_current page script_name viewer

@@ -107,7 +107,7 @@ def _over_keys(
             items.append(_interval(places, columns[:3], _look(study, name)))
             items += [] if number else [common(places, columns[3:])]
         drawn.append(Panel(_named(fixed), items, key, label))
-    return _figure(drawn, len(combinations), title, "panels", (4, 3.1, 4.6, 2.9))
+    return _figure(drawn, len(combinations), title, "panels", 2)
 
 
 def _named(values: dict[str, Any]) -> str:
@@ -128,20 +128,15 @@ def _ticks(values: Sequence[Any], numeric: bool) -> Item:
     return item
 
 
-def _figure(
-    drawn: list[Panel], total: int, title: str, what: str, size: tuple[int, float, float, float]
-) -> Figure:
+def _figure(drawn: list[Panel], total: int, title: str, what: str, columns: int) -> Figure:
     """A figure of panels with a common y axis, which is logarithmic if values are far apart.
 
-    total: number of all panels, of which some may be left out. size: most columns, width of a
-        column, least total width, height of a row; inches.
+    total: number of all panels, of which some may be left out. columns: at most.
     """
-    most, wide, least, high = size
-    rows = grid(drawn, min(len(drawn), most))
+    rows = grid(drawn, min(len(drawn), columns))
     if total > len(drawn):
         title = f"{title} (the first {len(drawn)} of {total} {what})"
-    inches = max(least, wide * len(rows[0])), high * len(rows) + 0.3
-    fig = panels(*rows, size=inches, title=title, sharey=True)
+    fig = panels(*rows, title=title, sharey=True)
     ends = np.array([ax.dataLim.intervaly for ax in fig.axes[: len(drawn)]])
     if ends[:, 1].max() > 4.0 * ends[:, 0].min() > 0.0:
         fig.axes[0].set_yscale("log")
@@ -207,7 +202,7 @@ def over_time(outcome: CampaignResult, group: int) -> Figure:
     ]
     title = f"{name} over time; dotted: predicted by the filter"
     total = len(study.configurations)
-    return _figure(drawn, total, title, "configurations", (3, 4.0, 5.0, 2.8))
+    return _figure(drawn, total, title, "configurations", 2)
 
 
 def _curves(study: MissionStudy, scored: Scored, group: int) -> Iterator[Item]:

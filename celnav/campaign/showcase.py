@@ -93,8 +93,8 @@ def errors(shown: Showcase) -> Figure:
         rows.append([Panel(title, items, "time (s)", label, more=more) for title, items in every])
     return panels(
         *rows,
-        size=(max(5.0, 2.6 * len(shown.estimates)), 2.0 * len(rows) + 0.4),
-        title="errors of the first run (axes cut off before the first quarter is over)",
+        height=2.0,
+        title="Errors of the first run (axes cut off before the first quarter is over)",
         sharex=True,
         sharey="row",
     )

@@ -155,9 +155,10 @@ class Ledger:
         return "\n\n".join([*self._head, ledger(self._claims)])
 
     def _repr_html_(self) -> str:
-        from celnav.show.page import macro
+        from celnav.show.page import aligned_left, macro
 
-        return macro("paragraphs", self._head) + macro("ledger", self._claims, anchor="#say-")
+        table = macro("ledger", self._claims, anchor="#say-")
+        return macro("paragraphs", self._head) + aligned_left(table)
 
 
 def ledger(claims: Sequence[WrittenClaim]) -> str:

@@ -1,19 +1,23 @@
-"""Okabe-Ito colors by meaning, in figures and recordings; also those of stars and bodies."""
+"""Colors by meaning, in figures and recordings, and colors of stars and bodies.
 
-TRUTH = "#009E73"
+The first nine are close to those of Okabe and Ito. They were moved until any two differ by at least
+16 in CIELAB to normal, deuteranopic and protanopic eyes (Machado, Oliveira and Fernandes 2009).
+"""
+
+TRUTH = "#21A170"
 ESTIMATE = "#E69F00"
-COMPARISON = "#0072B2"
+COMPARISON = "#0272B2"
 """The method of the comparison."""
-OPEN_LOOP = "#CC79A7"
+OPEN_LOOP = "#D683B4"
 """No measurements, or a third method."""
-REFERENCE = "#999933"
+REFERENCE = "#919149"
 """A method beyond the paper, such as the exact filter."""
 MEASUREMENT = "#56B4E9"
 PAPER = "#D55E00"
 """The paper's value."""
-BOUND = "#C9B400"  # a darker yellow than Okabe and Ito's, which is lost on white paper
-SIGMA = "#888888"
-FAINT = "#5A6478"
+BOUND = "#C0AD4D"
+SIGMA = "#787B7F"
+FAINT = "#4A5468"
 STAR = "#FFF3C4"
 """Directions to stars, pulsars and the Sun."""
 BODY = "#BBBBBB"
@@ -28,8 +32,8 @@ NAMES = {
     OPEN_LOOP: "purple",
     REFERENCE: "olive",
     MEASUREMENT: "sky blue",
-    PAPER: "red",
-    BOUND: "yellow",
+    PAPER: "vermilion",
+    BOUND: "khaki",
     SIGMA: "gray",
     STAR: "pale yellow",
     BODY: "light gray",

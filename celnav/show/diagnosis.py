@@ -53,7 +53,7 @@ def figure(diagnosis: Diagnosis) -> Figure:
                     "NIS per degree of freedom",
                 )
             )
-    return panels(*rows, size=(4.0 + 4.0 * (len(rows[0]) - 1), 2.9 * len(rows) + 0.3))
+    return panels(*rows, height=2.6)
 
 
 def _band(lags: Array, half: Array, label: str) -> Item:

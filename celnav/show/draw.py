@@ -1,7 +1,7 @@
 """Drawings of any numbers: a figure has panels, a panel has items, and an item draws on axes.
 
 >>> panel = Panel("Residuals", [curve(times, residuals, label="x")], "time (s)", "residual (m)")
->>> panels(panel, size=(7.0, 3.2))
+>>> panels(panel, height=2.8)
 
 The style is in `drawing`, the colors are in `colors`. matplotlib is imported when something is
 drawn, so processes that only compute start in a third of the time. This module does not depend on
@@ -10,7 +10,7 @@ studies, since it also draws reports of tracks and logs.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -40,12 +40,15 @@ __all__ = [
     "interval",
     "level",
     "look",
+    "note",
     "panels",
     "picture_names",
     "pictures",
     "quantiles",
 ]
 
+WIDTH, ROW = 6.5, 2.3
+"""Width of a figure, that of a page's text, and height of a row of panels; inches."""
 KINDS = ("png", "svg")
 """Formats in which each figure is written."""
 Item = Callable[["Axes"], Any]
@@ -58,7 +61,9 @@ SERIES = (
     colors.PAPER,
     colors.MEASUREMENT,
 )
-MARKERS, STYLES = "osD^vP", ("-", "--", ":")
+MARKERS = "osD^vP"
+STYLES = ("-", "--", "-.", ":", (0, (8, 2)), (0, (5, 1, 1, 1, 1, 1)))
+"""Styles of lines that differ in print without color."""
 
 
 def figure(
@@ -100,26 +105,30 @@ def grid(drawn: Sequence[Panel], columns: int) -> list[list[Panel]]:
 
 def panels(
     *rows: Panel | Sequence[Panel],
-    size: tuple[float, float],
-    legend: Any = "outside lower center",
+    height: float = ROW,
     title: str = "",
+    legend: bool = True,
     **axes: Any,
 ) -> Figure:
-    """A figure with rows of panels, and one legend of all labels below them.
+    """A figure as wide as a page's text, with rows of panels and one legend of all labels below.
 
+    ``height``: of a row, inches. ``title``: of the figure; titles of several panels get the
+        letters (a), (b), ... ``legend``: False leaves it out, for curves with labels beside them.
     ``axes``: as for `figure`. If axes share x or y (``sharex="col"``), only the outer ones have
         labels.
     """
-    from celnav.show.drawing import styled
+    from celnav.show.drawing import legend_below, styled
 
     every = [[row] if isinstance(row, Panel) else list(row) for row in rows]
-    fig, drawn = figure(*size, len(every), len(every[0]), squeeze=False, **axes)
+    flat = [panel for row in every for panel in row]
+    height = number("height", height, above=0.0) * len(every)
+    fig, drawn = figure(WIDTH, height, len(every), len(every[0]), squeeze=False, **axes)
     handles: dict[str, Any] = {}
     with styled():
-        for ax, panel in zip(drawn.flat, (panel for row in every for panel in row), strict=True):
+        for ax, panel, letter in zip(drawn.flat, flat, _letters(flat), strict=True):
             for item in panel.items:
                 item(ax)
-            place, inside = ax.get_subplotspec(), {"title": panel.title}
+            place, inside = ax.get_subplotspec(), {"title": f"{letter}{panel.title}"}
             if place.is_last_row() or not axes.get("sharex"):
                 inside["xlabel"] = panel.x
             if place.is_first_col() or not axes.get("sharey"):
@@ -128,15 +137,21 @@ def panels(
             ax.set(**inside, **scales, **panel.more)
             for handle, label in zip(*ax.get_legend_handles_labels(), strict=True):
                 handles.setdefault(label, handle)
-        if handles and legend:
-            each = max(map(len, handles)) * 0.05 + 0.45  # inches that a label takes
-            columns = (
-                1 if "right" in str(legend) else max(1, min(len(handles), int(size[0] / each)))
-            )
-            fig.legend(handles.values(), handles, loc=legend, ncols=columns)
         if title:
             fig.suptitle(title)
+        if handles and legend:
+            legend_below(fig, handles)
     return fig
+
+
+def _letters(flat: Sequence[Panel]) -> Iterator[str]:
+    """Letters before the titles of panels, if there are several and all panels have titles, except
+    empty ones at the end.
+    """
+    titled = sum(bool(panel.title) for panel in flat)
+    lettered = titled > 1 and all(panel.title for panel in flat[:titled])
+    for panel, letter in zip(flat, "abcdefghijklmnopqrstuvwxyz", strict=False):
+        yield f"({letter}) " if lettered and panel.title else ""
 
 
 def picture_names(stems: Iterable[str]) -> list[str]:
@@ -162,7 +177,7 @@ class Line(NamedTuple):
 
     label: str
     color: str
-    style: str = "-"
+    style: Any = "-"
     width: float = 1.1
 
     @property
@@ -178,8 +193,12 @@ class Line(NamedTuple):
 
 def look(i: int) -> dict[str, Any]:
     """Color, marker and style of curve number ``i``, as arguments of `curve`."""
-    color, marker, style = SERIES[i % 6], MARKERS[i % 6], STYLES[i // 6 % 3]
-    return {"color": color, "marker": marker, "markersize": 3.0, "linestyle": style}
+    return {
+        "color": SERIES[i % 6],
+        "marker": MARKERS[i % 6],
+        "markersize": 3.0,
+        "linestyle": STYLES[(i + i // 6) % 6],
+    }
 
 
 def curve(x: Any, y: Any, line: Line | None = None, **look: Any) -> Item:
@@ -220,6 +239,11 @@ def level(
             )
 
     return item
+
+
+def note(x: float, y: float, text: str, color: str = "black", **look: Any) -> Item:
+    """A label beside a curve, at ``(x, y)`` of the data; ``look``: arguments of `Axes.annotate`."""
+    return lambda ax: ax.annotate(text, (x, y), **{"color": color, "va": "center"} | look)
 
 
 def interval(start: float, end: float, label: str = "", color: str = colors.BOUND) -> Item:

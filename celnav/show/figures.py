@@ -2,7 +2,7 @@
 
 >>> drawn = errors(results, "0", "srukf", SRUKF, "position", 0)
 >>> panel = celnav.show.draw.Panel("Figure 2", [drawn], "time (s)", "error of x (km)")
->>> celnav.show.draw.panels(panel, size=(7.0, 3.2))
+>>> celnav.show.draw.panels(panel, height=2.8)
 """
 
 from __future__ import annotations

@@ -22,8 +22,8 @@ from celnav.show.report import component_names, errors
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-WIDTH, HEIGHT = 6.5, 1.6
-"""Width of a figure, that of a page's text, and height of a row; inches."""
+HEIGHT = 1.6
+"""Height of a row of panels, inches."""
 ERROR = Line("error", colors.COMPARISON, width=0.9)
 SIGMA = Line("±3σ predicted", colors.SIGMA, "--")
 REJECTED: dict[str, Any] = {
@@ -48,7 +48,7 @@ def figure(
     run = integer("run", run, 0, runs - 1)
     drawn = [*_errors(track, truth, run, names, space), *_innovations(track, run)]
     rows = grid(drawn, 1 if len(drawn) == 1 else 2 if len(drawn) <= 6 else 3)
-    return panels(*rows, size=(WIDTH, HEIGHT * len(rows) + 0.4))
+    return panels(*rows, height=HEIGHT)
 
 
 def _errors(

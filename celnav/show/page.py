@@ -40,3 +40,11 @@ def macro(name: str, *arguments: Any, **options: Any) -> str:
     """A part of a page: a macro of ``parts.html``."""
     module = _templates().get_template("parts.html").module
     return str(getattr(module, name)(*arguments, **options))
+
+
+def aligned_left(html: str) -> str:
+    """A part of a notebook whose tables are aligned to the left. JupyterLab aligns them to the
+    right, which suits numbers but not sentences.
+    """
+    style = ".celnav td,.celnav th{text-align:left!important;vertical-align:top}"
+    return f'<style>{style}</style><div class="celnav">{html}</div>'

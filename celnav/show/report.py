@@ -171,7 +171,7 @@ class Report(NamedTuple):
             for title, sensor in judged.items()
         ]
         rows += grid(last, columns)
-        return panels(*rows, size=(3.2 * columns, 1.9 * len(rows) + 0.4))
+        return panels(*rows, height=1.9)
 
 
 def report(

@@ -155,7 +155,10 @@ def test_the_figures_of_a_sweep_show_the_numbers_of_its_table(sweep, tmp_path):
         "time_velocity",
     ]
     fig = drawn["accuracy_position"]
-    assert [ax.get_title() for ax in fig.axes] == ["first_noise = R", "first_noise = stationary"]
+    assert [ax.get_title() for ax in fig.axes] == [
+        "(a) first_noise = R",
+        "(b) first_noise = stationary",
+    ]
     for ax, noise in zip(fig.axes, ("R", "stationary"), strict=True):
         for name, container in zip(("srukf", "csrukf"), ax.containers, strict=True):
             rows = [

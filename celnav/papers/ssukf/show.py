@@ -14,7 +14,7 @@ from celnav.gaussian.spaces import wrap
 from celnav.papers.ssukf.scenario import ARCSEC, DEG_PER_H, GROUPS, RADIUS_KM, STANDARD, path
 from celnav.papers.ssukf.study import AXES, FIELD, FIELD_DEG, ROOTS, STUDY, TIMED, points
 from celnav.show import colors, scenes, showcase
-from celnav.show.draw import Item, Line, Panel, curve, level, panels
+from celnav.show.draw import STYLES, Item, Line, Panel, curve, level, panels
 from celnav.show.estimates import estimates_of
 from celnav.show.figures import Rows, consistency, rmse
 from celnav.study.study import Results
@@ -28,18 +28,18 @@ if TYPE_CHECKING:
 __all__ = ["FIGURES", "RECORDINGS", "TABLES", "euler", "record"]
 
 LINES = {
-    "ssukf": Line("SSUKF", colors.ESTIMATE, "--", 1.8),
-    "aukf": Line("AUKF", colors.COMPARISON, width=1.2),
-    "mekf": Line("MEKF", colors.OPEN_LOOP),
-    "usque": Line("USQUE", colors.TRUTH),
+    "ssukf": Line("SSUKF", colors.ESTIMATE, "--", 1.2),
+    "aukf": Line("AUKF", colors.COMPARISON, width=2.2),
+    "mekf": Line("MEKF", colors.OPEN_LOOP, STYLES[2]),
+    "usque": Line("USQUE", colors.TRUTH, STYLES[5]),
 }
 FORMS = {
-    "unswitched": Line("total form, never switched", colors.PAPER),
-    "switched": Line("total form", colors.COMPARISON, width=3.0),
-    "local": Line("local form", colors.ESTIMATE, "--"),
+    "unswitched": Line("total attitude, never switched", colors.PAPER, STYLES[2]),
+    "switched": Line("total attitude, switched", colors.COMPARISON, width=2.2),
+    "local": Line("error of the attitude", colors.ESTIMATE, "--"),
 }
-EXACT = Line("exact σ", colors.BOUND, width=4.0)
-SIZE = "RMSE (arcsec)"
+EXACT = Line("exact σ (Riccati)", colors.BOUND, width=5.0)
+SIZE, NEW = "RMSE (arcsec)", "Figure {} (not in the paper): {}"
 
 
 def euler(results: Results, filter: str) -> Array:
@@ -67,33 +67,24 @@ def angle(axis: int, results: Results) -> Figure:
     sizes = [
         curve(t, exact[: len(t)], EXACT),
         *(curve(t, size[name], LINES[name]) for name in names),
+        level(10.0, 5.0, 2.0, label="10, 5 and 2 arcsec"),
     ]
-    start = f"Figure {axis + 1}: one run, from {STANDARD.attitude_deg[axis]:g}°"
+    start = f"One run, from {STANDARD.attitude_deg[axis]:g}°"
+    runs = f"RMSE of {errors['aukf'].shape[1]} runs"
+    label = f"{AXES[axis]} error (arcsec)"
+    span = {"xlim": (t[0], t[-1])}
     return panels(
-        [
-            Panel(
-                start,
-                first,
-                "time (s)",
-                f"{AXES[axis]} error (arcsec)",
-                more={"ylim": (-30.0, 30.0)},
-            ),
-            Panel(
-                f"{errors['aukf'].shape[1]} runs",
-                [*sizes, level(10.0, 5.0, 2.0, label="10, 5, 2 arcsec")],
-                "time (s)",
-                SIZE,
-                "xy",
-            ),
-            Panel(
-                "RMSE over operations",
-                [curve(spent[name], size[name], LINES[name]) for name in names],
-                f"operations of one run at 100 Hz, {ROOTS[0]} roots",
-                SIZE,
-                "xy",
-            ),
-        ],
-        size=(10.0, 3.4),
+        Panel(start, first, "time (s)", label, more={"ylim": (-30.0, 30.0)} | span),
+        Panel(runs, sizes, "time (s)", SIZE, "xy", more=span),
+        Panel(
+            f"{runs}, over operations",
+            [curve(spent[name], size[name], LINES[name]) for name in names],
+            f"operations of one run at 100 Hz, {ROOTS[0]} roots",
+            SIZE,
+            "xy",
+        ),
+        height=1.75,
+        title=f"Figure {axis + 1}: {AXES[axis]}",
     )
 
 
@@ -125,7 +116,7 @@ def accuracy(results: Results) -> Figure:
             )
             for i, group in enumerate(GROUPS)
         ],
-        size=(9.0, 3.5),
+        title=NEW.format(4, "RMSE and exact standard deviation"),
     )
 
 
@@ -142,20 +133,20 @@ def consistent(results: Results) -> Figure:
             )
             for what, dof in (("nees", 6), ("nis", 3))
         ],
-        size=(9.0, 3.3),
+        title=NEW.format(5, "consistency"),
     )
 
 
 def one_vector(results: Results) -> Figure:
-    """Filters with one measured vector; dotted: with a transported covariance."""
+    """Filters with one measured vector. Those with dots transport the covariance."""
 
     def item(name: str, degrees: float) -> Item:
         base, _, moved = name.partition(" ")
         error = results.error("vector", f"{name}, {degrees:g}", "attitude")[1:] / 3600.0
-        line = LINES[base]._replace(
-            label=f"{LINES[base].label} {moved}".strip(), style=":" if moved else "-", width=1.1
-        )
-        return curve(results.times("vector")[1:], np.sqrt(np.square(error).sum(-1).mean(1)), line)
+        line = LINES[base]._replace(label=f"{LINES[base].label} {moved}".strip())
+        marks = {"marker": "o", "markersize": 3.0, "markevery": 0.12} if moved else {}
+        rms = np.sqrt(np.square(error).sum(-1).mean(1))
+        return curve(results.times("vector")[1:], rms, line, **marks)
 
     return panels(
         [
@@ -168,7 +159,7 @@ def one_vector(results: Results) -> Figure:
             )
             for d in FIELD_DEG
         ],
-        size=(10.0, 3.5),
+        title=NEW.format(6, "one measured vector"),
     )
 
 
@@ -181,7 +172,7 @@ def differences(results: Results) -> Figure:
     apart = {
         LINES[name].label: np.abs(error[name] - error["aukf"]).max(2) for name in ("ssukf", "mekf")
     }
-    looks = Line("largest of all runs", colors.ESTIMATE), Line("median", colors.SIGMA)
+    looks = Line("largest of all runs", colors.ESTIMATE), Line("median", colors.SIGMA, "--")
     return panels(
         [
             Panel(
@@ -193,7 +184,7 @@ def differences(results: Results) -> Figure:
             )
             for label, each in apart.items()
         ],
-        size=(9.0, 3.3),
+        title=NEW.format(7, "differences between filters"),
         sharey=True,
     )
 
@@ -207,7 +198,7 @@ def spinning(results: Results) -> Figure:
     ]
     return panels(
         Panel("", items, "time (s); 360° at 10 s", "largest error of all runs (arcsec)", "y"),
-        size=(6.5, 3.4),
+        title=NEW.format(8, "a spin past 360°"),
     )
 
 
@@ -237,8 +228,8 @@ def table(results: Results) -> Rows:
 FIGURES = {
     **{
         f"figure_{i + 1:02d}": (
-            f"Fig. {i + 1}: error of {axis}. AUKF and SSUKF coincide; on the right, over counted "
-            "operations.",
+            f"Fig. {i + 1}: error of {axis}. (a) One run, as in the paper; AUKF and SSUKF coincide. "
+            "(b) RMSE over time. (c) RMSE over counted operations.",
             partial(angle, i),
         )
         for i, axis in enumerate(AXES)
@@ -252,7 +243,8 @@ FIGURES = {
         consistent,
     ),
     "figure_06": (
-        "Beyond the paper: filters with one measured vector; dotted: with transported covariance.",
+        "Beyond the paper: filters with one measured vector; with dots, the covariance is "
+        "transported to the new reference.",
         one_vector,
     ),
     "figure_07": ("Beyond the paper: differences between filters that should agree.", differences),

@@ -84,7 +84,7 @@ def day(r: Results) -> Figure:
         ]
 
     return panels(
-        *map(panel, ("white", "colored", "robust")), size=(9.0, 7.0), sharex="col", legend=None
+        *map(panel, ("white", "colored", "robust")), size=(9.0, 7.0), sharex="col", legend=False
     )
 
 
