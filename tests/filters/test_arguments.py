@@ -114,7 +114,7 @@ def test_a_rule_that_is_none(given, told):
         ),
         (
             lambda: celnav.Sensor(EYE, [0.1, 0.2]),
-            "got shape (2,); variances alone are np.diag(...)",
+            "got shape (2,); pass np.diag(...) of variances",
         ),
         (lambda: celnav.ukf(MOTION, SENSOR, hooks=gate(4.0)), "hooks: expected a list of hooks"),
         (
@@ -202,7 +202,7 @@ def test_a_rule_that_is_none(given, told):
         ),
         (
             lambda: celnav.epochs([0.0, 1.0], [[1.0, 2.0], None]),
-            "got [[1.0, 2.0], None]; use nan for what is missing",
+            "got [[1.0, 2.0], None]; use nan for missing entries",
         ),
         (lambda: celnav.epochs([0.0, 1.0], [1.0, 2.0]), "got (2,); one component is z[:, None]"),
         (
@@ -281,11 +281,11 @@ def test_a_rule_that_is_none(given, told):
         ),
         (
             lambda: product(angles(), EUCLIDEAN),
-            "factors: expected triples (space, length of its points, length of its tangents)",
+            "factors: expected triples (space, N, n) with the lengths of points and of tangents",
         ),
         (
             lambda: product((EUCLIDEAN, 2, 2)).plus(np.zeros(3), np.zeros(3)),
-            "point: expected 2 components of a product of spaces",
+            "point: expected 2 components for the product space",
         ),
     ],
 )
@@ -466,7 +466,7 @@ def test_masked_values_of_a_model_are_refused():
     ):
         with pytest.raises(
             ValueError,
-            match=f"^{name}: expected numbers, got masked ones; a component .* is nan in z",
+            match=f"^{name}: expected numbers, got masked ones; if a component .* nan in z instead",
         ):
             celnav.run(celnav.ekf(motion, sensor), prior, [0.0, 1.0], np.ones((2, 2)))
     bare = celnav.ukf(celnav.Motion(lambda x, e: np.ma.masked_array(x), EYE))

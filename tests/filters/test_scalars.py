@@ -175,7 +175,7 @@ def test_a_filter_of_numbers_travels():
         (lambda: celnav.Sensor(h, "4"), "R: expected numbers, got '4'"),
         (
             lambda: celnav.Sensor(H, [1.0, 2.0]),
-            "R: expected symmetric .*; variances alone are np.diag",
+            "R: expected symmetric .*; pass np.diag",
         ),
         (lambda: celnav.Gaussian([0.0], -1.0), "cov: expected symmetric positive semidefinite"),
         (

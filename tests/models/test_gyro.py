@@ -119,7 +119,7 @@ def test_drifts_of_more_attitudes_than_there_are_are_refused():
     q = np.broadcast_to(at.IDENTITY, (5, 4))
     with pytest.raises(
         ValueError,
-        match=r"^q, drift, noise: expected batch axes that go together, got \(4,\), \(6,\), \(4,\)",
+        match=r"^q, drift, noise: expected batch axes that broadcast, got \(4,\), \(6,\), \(4,\)",
     ):
         WALK.measure(q, np.zeros((6, 3)), np.zeros((4, 3)), 0.5)
 
