@@ -421,7 +421,7 @@ def hooked(hook):
         ),
         (
             lambda: celnav.Motion(lambda x: x, EYE),
-            "f: expected a function (points, epoch, *noise), got function <lambda> of other",
+            "f: expected a function (points, epoch, *noise), got function <lambda> with other",
         ),
         (
             lambda: celnav.Sensor(f, lambda x: EYE),
