@@ -47,8 +47,8 @@ class Photons(NamedTuple):
     """Photons of an observation.
 
     t, since: ``(N,)`` s, since the first photon, and since the spin's epoch (TDB). place: ``(N,
-    3)`` km, position of the satellite from the Earth's center. earth, sun: ``(N, 3)`` km, positions
-    from the barycenter.
+    3)`` km, geocentric position of the satellite. earth, sun: ``(N, 3)`` km, barycentric
+    positions.
     """
 
     t: Array
@@ -64,8 +64,8 @@ class Photons(NamedTuple):
         return np.asarray(self.place @ self.spin.pulsar.direction)
 
     def cycles(self, part: float | None) -> Array:
-        """Cycles ``(N,)`` with the satellite at a fraction of its way from the Earth's center;
-        None: uncorrected times of its own clock.
+        """Cycles ``(N,)`` with the satellite at a fraction of its distance from the Earth's center;
+        None uses the uncorrected times of its clock.
         """
         if part is None:
             return self.spin.cycles(self.since)
@@ -108,7 +108,7 @@ def table(
         if column.ndim != 1 or not len(column) or not np.isfinite(column).all():
             raise InputError(f"{path}: expected finite numbers (N,) in {name}, got {column!r:.80}")
     if (np.diff(values[0]) < 0.0).any():
-        raise InputError(f"{path}: expected times that do not go back in {columns[0]}")
+        raise InputError(f"{path}: expected times that do not decrease in {columns[0]}, got others")
     return header, values
 
 
@@ -128,7 +128,8 @@ def read_par(path: Path) -> Spin:
     told = {word[0].upper(): word[1] for word in words if len(word) > 1}
     if "BINARY" in told or "PB" in told:
         raise InputError(
-            f"{path}: expected a pulsar without a companion; orbits of companions are not modeled"
+            f"{path}: expected a pulsar without a companion, got one with it; binary orbits are "
+            "not modeled"
         )
     if missing := {"RAJ", "DECJ", "F0", "PEPOCH"} - told.keys():
         raise InputError(f"{path}: expected a timing model with {', '.join(sorted(missing))}")
@@ -193,7 +194,7 @@ def read(folder: Path) -> Photons:
     ]
     if len(t) < LEAST_PHOTONS or t[-1] - t[0] < LEAST_S:
         raise InputError(
-            f"{events}: expected {LEAST_PHOTONS} photons or more in {LEAST_S:g} s or more, got "
+            f"{events}: expected at least {LEAST_PHOTONS} photons in at least {LEAST_S:g} s, got "
             f"{len(t)}"
         )
     met = t + (begun[0] - begun[1]) * DAY_S

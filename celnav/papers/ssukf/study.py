@@ -1,5 +1,5 @@
-"""The study of [Wu2012]: the runs, and the numbers that decide what the paper states, what is wrong
-in it, and what we found."""
+"""The study of [Wu2012]: the runs, and the numbers that decide the paper's statements, its errors,
+and our findings."""
 
 from __future__ import annotations
 
@@ -114,8 +114,7 @@ FORMS = ("local", "switched", "unswitched")
 TIMED = (*SIDES, "mekf")
 SPREADS = {"c = 15": 15.0, "c = 7": 7.0, "c = 0.15": 0.15, "the paper's scaling": None}
 PRINTED_SPREAD = 15.0 - 6.0 + STANDARD.alpha**2 * (6.0 + STANDARD.kappa)
-"""``c = L + lambda`` with the printed ``lambda = alpha^2 (n + kappa) - n``; L is correct instead of
-n."""
+"""``c = L + lambda`` with the printed ``lambda = alpha^2 (n + kappa) - n``; n should be L."""
 AVERAGED_DEG = (1.0, 10.0, 30.0, 60.0, 20.0 / 3600.0)
 FIELD_DEG = (10.0, 30.0, 60.0)
 FIELD = ("mekf", "mekf transported", "usque", "usque transported", "ssukf", "aukf")
@@ -134,8 +133,8 @@ COARSE = replace(
 turn."""
 ABOUT = 8.0
 HEADS = {"one head": (0.0,), "90° apart": (45.0, -45.0)}
-"""Chosen: noise about a head's line of sight over that across it; directions of the heads, degrees
-from x to y."""
+"""Chosen: ratio of the noise about a head's line of sight to the noise across it; directions of the
+heads, degrees from x to y."""
 RATES_DEG_PER_S = (float(np.linalg.norm(STANDARD.rate_deg_per_s)), 1.0)
 ROOTS = ("whole", "block")
 VECTOR = replace(
@@ -171,8 +170,8 @@ def isotropic(mean: Array, degrees: float) -> Gaussian:
 def starts(
     degrees: Sequence[float], names: Sequence[str], axis: Array | None, config: Config, rngs: Rngs
 ) -> dict[str, Array]:
-    """Filters from priors with the given standard deviations. The true error is that of the paper,
-    or has that size about an ``axis``."""
+    """Filters from priors with the given standard deviations. The true error equals the paper's, or
+    has this size about an ``axis``."""
     sim = simulate(config, rngs)
     found = {}
     for d in degrees:
@@ -253,7 +252,7 @@ def identities(config: Config, rngs: Rngs) -> dict[str, Array]:
 
 # -- the total attitude in modified Rodrigues parameters: the paper's words, literally -------------
 def to_tangent(q: Array) -> Array:
-    """Matrix ``(..., 6, 6)`` from small deviations of total parameters and drift to those of
+    """Matrix ``(..., 6, 6)`` from small deviations of total parameters and drift to deviations of
     rotation vector and drift."""
     return block(
         [[4.0 * attitude.transport(q[..., :3] / (1.0 + q[..., 3:]), 1.0, 1.0), 0], [0, np.eye(3)]]
@@ -264,8 +263,8 @@ def total_attitude() -> Space:
     """Space of attitudes with differences of their modified Rodrigues parameters as tangents.
 
     The sign of the quaternion decides between its two sets of parameters. A model that returns
-    `positive` quaternions switches to the shadow set in time. The covariance follows by itself,
-    because every other point is given the sign of the center.
+    `positive` quaternions switches to the shadow set in time. The covariance then needs no
+    transformation, because all other points get the sign of the center.
     """
 
     def parameters(q: Array) -> Array:
@@ -283,7 +282,7 @@ def total_attitude() -> Space:
 
 
 def total_filter(config: Config, *, switched: bool = True, form: str = "covariance") -> Sequential:
-    """SSUKF on the total attitude. Without the switch to the shadow set (``switched``) it reaches
+    """SSUKF with the total attitude as its state. Unless ``switched`` to the shadow set, it reaches
     the singularity."""
     local = filters(config, form=form)["ssukf"]
     sky = total_attitude()
@@ -303,9 +302,9 @@ def forms(
     config: Config,
     rngs: Rngs,
 ) -> dict[str, Array]:
-    """The SSUKF in `FORMS`, local and on the total attitude with and without the switch, from drawn
-    initial errors: errors, NEES, NIS, the difference of the quaternion's norm from 1, and the
-    condition number of the attitude's covariance in its parameters."""
+    """The SSUKF in `FORMS` (local; total attitude with and without the switch) from drawn initial
+    errors: errors, NEES, NIS, the deviation of the quaternion's norm from 1, and the condition
+    number of the attitude's covariance in its parameters."""
     sim = made(config, rngs)
     out = {"times": config.times}
     for name in names:
@@ -479,13 +478,13 @@ def heads(config: Config, rngs: Rngs) -> dict[str, Array]:
 # -- results without runs, or with one -------------------------------------------------------------
 def averages(config: Config) -> dict[str, Array]:
     """Means of the quaternions of the SSUKF's 25 and 19 points at the standard deviations of
-    `AVERAGED_DEG`, each ``(5,)``, the worse of the two.
+    `AVERAGED_DEG`; each result ``(5,)`` is the worse of the two.
 
-    norm: difference of the componentwise mean's norm from 1. turned: its distance (deg) from the
-    mean of Rodrigues parameters, the median over 100 random choices of signs. aligned: the same
-    (rad) with unchanged signs, or of the mean of rotation vectors if that is larger. eigen:
-    distance (rad) of the eigenvector mean, which ignores signs [Markley2007]. four: condition
-    number of the components' covariance.
+    norm: deviation of the componentwise mean's norm from 1. turned: distance (deg) of this mean
+    from the mean of Rodrigues parameters, the median over 100 random choices of signs. aligned: the
+    distance (rad) with unchanged signs, or the distance of the mean of rotation vectors if that is
+    larger. eigen: distance (rad) of the eigenvector mean, which ignores signs [Markley2007]. four:
+    condition number of the components' covariance.
     """
     rng = np.random.default_rng(0)
     rows = []
@@ -519,8 +518,8 @@ def averages(config: Config) -> dict[str, Array]:
 
 
 def by_components(config: Config, rngs: Rngs) -> dict[str, Array]:
-    """The SSUKF, and the same with normalized componentwise means of quaternions: with equal signs
-    (aligned), with random signs (signs), and with random signs and the wider points of c = 15
+    """The SSUKF, and the SSUKF with normalized componentwise means of quaternions: with equal signs
+    (aligned), with random signs (signs), and with random signs and more distant points, c = 15
     (wide)."""
     sim = simulate(config, rngs)
     rng = np.random.default_rng(0)
@@ -577,8 +576,8 @@ def counted(function: Callable[..., Any], *shapes: tuple[int, ...]) -> Array:
 
 def operations(config: Config, _rngs: Rngs) -> dict[str, Array]:
     """`counted` for an iteration, by filter, predictions per update, and factored covariance: the
-    whole augmented one (whole), or the state's alone (block). Sums that add Q and R are not
-    counted. Also operations of ways to propagate an attitude, see `propagations`."""
+    whole augmented covariance (whole), or only the state's (block). Additions of Q and R are not
+    counted. It also has the operations of methods to propagate an attitude, see `propagations`."""
     f = scenario.dynamics(config.gyro)
     space = scenario.state_space()
     sky = attitude.attitude()
@@ -690,15 +689,15 @@ def propagations(dt: float) -> dict[str, Array]:
 
 def facts(config: Config, _: Rngs) -> dict[str, Array]:
     """exact: posterior standard deviations ``(T, 2)`` of angle (arcsec) and drift (deg/h) on the
-    axis with the widest prior. limits ``(3, 2)``: their steady values if the drift has a time
-    constant of 10 h; if 0.5 deg / sqrt(h) and 0.02 deg/h in an hour are meant; and as we read the
-    paper."""
+    axis with the largest prior σ. limits ``(3, 2)``: their steady values for three interpretations
+    of the paper: a drift with a time constant of 10 h; 0.5 deg / sqrt(h) and 0.02 deg/h in an hour;
+    and ours."""
     c = config
     dt = config.step_s
     unit = UNITS[[0, 3]]
     limits = []
     drift = config.drift_deg_per_h * DEG_PER_H
-    # without this scale the solver loses the drift, which is small beside the angle
+    # Without this scale the solver loses the drift, which is much smaller than the angle.
     scale = np.array([1.0, 0.01]) * c.sigma_n
     H = np.eye(1, 2)
     slow = Gyro(c.gyro.sigma_v, drift * float(np.sqrt(2.0 / 36000.0)), 36000.0)
@@ -721,8 +720,8 @@ def facts(config: Config, _: Rngs) -> dict[str, Array]:
 
 
 def costs(_config: Config, _rngs: Rngs) -> dict[str, Array]:
-    """Evaluations of f and h ``(2,)`` from star sample to star sample, by filter and rates, counted
-    in a run with numpy."""
+    """Evaluations of f and h ``(2,)`` per star sample, by filter and rates, counted in a run with
+    numpy."""
     out = dict[str, Array]()
     seen = Counter[str]()
     token = WATCH.set(lambda model, values: seen.update({model: len(values)}))
@@ -738,8 +737,8 @@ def costs(_config: Config, _rngs: Rngs) -> dict[str, Array]:
 
 
 def parts(effort: float = 1.0, duration_s: float | None = None) -> dict[str, Part]:
-    """All that is computed. ``duration_s``: of the runs of the paper's scenario; by default shorter
-    at an effort below `BRIEF`."""
+    """All parts of the study. duration_s: duration of the runs of the paper's scenario; by default
+    it is shorter below an effort of `BRIEF`."""
     brief = effort < BRIEF
     runs_s = heads_s = duration_s or STANDARD.duration_s
     if brief and duration_s is None:
@@ -779,8 +778,8 @@ def parts(effort: float = 1.0, duration_s: float | None = None) -> dict[str, Par
 NEES = chi_square_band(6, 200)
 NIS = chi_square_band(3, 200)
 REGULAR = float(np.finfo(float).eps ** -0.5)
-"""95 % ranges of 200 runs; up to the condition number REGULAR a covariance has a root that keeps
-half of the digits."""
+"""95 % ranges for 200 runs; and the largest condition number of a covariance whose root has half of
+the digits."""
 COUNTS = [(roots, dear) for dear in (0, 1) for roots in ROOTS]
 """Which covariance is factored, and whether divisions and roots are counted 20 times."""
 AUKF = ("runs", "aukf")
@@ -818,7 +817,8 @@ def fewer(per: int, roots: str, dear: int, *, bar: bool = True) -> Decided:
 
 
 def cheaper(way: int, beside: str) -> Decided:
-    """Operations of a step with quaternions over those of the cheapest accurate integration.
+    """Ratio of the operations of a step with quaternions to the operations of the cheapest accurate
+    integration.
 
     At the paper's rate its error per second is at most 1/1000 of the star sensor's noise, or of the
     steady drift error; nan if no method is as accurate.
@@ -841,7 +841,7 @@ def cheaper(way: int, beside: str) -> Decided:
 
 
 def weak_axis(name: str, accept: Any) -> Decided:
-    """RMSE of the worst axis over that of the best axis, with heads as in `HEADS`."""
+    """RMSE ratio of the worst to the best axis, with heads as in `HEADS`."""
 
     def worst(squares: Array) -> float:
         return float(np.sqrt(squares.mean(0).max() / squares.mean(0).min()))
@@ -852,7 +852,7 @@ def weak_axis(name: str, accept: Any) -> Decided:
 
 
 def multiplying(label: str, other: str, most: float | None = None) -> Decided:
-    """RMSE of the AUKF over that of another filter, with multiplicative noise."""
+    """RMSE ratio of the AUKF to another filter, with multiplicative noise."""
     return lambda r: estimate(
         label, quotient, [r.get("multiplied", name) for name in ("aukf", other)], (None, most)
     )
@@ -861,8 +861,8 @@ def multiplying(label: str, other: str, most: float | None = None) -> Decided:
 def sooner(
     filter: tuple[str, str], axis: int, level: float, label: str, accept: Any, **more: Any
 ) -> Decided:
-    """Time when an angle settles below a level (arcsec). The first three minutes suffice: at their
-    end it is below all levels."""
+    """Time at which an angle settles below a level (arcsec). The first three minutes suffice, since
+    the angle is then below all levels."""
     return settling(
         label,
         filter,
@@ -887,8 +887,8 @@ def sound(part: str, form: str) -> list[Decided]:
 
 
 def unswitched(r: Results) -> Number:
-    """Largest attitude error past 360 deg without the switch over that with it; a failed run counts
-    as half a turn."""
+    """Ratio of the largest attitude errors beyond 360 deg without and with the switch; a failed run
+    counts as half a turn."""
     sizes = (
         np.linalg.norm(r.error("crossing", form, "attitude")[36:], axis=-1)
         for form in ("unswitched", "switched")
@@ -898,7 +898,7 @@ def unswitched(r: Results) -> Number:
 
 
 def at_the_bound(r: Results) -> list[Number]:
-    """RMSE of the SSUKF's attitude over the exact standard deviation."""
+    """Ratio of the SSUKF's attitude RMSE to the exact standard deviation."""
     over = {
         k: r.squares("drawn", "local", "attitude", k).mean(-1)
         / r.value("facts", "exact", k, 0) ** 2

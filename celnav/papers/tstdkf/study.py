@@ -91,7 +91,7 @@ LENGTHS = (
     Group("velocity", "m/s", slice(1, 2)),
     Group("bias", "km", slice(2, 3)),
 )
-"""Norms of the errors of position, velocity and ephemeris; nothing else of them is stored."""
+"""Norms of the errors of position, velocity and ephemeris; only the norms are stored."""
 PER_UNIT = (1.0, 1e3, 1.0)
 """Factors from km and km/s to these units."""
 EXACT_PART = np.r_[0:6, -3:0]
@@ -139,7 +139,7 @@ MARS: dict[str, Any] = {
     "center": "mars",
     "elements": (3396.0 + 7136.635 - 6378.137, *TABLE_5.elements[1:]),
 }
-"""A satellite of Mars, at the same height as that of the Earth."""
+"""A satellite of Mars, at the height of the Earth satellite."""
 DE423 = {"Mars": ("de423/mars",)}
 DE440 = {"DE440": ("de440/earth", "de440/sun"), "shifted": ("de440/earth",)}
 """Ephemeris errors, see `reference`. DE440: without the distance between the two barycenters;
@@ -164,8 +164,8 @@ SWEEP = FORMS | {
     f"{form}, ρ = {rho:g}": (*FORM[form], rho, rho, rho, TAU) for form in "CB" for rho in RHOS
 }
 SWEEP |= {f"{form}, τ = {tau:g}": (*FORM[form], *TABLE_5.rho, tau) for form in "CB" for tau in TAUS}
-"""Fading factors by name: whether from the innovations of the first stage (form A), whether
-proportional to squared residuals (A and B), ρ by axis, τ."""
+"""Fading factors by name: whether they use the innovations of the first stage (form A), whether
+they are proportional to squared residuals (A and B), ρ by axis, τ."""
 NINE = {**{f"aug9 {walk:g}": (walk, 0) for walk in WALKS}, "fair": (1e-4, 1)}
 """Nine-state filters by name: σ of the bias's steps (km), and which of `Noise.whites` they
 assume."""
@@ -175,10 +175,9 @@ LABELS = {
     "sweep": SWEEP,
     "nine": NINE,
 }
-"""Filters that run side by side within one filter. EKF is the first stage of TKF, and runs
-alone."""
+"""Filters that run in one batch, as one filter. EKF is the first stage of TKF, and runs alone."""
 MOST_NUMBERS = 1 << 26
-"""Largest count of numbers that machine code holds in memory at a time: half a gigabyte."""
+"""Largest count of numbers that compiled code has in memory at a time: half a gigabyte."""
 
 
 def run_filters(
@@ -221,8 +220,8 @@ def run_filters(
 def followed(
     filter: Any, sim: s.Scenario, every: int, judged: bool, labels: Sequence[str]
 ) -> Found:
-    """Results of `run_filters` for one filter, arrays ``(K, filters, cases, runs, ...)``. It runs
-    as many runs at a time as fit in memory."""
+    """Results of `run_filters` for one filter, arrays ``(K, filters, cases, runs, ...)``. It
+    processes as many runs at a time as fit in memory."""
     *cases, count = sim.truth.shape[1:-1]
     n = filter.start(sim.prior).belief.mean.shape[-1]
     row = 3 * n * (n + 1) if judged else n + 9
@@ -235,14 +234,14 @@ def followed(
         with repeated(len(starts)):
             track = run(filter, some.prior, some.measured(), keep="cov" if judged else "mean")
         pieces.append(errors(track, some, every, judged, labels))
-        del track  # frees its memory before the next one
+        del track  # frees its memory before the next track
     first = pieces[0].pop("first")
     out = {key: np.concatenate([piece[key] for piece in pieces], 3) for key in pieces[0]}
     return out | {"first": first}
 
 
 def errors(track: Any, sim: s.Scenario, every: int, judged: bool, labels: Sequence[str]) -> Found:
-    """The results of one track with a part of the runs."""
+    """The results of one track, which has some of the runs."""
     K = (len(sim.truth) - 1) // every
     T = K * every
     last = slice(every - 1, T, every)
@@ -275,8 +274,8 @@ def apart(
     taken: Changes | None = None,
     judged: bool = False,
 ) -> Found:
-    """Run different configurations side by side; ``taken``: the configurations that the filters
-    assume, where they differ from the true ones."""
+    """Run different configurations in one batch; ``taken``: the configurations that the filters
+    assume, if they differ from the true configurations."""
     cases, believed = (
         [replace(config, **by.get(name, own)) for name, own in changes.items()]
         for by in (changes, taken or {})
@@ -324,9 +323,9 @@ def forces(config: Config, rngs: Rngs) -> Found:
 # -- filters on errors linearized about the nominal orbit: all runs share the covariances ----------
 @dataclass(frozen=True, eq=False)
 class Boosts:
-    """Fading factors of several forms at once, along a first axis.
+    """Fading factors of several forms together, along a first axis.
 
-    own: ``(..., 1, 1)``, whether they come from the innovations of the first stage.
+    own: ``(..., 1, 1)``, whether they use the innovations of the first stage.
     """
 
     own: Array
@@ -434,7 +433,8 @@ def bodies(config: Config) -> Tracks:
 
 
 def reference(names: Mapping[str, Sequence[str]], config: Config) -> Tracks:
-    """Differences of ephemerides from DE421 by name: the first difference minus the others."""
+    """Differences of ephemerides from DE421 by name: the first listed difference minus the
+    others."""
     each = {name: [difference(one, config) for one in of] for name, of in names.items()}
     return {name: (d - sum(less), 0.0 * d) for name, (d, *less) in each.items()}
 
@@ -448,7 +448,7 @@ def operations(config: Config, _rngs: Rngs) -> Found:
 
 
 def nominal_covariances(cases: Sequence[Config], name: str) -> Array:
-    """Covariances ``(T, cases, 9, 9)`` of orbit and bias along the nominal orbit. For aug this is
+    """Covariances ``(T, cases, 9, 9)`` of orbit and bias along the nominal orbit. For aug they are
     the posterior Cramer-Rao bound."""
     sim = s.linearized([cases[0]], [np.random.default_rng(0)])
     prior = Gaussian(np.zeros((len(cases), 1, 6)), np.diag(cases[0].deviation ** 2))
@@ -485,7 +485,7 @@ def covariances(config: Config, _: Rngs) -> Found:
 
 
 def alike(config: Config, rngs: Rngs) -> Found:
-    """All noise white: largest differences between TKF and TDKF, of first stages and of both
+    """Largest differences between TKF and TDKF if all noise is white, for first stages and both
     stages: of means in standard deviations, and of covariances relative to the variances."""
     c = replace(config, setting=SETTINGS[5])
     sim = simulate(c, rngs)
@@ -503,8 +503,8 @@ def alike(config: Config, rngs: Rngs) -> Found:
 
 # -- parts without Monte Carlo ---------------------------------------------------------------------
 def accelerations(config: Config, errors: Mapping[str, Array] | None = None) -> Found:
-    """Acceleration ``(T, 3)`` km/s^2 of the satellite on its nominal orbit by each body, relative
-    to the acceleration of the Earth. errors: ``(T, 3)`` km, of the positions of some bodies."""
+    """Acceleration ``(T, 3)`` km/s^2 of the satellite on its nominal orbit due to each body, minus
+    the acceleration of the Earth. errors: ``(T, 3)`` km, position errors of some bodies."""
     place = s.nominal(config).state[:, :3]
     wrong = errors or {}
     at = {b: de421().state(b, config.dates).position + wrong.get(b, 0.0) for b in BODIES}
@@ -590,9 +590,9 @@ def difference(name: str, config: Config) -> Array:
 
 
 def sky_facts(config: Config, _: Rngs) -> Found:
-    """The `ephemerides`; the Earth's ``speed`` (km/s); the largest values over a year, for each
-    pulsar, of the error of the Shapiro term (``shapiro``, km) and of the parallax terms that count
-    distances from the Sun (``solar``, km)."""
+    """The `ephemerides`; the Earth's ``speed`` (km/s); and for each pulsar the largest values over
+    a year of the error of the Shapiro term (``shapiro``, km) and of the parallax terms that depend
+    on the distance from the Sun (``solar``, km)."""
     dates = from_utc(config.start_utc).after(np.arange(0.0, s.YEAR_S, 10800.0))
     (earth, velocity), (sun, _still) = (de421().state(body, dates) for body in ("earth", "sun"))
     timing = config.timing
@@ -705,7 +705,7 @@ over = partial(numbers.over, at="all")
 def together(
     label: str, a: str, b: str, accept: Bounds = (None, None), group: str = "bias"
 ) -> Decided:
-    """As `yearly`, with the squares of the three trends added."""
+    """`yearly` for the sum of the squares over the three trends."""
 
     def number(r: Results) -> Number:
         sums = [
@@ -831,7 +831,7 @@ def of_hours(
 
 
 def below_both(*errors: Array) -> Any:
-    """Fraction of hours (12 epochs) in which the RMSE of the last is below that of two others."""
+    """Fraction of hours (12 epochs) in which the last RMSE is below both others."""
     *others, ours = (np.square(e[:, ::12]).mean(0) for e in errors)
     return (ours < np.minimum(*others)).mean()
 
@@ -839,8 +839,7 @@ def below_both(*errors: Array) -> Any:
 def yearly(
     label: str, a: str, b: str, accept: Bounds = (None, None), group: str = "bias", **more: Any
 ) -> list[Decided]:
-    """For each of the three trends, after the first month: RMSE of filter ``a`` over that of
-    ``b``."""
+    """RMSE ratio of filter ``a`` to ``b`` for each of the three trends, after the first month."""
     return [
         over(f"{label}, {t}", "year", f"{t}/{a}", f"{t}/{b}", accept, group, at="later", **more)
         for t in TRENDS
@@ -871,7 +870,7 @@ def following(a: str, b: str, accept: Bounds = (None, None)) -> Decided:
 
 
 def before_step(a: str, b: str, accept: Bounds = (None, None), group: str = "bias") -> Decided:
-    """RMSE in the five days before the step, of filter ``a`` over that of ``b``."""
+    """RMSE ratio of filter ``a`` to ``b`` in the five days before the step."""
     label = f"{group} RMSE before the step, {a} over {b}"
     return over(label, "sweep", f"step/{a}", f"step/{b}", accept, group, at="steady")
 
@@ -879,7 +878,8 @@ def before_step(a: str, b: str, accept: Bounds = (None, None), group: str = "bia
 def factors(
     a: tuple[str, str], b: tuple[str, str], accept: Bounds = (None, None), at: When = "all"
 ) -> Decided:
-    """Ratio of largest to smallest RMSE over the settings, of one filter and group over another."""
+    """Ratio of largest to smallest RMSE over the settings, for ``a`` relative to ``b`` (each a
+    filter and a group)."""
 
     def factor(*samples: Array) -> float:
         x = [rms(sample) for sample in samples]
@@ -891,13 +891,13 @@ def factors(
 
 
 def below(a: Array, b: Array) -> float:
-    """Percent by which the RMSE of the first is below that of the second."""
+    """Percent by which the first RMSE is below the second."""
     return 100.0 - 100.0 * quotient(a, b)
 
 
 def percentages(group: str, halfway: tuple[float, float]) -> Callable[[Results], Tiers]:
-    """Reductions in setting 1: of many linearized runs, against the printed ones (of 50 runs) and
-    against half of the effect; and of 50 nonlinear runs."""
+    """Reductions in setting 1: from many linearized runs, compared with the printed reductions
+    (from 50 runs) and with half of the effect; and from 50 nonlinear runs."""
 
     def gain(label: str, part: str, case: str, f: str, **more: Any) -> Decided:
         flown = [(f"{case}/tstdkf", group), (f"{case}/{f}", group)]
@@ -912,7 +912,7 @@ def percentages(group: str, halfway: tuple[float, float]) -> Callable[[Results],
 
 
 def lead(group: str, f: str) -> Decided:
-    """Percentage points by which the gain of TSTDKF in setting 1 exceeds that of other settings."""
+    """Percentage points by which TSTDKF's gain in setting 1 exceeds its gain in other settings."""
 
     def exceeds(*x: Array) -> float:
         first, *others = map(below, x[:5], x[5:])
@@ -924,8 +924,8 @@ def lead(group: str, f: str) -> Decided:
 
 
 def at_bound(r: Results) -> list[Number]:
-    """Position RMSE of the exact filter over the RMSE that its covariance predicts on the nominal
-    orbit. The prior of the bias is wider than the true bias, so the ratio is below 1."""
+    """Ratio of the exact filter's position RMSE to the RMSE that its covariance predicts on the
+    nominal orbit. It is below 1, because the prior σ of the bias is larger than the true bias."""
     numbers = []
     for i in SETTINGS:
         size = r.get("covariances", f"{i}/aug")[:, :3, :3].trace(axis1=1, axis2=2).mean()
@@ -948,14 +948,14 @@ CONSTANT = [together("bias RMSE, constant bias over form C", "tkf", "C", (1.0, N
 
 
 def displacing(a: str, b: str, setting: int, accept: Bounds = (None, None)) -> Decided:
-    """Position RMSE of the EKF with error ``a`` of `bodies` over that with ``b``."""
+    """Ratio of the EKF's position RMSE with error ``a`` of `bodies` to its RMSE with ``b``."""
     label = f"EKF position RMSE, error {a} over {b}, setting {setting}"
     part = f"bodies, {setting}"
     return over(label, part, f"{a}/ekf", f"{b}/ekf", accept, at="late")
 
 
 def in_order(part: str, case: str, accept: Bounds) -> list[Decided]:
-    """Position RMSE of TSTDKF over TKF and of TKF over EKF."""
+    """Position RMSE ratios of TSTDKF to TKF and of TKF to EKF."""
     pairs = (("tstdkf", "tkf"), ("tkf", "ekf"))
     return [
         over(f"{case}, {a.upper()} over {b.upper()}", part, f"{case}/{a}", f"{case}/{b}", accept)
