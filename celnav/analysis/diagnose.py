@@ -740,7 +740,7 @@ def _model(
     z_level = float(ndtri(0.5 + level / 2))
 
     def at_end(track: Track) -> Array:
-        """Final standard deviations ``(n,)`` of the original filter's states, mean over the runs."""
+        """Final standard deviations ``(n,)`` of the original filter's states, mean over runs."""
         std = track.std[-1, ..., : baseline.std.shape[-1]]
         return np.asarray(std.reshape(-1, std.shape[-1]).mean(0))
 

@@ -66,7 +66,7 @@ def laid_out(
 
 
 def consistency(ratio: float, band: tuple[float, float]) -> str:
-    """Return "consistent", "overconfident" or "conservative" for a ratio (1 for a consistent filter)
+    """Return "consistent", "overconfident" or "conservative", for a ratio that is 1 if consistent,
     and its band.
     """
     if ratio > band[1]:
@@ -347,6 +347,6 @@ def _colored(model: Model, compared: str, diagnosis: Diagnosis) -> list[str]:
 
 
 def _coefficient(phi: float) -> str:
-    """A coefficient with three digits of its distance to 1, which determines the correlation time."""
+    """A coefficient, with three digits of its distance to 1."""
     distance = 1.0 - abs(phi) or 1.0
     return f"{phi:.{max(3, 2 - int(np.floor(np.log10(distance))))}f}"

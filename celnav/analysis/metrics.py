@@ -118,7 +118,7 @@ def bootstrap(
 
 
 def _runs(error: ArrayLike, axis: int) -> tuple[Array, int]:
-    """Checked errors (nan where a run has failed) and their axis of runs; ValueError without runs."""
+    """Checked errors (nan if a run has failed) and their axis of runs; ValueError without runs."""
     array = numbers("error", error)
     if (
         array.shape not in ((), (0,))

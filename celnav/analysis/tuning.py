@@ -1,4 +1,4 @@
-"""Maximum-likelihood tuning of noise parameters, from the innovations of a filter [Schweppe1965]."""
+"""Maximum-likelihood tuning of noise parameters, from a filter's innovations [Schweppe1965]."""
 
 from __future__ import annotations
 
@@ -407,8 +407,8 @@ class _Likelihood:
         )
 
     def gradient(self, s: Array) -> Array:
-        """First derivatives ``(d,)``. A difference is one-sided if the filter fails on one side, and
-        0 if it fails on both.
+        """First derivatives ``(d,)``. A difference is one-sided if the filter fails on one side,
+        and 0 if it fails on both.
         """
         if (exact := self.exact(s)) is not None:
             return exact

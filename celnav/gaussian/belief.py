@@ -103,7 +103,7 @@ def mask_failed(belief: Belief) -> Belief:
 
 
 def any_lost(belief: Belief) -> bool:
-    """Whether any run has failed (`lost`); two sums usually decide it without a test of each run."""
+    """Whether any run has failed (`lost`); two sums usually decide, without a test of each run."""
     # A sum may overflow although no entry is infinite: the last line decides that case.
     plain = isfinite(np.add.reduce(belief[0], None) + np.add.reduce(belief[1], None))
     if plain and (

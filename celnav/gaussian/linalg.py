@@ -350,7 +350,7 @@ class SquareRoot(NamedTuple):
 
     @staticmethod
     def transported(matrix: Array, root: Array) -> Array:
-        """Root of ``matrix @ P @ matrix.mT``; ``matrix (..., n, n)`` maps deviations to a new point."""
+        """Root of ``matrix @ P @ matrix.mT``, with ``matrix (..., n, n)``."""
         return tria(matrix @ root)
 
     @staticmethod

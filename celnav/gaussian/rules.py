@@ -180,7 +180,7 @@ class Rule:
         ``y (p, ..., M)`` at the points.
         """
         # shift = sum wm (y - center); columns = sqrt(|wc|) (y - center - shift).
-        # Point 0 is the center. If the space defines a mean, that is the center, and the shift is 0.
+        # Point 0 is the center. If the space defines a mean, it is the center, with a shift of 0.
         center = y[0] if space.mean is None else space.mean(y, self.wm)
         values = (y if space is EUCLIDEAN else space.minus(y, center))[self._used]
         values = values.T if values.ndim == 2 else points_last(values)  # (..., k, q)

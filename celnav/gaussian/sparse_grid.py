@@ -147,7 +147,7 @@ def index_set(level: int, weights: Sequence[int]) -> dict[tuple[int, ...], int]:
 
 
 def check_orders(orders: object) -> tuple[int, ...]:
-    """Check the numbers of points of the one-dimensional rules; ValueError unless the first is 1."""
+    """Check numbers of points of the one-dimensional rules; ValueError unless the first is 1."""
     sizes = integers("orders", orders, 1, 100)
     if sizes[:1] != (1,):
         raise ValueError(

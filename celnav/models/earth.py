@@ -79,7 +79,7 @@ def transport_rate(velocity: Array, latitude: ArrayLike, height_m: ArrayLike) ->
 
 
 def fixed_position(latitude: ArrayLike, longitude: ArrayLike, height_m: ArrayLike) -> Array:
-    """Earth-fixed position ``(..., 3)`` m from geodetic latitude, longitude (rad) and height (m)."""
+    """Earth-fixed position ``(..., 3)`` m of geodetic latitude, longitude (rad), height (m)."""
     L, lon, h = (np.asanyarray(numbers("latitude", v)) for v in (latitude, longitude, height_m))
     N = transverse_radius(L)
     across = (N + h) * np.cos(L)

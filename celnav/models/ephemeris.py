@@ -152,7 +152,7 @@ class Tdb(NamedTuple):
 
 
 def from_tt(day: ArrayLike, rest: ArrayLike = 0.0) -> Tdb:
-    """`Tdb` of Julian dates ``day + rest (...)`` in terrestrial time, at the center of the Earth."""
+    """`Tdb` of Julian dates ``day + rest (...)`` in terrestrial time, at the Earth's center."""
     days, rests = finite("day", day), finite("rest", rest)
     return Tdb(days, rests + erfa.dtdb(days, rests, 0.0, 0.0, 0.0, 0.0) / DAY_S)
 

@@ -209,7 +209,7 @@ def tilted(vectors: Array, angle: float) -> Array:
 
 
 def turned(vectors: Array, angle: Array) -> Array:
-    """``R_z(angle)`` times vectors ``(..., 3)``: components in a frame rotated by ``angle (...)``."""
+    """``R_z(angle)`` times vectors ``(..., 3)``: components on axes rotated by ``angle (...)``."""
     x, y, z = np.moveaxis(vectors, -1, 0)
     return np.stack(
         [np.cos(angle) * x + np.sin(angle) * y, np.cos(angle) * y - np.sin(angle) * x, z], -1
@@ -217,6 +217,6 @@ def turned(vectors: Array, angle: Array) -> Array:
 
 
 def spun(places: Array, rate: Array | float) -> Array:
-    """Velocities of positions ``(..., 3)`` that rotate about the z axis at a rate ``(...)`` rad/s."""
+    """Velocities of positions ``(..., 3)`` that rotate about z at a rate ``(...)`` rad/s."""
     x, y, z = np.moveaxis(places, -1, 0)
     return np.stack([-y * rate, x * rate, np.zeros_like(z)], -1)

@@ -275,7 +275,7 @@ def mechanize(flight: Flight, attitude: Array, drift: Array, bias: Array) -> Sol
         flight.height_m,
         (slice(0, -2, 2), slice(1, None, 2), slice(2, None, 2)),
     )
-    # Measurements at the middle of each step. Gyros measure the rotation relative to inertial space.
+    # Measurements at the middle of each step. Gyros measure rotation relative to inertial space.
     L, b = flight.latitude[middle], flight.attitude
     spin = earth.earth_rate(L) + earth.transport_rate(flight.velocity[middle], L, h)
     turn = Rotation.from_matrix(b[first].mT @ b[last]).as_rotvec()

@@ -205,7 +205,7 @@ def _turned(rate: Array, T: Array) -> Array:
 
 
 def _pushed(rate: Array, T: Array) -> Array:
-    """Root ``(..., 4, 4)`` of the covariance from a white acceleration of density 1 during a turn."""
+    """Root ``(..., 4, 4)`` of the covariance from white acceleration of density 1 in a turn."""
     theta = rate[..., None, None] * T
     first, second = turn_coefficients(theta * theta)
     residual = np.sqrt(2.0 * second - first * first - (theta * second) ** 2)

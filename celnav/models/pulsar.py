@@ -31,7 +31,8 @@ class Pulsar:
     """A pulsar; ValueError for values out of range.
 
     right_ascension_deg, declination_deg: J2000. distance_kpc: from the Sun. period_s: pulse period.
-    width_s: pulse width. flux: photons / cm^2 / s. pulsed_fraction: pulsed part of the flux, 0 to 1.
+    width_s: pulse width. flux: photons / cm^2 / s. pulsed_fraction: pulsed part of the flux, up to
+        1.
     """
 
     name: str

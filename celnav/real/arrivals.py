@@ -195,11 +195,11 @@ def clocks(folder: Path, split: float, end: float) -> tuple[Clock, ...]:
         white, red = sized(a.late[before], a.sigma[before], M[before], K[np.ix_(before, before)])
         V = np.diag(a.sigma**2 + white**2) + red**2 * K
         L = np.linalg.cholesky(V[np.ix_(before, before)])
-        known, shared = (
+        columns, shared = (
             solve_triangular(L, x, lower=True) for x in (M[before], V[np.ix_(before, after)])
         )
-        Q, R = np.linalg.qr(known)
-        left = solve_triangular(R, (M[after] - shared.T @ known).T, trans="T").T
+        Q, R = np.linalg.qr(columns)
+        left = solve_triangular(R, (M[after] - shared.T @ columns).T, trans="T").T
         weights = solve_triangular(L, (shared.T + left @ Q.T).T, lower=True, trans="T").T
         cov = V[np.ix_(after, after)] - shared.T @ shared + left @ left.T
         early = weights @ a.late[before] - a.late[after]

@@ -208,8 +208,8 @@ def over(
 
     def number(r: Results) -> Number:
         both = [
-            squares(r, one, trials, kind)
-            for one in ((name, other) if isinstance(other, str) else (name,))
+            squares(r, key, trials, kind)
+            for key in ((name, other) if isinstance(other, str) else (name,))
         ]
         block = min(round(BLOCK_S / np.diff(r.times(name)[:2])[0]), len(both[0]) // 2)
         return estimate(
@@ -447,15 +447,16 @@ def beside(r: Results) -> Figure:
 
 def over_time(r: Results) -> Figure:
     """Errors about Earth axes in one trial, with the predicted ±2 σ."""
-    known = np.flatnonzero(np.isfinite(r.error("mekf", "mekf", "attitude")[:, SHOWN, 0]))
-    own = slice(
-        round(1.0 / np.diff(r.times("mekf")[:2])[0]), int(known[-1]) + 1
+    finite = np.flatnonzero(np.isfinite(r.error("mekf", "mekf", "attitude")[:, SHOWN, 0]))
+    window = slice(
+        round(1.0 / np.diff(r.times("mekf")[:2])[0]), int(finite[-1]) + 1
     )  # from 1 s to the end of the trial
-    t = r.times("mekf")[own]
+    t = r.times("mekf")[window]
 
     def items(axis: int) -> list[Item]:
         error, std = (
-            r.error("mekf", "mekf", "attitude", what)[own, SHOWN, axis] for what in ("error", "std")
+            r.error("mekf", "mekf", "attitude", what)[window, SHOWN, axis]
+            for what in ("error", "std")
         )
         bounds = [
             curve(t, sign * 2.0 * std, Line("predicted ±2 σ", colors.SIGMA, ":"))

@@ -130,9 +130,9 @@ def read_tags(path: str | Path) -> tuple[float, float]:
     count = (len(raw) - TAG_BYTES - 16) // 8
     if not raw.startswith(TAGGED) or count < 1:
         raise InputError(f"{path}: expected time tags of RTKLIB, {TAGGED.decode()}, got none")
-    _, whole, part = struct.unpack_from("<IId", raw, TAG_BYTES)
+    _, whole, fraction = struct.unpack_from("<IId", raw, TAG_BYTES)
     (last,) = struct.unpack_from("<I", raw, TAG_BYTES + 16 + 8 * (count - 1))
-    start = whole + part
+    start = whole + fraction
     return start, start + last / 1000.0
 
 

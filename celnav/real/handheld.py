@@ -495,8 +495,8 @@ def measured(logs: Sequence[Log]) -> Epochs:
         np.stack(part, 1) for part in list(zip(*logs, strict=True))[:6]
     )
     acc[0] = mag[0] = np.nan  # the prior already uses it
-    known = np.isfinite(acc).all(-1, keepdims=True) * 1.0
-    u = rate, lively, np.nan_to_num(acc), np.nan_to_num(mag), known
+    has_force = np.isfinite(acc).all(-1, keepdims=True) * 1.0
+    u = rate, lively, np.nan_to_num(acc), np.nan_to_num(mag), has_force
     z = 0.0 * acc, 0.0 * still, 0.0 * mag[..., :2], still
     times = logs[0].dt * np.arange(len(rate))
     return epochs(times, z, tuple(values[1:] for values in u), truth)

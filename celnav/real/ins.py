@@ -192,8 +192,8 @@ def task(log: Log, config: Drive) -> tuple[Any, Gaussian, Merged, inertial.Strap
     """Filter, prior, merged measurements, and strapdown system."""
     made = system(log, config)
     used = log.fixed & (withheld(log.t_fix) < 0) & (log.t_fix <= config.end_s)
-    own = log.t <= min(config.end_s, log.t_fix[-1])
-    t, inputs = log.t[own], (log.rate[own], log.force[own])
+    in_time = log.t <= min(config.end_s, log.t_fix[-1])
+    t, inputs = log.t[in_time], (log.rate[in_time], log.force[in_time])
     moving = int(np.flatnonzero(used & (np.hypot(*log.fixes[:, 3:5].T) > MOVES))[0])
     first = int(np.searchsorted(log.t_fix, t[0]))
     prior = made.prior(
@@ -243,7 +243,7 @@ def fly(config: Drive, _rngs: Sequence[Any]) -> dict[str, Array]:
     # Position that a fix would measure, with the lag and lever arm of the state.
     antenna = made.gnss(LEVER, sigma_position=1.0).h(track.mean, Epoch())
     q, p = made.space.part(track.mean, "q"), track.part("p")
-    own, inside = [], withheld(measured.t_fix)
+    rows, inside = [], withheld(measured.t_fix)
     for k in range(int(inside.max()) + 1):
         at = np.flatnonzero((inside == k) & measured.fixed)
         t = measured.t_fix[at]
@@ -257,7 +257,7 @@ def fly(config: Drive, _rngs: Sequence[Any]) -> dict[str, Array]:
         P = p.cov[end] + FIX["sigma_position"] ** 2 * np.eye(3)
         last = turned if config.error == "invariant" else error[-1]
         size = np.linalg.norm(error, axis=-1).max()
-        own.append(
+        rows.append(
             [
                 drift[len(drift) * 2 // 3],
                 drift[-1],
@@ -266,7 +266,7 @@ def fly(config: Drive, _rngs: Sequence[Any]) -> dict[str, Array]:
                 size,
             ]
         )
-    ten, end_of, sigma, nees, worst = np.transpose(own)
+    ten, end_of, sigma, nees, worst = np.transpose(rows)
     return {
         "drift": np.stack([ten, end_of], -1),
         "sigma": sigma,

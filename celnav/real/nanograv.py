@@ -122,14 +122,14 @@ def trial(c: Flight, _rngs: Rngs) -> Trial:
     errors of timing models. The barycentric position is evaluated: orbit plus the Sun's error.
     """
     heard, years = clocks(c.folder, FLOWN, END), differences()
-    seen = weekly(heard, [k.early for k in heard], FLOWN, END)
-    day, t = seen.day, DAY_S * (seen.day - seen.day[0])
+    observed = weekly(heard, [k.early for k in heard], FLOWN, END)
+    day, t = observed.day, DAY_S * (observed.day - observed.day[0])
     earth, sun = (
         years[f"{c.old}/{body}"] if c.old else (lambda at: np.zeros((*np.shape(at), 3)))
         for body in ("earth", "sun")
     )
     truth = earth(day)
-    z = seen.y + (seen.R @ truth[..., None])[..., 0]
+    z = observed.y + (observed.R @ truth[..., None])[..., 0]
     early = [k.early + k.seen(earth(k.arrivals.day + 0.5), False) for k in heard]
 
     level, F = tuned(c.folder)
@@ -147,12 +147,12 @@ def trial(c: Flight, _rngs: Rngs) -> Trial:
     step = np.sqrt(
         np.square(np.diff(years["de421/sun"](past) - years["de405/sun"](past), axis=0)).mean()
     )
-    known = paper.filters(
+    by_name = paper.filters(
         paper.Config(bias_prior_km=SUN_KM, walk_km=float(step)), paper.LINEAR, noise
     )
     for name, m in (("drift", 3), ("clocks", 12)):
         sensor = Sensor(Linear(lambda epoch: epoch.u[1]), R=np.eye(m))
-        known[name] = ekf(Motion(Linear(lambda epoch: epoch.u[0]), Q=np.zeros((12, 12))), sensor)
+        by_name[name] = ekf(Motion(Linear(lambda epoch: epoch.u[0]), Q=np.zeros((12, 12))), sensor)
 
     Phi = np.stack([transition(*pair) for pair in pairwise(day)])
     each = np.stack([block_diag(P, np.eye(6)) + 0.0 for P in Phi])
@@ -160,12 +160,12 @@ def trial(c: Flight, _rngs: Rngs) -> Trial:
     moves = np.stack(list(accumulate(each, lambda before, move: move @ before, initial=np.eye(12))))
     place = np.eye(3, 12) + np.eye(3, 12, 6)
     twelve = {
-        "drift": (seen.R @ place / level, z / level),
+        "drift": (observed.R @ place / level, z / level),
         "clocks": remembered(heard, early, day, moves),
     }
 
     def epochs(name: str) -> Iterator[Epoch]:
-        H, y = twelve.get(name, (seen.R, z))
+        H, y = twelve.get(name, (observed.R, z))
         for k in range(1, len(day)):
             u = (
                 (each[k - 1], H[k])
@@ -180,7 +180,7 @@ def trial(c: Flight, _rngs: Rngs) -> Trial:
         return belief.mean @ both.T - truth, cholesky(both @ belief.cov @ both.T)
 
     start = np.concatenate([earth(day[0]) - sun(day[0]), np.zeros(3)]) + STARTED
-    return Trial(GROUPS, known, Gaussian(start[None], np.diag(STARTED**2)), epochs, compare)
+    return Trial(GROUPS, by_name, Gaussian(start[None], np.diag(STARTED**2)), epochs, compare)
 
 
 def fly_all(c: Flight, rngs: Rngs) -> Arrays:
@@ -203,8 +203,8 @@ def fixes(folder: Path, _rngs: Rngs) -> Arrays:
             c for c in clocks(folder, FLOWN, END) if name == "all" or c.arrivals.name in SOLITARY
         ]
         w = weekly(heard, [c.early for c in heard], FLOWN, END, least)
-        found = {"day": w.day, "error": w.fix[:, None], "std": w.std[:, None], "heard": w.heard}
-        out |= {f"{name}/{key}": values for key, values in found.items()} | {
+        arrays = {"day": w.day, "error": w.fix[:, None], "std": w.std[:, None], "heard": w.heard}
+        out |= {f"{name}/{key}": values for key, values in arrays.items()} | {
             f"{name}/nees": np.square(w.y).sum(1)[:, None]
         }
     return out

@@ -125,42 +125,42 @@ def read_par(path: Path) -> Spin:
         raise InputError(
             f"{path}: expected a timing model, with a name and a value on each line ({error})"
         ) from None
-    told = {word[0].upper(): word[1] for word in words if len(word) > 1}
-    if "BINARY" in told or "PB" in told:
+    entries = {word[0].upper(): word[1] for word in words if len(word) > 1}
+    if "BINARY" in entries or "PB" in entries:
         raise InputError(
             f"{path}: expected a pulsar without a companion, got one with it; binary orbits are "
             "not modeled"
         )
-    if missing := {"RAJ", "DECJ", "F0", "PEPOCH"} - told.keys():
+    if missing := {"RAJ", "DECJ", "F0", "PEPOCH"} - entries.keys():
         raise InputError(f"{path}: expected a timing model with {', '.join(sorted(missing))}")
-    if told.get("UNITS", "TDB") != "TDB":
-        raise InputError(f"{path}: expected UNITS TDB, got {told['UNITS']}")
+    if entries.get("UNITS", "TDB") != "TDB":
+        raise InputError(f"{path}: expected UNITS TDB, got {entries['UNITS']}")
 
     def value(name: str) -> float:
         try:
-            number = float(told[name].replace("D", "e").replace("d", "e"))
+            number = float(entries[name].replace("D", "e").replace("d", "e"))
         except ValueError:
             number = np.nan
         if not np.isfinite(number):
-            raise InputError(f"{path}: expected a number as {name}, got {told[name]!r:.40}")
+            raise InputError(f"{path}: expected a number as {name}, got {entries[name]!r:.40}")
         return number
 
     def angle(name: str) -> float:
-        parts = re.fullmatch(r"([+-]?)(\d+):(\d+):(\d+(?:\.\d*)?)", told[name], re.ASCII)
+        parts = re.fullmatch(r"([+-]?)(\d+):(\d+):(\d+(?:\.\d*)?)", entries[name], re.ASCII)
         if parts is None:
-            raise InputError(f"{path}: expected {name} as 15:13:55.62, got {told[name]!r:.40}")
+            raise InputError(f"{path}: expected {name} as 15:13:55.62, got {entries[name]!r:.40}")
         sign, *sixties = parts.groups()
         degrees = sum(float(part) / 60.0**i for i, part in enumerate(sixties))
         return -degrees if sign == "-" else degrees
 
     rates = [value("F0")]
-    while (name := f"F{len(rates)}") in told:
+    while (name := f"F{len(rates)}") in entries:
         rates.append(value(name))
     if not 1e-3 < rates[0] < 1e4:
         raise InputError(f"{path}: expected F0 in pulses per second, got {rates[0]!r}")
     try:
         pulsar = Pulsar(
-            told.get("PSRJ", path.stem),
+            entries.get("PSRJ", path.stem),
             15.0 * angle("RAJ"),
             angle("DECJ"),
             4.4,

@@ -323,7 +323,7 @@ class Claim:
 
     @property
     def surprise(self) -> bool:
-        """Whether the verdict differs from the expected one; "undecided" counts with all runs only."""
+        """Whether the verdict is not the expected one; "undecided" counts with all runs only."""
         return self.verdict != self.expected and (self.full or self.verdict != "undecided")
 
     @property

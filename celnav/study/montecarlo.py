@@ -177,8 +177,8 @@ def effort(value: str | float | None = None, default: float = 1.0) -> float:
 
 def run_count(full: int, runs: int | None, effort: float) -> int:
     """Number of runs of a study: ``runs``, or the full number times the effort; at least 2."""
-    part = integer("full", full) * number("effort", effort, above=0.0, most=1.0)
-    return integer("runs", max(2, round(part)) if runs is None else runs, 2)
+    scaled = integer("full", full) * number("effort", effort, above=0.0, most=1.0)
+    return integer("runs", max(2, round(scaled)) if runs is None else runs, 2)
 
 
 def steps(name: str, count: float) -> int:

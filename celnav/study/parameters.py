@@ -40,7 +40,7 @@ def param(
 
 
 class Parameters:
-    """Base of frozen dataclasses that check their `param` fields; ValueError names a wrong field."""
+    """Base of frozen dataclasses that check `param` fields; ValueError names a wrong field."""
 
     def __post_init__(self) -> None:
         for f in fields(self):  # type: ignore[arg-type]

@@ -78,7 +78,7 @@ class Store:
             np.savez(path, allow_pickle=False, **arrays, checksum=np.array(_checksum(unit, arrays)))
 
     def has(self, unit: Unit, say: Callable[[str], Any] = print) -> bool:
-        """Whether a unit is finished and its file is valid; ``say`` gets a line if it is damaged."""
+        """Whether a unit is finished and its file valid; ``say`` gets a line if it is damaged."""
         try:
             return self.path(unit).exists() and bool(self.read(unit))
         except ValueError as error:
@@ -214,7 +214,7 @@ def _differences(
 
 
 def _is_within(old: Any, new: Any) -> bool:
-    """Whether a new list contains the old value or all of an old list, or a number did not shrink."""
+    """Whether a new list contains the old value or all of an old list, or a number is no smaller."""
     if not isinstance(new, list):
         return isinstance(old, int) and old <= new
     return old in new or (isinstance(old, list) and all(value in new for value in old))

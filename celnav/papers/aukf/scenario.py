@@ -226,8 +226,8 @@ class Config(Timed):
     def acceleration_noise(self) -> float:
         """Spectral density of the white acceleration, m^2/s^3; by default ``a^2 T``, which accounts
         for a constant acceleration."""
-        given = self.acceleration_noise_m2_per_s3
-        return self.acceleration**2 * self.interval_s if given is None else given
+        density = self.acceleration_noise_m2_per_s3
+        return self.acceleration**2 * self.interval_s if density is None else density
 
     @property
     def Q(self) -> Array:
@@ -293,11 +293,11 @@ def visible(config: Config) -> Satellites:
     """The satellites of the synthetic constellation that rise above the mask at some time."""
     broadcast = synthetic()
     position, velocity = circle(config)
-    seen = pseudorange.sources(broadcast, START_S + config.times, position, velocity)
-    up = look(seen.q, position, axes(config)).elevation
+    sources = pseudorange.sources(broadcast, START_S + config.times, position, velocity)
+    up = look(sources.q, position, axes(config)).elevation
     chosen = (up >= np.radians(config.mask_deg)).any(0)
     return Satellites(
-        broadcast.chosen(chosen).names, seen.q[:, chosen], seen.w[:, chosen], up[:, chosen]
+        broadcast.chosen(chosen).names, sources.q[:, chosen], sources.w[:, chosen], up[:, chosen]
     )
 
 
@@ -411,10 +411,10 @@ def filters(config: Config, S: int | None = None, Q: Array | None = None) -> dic
     S = len(visible(config).names) if S is None else S
     rule = ukf(config)
     ekf = adapted(config, S, Taylor(), Q=Q)
-    known = {
+    others = {
         name: adapted(config, S, rule, *hook, Q=Q) for name, hook in hooks(S, config.window).items()
     }
-    return {"ls": least_squares(*ekf.sensors), "ekf": ekf, **known}
+    return {"ls": least_squares(*ekf.sensors), "ekf": ekf, **others}
 
 
 def noise_factors(track: Track, config: Config, S: int) -> Array:

@@ -148,7 +148,7 @@ class Config(Timed):
     kappa: float = param(0.0, "chosen", "second parameter of the spread of the sigma points")
 
     def check(self) -> None:
-        """Check that the orbit is above the Earth, and that noise and sigma-point rule are valid."""
+        """Check that the orbit is above the Earth, and that noise and sigma points are valid."""
         if (a := self.semi_major_axis_km) <= (
             least := orbit.EARTH.radius_km / (1.0 - self.eccentricity)
         ):

@@ -328,12 +328,12 @@ def linear(_: Config, rngs: Rngs) -> dict[str, Array]:
     z = celnav.simulate(
         motion, sensor, prior, times, runs=1, seed=int(rng.integers(2**31)), Phi=Phi
     )[1]
-    known = (
+    candidates = (
         augmented(motion, sensor, Phi),
         colored(motion, sensor, Phi),
         decorrelated(motion, sensor, Phi, first=False),
     )
-    exact, *others = (run(filter, prior, times, z, keep="cov") for filter in known)
+    exact, *others = (run(filter, prior, times, z, keep="cov") for filter in candidates)
     for name, track in zip(("corrected", "first sample lost"), others, strict=True):
         std = exact.std[..., :n]
         apart = np.broadcast_arrays(track.mean - exact.mean[..., :n], track.std - std)
@@ -343,7 +343,8 @@ def linear(_: Config, rngs: Rngs) -> dict[str, Array]:
 
 def parts(effort: float = 1.0) -> dict[str, Part]:
     """All parts of the study. The long arc, the random parameter sets and the runs of `compared`
-    grow with the effort. The sweep over coefficients has shorter runs below an effort of `BRIEF`."""
+    grow with the effort. Below an effort of `BRIEF` the sweep over coefficients has shorter runs.
+    """
 
     filter_runs = partial(monte_carlo, with_variants, cov=True)
 
@@ -557,7 +558,7 @@ def converges(case: str, prior: str) -> list[Decided]:
 
 def over_theory(case: str) -> Decided:
     """Ratio of CSRUKF's final 3-D position RMSE, from many runs, to the posterior Cramer-Rao bound
-    of all measurements. CSRUKF uses only their differences; the bound also uses the first sample."""
+    of all measurements. CSRUKF uses only differences; the bound also uses the first sample."""
 
     def number(r: Results) -> Number:
         bound = np.square(r.get("theory", "P/csrukf+z0")[-1, SWEEP.index(PHIS[case]), :3]).sum()

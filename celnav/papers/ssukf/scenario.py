@@ -224,8 +224,8 @@ class Scenario(NamedTuple):
         yield Epoch(0, 0.0, 0.0, None, nothing, self.truth[0])
         for n, sample in enumerate(self.gyro, start=1):
             k, rest = divmod(n, c.updates)
-            seen, truth = (nothing, None) if rest else (self.stars[k], self.truth[k])
-            yield Epoch(n, n * c.step_s, c.step_s, sample, seen, truth)
+            z, truth = (nothing, None) if rest else (self.stars[k], self.truth[k])
+            yield Epoch(n, n * c.step_s, c.step_s, sample, z, truth)
 
 
 def simulate(config: Config, rngs: Sequence[np.random.Generator]) -> Scenario:
@@ -285,9 +285,9 @@ def path(config: Config) -> Array:
         attitude.from_euler(np.radians(config.attitude_deg)), np.radians(config.rate_deg_per_s)
     )
     body = Body(config.inertia, config.wheels, config.torque, config.orbit_rate_rad_per_s)
-    found = body.propagate(start, 1.0 / config.gyro_hz, config.samples)[:, :4]
-    found.flags.writeable = False
-    return found
+    q = body.propagate(start, 1.0 / config.gyro_hz, config.samples)[:, :4]
+    q.flags.writeable = False
+    return q
 
 
 # -- the filters -----------------------------------------------------------------------------------
@@ -368,7 +368,7 @@ def filters(
     space, gibbs = (
         state_space(transported=transported, a=a, b=2.0 * (a + 1.0)) for a in (1.0, 0.0)
     )
-    seen = vector or Sensor(star, sqrt_R=V, space=attitude.attitude())
+    sensor = vector or Sensor(star, sqrt_R=V, space=attitude.attitude())
     linear = vector or Sensor(
         star, sqrt_R=V, space=attitude.attitude(0.0, 2.0), jacobian=lambda _x, _epoch: np.eye(3, 6)
     )
@@ -376,13 +376,13 @@ def filters(
     mekf = Motion(
         f, Q, space=gibbs, jacobian=lambda x, epoch: gyro.transition(x, epoch.u, epoch.dt)
     )
-    known = augmentations(
-        Motion(f, Q, space=space), seen, W, V, rule=lambda L: spread(L, config, c=c), form=form
+    by_name = augmentations(
+        Motion(f, Q, space=space), sensor, W, V, rule=lambda L: spread(L, config, c=c), form=form
     )
-    return known | {
-        "aukf-1": SingleDraw.of(known["ssukf"]),
+    return by_name | {
+        "aukf-1": SingleDraw.of(by_name["ssukf"]),
         "mekf": ekf(mekf, linear, form=form),
-        "usque": Halved(**vars(ukf(Motion(f, half, space=space), seen, kappa=1.0, form=form))),
+        "usque": Halved(**vars(ukf(Motion(f, half, space=space), sensor, kappa=1.0, form=form))),
     }
 
 

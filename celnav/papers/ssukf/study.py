@@ -173,16 +173,16 @@ def starts(
     """Filters from priors with the given standard deviations. The true error equals the paper's, or
     has this size about an ``axis``."""
     sim = simulate(config, rngs)
-    found = {}
+    priors = {}
     for d in degrees:
         error = (
             None if axis is None else np.concatenate([np.radians(d) * axis, sim.truth[0, 0, 4:]])
         )
-        found[f"{d:g}"] = isotropic(
+        priors[f"{d:g}"] = isotropic(
             sim.prior.mean if error is None else scenario.displaced(sim.truth[0], error), d
         )
     return evaluate_from_priors(
-        Trial(GROUPS, filters(config), sim.prior, sim.epochs, scenario.compare), found, names
+        Trial(GROUPS, filters(config), sim.prior, sim.epochs, scenario.compare), priors, names
     )
 
 
@@ -232,9 +232,9 @@ def identities(config: Config, rngs: Rngs) -> dict[str, Array]:
         return {"gain": info.gain() * np.linalg.norm(info.sqrt_S, axis=-1)[..., None, :] / std}
 
     for label, c in SPREADS.items():
-        known = filters(config, c=c, form="square root")
+        by_name = filters(config, c=c, form="square root")
         a, b = (
-            run(known[name], sim.prior, sim.epochs(), keep="cov", also=gains)
+            run(by_name[name], sim.prior, sim.epochs(), keep="cov", also=gains)
             for name in ("aukf", "ssukf")
         )
         scale = a.std[..., :, None] * a.std[..., None, :]
@@ -327,12 +327,12 @@ def forms(
                 f"{name}/nis": track.nis,
                 f"{name}/error": error / UNITS,
             }
-        known = np.where(np.isfinite(root), root, 0.0)[
+        attitude_root = np.where(np.isfinite(root), root, 0.0)[
             ..., :3, :3
         ]  # a failed run has no condition number
         out |= {
             f"{name}/norm": np.abs(np.linalg.norm(q, axis=-1) - 1.0),
-            f"{name}/condition": np.linalg.cond(known) ** 2,
+            f"{name}/condition": np.linalg.cond(attitude_root) ** 2,
         }
     return out
 
@@ -370,8 +370,8 @@ def vector(config: Config, rngs: Rngs, **options: Any) -> dict[str, Array]:
     rate = config.orbit_rate_rad_per_s
 
     def h(x: Array, epoch: Epoch, *noise: Array) -> Array:
-        seen = attitude.rotate(x[..., :4], field(rate * epoch.t))
-        return seen + noise[-1] if noise else seen
+        direction = attitude.rotate(x[..., :4], field(rate * epoch.t))
+        return direction + noise[-1] if noise else direction
 
     def slope(x: Array, epoch: Epoch) -> Array:
         return np.concatenate([attitude.cross(h(x, epoch)), np.zeros((*x.shape[:-1], 3, 3))], -1)
@@ -381,16 +381,16 @@ def vector(config: Config, rngs: Rngs, **options: Any) -> dict[str, Array]:
     noise = attitude.log(
         attitude.multiply(sim.stars, attitude.inverse(sim.truth[..., :4]))
     )  # noise of the star sensor
-    seen = np.array([h(epoch.truth, epoch) for epoch in sim.epochs()]) + noise
+    measured = np.array([h(epoch.truth, epoch) for epoch in sim.epochs()]) + noise
     error = errors(sim.drawn.mean, sim.truth[0])
-    sim = sim._replace(stars=seen)
+    sim = sim._replace(stars=measured)
     priors = {
         f"{d:g}": isotropic(scenario.displaced(sim.truth[0], error * [d, d, d, 1.0, 1.0, 1.0]), d)
         for d in FIELD_DEG
     }
-    known = plain | {f"{name} transported": filter for name, filter in moved.items()}
+    by_name = plain | {f"{name} transported": filter for name, filter in moved.items()}
     return evaluate_from_priors(
-        Trial(GROUPS, known, sim.prior, sim.epochs, scenario.compare), priors, FIELD
+        Trial(GROUPS, by_name, sim.prior, sim.epochs, scenario.compare), priors, FIELD
     )
 
 
@@ -429,11 +429,11 @@ def multiplied(_config: Any, rngs: Rngs, runs: int = 6000, steps: int = 60) -> d
         ),
         Sensor(h, sqrt_R=lambda x, _: x[..., :1, None] * V),
     )
-    known = scenario.augmentations(*beside, W, V, **options) | {"ekf": ekf(*beside)}
+    by_name = scenario.augmentations(*beside, W, V, **options) | {"ekf": ekf(*beside)}
     truth = [e.truth for e in epochs]
     return {
         name: np.square(run(k, prior, epochs, keep="mean").mean - truth)[..., 0].mean(0)
-        for name, k in known.items()
+        for name, k in by_name.items()
     }
 
 
@@ -445,7 +445,7 @@ def heads(config: Config, rngs: Rngs) -> dict[str, Array]:
     mekf = filters(config)["mekf"]
     noise = normals(rngs, *[(len(config.times), 3)] * 2)
     sights = {
-        name: np.array([[np.cos(one), np.sin(one), 0.0] for one in np.radians(each)])
+        name: np.array([[np.cos(angle), np.sin(angle), 0.0] for angle in np.radians(each)])
         for name, each in HEADS.items()
     }
     roots = {
@@ -455,14 +455,14 @@ def heads(config: Config, rngs: Rngs) -> dict[str, Array]:
 
     def epochs(name: str) -> Iterator[Epoch]:
         for k, epoch in enumerate(sim.epochs()):
-            seen = [
+            rotations = [
                 attitude.exp(each[k] @ root) for each, root in zip(noise, roots[name], strict=False)
             ]
             yield epoch._replace(
-                z=tuple(attitude.multiply(one, sim.truth[k, :, :4]) for one in seen)
+                z=tuple(attitude.multiply(rotation, sim.truth[k, :, :4]) for rotation in rotations)
             )
 
-    known = {
+    by_name = {
         name: ekf(
             mekf.motion,
             *(replace(mekf.sensors[0], sqrt_R=root) for root in each),
@@ -471,7 +471,7 @@ def heads(config: Config, rngs: Rngs) -> dict[str, Array]:
         for name, each in roots.items()
     }
     return evaluate_filters(
-        Trial(GROUPS, known, sim.drawn, epochs, scenario.compare), tuple(HEADS), 8
+        Trial(GROUPS, by_name, sim.drawn, epochs, scenario.compare), tuple(HEADS), 8
     )
 
 
@@ -545,10 +545,10 @@ def by_components(config: Config, rngs: Rngs) -> dict[str, Array]:
             plain, motion=other(plain.motion, "f"), sensors=(other(plain.sensors[0], "h"),)
         )
 
-    known = {"rodrigues": filters(config)["ssukf"], "aligned": filter(np.array)}
-    known |= {"signs": filter(changed), "wide": filter(changed, 15.0)}
+    by_name = {"rodrigues": filters(config)["ssukf"], "aligned": filter(np.array)}
+    by_name |= {"signs": filter(changed), "wide": filter(changed, 15.0)}
     return evaluate_filters(
-        Trial(GROUPS, known, sim.prior, sim.epochs, scenario.compare), tuple(known)
+        Trial(GROUPS, by_name, sim.prior, sim.epochs, scenario.compare), tuple(by_name)
     )
 
 
@@ -557,14 +557,14 @@ def counted(function: Callable[..., Any], *shapes: tuple[int, ...]) -> Array:
     """Operations ``(2,)`` of a function of arrays with these shapes: each counted once, and with
     divisions, roots and tangents counted 20 times."""
     tape = Tape(rolled=False)
-    given = [TracedArray(shape[::-1]).T for shape in shapes]
-    for x in given:
+    inputs = [TracedArray(shape[::-1]).T for shape in shapes]
+    for x in inputs:
         for at in np.ndindex(*x.shape):
             x[at] = tape.input()
-    found = function(*given)
+    outputs = function(*inputs)
     results = [
         x
-        for y in (found if isinstance(found, tuple) else (found,))
+        for y in (outputs if isinstance(outputs, tuple) else (outputs,))
         for x in y.flat
         if isinstance(x, Recorded)
     ]
@@ -723,15 +723,15 @@ def costs(_config: Config, _rngs: Rngs) -> dict[str, Array]:
     """Evaluations of f and h ``(2,)`` per star sample, by filter and rates, counted in a run with
     numpy."""
     out = dict[str, Array]()
-    seen = Counter[str]()
-    token = WATCH.set(lambda model, values: seen.update({model: len(values)}))
+    calls = Counter[str]()
+    token = WATCH.set(lambda model, values: calls.update({model: len(values)}))
     for c, stars in ((STANDARD, 20), (FULL_RATE, 1)):
         sim = simulate(replace(c, duration_s=stars / c.star_hz), [np.random.default_rng(0)])
-        known = filters(c)
+        by_name = filters(c)
         for name in TIMED:
-            seen.clear()
-            run(known[name], sim.prior, sim.epochs(), keep="nothing", engine="numpy")
-            out[f"{name}, {c.updates}:1"] = np.array([seen["f"], seen["h"]]) / stars
+            calls.clear()
+            run(by_name[name], sim.prior, sim.epochs(), keep="nothing", engine="numpy")
+            out[f"{name}, {c.updates}:1"] = np.array([calls["f"], calls["h"]]) / stars
     WATCH.reset(token)
     return out
 

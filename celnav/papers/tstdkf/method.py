@@ -98,11 +98,11 @@ class Differenced:
         """State with the model's prediction for the interval, and the transition matrix."""
         n = state.belief.mean.shape[-1]
         q = self.noise.L.shape[-1]
-        found = check_return("move", self.move(state.belief.mean, epoch), "state, Phi, G")
+        moved = check_return("move", self.move(state.belief.mean, epoch), "state, Phi, G")
         shapes = (..., n), (..., n, n), (..., n, q)
         x, Phi, G = (
             numbers("move", unmasked("move", a), shape)
-            for a, shape in zip(found, shapes, strict=True)
+            for a, shape in zip(moved, shapes, strict=True)
         )
         return state._replace(moved=(x, Phi, G)), Phi
 
@@ -150,15 +150,15 @@ class Differenced:
         nothing = np.zeros(q + m)
         moved = Covariance(side_by_side([x + into, nothing]), cov)
         sensor = (nothing[:m], side_by_side([H, np.zeros((m, q + m))]))
-        seen = joint(
+        measured = joint(
             LINEAR,
             moved,
             (sensor, KEEP),
             z=y - matvec(H, into),
             measurement_noise=cholesky(Xi),
         )
-        both, info, _ = condition(Covariance, seen, EUCLIDEAN)
-        assert seen.innovation is not None
+        both, info, _ = condition(Covariance, measured, EUCLIDEAN)
+        assert measured.innovation is not None
         assert info.sqrt_S is not None
         assert info.gain is not None
 
@@ -172,7 +172,7 @@ class Differenced:
         return (
             after,
             Stage(
-                seen.innovation,
+                measured.innovation,
                 info.sqrt_S,
                 info.gain()[..., :n, :],
                 H,
@@ -223,8 +223,8 @@ class StrongTracking:
         count = 1.0 if memory is None else memory.length + 1.0
         before = np.zeros_like(square) if memory is None else memory.squares
         squares = before + (square - before) / np.minimum(count, tau)
-        found = least + rho * (squares / seen.total.diagonal(0, -2, -1))
-        factors = np.minimum(np.maximum(np.where(np.isfinite(found), found, 1.0), 1.0), LARGEST)
+        raw = least + rho * (squares / seen.total.diagonal(0, -2, -1))
+        factors = np.minimum(np.maximum(np.where(np.isfinite(raw), raw, 1.0), 1.0), LARGEST)
         return Window(count, squares, factors), factors
 
 

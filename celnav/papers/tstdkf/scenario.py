@@ -458,8 +458,8 @@ def pushed(config: Config, pushes: Array, bodies: Array | None) -> Array:
     start = np.broadcast_to(config.orbit, pushes.shape[1:])
 
     def f(x: Array, epoch: Epoch) -> Array:
-        push, seen = epoch.u
-        return np.asanyarray(advance(x, epoch.dt, gravity, pull(seen)) + push)
+        push, attracting = epoch.u
+        return np.asanyarray(advance(x, epoch.dt, gravity, pull(attracting)) + push)
 
     when = epochs(config.times, u=(pushes, bodies))
     return carried(f, Gaussian(start, np.zeros((6, 6))), when)
@@ -531,11 +531,11 @@ class Orbiting:
         x = mean[..., :6]
         if x.dtype.hasobject:  # recorded: the recorder merges equal computations
             return self._flow(x, epoch)
-        known, at, found = self._last
-        if at is not epoch or not np.array_equal(known, x):
-            found = self._flow(x, epoch)
-            self._last = x.copy(), epoch, found
-        return found  # type: ignore[no-any-return]
+        last_x, at, result = self._last
+        if at is not epoch or not np.array_equal(last_x, x):
+            result = self._flow(x, epoch)
+            self._last = x.copy(), epoch, result
+        return result  # type: ignore[no-any-return]
 
     def _flow(self, x: Array, epoch: Epoch) -> Flow:
         return flow(x, epoch.dt, self.gravity, pull(epoch.u[2] if self.pulled else None))
@@ -724,7 +724,7 @@ def trial(config: Config, rngs: Rngs) -> Trial:
     and a constant ephemeris error are drawn from their priors, as the exact filter assumes.
     """
     sim = simulate(config, rngs)
-    known = filters(config)
+    by_name = filters(config)
     reference = "aug" if config.initial == "drawn" and config.trend == "constant" else ""
 
     def compare(truth: Array, belief: Belief) -> tuple[Array, Array]:
@@ -732,7 +732,7 @@ def trial(config: Config, rngs: Rngs) -> Trial:
 
     return Trial(
         GROUPS,
-        known,
+        by_name,
         sim.prior,
         lambda _name: sim.epochs(),
         compare,

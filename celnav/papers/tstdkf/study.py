@@ -290,13 +290,13 @@ def five(config: Config, rngs: Rngs) -> Found:
     cases = [replace(config, **changes) for changes in FIVE.values()]
     sim = simulate(cases, rngs)
     first = sim.of([0])
-    known = filters(cases, on=BESIDE)
-    one = filters(cases[:1])
+    by_name = filters(cases, on=BESIDE)
+    of_first = filters(cases[:1])
     names = list(FIVE)
     return (
-        run_filters(names, sim, known, ["tkf", "tstdkf"])
-        | run_filters(["fair"], first, {"tkf": one["tkf-fair"]}, ["tkf"])
-        | run_filters(names[:1], first, one, ["aug"], judged=True)
+        run_filters(names, sim, by_name, ["tkf", "tstdkf"])
+        | run_filters(["fair"], first, {"tkf": of_first["tkf-fair"]}, ["tkf"])
+        | run_filters(names[:1], first, of_first, ["aug"], judged=True)
         | run_filters(names[1:], sim.of([1, 2, 3, 4]), filters(cases[1:]), ["aug"])
     )
 
@@ -332,16 +332,18 @@ class Boosts:
     boost: StrongTracking
 
     def __call__(self, memory: Any, seen: Boost) -> tuple[Any, Array]:
-        own = self.own > 0.0
-        residual = np.where(own[..., 0, :], seen.innovation, seen.residual)
-        total = np.where(own, seen.own, seen.total)
+        from_first = self.own > 0.0
+        residual = np.where(from_first[..., 0, :], seen.innovation, seen.residual)
+        total = np.where(from_first, seen.own, seen.total)
         return self.boost(memory, seen._replace(residual=residual, total=total))
 
 
 def boosts(table: Mapping[str, tuple[float, ...]]) -> Boosts:
     """All fading factors of a table, such as `SWEEP`."""
-    own, form, rho, tau = np.split(np.array(list(table.values()))[:, None, None, :], [1, 2, 5], -1)
-    return Boosts(own[..., None], strong_tracking(rho, tau, proportional=form))
+    from_first, form, rho, tau = np.split(
+        np.array(list(table.values()))[:, None, None, :], [1, 2, 5], -1
+    )
+    return Boosts(from_first[..., None], strong_tracking(rho, tau, proportional=form))
 
 
 def linear(
@@ -349,19 +351,19 @@ def linear(
 ) -> Found:
     """`run_filters` with trends of the ephemeris error about the nominal orbit: the paper's trends,
     a step, or a constant error of 1 km in several directions."""
-    known = filters(config, s.LINEAR, on=BESIDE)
+    by_name = filters(config, s.LINEAR, on=BESIDE)
     walks, whose = np.array(list(NINE.values())).T[..., None, None, None, None]
-    known |= {
-        name: replace(known["tdkf"], boost=boosts(table))
+    by_name |= {
+        name: replace(by_name["tdkf"], boost=boosts(table))
         for name, table in (("tdkf", FORMS), ("sweep", SWEEP))
     }
     Q, R = (
         np.where(whose > 0.0, fair, driving)
         for driving, fair in zip(*config.noise.whites, strict=True)
     )
-    known["nine"] = s.nine_states(s.LINEAR, Q, R, known["tdkf"].bias, walks * np.eye(3))
+    by_name["nine"] = s.nine_states(s.LINEAR, Q, R, by_name["tdkf"].bias, walks * np.eye(3))
     cases = [replace(config, trend=trend) for trend in names]
-    return run_filters(names, s.linearized(cases, rngs), known, of, every=every)
+    return run_filters(names, s.linearized(cases, rngs), by_name, of, every=every)
 
 
 Tracks = Mapping[str, tuple[Array, Array]]
@@ -388,15 +390,15 @@ def displaced(
     sim = s.linearized([silent], rngs)
     bias, pull = (np.stack(part, 1) for part in zip(*cases.values(), strict=True))
     moved = response(config, pull)
-    seen = np.zeros_like(bias)
+    delays = np.zeros_like(bias)
     Gamma = sim.inputs[2]
     assert Gamma is not None
-    seen[1:] = (moved[1:, :, :3] + bias[1:]) @ Gamma.mT
+    delays[1:] = (moved[1:, :, :3] + bias[1:]) @ Gamma.mT
     shape = (len(cases), len(rngs))
     sim = sim._replace(
         truth=sim.truth + moved[:, :, None],
         bias=np.broadcast_to(bias[:, :, None], (len(bias), *shape, 3)),
-        z=sim.z + seen[:, :, None],
+        z=sim.z + delays[:, :, None],
         prior=Gaussian(np.broadcast_to(config.deviation, (*shape, 6)), sim.prior.cov),
     )
     return run_filters(list(cases), sim, filters(config, s.LINEAR, on=BESIDE), of, every=12)
@@ -420,13 +422,13 @@ def bodies(config: Config) -> Tracks:
         ours, theirs = (sum(accelerations(config, e).values()) for e in (errors, {}))
         return np.asarray(ours - theirs)
 
-    own = {"earth": error.pop("earth")}
-    rate = np.gradient(own["earth"], config.step_s, axis=0)
+    earth_error = {"earth": error.pop("earth")}
+    rate = np.gradient(earth_error["earth"], config.step_s, axis=0)
     late = timing.delay(place, sun + error["sun"]) - timing.delay(place, sun)
     alike = np.linalg.solve(timing.gradient(place, sun), late[..., None])[..., 0]
     return {
         "none": (still + 0.0 * place, still + 0.0 * place),
-        "position": (own["earth"], pulled(own)),
+        "position": (earth_error["earth"], pulled(earth_error)),
         "velocity": (0.5 * config.step_s * rate, 0.0 * place),
         "others": (alike, pulled(error)),
     }
@@ -441,10 +443,10 @@ def reference(names: Mapping[str, Sequence[str]], config: Config) -> Tracks:
 
 def operations(config: Config, _rngs: Rngs) -> Found:
     """Arithmetic operations of one step of one run about the nominal orbit, by filter."""
-    known = filters(config, s.LINEAR)
+    by_name = filters(config, s.LINEAR)
     sim = s.linearized([config], [np.random.default_rng(0)])
     names = ("ekf", "tkf", "aug9", "tstdkf")
-    return counted({name: known[name] for name in names}, sim.prior, sim.epochs())
+    return counted({name: by_name[name] for name in names}, sim.prior, sim.epochs())
 
 
 def nominal_covariances(cases: Sequence[Config], name: str) -> Array:
@@ -467,7 +469,7 @@ def covariances(config: Config, _: Rngs) -> Found:
     to unit variances.
     """
     flown = {**FIVE, "told": {"bias_prior_km": 1e-9, "walk_km": 0.0}}
-    known = nominal_covariances([replace(config, **changes) for changes in flown.values()], "aug")
+    bounds = nominal_covariances([replace(config, **changes) for changes in flown.values()], "aug")
     short = replace(config, days=config.days / 3.0, bias_prior_km=1e-9, walk_km=0.0)
     cases = [replace(short, setting=Setting(F, 0.0, 0.0)) for F in COLORS]
     said, least = (
@@ -481,7 +483,7 @@ def covariances(config: Config, _: Rngs) -> Found:
         "trace": said / least,
         "condition": np.linalg.cond(nine / (std * std.mT)),
     }
-    return out | {f"{i}/aug": known[:, k] for k, i in enumerate(flown)}
+    return out | {f"{i}/aug": bounds[:, k] for k, i in enumerate(flown)}
 
 
 def alike(config: Config, rngs: Rngs) -> Found:
@@ -489,8 +491,8 @@ def alike(config: Config, rngs: Rngs) -> Found:
     stages: of means in standard deviations, and of covariances relative to the variances."""
     c = replace(config, setting=SETTINGS[5])
     sim = simulate(c, rngs)
-    known = filters(c)
-    tkf, tdkf = (steps(known[name], sim.prior, sim.epochs()) for name in ("tkf", "tdkf"))
+    by_name = filters(c)
+    tkf, tdkf = (steps(by_name[name], sim.prior, sim.epochs()) for name in ("tkf", "tdkf"))
     worst = np.zeros(4)
     for (_, one, _), (_, two, _) in zip(tkf, tdkf, strict=True):
         apart = []
@@ -576,8 +578,8 @@ def ephemerides() -> tuple[Tdb, Found]:
             f"{apart:.3g} km"
         )
     pairs = [(name, body) for name in ("de405", "de406", "de423") for body in ("earth", "sun")]
-    found = {f"{name}/{body}": stored[f"{name}-de421/{body}"] for name, body in pairs}
-    return dates, found | {name.replace("-de421", ""): d for name, d in more.items()}
+    differences = {f"{name}/{body}": stored[f"{name}-de421/{body}"] for name, body in pairs}
+    return dates, differences | {name.replace("-de421", ""): d for name, d in more.items()}
 
 
 def difference(name: str, config: Config) -> Array:
@@ -599,13 +601,13 @@ def sky_facts(config: Config, _: Rngs) -> Found:
     n = config.timing.directions
     solar = ((-sun @ n.T) * (earth @ n.T) + (sun * earth).sum(1)[:, None]) / timing.distances
     wrong = timing.shapiro(earth, sun) - timing.shapiro_exact(earth, sun)
-    found = {
+    facts = {
         "speed": np.linalg.norm(velocity[:1], axis=1),
         "shapiro": np.abs(wrong).max(0),
         "solar": np.abs(solar).max(0),
     }
     return (
-        ephemerides()[1] | found | {"norm": np.linalg.norm(ephemerides()[1]["de405/earth"], axis=1)}
+        ephemerides()[1] | facts | {"norm": np.linalg.norm(ephemerides()[1]["de405/earth"], axis=1)}
     )
 
 

@@ -119,7 +119,7 @@ Settings = Setting | Array
 
 
 def motion(field: gravity.Gravity, q: Any) -> Motion:
-    """Motion under gravity up to a degree, and white accelerations with a σ of ``q`` m/s per step."""
+    """Motion under gravity and white accelerations, with a σ of ``q`` m/s per step."""
     white = np.array([[STEP_S**2 / 3.0, STEP_S / 2.0], [STEP_S / 2.0, 1.0]])
     return Motion(
         partial(step, field=field), np.square(q)[..., None, None] * np.kron(white, np.eye(3))

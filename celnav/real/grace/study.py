@@ -95,20 +95,20 @@ def flights(field: gravity.Gravity, names: Sequence[str]) -> dict[tuple[str, ...
     """Filters, by the names that share one batch. For white noise the coefficient is 0. "augmented"
     runs alone.
     """
-    own = tuple(name for name in names if name != "augmented")
+    batch = tuple(name for name in names if name != "augmented")
     hooks = [
-        of_runs(hook, np.array([one == name for one in own]))
+        of_runs(hook, np.array([one == name for one in batch]))
         for name, hook in HOOKED.items()
-        if name in own
+        if name in batch
     ]
-    sigma, phi, q = np.transpose([SETTINGS[name] for name in own])
+    sigma, phi, q = np.transpose([SETTINGS[name] for name in batch])
     increments = (np.square(sigma) * (1.0 - np.square(phi)))[:, None, None] * np.eye(3)
     first = np.where(
-        [name == "without z_0" for name in own], 1e6, sigma
+        [name == "without z_0" for name in batch], 1e6, sigma
     )  # m: a first fix without information
     M, S, Phi = believed(field, np.stack([first, phi, q]))
     out: dict[tuple[str, ...], Filter] = {
-        own: colored(M, S, Phi, increments=increments, hooks=hooks)
+        batch: colored(M, S, Phi, increments=increments, hooks=hooks)
     }
     if "augmented" in names:
         out["augmented",] = augmented(*believed(field, np.transpose([SETTINGS["augmented"]])))
