@@ -265,8 +265,8 @@ def state_singular_values(matrix: ArrayLike, cov: ArrayLike | None = None) -> Ar
     states.
 
     Each state gets the singular value whose right singular vector has the largest component in this
-    state; 0 if the vector is unobservable. Degrees of observability are these values divided by
-    that of a reference state [Liang2014, Eq. 15]. They depend on the units of the states;
+    state; 0 if the vector is unobservable. Degrees of observability are these values divided by the
+    value of a reference state [Liang2014, Eq. 15]. They depend on the units of the states;
     `information_degree` does not.
 
     cov: ``(..., n, n)``, of the initial state. It weights each right singular vector by the initial

@@ -50,7 +50,8 @@ class Gaussian:
     ):
         x = finite("mean", mean, (..., None))
         if (cov is None) == (sqrt_cov is None):
-            raise ValueError("Gaussian: expected exactly one of cov and sqrt_cov")
+            got = "neither" if cov is None else "both"
+            raise ValueError(f"Gaussian: expected exactly one of cov and sqrt_cov, got {got}")
         if cov is not None:
             P, root = symmetric(as_matrix("cov", cov, x.shape[-1]), "cov")
         else:
@@ -58,8 +59,8 @@ class Gaussian:
             root = finite("sqrt_cov", root, (..., "n", "n"))
             if np.triu(root, 1).any():
                 raise ValueError(
-                    "sqrt_cov: expected a lower triangular matrix (celnav.gaussian.linalg.tria "
-                    "makes one of any root)"
+                    "sqrt_cov: expected a lower triangular matrix, got entries above the diagonal; "
+                    "celnav.gaussian.linalg.tria(root) is lower triangular"
                 )
             P = outer(root)
         # n < N is possible (a quaternion has N = 4, n = 3); n > N is not.
@@ -138,7 +139,7 @@ def symmetric(cov: ArrayLike, name: str, n: int | None = None) -> tuple[Array, A
     root = semidefinite_root(P, LEFT_OVER)
     if not np.isfinite(root).all():
         raise ValueError(
-            f"{name}: expected {expected}, smallest eigenvalue {np.linalg.eigvalsh(P).min():.3g}"
+            f"{name}: expected {expected}, got an eigenvalue {np.linalg.eigvalsh(P).min():.3g}"
         )
     return P, root
 

@@ -179,7 +179,7 @@ def cholesky(P: Array) -> Array:
     root = _root(P)
     if root is not None or P.ndim == 2:
         return np.full(P.shape, np.nan) if root is None else root
-    # LAPACK rejects the whole batch: find the matrices that have no root, keep the others.
+    # LAPACK rejects the whole batch: find the matrices without a root, and factor the others.
     bad = np.linalg.eigvalsh(_scaled(P)[1])[..., :1, None] <= 4 * P.shape[-1] * EPS
     return np.where(bad, np.nan, np.linalg.cholesky(np.where(bad, np.eye(P.shape[-1]), P)))
 
@@ -376,7 +376,7 @@ class SquareRoot(NamedTuple):
 
 class Covariance(NamedTuple):
     """A belief in covariance form: ``mean (..., N)`` and ``cov (..., n, n)``. `SquareRoot`
-    documents the methods.
+    documents the methods, whose ``sqrt_cov`` or root becomes the covariance here.
 
     It needs fewer operations than the square-root form, and loses half of the digits. Only the
     innovation covariance is factored. The state's covariance is factored too if a rule needs its

@@ -126,7 +126,7 @@ class Rule:
         covered = self.nodes.any(0)
         second = self.nodes.T @ (self.wc[:, None] * self.nodes)
         if not np.allclose(second, np.diag(covered.astype(float)), rtol=0.0, atol=1e-6):
-            raise ValueError("wc: expected sum wc nodes nodes' = I")
+            raise ValueError(f"wc: expected sum wc nodes nodes' = I, got {second.tolist()!r:.80}")
         self._idle = np.flatnonzero(~covered).tolist()
         for array in (self.nodes, self.wm, self.wc):
             array.flags.writeable = False
@@ -234,7 +234,7 @@ class Rule:
             )
         )
         if not np.isfinite(root).all():
-            raise ValueError("P: expected a positive semidefinite covariance")
+            raise ValueError(f"P: expected a positive semidefinite covariance, got {P!r:.80}")
         return np.ascontiguousarray(self.points(mean, root)[0][self._filterpy])
 
 

@@ -71,7 +71,8 @@ class Space(NamedTuple):
         """Slices of a named part in points and in tangents; ValueError for an unknown name."""
         if not self.parts:
             raise ValueError(
-                "space: expected a product with names, such as celnav.product(p=3, v=3)"
+                "space: expected a product with names, such as celnav.product(p=3, v=3), got a "
+                "space without names"
             )
         names = [part.name for part in self.parts]
         _, points, tangents = self.parts[names.index(choice("name", name, names))]
@@ -168,7 +169,7 @@ def product(*factors: tuple[Space, int, int], **parts: Any) -> Space:
     >>> space = celnav.product((celnav.attitude(), 4, 3), (celnav.EUCLIDEAN, 3, 3))
     """
     if parts and factors:
-        raise ValueError("factors: expected all parts of a product by name, or none")
+        raise ValueError("factors: expected all parts of a product by name, or none, got some")
     if parts:
         factors = tuple(_factor(name, part) for name, part in parts.items())
     if not all(
@@ -176,7 +177,8 @@ def product(*factors: tuple[Space, int, int], **parts: Any) -> Space:
         for factor in factors
     ):
         raise ValueError(
-            "factors: expected triples (space, N, n) with the lengths of points and of tangents"
+            "factors: expected triples (space, N, n) with the lengths of points and of tangents, "
+            f"got {factors!r:.80}"
         )
     factors = tuple(
         (space, integer("factors", N, 0), integer("factors", n, 0)) for space, N, n in factors
@@ -199,7 +201,10 @@ def product(*factors: tuple[Space, int, int], **parts: Any) -> Space:
         for name, (a, b), (c, d) in space.parts:
             named.append(NamedPart(name, (at + a, at + b), (by + c, by + d)))
     if len({part.name for part in named}) < len(named):
-        raise ValueError("parts: expected names that differ from the names within a part")
+        raise ValueError(
+            "parts: expected names that differ from the names within a part, got "
+            f"{', '.join(part.name for part in named)}"
+        )
     blocks = tuple(
         (space, slice(*at), slice(*by)) for space, (at, by) in zip(spaces, places, strict=True)
     )

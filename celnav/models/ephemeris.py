@@ -83,7 +83,9 @@ class Kernel:
             self._spk = SPK(DAF(BytesIO(content)))
             size = 8 * (self._spk.daf.free - 1)
         except Exception as error:  # jplephem raises many types of errors for wrong bytes
-            raise ValueError(f"{self.path}: expected a binary SPK ephemeris ({error})") from None
+            raise ValueError(
+                f"{self.path}: expected a binary SPK ephemeris, got another format ({error})"
+            ) from None
         if len(content) < size:
             raise ValueError(
                 f"{self.path}: expected {size} bytes, got {len(content)}: the file is truncated"

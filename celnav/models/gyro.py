@@ -241,7 +241,9 @@ class Body:
         number("orbit_rate", self.orbit_rate)
         small, middle, large = np.linalg.eigvalsh(self.inertia).tolist()
         if not np.allclose(self.inertia, self.inertia.T) or small <= 0.0:
-            raise ValueError("inertia: expected a symmetric positive definite (3, 3)")
+            raise ValueError(
+                f"inertia: expected a symmetric positive definite (3, 3), got {self.inertia!r:.80}"
+            )
         if large > 1.001 * (small + middle):  # a flat plate has equality, up to rounding
             got = f"{small:.6g}, {middle:.6g} and {large:.6g}"
             raise ValueError(

@@ -106,7 +106,7 @@ def _beside(velocity: Array | float) -> Any:
 def _seen(
     state: SatelliteState, q: Array, delay: Array, place: Array, velocity: Array | float
 ) -> Sources:
-    """`Sources` whose effective velocities include the relativistic factor of the range rate."""
+    """`Sources` whose effective velocities include the Doppler factor ``1 / (1 + e.v_i / c)``."""
     # The rate of the range is e.(v_s - v) / (1 + e.v_i / c), with v_i the inertial velocity.
     moved = turned(state.velocity, ROTATION_RATE * delay)
     inertial = moved + spun(q, ROTATION_RATE)

@@ -37,5 +37,5 @@ def found(folder: str | Path, patterns: Sequence[str]) -> list[Path]:
     each = [sorted(where.glob(pattern)) if where.is_dir() else [] for pattern in patterns]
     for pattern, files in zip(patterns, each, strict=True):
         if not files:
-            raise FileNotFoundError(f"{where}: expected a folder with a file {pattern}")
+            raise FileNotFoundError(f"{where}: expected a folder with a file {pattern}, got none")
     return [files[0] for files in each]

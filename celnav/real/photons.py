@@ -132,7 +132,9 @@ def read_par(path: Path) -> Spin:
             "not modeled"
         )
     if missing := {"RAJ", "DECJ", "F0", "PEPOCH"} - entries.keys():
-        raise InputError(f"{path}: expected a timing model with {', '.join(sorted(missing))}")
+        raise InputError(
+            f"{path}: expected a timing model with {', '.join(sorted(missing))}, got one without"
+        )
     if entries.get("UNITS", "TDB") != "TDB":
         raise InputError(f"{path}: expected UNITS TDB, got {entries['UNITS']}")
 

@@ -56,8 +56,7 @@ class _Seeds(ISeedSequence):
 
 
 def generators(seed: int, study: int, runs: int) -> list[np.random.Generator]:
-    """The generators of runs 0 to ``runs - 1``, equal to those of `generator`, but computed
-    together.
+    """The generators of runs 0 to ``runs - 1``, as from `generator`, but computed together.
 
     `numpy.random.SeedSequence` mixes its words one after the other, and the run is the last word.
     So all runs share the earlier steps.

@@ -214,7 +214,7 @@ def _differences(
 
 
 def _is_within(old: Any, new: Any) -> bool:
-    """Whether a new list contains the old value or all of an old list, or a number is no smaller."""
+    """Whether a new list contains the old value or all of an old list; a number must not shrink."""
     if not isinstance(new, list):
         return isinstance(old, int) and old <= new
     return old in new or (isinstance(old, list) and all(value in new for value in old))

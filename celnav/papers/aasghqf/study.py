@@ -282,7 +282,8 @@ def first_fixes(config: Config, _: Rngs) -> dict[str, Array]:
 
     Returns
     -------
-    least: smallest eigenvalue of the misalignment's covariance after the fix, over the correct one.
+    least: smallest eigenvalue of the misalignment's covariance after the fix, relative to the
+    correct eigenvalue.
     mean, cov: relative errors of the moments of the star residuals.
     """
     epoch = next(simulate(replace(config, steps=1), UNDISTURBED).epochs())

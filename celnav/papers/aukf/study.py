@@ -138,7 +138,7 @@ SHAPES = ("noise", "constant")
 STRUCK = range(1, 13)
 ROBUST = (*PAIR, "group", "channel", "huber")
 """Errors that are added to bad ranges (a constant on all ranges is a clock step), numbers of bad
-ranges of twelve, and the robust filters."""
+ranges of twelve, and the compared filters."""
 READINGS = tuple(
     f"{channels}, {rate}"
     for rate in ("10 Hz", "1 Hz")

@@ -465,7 +465,7 @@ def covariances(config: Config, _: Rngs) -> Found:
     -------
     ``<setting>/aug``: of aug in each setting; ``told/aug``: of aug with a known ephemeris error;
     ``1/tstdkf``. trace: by AR(1) coefficient, without a bias, trace of the position's covariance of
-    TDKF over the smallest possible trace. condition: condition number of aug9's covariance, scaled
+    TDKF, divided by the smallest possible trace. condition: of aug9's covariance, scaled
     to unit variances.
     """
     flown = {**FIVE, "told": {"bias_prior_km": 1e-9, "walk_km": 0.0}}

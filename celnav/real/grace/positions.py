@@ -44,7 +44,7 @@ def read(path: str | Path) -> Positions:
             with gzip.open(path) as file:
                 content = file.read(MOST_BYTES + 1)
         except (EOFError, zlib.error, gzip.BadGzipFile) as error:
-            raise InputError(f"{path}: expected a whole gzipped file ({error})") from None
+            raise InputError(f"{path}: expected a whole gzipped file, got {error}") from None
     if len(content) > MOST_BYTES:
         raise InputError(f"{path}: expected at most {MOST_BYTES:,} bytes when unpacked, got more")
     rows: list[list[float]] = []
