@@ -96,7 +96,12 @@ def _style(line):
 
 
 def faults(fig):
-"""Whether a figure is readable: its boxes, the size of its text, its colors and line styles."""
+    """What cannot be read, in words: clipped or small texts, texts over one another, legends over
+    data, curves that look alike.
+    """
+    renderer, found = FigureCanvasAgg(fig).get_renderer(), [*alike(fig)]
+    if fig.get_size_inches()[0] > WIDTH:
+        found.append(f"wider than {WIDTH} inches: {fig.get_size_inches()[0]:g}")
     with renderer._draw_disabled():  # boxes need no pixels
         fig.draw(renderer)
     flat = [ax for ax in fig.axes if ax.name != "3d"]

@@ -1,5 +1,7 @@
-"""What can be computed about a filter without running it, and how its results are evaluated:
-bounds, metrics, observability, tuning.
+"""Analysis of filters and of their results.
+
+`bounds`: covariances without simulation · `observability` · `metrics`: accuracy and consistency ·
+`diagnose`: tests of innovations · `tuning`: noise parameters by maximum likelihood.
 """
 
 from celnav.lazy import modules

@@ -1,9 +1,9 @@
-"""Linear covariance analysis: the error covariance of a filter, or the best possible one, without
-random draws.
+"""Linear covariance analysis: the error covariance of a filter, or a lower bound, without
+simulation.
 
-The system is ``x' = F x + w``, ``w ~ N(0, Q)``, measured by ``z = H x + V``. Transitions
-``F (T, n, n)`` are those along the true trajectory, ``H (m, n)`` is constant, and everything else
-may have leading batch axes, which broadcast.
+The system is ``x' = F x + w``, ``w ~ N(0, Q)``, with measurements ``z = H x + V``. The transition
+matrices ``F (T, n, n)`` are linearized at the true trajectory, and ``H (m, n)`` is constant. All
+other arguments may have leading batch axes, which broadcast.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ __all__ = ["actual_covariance", "colored_bound", "riccati"]
 
 
 class Riccati(NamedTuple):
-    """Gains ``(T, ..., n, m)`` and covariances after the update ``(T + 1, ..., n, n)``, the prior
+    """Gains ``(T, ..., n, m)``, and covariances after the updates ``(T + 1, ..., n, n)``, the prior
     first.
     """
 
@@ -30,13 +30,15 @@ class Riccati(NamedTuple):
 
 
 def riccati(F: ArrayLike, H: ArrayLike, Q: ArrayLike, R: ArrayLike, P0: ArrayLike) -> Riccati:
-    """Gains ``(T, ..., n, m)`` and covariances ``(T + 1, ..., n, n)`` of the Kalman filter, for
-    white noise; see `Riccati`.
+    """Gains and covariances of the Kalman filter with white noise: `Riccati`.
+
+    F: ``(T, n, n)``. H: ``(m, n)``. Q, P0: ``(..., n, n)``. R: ``(..., m, m)``. ValueError if a
+    covariance is not positive semidefinite or a shape does not match.
 
     >>> bound = celnav.analysis.bounds.riccati(np.tile(F, (100, 1, 1)), H, Q, R, P0).covariances
     """
     transitions, h, q, r, P = _system(F, H, Q=Q, R=R, P0=P0)
-    # Time is the only loop; P is (..., n, n).
+    # The loop is over time; P is (..., n, n).
     gains, covariances = [], [P]
     for f in transitions:
         K, P = _updated(f @ P @ f.T + q, h, r)
@@ -55,11 +57,13 @@ def actual_covariance(
     P0: ArrayLike,
     Sigma0: ArrayLike,
 ) -> Array:
-    """True error covariances ``(T + 1, ..., n, n)`` of a filter with given gains if its noise is in
-    fact colored.
+    """True error covariances ``(T + 1, ..., n, n)`` of a filter with the given ``gains`` under
+    colored measurement noise.
 
-    Exact for linear models: the covariance of ``[x_hat - x; V]`` is propagated through prediction
-    and update, with ``V' = Phi V + zeta``, ``zeta ~ N(0, R)``, ``V_0 ~ N(0, Sigma0)``.
+    The noise is ``V' = Phi V + zeta``, ``zeta ~ N(0, R)``, ``V_0 ~ N(0, Sigma0)``. The function
+    propagates the covariance of ``[x_hat - x; V]``, which is exact for linear models.
+
+    gains: ``(T, ..., n, m)``, as from `riccati`. Phi, R, Sigma0: ``(..., m, m)``.
 
     >>> gains = celnav.analysis.bounds.riccati(Fs, H, Q, R, P0).gains  # assumes white noise
     >>> Phi, W = 0.9 * np.eye(3), 0.19 * R
@@ -70,7 +74,7 @@ def actual_covariance(
     gains = finite("gains", gains, (..., n, m))
     if gains.ndim < 3 or len(gains) != len(transitions):
         raise ValueError(
-            f"gains: expected {len(transitions)} of them, one for each F, got shape {gains.shape}"
+            f"gains: expected {len(transitions)} gains, one for each F, got shape {gains.shape}"
         )
     batch = together(gains=gains.shape[1:-2], P0=P.shape[:-2])
     # C = cov(e, V) is zero at the start: no measurement has been used.
@@ -99,8 +103,9 @@ def colored_bound(
     """Posterior Cramer-Rao bounds ``(T + 1, ..., n, n)`` under colored measurement noise, for small
     process noise.
 
-    ``Sigma0``: covariance of the first noise sample, if the first measurement is used; without it
-    only differences of measurements give information. ``Phi`` and ``R``: as in `actual_covariance`.
+    Phi, R: as in `actual_covariance`.
+    Sigma0: covariance of the first noise sample. With it, the first measurement is used; without
+        it, only differences of measurements give information.
 
     >>> Phi, W = 0.9 * np.eye(3), 0.19 * R
     >>> cov = celnav.analysis.bounds.colored_bound(Fs, H, Phi, Q, W, P0, Sigma0=R)
@@ -124,8 +129,8 @@ def colored_bound(
 
 
 def _system(F: ArrayLike, H: ArrayLike, **matrices: ArrayLike) -> list[Array]:
-    """Checked ``F``, ``H`` and the other ``matrices``, in this order; P0 gets the joint batch
-    axes.
+    """Check ``F``, ``H`` and the other ``matrices``, and return them in this order; P0 gets the
+    batch axes of all.
     """
     f = finite("F", F, ("T", "n", "n"))
     h = finite("H", H, ("m", f.shape[-1]))

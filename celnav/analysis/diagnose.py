@@ -1,9 +1,10 @@
-"""Tests of a log: are innovations or residuals white, unbiased and as large as predicted?
+"""Tests of a log: whether innovations or residuals are white, unbiased and as large as predicted;
+and which noise explains them if they are not.
 
-If not, which noise explains them? Correlated errors are not independent, so an interval of a mean
-or of a size uses an *effective* number of samples, from the autocorrelation [Geyer1992]. Whiteness
-is the test of [Ljung1978], with the pairs of samples that both exist. Lags count samples of a
-component on its own grid: a slow sensor has its own lags, and a gap costs only the pairs across it.
+Correlated errors are not independent, so intervals of means and mean squares use an *effective*
+number of samples, from the autocorrelation [Geyer1992]. The whiteness test is Ljung and Box's
+[Ljung1978], with the pairs of samples that both exist. Lags count samples of a component on its own
+time grid: a slow sensor has its own lags, and a gap removes only the pairs across it.
 """
 
 from __future__ import annotations
@@ -31,14 +32,14 @@ from celnav.gaussian.spaces import EUCLIDEAN, wrap
 
 __all__ = ["Diagnosis", "diagnose", "first_order"]
 
-LEAST = 20  # samples of a component, and pairs of them, below which there is no statement
-SMALL = 1.1  # ratio of the σ of a mean to that of white noise, for noise that is nearly white
-REACH = -3.5, 5.5  # of the inverse hyperbolic tangent of a coefficient
-SHARE = -14.0, 7.0  # of the logit of white noise's share of the variance
-EACH = 3  # components at most for which each has its own coefficient
+LEAST = 20  # smallest number of samples of a component, and of pairs of samples, for a test
+SMALL = 1.1  # largest ratio of a mean's σ to its σ under white noise, for nearly white noise
+REACH = -3.5, 5.5  # search range of arctanh(phi)
+SHARE = -14.0, 7.0  # search range of the logit of the white share of the variance
+EACH = 3  # largest number of components with a coefficient of their own
 BETTER = 3.0  # difference of log-likelihoods that decides between two explanations
-QUIET = 5  # innovations near 0 before one that jumps by a turn
-CHANCE = 1e-3  # probability of as many jumps by a turn among jumps of random size
+QUIET = 5  # number of innovations near 0 before a jump by a turn
+CHANCE = 1e-3  # largest accepted probability that jumps of random size are turns by chance
 
 Interval = tuple[float, float]
 
@@ -46,8 +47,8 @@ Interval = tuple[float, float]
 class Mixture(NamedTuple):
     """First-order noise plus white noise: ``phi``, and σ of both.
 
-    mean_sigma: σ of the mean of the samples, by generalized least squares. gain: of the
-    log-likelihood over first-order noise alone. p: Ljung and Box's p of its innovations.
+    mean_sigma: σ of the mean of the samples, by generalized least squares. gain: increase of the
+    log-likelihood relative to first-order noise alone. p: Ljung and Box's p of the innovations.
     """
 
     phi: float
@@ -61,8 +62,8 @@ class Mixture(NamedTuple):
 class Coloring(NamedTuple):
     """Noise ``V' = phi V + zeta`` with σ ``sigma``, by restricted maximum likelihood.
 
-    Intervals are from the likelihood ratio. mean_sigma: σ of the mean of the samples for this
-    noise, by generalized least squares. p: Ljung and Box's p of its innovations; if it is small,
+    Intervals are from the likelihood ratio. mean_sigma: σ of the mean of the samples under this
+    noise, by generalized least squares. p: Ljung and Box's p of the innovations. If it is small,
     first-order noise does not explain the correlation, and ``mixture`` is fitted too.
     """
 
@@ -78,19 +79,22 @@ class Coloring(NamedTuple):
 class Component(NamedTuple):
     """Statistics of one component, in its own unit.
 
-    sensor: index. samples: that exist. step: s between its samples, None if they are irregular.
-    rms: of residuals. predicted: rms of the predicted σ, None if unknown.
-    bias, bias_interval: the mean. bias_p: probability of a mean as far from 0 if there is no bias.
-    effective: number of independent samples whose mean is as uncertain, for residuals over their
-        predicted σ.
-    size, size_band: mean square of residuals over their predicted σ, None if unknown, and its band
-        if the prediction is right.
-    effective_squares: number of independent samples whose mean square is as uncertain.
+    sensor: index of its sensor. samples: number of samples. step: interval of its samples, s; None
+        if it is irregular.
+    rms: RMS of the residuals. predicted: RMS of the predicted σ; None if unknown.
+    bias, bias_interval: mean of the residuals. bias_p: probability of a mean at least as far from 0
+        without a bias.
+    effective: number of independent samples whose mean has the same uncertainty, for residuals
+        divided by their predicted σ.
+    size, size_band: mean square of the residuals divided by their predicted σ (None if unknown),
+        and its band if the prediction is correct.
+    effective_squares: number of independent samples whose mean square has the same uncertainty.
     autocorrelation, band: ``(lags,)``, at lags of 1, 2, ... samples, and the half width of the band
         of white noise; nan without pairs.
-    ljung_box, p: the statistic, and the probability of one as large if the noise is white; nan if
-        there are too few pairs of samples.
-    coloring: the first-order noise, if it is not white; for a track, of the whitened innovations.
+    ljung_box, p: the statistic, and the probability of a value at least as large for white noise;
+        nan for too few pairs of samples.
+    coloring: fitted first-order noise, None for white noise; for a track, of the whitened
+        innovations.
     """
 
     name: str
@@ -114,16 +118,17 @@ class Component(NamedTuple):
 
     @property
     def longer(self) -> float:
-        """Ratio of the σ of its mean to that of white noise."""
+        """Ratio of the σ of its mean to the σ under white noise."""
         return float(np.sqrt(self.samples / self.effective))
 
 
 class SensorConsistency(NamedTuple):
-    """Size of a sensor's residuals.
+    """Consistency of a sensor's residuals with their predicted σ.
 
-    nis: over its degrees of freedom, nan without predicted σ. band: its range if consistent.
-    squares, dof: ``(T,)`` of all runs together; their ratio is NIS per degree of freedom over time.
-    shared: number of correlated samples that vary as one.
+    nis: mean NIS per degree of freedom; nan without predicted σ. band: its band if consistent.
+    squares, dof: ``(T,)``, sums over all runs; their ratio is the NIS per degree of freedom over
+        time.
+    shared: ratio of the number of samples to the effective number.
     """
 
     names: tuple[str, ...]
@@ -135,13 +140,13 @@ class SensorConsistency(NamedTuple):
 
 
 class Factors(NamedTuple):
-    """The given filter with the most probable factors of Q and of R, for white noise.
+    """The filter of the track with the maximum-likelihood factors of Q and R, for white noise.
 
-    Q, R: factors of the matrices. Q_interval, R_interval: of the factors.
-    gain: in log-likelihood, over the given filter.
+    Q, R: factors of the matrices. Q_interval, R_interval: intervals of the factors.
+    gain: increase of the log-likelihood relative to the original filter.
     predicted: ``(n,)`` standard deviations at the end.
-    p: ``(m,)``, Ljung and Box's p of its innovations. degenerate: why the likelihood has no inner
-        maximum, "" if it has one.
+    p: ``(m,)``, Ljung and Box's p of the innovations.
+    degenerate: why the likelihood has no interior maximum; "" if it has one.
     """
 
     Q: float
@@ -157,14 +162,14 @@ class Factors(NamedTuple):
 class Model(NamedTuple):
     """A filter for colored noise, fitted to the data: ``Phi (m, m)`` and ``R (m, m)``.
 
-    name: "colored", or "augmented" if samples are missing or the noises exclude `celnav.colored`.
-        Phi acts from epoch to epoch.
+    name: "colored", or "augmented" if samples are missing or `celnav.colored` does not support the
+        noises. Phi acts from epoch to epoch.
     phi_interval, sigma_interval: ``(m, 2)``.
-    gain: in log-likelihood, over the given filter, which assumes white noise.
-    factors: of Q and R of the given filter instead; None if not compared. not_compared: why not.
+    gain: increase of the log-likelihood relative to the original filter, which assumes white noise.
+    factors: the alternative, other Q and R; None if not compared. not_compared: why not.
     predicted, white_predicted: ``(n,)`` standard deviations at the end, of this filter and of the
-        given one.
-    p: ``(m,)``, Ljung and Box's p of its innovations. degenerate: as in `Factors`.
+        original filter.
+    p: ``(m,)``, Ljung and Box's p of the innovations. degenerate: as in `Factors`.
     """
 
     name: str
@@ -182,28 +187,29 @@ class Model(NamedTuple):
 
     @property
     def white_gain(self) -> float:
-        """The gain of white noise with the most probable factors; nan if not compared."""
+        """The gain of white noise with maximum-likelihood factors; nan if not compared."""
         return np.nan if self.factors is None else self.factors.gain
 
     @property
     def is_color(self) -> bool:
-        """Whether colored noise is more probable than other white noise."""
+        """Whether colored noise has a higher likelihood than white noise with other Q and R."""
         return self.gain > self.white_gain + BETTER
 
     @property
     def is_white(self) -> bool:
-        """Whether other white noise is more probable than colored noise."""
+        """Whether white noise with other Q and R has a higher likelihood than colored noise."""
         return self.white_gain > self.gain + BETTER
 
 
 class Diagnosis(NamedTuple):
-    """Results of the tests of a log; ``print`` it for a page, `celnav.show.diagnosis.figure` draws
-    it.
+    """Results of the tests of a log. ``print`` shows them as a page, `celnav.show.diagnosis.figure`
+    as a figure.
 
-    times: ``(T,)`` s. step: s between epochs, None if they are irregular. runs: how many.
-    level: of all intervals and bands. components, sensors: statistics.
-    wraps: angles that seem to lack a wrap, a sentence for each sensor.
-    model: the filter for colored noise, if it could be fitted. why: why it could not.
+    times: ``(T,)`` s. step: interval of the epochs, s; None if it is irregular. runs: number of
+        runs.
+    level: probability of all intervals and bands. components, sensors: statistics.
+    wraps: a sentence for each sensor whose angles seem to lack a wrap.
+    model: the filter for colored noise; None if it could not be fitted. why: why it could not.
     """
 
     times: Array
@@ -218,17 +224,19 @@ class Diagnosis(NamedTuple):
 
     @property
     def doubt(self) -> float:
-        """The smallest p of one component that is accepted, for `level` to hold for all
+        """The smallest accepted p of one component, so that `level` holds for all components
         together.
         """
         return (1.0 - self.level) / len(self.components)
 
     def biased(self, component: Component) -> bool:
-        """Whether its mean is too far from 0."""
+        """Whether the mean of a component differs significantly from 0."""
         return component.bias_p < self.doubt
 
     def white(self, component: Component) -> str:
-        """ "white", "nearly white" (detectably not, to little effect), "colored" or "unknown"."""
+        """Return "white", "nearly white" (correlation is significant, but has little effect),
+        "colored" or "unknown".
+        """
         if np.isnan(component.p):
             return "unknown"
         if component.p >= self.doubt:
@@ -237,7 +245,7 @@ class Diagnosis(NamedTuple):
 
     @property
     def sound(self) -> bool:
-        """Whether everything is white or nearly so, unbiased, and as large as predicted."""
+        """Whether all components are white or nearly white, unbiased, and as large as predicted."""
         quiet = all("white" in self.white(c) and not self.biased(c) for c in self.components)
         return (
             quiet
@@ -263,17 +271,21 @@ def diagnose(
     lags: int = 20,
     level: float = 0.95,
 ) -> Diagnosis:
-    """Whether innovations or residuals are white, unbiased and as large as predicted: `Diagnosis`.
+    """Test whether innovations or residuals are white, unbiased and as large as predicted; return a
+    `Diagnosis`.
 
     residuals: a track, whose innovations are used; or an array ``(T, ..., m)``, nan where missing,
-        with ``times (T,)`` s. All runs count as draws of the same noise.
-    std: predicted standard deviations, broadcast to the residuals; without them the size is not
-        tested.
-    names: ``(m,)`` of the components.
-    prior, z, u: the arguments of the run that made a track: with them a filter for colored noise is
-        fitted by the likelihood, if the noise is not white.
-    lags: of the autocorrelation, in samples of a component, as far as the data go.
-    level: of intervals and bands.
+        with ``times (T,)`` s. All runs are assumed to be draws of the same noise.
+    std: predicted standard deviations, which broadcast to the residuals. Without them, the size of
+        an array's residuals is not tested.
+    names: names ``(m,)`` of the components.
+    prior, z, u: the arguments of the run that made the track. With them, if the noise is not white,
+        a filter for colored noise is fitted by maximum likelihood.
+    lags: largest lag of the autocorrelation, in samples of a component; fewer for short data.
+    level: probability of intervals and bands.
+
+    ValueError for a track without innovations, arrays that do not match, times that do not
+    increase, or a component with fewer than 20 samples.
 
     >>> print(celnav.analysis.diagnose.diagnose(track, prior=prior, z=z))
     """
@@ -291,10 +303,10 @@ def diagnose(
     else:
         raw = x = numbers("residuals", residuals)
         if times is None:
-            raise ValueError("times: expected them with an array of residuals, got None")
+            raise ValueError("times: expected times with an array of residuals, got None")
         t = finite("times", as_seconds(times), ("T",))
         if x.ndim and len(x) != len(t) == 1:
-            raise ValueError(f"times: expected one for each of {len(x)} residuals, got 1")
+            raise ValueError(f"times: expected one time for each of {len(x)} residuals, got 1")
         if x.ndim < 2 or len(x) != len(t) or not x.size or np.isinf(x).any():
             raise ValueError(
                 f"residuals: expected shape ({len(t)}, ..., m) to go with the times, "
@@ -304,7 +316,9 @@ def diagnose(
             predicted = _predicted(numbers("std", std), x)
         w = x if predicted is None else x / predicted
     if (np.diff(t) <= 0.0).any():
-        raise ValueError("times: expected them to increase")
+        raise ValueError(
+            f"times: expected increasing times, got a difference of {np.diff(t).min():.6g} s"
+        )
     T, m = len(t), x.shape[-1]
     x, w, raw = (rows.reshape(T, -1, m) for rows in (x, w, raw))
     if names is None:
@@ -312,7 +326,7 @@ def diagnose(
     called = list(sequence("names", names, "['x', 'y']"))
     if len(called) != m or not all(isinstance(name, str) for name in called):
         raise ValueError(
-            f"names: expected {m} words, one for each component, such as ['x', 'y'], "
+            f"names: expected {m} strings, one for each component, such as ['x', 'y'], "
             f"got {names!r:.80}"
         )
     widths = widths or (m,)
@@ -356,18 +370,21 @@ def _predicted(std: Array, x: Array) -> Array:
         k not in (1, n) for k, n in zip(std.shape[::-1], x.shape[::-1], strict=False)
     ):
         raise ValueError(
-            f"std: expected deviations that go with residuals {x.shape}, got {std.shape}"
+            f"std: expected a shape that broadcasts to the residuals' {x.shape}, got {std.shape}"
         )
     std = np.broadcast_to(std, x.shape)
     if not ((std > 0.0) & (std < np.inf))[np.isfinite(x)].all():
-        raise ValueError("std: expected positive deviations wherever there is a residual")
+        raise ValueError(
+            "std: expected positive finite standard deviations for all residuals, got others"
+        )
     return std
 
 
 def grid_index(t: Array) -> tuple[Array, float | None]:
-    """Places ``(T,)`` of times on a grid, whole numbers, and its step; without a grid their order.
+    """Integer positions ``(T,)`` of times on a regular grid, and the grid's step, s; without a
+    grid, the indices of the times and None.
 
-    The step is near the usual interval or, if most samples are missing, near the smallest.
+    The step is near the median interval or, if most samples are missing, near the smallest.
     """
     d = np.diff(t)
     for unit in (np.median(d), d.min()) if len(t) > 2 else ():
@@ -379,7 +396,7 @@ def grid_index(t: Array) -> tuple[Array, float | None]:
 
 
 def _products(x: Array, place: Array, lag: int) -> tuple[float, int]:
-    """Mean of products of samples ``(T, runs)`` at a lag, nan if none, and their number."""
+    """Mean product of samples ``(T, runs)`` at a lag (nan without pairs), and number of pairs."""
     later = np.minimum(np.searchsorted(place, place + lag), len(place) - 1)
     both = place[later] == place + lag
     products = x[both] * x[later[both]]
@@ -388,10 +405,11 @@ def _products(x: Array, place: Array, lag: int) -> tuple[float, int]:
 
 
 def autocorrelation(x: Array, place: Array, lags: int) -> tuple[Array, Array, float, float]:
-    """Autocorrelation ``(lags,)`` of ``x (T, runs)`` about its mean, and the numbers of pairs.
+    """Autocorrelation ``(lags,)`` of ``x (T, runs)`` about its mean, numbers of pairs ``(lags,)``,
+    and two variance ratios.
 
-    Then the variances of the means of x and of its square, times the number of samples and divided
-    by those of one sample, for Gaussian noise. Lags without pairs, nan, are left out.
+    These are the variances of the means of x and of x^2, relative to independent samples, for
+    Gaussian noise. Lags without pairs are nan.
     """
     N = int(np.isfinite(x).sum())
     centered = x - np.nanmean(x)
@@ -403,7 +421,7 @@ def autocorrelation(x: Array, place: Array, lags: int) -> tuple[Array, Array, fl
         pairs.append(count)
         if count:
             used.append(lag)
-        if end + 1 < len(used):  # sums of two neighbors are positive for a stationary process
+        if end + 1 < len(used):  # sums of two adjacent lags are positive for a stationary process
             if rho[used[end]] + rho[used[end + 1]] > 0.0:
                 end += 2
             elif lag >= lags:
@@ -412,7 +430,7 @@ def autocorrelation(x: Array, place: Array, lags: int) -> tuple[Array, Array, fl
     sums = np.array(rho)[summed]
     weights = np.where(np.array(summed) > 0, 2.0, 1.0) * np.array(pairs)[summed] / N
     longer = plain = max(float(weights @ sums), 1.0 / N)
-    # Subtracting the mean reduces each product by the mean's own variance: iterate.
+    # Subtracting the mean reduces each product by the variance of the mean: iterate.
     for _ in range(20):
         shift = min(longer / N, 0.5)
         longer = max(float(weights @ ((1.0 - shift) * sums + shift)), plain)
@@ -423,7 +441,7 @@ def autocorrelation(x: Array, place: Array, lags: int) -> tuple[Array, Array, fl
 
 
 def _ljung_box(rho: Array, pairs: Array, N: int, fitted: int = 0) -> tuple[float, float]:
-    """The statistic and its p, nan for too few pairs."""
+    """Ljung and Box's statistic and its p; nan for too few pairs."""
     if pairs.sum() < LEAST:
         return np.nan, np.nan
     statistic = float(np.nansum(rho**2 * pairs) * (N + 2.0) / N)
@@ -447,21 +465,21 @@ def _component(
     lags: int,
     level: float,
 ) -> Component:
-    """Statistics of residuals ``x (T, runs)``, of ``w`` (x over its predicted σ), and of this σ."""
+    """Statistics of residuals ``x (T, runs)``; ``w`` is x divided by the predicted ``sigma``."""
     present = np.isfinite(x)
     N = int(present.sum())
     if N < LEAST or np.ptp(x[present]) == 0.0:
         got = f"{N} samples" if N < LEAST else f"only {x[present][0]:g}"
         raise ValueError(
-            f"residuals: expected at least {LEAST} samples that vary of each component, "
-            f"got {got} of {name}"
+            f"residuals: expected at least {LEAST} samples that vary for each component, "
+            f"got {got} for {name}"
         )
     sampled = present.any(1)
     place, step = grid_index(t[sampled])
     rms_sigma = None if sigma is None else float(np.sqrt(np.mean(sigma[present] ** 2)))
     x, w = x[sampled], w[sampled]
     lags = max(1, min(lags, N // 5, int(place[-1]) // 2))
-    # A bias divided by a changing σ would look like noise.
+    # A bias divided by a σ that changes would look like noise.
     even = w if sigma is None else (x - np.nanmean(x)) / sigma[sampled]
     rho, pairs, shared, squares = autocorrelation(even, place, lags)
     *_, longer, _ = autocorrelation(x, place, lags)
@@ -493,13 +511,14 @@ def _component(
 
 
 def first_order(x: Array, place: Array, lags: int, level: float) -> Coloring:
-    """First-order noise about a mean, from samples ``(T, runs)`` at whole ``place (T,)``.
+    """Fit first-order noise with an unknown mean to samples ``(T, runs)`` at integer positions
+    ``place (T,)``; return a `Coloring`.
 
-    By the exact likelihood, gaps included, restricted to contrasts that do not depend on the mean.
-    If correlation remains, white noise is added. Intervals are from the likelihood ratio.
+    It maximizes the exact restricted likelihood, which does not depend on the mean; gaps are
+    allowed. If correlation remains, a mixture with white noise is fitted too.
 
     >>> place = np.arange(len(z))
-    >>> found = celnav.analysis.diagnose.first_order(z[:, :1, 0], place, lags=5, level=0.95)
+    >>> coloring = celnav.analysis.diagnose.first_order(z[:, :1, 0], place, lags=5, level=0.95)
     """
     from scipy.linalg import cholesky_banded, solve_banded
     from scipy.optimize import brentq, minimize, minimize_scalar
@@ -512,9 +531,9 @@ def first_order(x: Array, place: Array, lags: int, level: float) -> Coloring:
     before = np.where(first, 0.0, np.roll(samples, 1))
 
     def fit(v: float, logit: float = -np.inf) -> tuple[float, float, Array, float]:
-        """For ``phi = tanh v``, and white noise with the share ``expit(logit)`` of the variance:
-        the
-        cost, σ, the innovations of unit variance, and σ of the mean."""
+        """Cost, σ, innovations of unit variance, and σ of the mean, for ``phi = tanh v`` and white
+        noise with the fraction ``expit(logit)`` of the variance.
+        """
         a = np.where(first, 0.0, np.tanh(v) ** gap)
         scale = np.sqrt(1.0 - a * a)
         rows = np.stack([samples - a * before, 1.0 - a], -1) / scale[:, None]
@@ -582,10 +601,12 @@ def first_order(x: Array, place: Array, lags: int, level: float) -> Coloring:
 def _sensor(
     w: Array, at: Array, components: Sequence[Component], scaled: bool, level: float
 ) -> SensorConsistency:
-    """Size of the components ``at`` of a sensor, from normalized residuals ``w (T, runs, m)``."""
+    """Consistency of the components ``at`` of a sensor, from normalized residuals
+    ``w (T, runs, m)``.
+    """
     members = [components[i] for i in at]
     squares, dof = np.nansum(w[..., at] ** 2, (1, 2)), np.isfinite(w[..., at]).sum((1, 2))
-    # A sum of correlated squares varies like a sum of fewer independent ones.
+    # A sum of correlated squares varies like a sum of fewer independent squares.
     count = int(dof.sum())
     fewer = count**2 / sum(c.samples**2 / c.effective_squares for c in members)
     return SensorConsistency(
@@ -601,10 +622,10 @@ def _sensor(
 def forgotten_wraps(
     x: Array, widths: Sequence[int], names: Sequence[str], z: Any = None, model: str = "Sensor"
 ) -> tuple[str, ...]:
-    """A sentence for each model with angles that do not wrap: their innovations jump by turns.
+    """A sentence for each model with angles that lack a wrap, whose innovations jump by 2 pi.
 
-    x: ``(T, runs, m)`` of all models side by side. widths: how many components each has.
-    z: measurements, if known; an angle that wraps lies in [-pi, pi] or [0, 2 pi].
+    x: ``(T, runs, m)``, innovations of all models. widths: number of components of each model.
+    z: measurements, if available; an angle that wraps lies in [-pi, pi] or [0, 2 pi].
     """
     tables = [table for table in (z if isinstance(z, tuple) else (z,)) if table is not None]
     columns = [
@@ -632,10 +653,11 @@ def forgotten_wraps(
 
 
 def _jumps(x: Array, z: Array | None) -> int:
-    """How many innovations ``(T, runs)`` jump from near 0 to near turns; 0 if that may be chance.
+    """Number of innovations ``(T, runs)`` that jump from near 0 to near a multiple of 2 pi; 0 if
+    chance may explain them.
 
-    For a wrapped measurement z one jump is enough. Otherwise so many of the jumps must be turns
-    that jumps of random size almost never are.
+    If the measurements z are wrapped, one jump suffices. Otherwise, jumps of random size must be
+    very unlikely to produce so many turns.
     """
     x = x[np.isfinite(x).any(1)]
     size = np.abs(x)
@@ -666,7 +688,7 @@ def _model(
     step: float | None,
     level: float,
 ) -> tuple[Model | None, str]:
-    """The filter for colored noise, or why there is none."""
+    """The fitted filter for colored noise, or None and the reason."""
     from celnav.analysis.tuning import maximize_likelihood  # imported only for a search
 
     if filter is None:
@@ -693,7 +715,8 @@ def _model(
     form = next(name for name, form in FORMS.items() if form is filter.form)
     hooks = filter.hooks[0] if filter.hooks else ()
     count, data = m if m <= EACH else 1, epochs(t, z, u)
-    # Differences of measurements lose two for each missing one, and need constant noise.
+    # `colored` uses differences of measurements: each missing sample costs two, and noise must be
+    # constant.
     through = callable(sensor.h) and callable(motion.noise)
     make: Any = augmented if gaps or through else colored
 
@@ -717,7 +740,7 @@ def _model(
     z_level = float(ndtri(0.5 + level / 2))
 
     def at_end(track: Track) -> Array:
-        """Standard deviations ``(n,)`` of the states of the given filter, mean of the runs."""
+        """Final standard deviations ``(n,)`` of the original filter's states, mean over runs."""
         std = track.std[-1, ..., : baseline.std.shape[-1]]
         return np.asarray(std.reshape(-1, std.shape[-1]).mean(0))
 
@@ -750,7 +773,7 @@ def _model(
         except (ValueError, ArithmeticError) as error:
             not_compared = str(error)
         else:
-            # The parameters are of standard deviations, and the factors of their squares.
+            # The parameters scale standard deviations; the factors scale variances.
             squares = scaled.parameters**2
             reach = np.exp(2.0 * z_level * np.sqrt(scaled.covariance.diagonal()))
             low, high = (squares / reach).tolist(), (squares * reach).tolist()
@@ -787,8 +810,8 @@ def _model(
 
 
 def _degenerate(tuned: Any, names: Sequence[str]) -> str:
-    """Why a search has found no inner maximum, with its parameters by name; "" if it has."""
-    why = re.sub(r"parameter (\d+)", lambda found: names[int(found[1])], tuned.message)
+    """Why a search has no interior maximum, with the parameters' names; "" if it has one."""
+    why = re.sub(r"parameter (\d+)", lambda match: names[int(match[1])], tuned.message)
     return "" if tuned.converged else re.split(r";|(?<=of its range),", why)[0]
 
 

@@ -18,7 +18,9 @@ if TYPE_CHECKING:
 
 
 def page(diagnosis: Diagnosis, width: int = WIDTH) -> str:
-    """A table of the components, then size, bias, whiteness, and the noise that explains it."""
+    """The diagnosis as text: a table of the components, then size, bias, whiteness, and the fitted
+    noise.
+    """
     T, t = len(diagnosis.times), diagnosis.times
     spaced = "at irregular times" if diagnosis.step is None else f"{diagnosis.step:.6g} s apart"
     runs = "one run" if diagnosis.runs == 1 else f"{diagnosis.runs} runs"
@@ -47,8 +49,9 @@ def laid_out(
     said: Iterable[tuple[str, str]],
     width: int = WIDTH,
 ) -> str:
-    """A first line, a table whose first column is words, and what is said of something, line by
-    line; rows and columns change places where the table is wider than ``width``.
+    """Text with a first line, a table, and lines that start with a keyword.
+
+    The first column of the table is left-aligned. A table wider than ``width`` is transposed.
     """
     widths = [max(map(len, column)) for column in zip(*table, strict=True)]
     if sum(widths) + 2 * len(widths) - 2 > width:
@@ -63,8 +66,8 @@ def laid_out(
 
 
 def consistency(ratio: float, band: tuple[float, float]) -> str:
-    """What is said of a ratio that is 1 for a consistent filter, and of the band that it should lie
-    in.
+    """Return "consistent", "overconfident" or "conservative", for a ratio that is 1 if consistent,
+    and its band.
     """
     if ratio > band[1]:
         return "overconfident"
@@ -72,7 +75,7 @@ def consistency(ratio: float, band: tuple[float, float]) -> str:
 
 
 def _filled(line: str, width: int) -> str:
-    """Lines of at most so many columns, never broken between a number and its unit."""
+    """Wrap a line at ``width`` columns, but not between a number and its unit."""
     protected = re.sub(r"(?<=\d) (?=%|s\b)", "\0", line)
     filled = textwrap.fill(protected, width, subsequent_indent=9 * " ", break_on_hyphens=False)
     return filled.replace("\0", " ")
@@ -145,7 +148,9 @@ def _size(k: int, diagnosis: Diagnosis) -> str:
 
 
 def _verdict(k: int, diagnosis: Diagnosis) -> str:
-    """Small innovations that follow each other do not make a filter conservative."""
+    """Size of the innovations in words; small but correlated innovations are not called
+    conservative.
+    """
     nis, word = (
         diagnosis.sensors[k].nis,
         consistency(diagnosis.sensors[k].nis, diagnosis.sensors[k].band),
@@ -201,7 +206,7 @@ def _white(diagnosis: Diagnosis) -> list[str]:
 
 
 def _noise(c: Component, diagnosis: Diagnosis) -> list[tuple[str, str]]:
-    """First-order noise, with white noise beside it if needed, and the consequences."""
+    """Lines on the first-order noise, the mixture with white noise if needed, and advice."""
     fit, percent = c.coloring, f"{100 * diagnosis.level:.3g} %"
     assert fit is not None
     (low, high), (least, most) = fit.phi_interval, fit.sigma_interval
@@ -259,7 +264,7 @@ def _advice(c: Component, diagnosis: Diagnosis) -> str:
 
 
 def _fitted(model: Model, diagnosis: Diagnosis) -> list[str]:
-    """The filter fitted to the track's data, or other Q and R, and how reliable it is."""
+    """Lines on the filter fitted to the track's data, or other Q and R, and on its reliability."""
     factors, name = model.factors, f"celnav.{model.name}"
     grows = f"the log-likelihood grows by {_plain(model.gain, 4)} with it"
     if factors is None:
@@ -287,7 +292,7 @@ def _fitted(model: Model, diagnosis: Diagnosis) -> list[str]:
 
 
 def _scaled(factors: Factors, model: Model, diagnosis: Diagnosis) -> list[str]:
-    """The given filter with other Q and R."""
+    """Lines on the original filter with other Q and R."""
     rest = not (factors.p < diagnosis.doubt).any()
     suggested = rest and not factors.degenerate and model.is_white
     (a, b), (c, d) = factors.Q_interval, factors.R_interval
@@ -316,7 +321,7 @@ def _rest(white: bool, p: Iterable[float]) -> str:
 
 
 def _colored(model: Model, compared: str, diagnosis: Diagnosis) -> list[str]:
-    """The filter for colored noise."""
+    """Lines on the filter for colored noise."""
     phi, R = ", ".join(map(_coefficient, model.Phi.diagonal())), model.R
     diagonal = np.array_equal(R, np.diag(R.diagonal()))
     noise = (
@@ -342,6 +347,6 @@ def _colored(model: Model, compared: str, diagnosis: Diagnosis) -> list[str]:
 
 
 def _coefficient(phi: float) -> str:
-    """With three digits of its distance to 1, which decides how correlated the noise is."""
+    """A coefficient, with three digits of its distance to 1."""
     distance = 1.0 - abs(phi) or 1.0
     return f"{phi:.{max(3, 2 - int(np.floor(np.log10(distance))))}f}"

@@ -1,6 +1,4 @@
-"""Accuracy and consistency of an estimate: RMSE with intervals, and the bands of a consistent
-filter.
-"""
+"""Accuracy and consistency of estimates: RMSE with confidence intervals, and chi-square bands."""
 
 from __future__ import annotations
 
@@ -18,40 +16,41 @@ special = LazyModule("scipy.special")
 
 
 def rms(squares: ArrayLike) -> float:
-    """Root of the mean of ``squares`` of any shape over everything, a number."""
+    """Square root of the mean of all ``squares``, of any shape: a number."""
     return float(np.sqrt(_samples("squares", squares).mean()))
 
 
 def ratio(a: ArrayLike, b: ArrayLike) -> float:
-    """Ratio of the roots of the means of two sets of squares, a number."""
+    """``rms(a) / rms(b)`` for two arrays of squares: a number."""
     return rms(_samples("a", a)) / rms(_samples("b", b))
 
 
 def rmse(error: ArrayLike, axis: int = 1) -> Array:
-    """Root mean square over the runs; errors are ``(T, runs, n)`` unless ``axis`` is another
-    one.
+    """Root mean square error over the runs, ``(T, n)`` for errors ``(T, runs, n)``.
+
+    axis: axis of the runs. ValueError without runs.
     """
     array, axis = _runs(error, axis)
     return np.asarray(np.sqrt(np.mean(np.square(array), axis=axis)))
 
 
 def rmse_interval(error: ArrayLike, level: float = 0.95, axis: int = 1) -> tuple[Array, Array]:
-    """Confidence interval of `rmse`, its ends of the same shape, for Gaussian errors of mean zero,
-    independent from run to run.
+    """Lower and upper confidence limits of `rmse`, each in its shape, for zero-mean Gaussian errors
+    that are independent between runs.
     """
     array, axis = _runs(error, axis)
     runs, value = array.shape[axis], rmse(array, axis)
-    # runs * mean square / variance is a chi-square variable of as many degrees.
+    # runs * mean square / variance is chi-square with `runs` degrees of freedom.
     low, high = _chi_square(level, runs)
     return value * np.sqrt(runs / high), value * np.sqrt(runs / low)
 
 
 def chi_square_band(dof: float, runs: float, level: float = 0.95) -> tuple[float, float]:
-    """Band, its two ends, in which the mean over ``runs`` of a chi-square variable of ``dof`` lies
-    with probability ``level``.
+    """Lower and upper limit that contain the mean over ``runs`` of a chi-square variable with
+    ``dof`` degrees of freedom, with probability ``level``.
 
-    For the NEES of a consistent filter ``dof`` is the dimension of the state, for the NIS the
-    dimension of the measurement.
+    For a consistent filter, ``dof`` is the dimension of the state for the NEES, and the dimension
+    of the measurement for the NIS.
 
     >>> celnav.analysis.metrics.chi_square_band(3, 100)  # mean NIS, 3 components, 100 runs
     (2.539..., 3.498...)
@@ -69,17 +68,17 @@ def bootstrap(
     resamples: int = 400,
     seed: int = 0,
 ) -> tuple[float, float]:
-    """Expanded percentile interval, its two ends, of ``statistic(*samples)``: the runs of all
-    samples are resampled together.
+    """Lower and upper limit of the expanded percentile bootstrap interval of
+    ``statistic(*samples)``.
 
-    Each sample has its runs first, at least two. The same runs are drawn for all samples, so ratios
-    of paired quantities benefit from common noise. The interval is widened about the value by
-    Student's t for few runs [Hesterberg2015]; for a positive statistic of non-negative samples,
-    such as an RMSE, in the logarithm.
+    samples: arrays with the runs on the first axis, at least two. Each resample uses the same runs
+        for all samples, so ratios of paired quantities benefit from common noise.
+    block: number of consecutive samples that are drawn together, in a circle [Politis1992], for
+        samples that are epochs of one run. It should be several times the correlation length of the
+        errors, and much less than the number of samples.
 
-    block: number of consecutive samples that are drawn together, in a circle [Politis1992]: for
-        samples that are epochs of one run instead of runs. It should be several times the
-        correlation length of the errors; the samples must be many blocks long.
+    For few runs the interval is widened about the value by Student's t [Hesterberg2015]. For a
+    positive statistic of non-negative samples, such as an RMSE, it is widened in the logarithm.
 
     >>> low, high = bootstrap(ratio, squares_of_one_filter, squares_of_another)
     """
@@ -88,7 +87,7 @@ def bootstrap(
     runs = min((len(array) for array in arrays), default=0)
     if runs < 2 or any(len(array) != runs for array in arrays):
         raise ValueError(
-            "samples: expected two runs or more, as many in each, got "
+            "samples: expected two runs or more, the same number in each sample, got "
             f"{[len(array) for array in arrays]}"
         )
     block = integer("block", block, 1, runs // 2)
@@ -112,14 +111,14 @@ def bootstrap(
     wider = float(
         np.sqrt(blocks / (blocks - 1)) * special.stdtrit(blocks - 1, upper) / special.ndtri(upper)
     )
-    # A positive statistic of squares stays positive: it is widened by a factor.
+    # The interval of a positive statistic stays positive: it is widened by a factor.
     if value > 0.0 and low >= 0.0 and all((array >= 0.0).all() for array in arrays):
         return value * float(low / value) ** wider, value * float(high / value) ** wider
     return value + wider * float(low - value), value + wider * float(high - value)
 
 
 def _runs(error: ArrayLike, axis: int) -> tuple[Array, int]:
-    """Errors, nan where a run has failed, and their axis of runs, with at least one run."""
+    """Checked errors (nan if a run has failed) and their axis of runs; ValueError without runs."""
     array = numbers("error", error)
     if (
         array.shape not in ((), (0,))
@@ -130,7 +129,7 @@ def _runs(error: ArrayLike, axis: int) -> tuple[Array, int]:
 
 
 def _samples(name: str, values: ArrayLike) -> Array:
-    """At least one number; nan is passed on."""
+    """Checked numbers, which may be nan; ValueError if there are none."""
     array = numbers(name, values)
     if not array.size:
         raise ValueError(f"{name}: expected at least one number, got {values!r:.80}")
@@ -138,7 +137,7 @@ def _samples(name: str, values: ArrayLike) -> Array:
 
 
 def _chi_square(level: float, dof: float) -> tuple[float, float]:
-    """Central interval of a chi-square variable."""
+    """Lower and upper limit of the central interval of a chi-square variable."""
     level = number("level", level, above=0.0, below=1.0)
     low, high = 2.0 * special.gammaincinv(0.5 * dof, [0.5 - level / 2, 0.5 + level / 2])
     return float(low), float(high)

@@ -1,9 +1,9 @@
-"""Observability of nonlinear systems, also along a track, degrees of observability, and the weights
-of a sparse grid that they suggest.
+"""Observability of nonlinear systems, degrees of observability and nonlinearity, and sparse-grid
+weights from them.
 
-Functions take points ``(p, n)`` to ``(p, m)``; for a batch of states, ``(p, ..., n)`` to
-``(p, ..., m)``. Derivatives are taken by complex step, exact to round-off. For them functions must
-accept complex points (numpy's own do; `abs`, comparisons and `arctan2` do not).
+Functions map points ``(p, n)`` to values ``(p, m)``; for a batch of states, ``(p, ..., n)`` to
+``(p, ..., m)``. Derivatives are computed by complex step, exact to round-off, so functions must
+accept complex points. numpy's functions do, except `abs`, comparisons and `arctan2`.
 """
 
 from __future__ import annotations
@@ -39,7 +39,8 @@ _NODES = 21
 
 
 def jacobian(function: Function, x: ArrayLike) -> Array:
-    """Jacobian ``(..., m, n)`` at ``x (..., n)`` by complex step [Squire1998].
+    """Jacobian ``(..., m, n)`` of a function at ``x (..., n)`` by complex step [Squire1998];
+    ValueError if its values have another shape.
 
     >>> celnav.analysis.observability.jacobian(lambda x: np.sin(x), [0.0, 0.0])
     array([[1., 0.],
@@ -72,14 +73,14 @@ def lie_gradients(
     """Gradients of the Lie derivatives ``L_f^k h``, k = 0 to ``order`` (at most 6),
     ``(order + 1, m, n)`` [Hermann1977].
 
-    They are the derivatives with respect to time of ``h`` along the flow of ``f``, differentiated
-    with respect to the start: flow and gradient are computed at Chebyshev nodes of
-    ``[-window, window]`` s, and a polynomial through them is differentiated. The system is
-    observable at ``x`` if the rows together have rank n. At an equilibrium they are ``H A^k``.
+    ``L_f^k h`` is the k-th time derivative of ``h`` along the flow of ``f``. The function computes
+    the gradient of ``h`` with respect to the initial state at Chebyshev nodes of
+    ``[-window, window]`` s, and differentiates a polynomial through these. The system is observable
+    at ``x`` if all rows together have rank n. At an equilibrium the gradients are ``H A^k``.
 
-    f: rate of the state, independent of time. h: measurement. x: ``(n,)``.
-    window: half the time, s, over which flow and measurement are smooth; k-th derivatives lose
-        ``window^-k`` of their digits.
+    f: time derivative of the state, independent of time. h: measurement. x: ``(n,)``.
+    window: s; flow and measurement must be smooth over twice this time. The round-off of a k-th
+        derivative grows as ``window^-k``.
 
     >>> f, h = lambda x: x @ A.T, lambda x: x[..., :1]
     >>> rows = celnav.analysis.observability.lie_gradients(f, h, [0.0, 1.0], order=1)
@@ -91,14 +92,14 @@ def lie_gradients(
     rate = np.shape(checks.function("f", f, "(points)")(at[None]))
     if rate != (1, len(at)):
         raise ValueError(
-            f"f: expected rates (p, {len(at)}) at points (p, {len(at)}), got shape {rate} of one "
+            f"f: expected rates (p, {len(at)}) at points (p, {len(at)}), got shape {rate} for one "
             "point"
         )
     checks.function("h", h, "(points)")
-    # Chebyshev nodes; the flow goes forth and back from 0, so none is integrated twice.
+    # Chebyshev nodes; integration runs forward and backward from 0, each interval once.
     nodes = np.cos(np.pi * (np.arange(_NODES) + 0.5) / _NODES)
     forth, back = nodes[nodes >= 0.0][::-1], nodes[nodes < 0.0]
-    # One start for each axis, displaced by the complex step: its flow has the gradient.
+    # One initial state per axis, displaced by the complex step: the imaginary part is the gradient.
     start = at + _TINY * np.eye(len(at))
     states = _flow(f, start, window * forth) + _flow(f, start, window * back)
     gradients = np.stack([_slopes("h", h, y) for y in states])
@@ -116,8 +117,8 @@ def lie_gradients(
 
 
 def _flow(f: Function, x: Array, times: Array) -> list[Array]:
-    """States at ``times``, which go away from 0, by Runge-Kutta steps short enough that their error
-    is near round-off.
+    """States at ``times``, ordered by distance from 0; Runge-Kutta steps are so short that their
+    error is near round-off.
     """
     out, now = [], 0.0
     longest = np.abs(times[-1]) / 300.0
@@ -136,11 +137,11 @@ def _flow(f: Function, x: Array, times: Array) -> list[Array]:
 
 
 def information_degree(P0: ArrayLike, F: ArrayLike, H: ArrayLike, R: ArrayLike) -> Array:
-    """Prior over posterior standard deviation ``(n,)`` after a window of K epochs without process
-    noise: 1 is unobserved.
+    """Ratio ``(n,)`` of prior to posterior standard deviation over a window of K epochs without
+    process noise; 1 means unobserved.
 
-    P0: ``(n, n)``. F: ``(K - 1, n, n)``, transitions between the epochs. H: ``(K, m, n)``. R:
-    ``(m, m)`` or ``(K, m, m)``.
+    P0: ``(n, n)``. F: ``(K - 1, n, n)``, transitions between the epochs. H: ``(K, m, n)``.
+    R: ``(m, m)`` or ``(K, m, m)``.
 
     >>> Fs, Hs = np.tile(F, (9, 1, 1)), np.tile(H, (10, 1, 1))
     >>> degree = celnav.analysis.observability.information_degree(P0, Fs, Hs, R)
@@ -157,7 +158,7 @@ def information_degree(P0: ArrayLike, F: ArrayLike, H: ArrayLike, R: ArrayLike) 
     for k, (row, root) in enumerate(zip(rows, np.broadcast_to(noise, (K, m, m)), strict=True)):
         if k:
             Phi = transitions[k - 1] @ Phi
-        # A row in units of its noise and of the prior: its square is information.
+        # Rows in units of the noise and of the prior: their squares add up to the information.
         white = np.linalg.solve(root, row @ Phi)
         information = information + white.T @ white
     posterior = prior @ np.linalg.solve(information, prior.T)
@@ -172,15 +173,15 @@ def nonlinearity_weights(
     tolerance: float = 1e-6,
     coarse: int = 2,
 ) -> tuple[int, ...]:
-    """Weights of a sparse grid by nonlinearity: 1 for the states that enter the functions
-    nonlinearly, ``coarse`` for the rest.
+    """Sparse-grid weights, a tuple of n integers: 1 for states in which the functions are
+    nonlinear, ``coarse`` for the others.
 
-    A state counts as nonlinear if the second difference of an output over one standard deviation
-    exceeds ``tolerance`` of the output's whole first difference. States that only multiply a
-    nonlinear one do not count: given it, the functions are linear in them.
+    A state is nonlinear if the second difference of an output over one standard deviation exceeds
+    ``tolerance`` times the norm of the output's first differences. A state that only multiplies
+    nonlinear states is not: given these, the functions are linear in it.
 
-    functions: of real points, such as the step and the measurement. mean, std: ``(n,)`` of the
-        belief.
+    functions: functions of real points, such as the dynamics and the measurement.
+    mean, std: ``(n,)``, of the belief.
 
     >>> rule = celnav.smolyak(6, 3, nonlinearity_weights([step, measure], prior.mean, prior.std))
     """
@@ -188,7 +189,7 @@ def nonlinearity_weights(
     sigma = _positive("std", std, center.shape)
     tolerance, coarse = number("tolerance", tolerance, 0.0), integer("coarse", coarse)
     functions, steps = sequence("functions", functions, "[f, h]", least=1), np.diag(sigma)
-    # Also about other points: a function may bend elsewhere within a standard deviation.
+    # Test four random points: a function may be nonlinear only in part of the region.
     centers = center + sigma * np.random.default_rng(0).uniform(-1.0, 1.0, (4, len(center)))
     bends = np.zeros(len(center), bool)
     for function in functions:
@@ -207,15 +208,14 @@ def nonlinearity_weights(
 def nonlinearity_degree(
     function: Function, mean: ArrayLike, std: ArrayLike, scale: ArrayLike
 ) -> Array:
-    """Degrees of nonlinearity ``(..., n)``: how far a function bends over one standard deviation of
-    a state, in units of a scale.
+    """Degrees of nonlinearity ``(..., n)``: for each state, the largest second difference of the
+    outputs over one standard deviation, relative to ``scale``.
 
-    The largest second difference of an output along each axis. Unlike `nonlinearity_weights` it
-    measures whether that matters: a bend below the noise of a measurement needs no points, however
-    nonlinear the function is.
+    Unlike `nonlinearity_weights` it is relative to a scale: a second difference below the
+    measurement noise needs no points, however nonlinear the function is.
 
-    mean, std: ``(..., n)`` of the beliefs. scale: ``(..., m)``, such as the standard deviations of
-        the measurement's noise.
+    mean, std: ``(..., n)``, of the beliefs.
+    scale: ``(..., m)``, such as the standard deviations of the measurement noise.
 
     >>> mean, sigma = [1.0, 1.0], [0.1, 1.0]
     >>> celnav.analysis.observability.nonlinearity_degree(lambda x: x**2, mean, sigma, [0.1, 0.1])
@@ -240,12 +240,12 @@ def _positive(name: str, value: ArrayLike, shape: tuple[Any, ...]) -> Array:
 
 
 def observability_matrix(A: ArrayLike, H: ArrayLike, order: int) -> Array:
-    """``H A^k``, k = 0 to ``order``, one below the other: ``((order + 1) m, n)`` of a linear system
-    with any batch in front.
+    """Observability matrix ``(..., (order + 1) m, n)`` of a linear system: ``H A^k`` for k = 0 to
+    ``order``, stacked.
 
-    Along a track it belongs to each segment, linearized with `jacobian`. The matrices of all
-    segments so far, one below the other, show what has become observable if the state stays
-    constant ("stripped" of the transitions between them) [Goshen1992].
+    Along a track, each segment has its own matrix, linearized with `jacobian`. The stacked matrices
+    of all segments so far form the stripped observability matrix, which omits the transitions
+    between segments [Goshen1992].
 
     A: ``(..., n, n)``, 1/s. H: ``(..., m, n)``.
 
@@ -261,26 +261,26 @@ def observability_matrix(A: ArrayLike, H: ArrayLike, order: int) -> Array:
 
 
 def state_singular_values(matrix: ArrayLike, cov: ArrayLike | None = None) -> Array:
-    """Singular values ``(..., n)`` of observability matrices ``(..., rows, n)``, one for each
-    state.
+    """Singular values ``(..., n)`` of observability matrices ``(..., rows, n)``, assigned to the
+    states.
 
-    Divided by the values of a reference state they are its degrees of observability
-    [Liang2014, Eq. 15]. A state gets the value whose right vector has its largest component there;
-    0 if that vector is unobservable. ``cov (..., n, n)``: of the initial state; the vectors are
-    then weighted by its root mean square component along them. The result depends on the units of
-    the states; `information_degree` does not.
+    Each state gets the singular value whose right singular vector has the largest component in this
+    state; 0 if the vector is unobservable. Degrees of observability are these values divided by the
+    value of a reference state [Liang2014, Eq. 15]. They depend on the units of the states;
+    `information_degree` does not.
+
+    cov: ``(..., n, n)``, of the initial state. It weights each right singular vector by the initial
+        standard deviation along it.
 
     >>> celnav.analysis.observability.state_singular_values([[2.0, 0.0], [0.0, 0.5]])
     array([2. , 0.5])
     """
     rows = finite("matrix", matrix, (..., "rows", "n"))
     n = rows.shape[-1]
-    # Rows of zeros, if there are fewer rows than states: those states are unobserved.
+    # Add rows of zeros if there are fewer rows than states.
     missing = [(0, 0)] * (rows.ndim - 2) + [(0, max(n - rows.shape[-2], 0)), (0, 0)]
     _, values, Vt = np.linalg.svd(np.pad(rows, missing), full_matrices=False)
-    # Column i of
-    # Vt
-    # : how much each right vector contains of state i.
+    # Column i of Vt has the components of all right singular vectors in state i.
     size = np.abs(Vt)
     if cov is not None:
         size *= np.sqrt(np.square(Vt @ symmetric(cov, "cov", n)[1]).sum(-1))[..., None]
@@ -291,8 +291,8 @@ def state_singular_values(matrix: ArrayLike, cov: ArrayLike | None = None) -> Ar
 
 
 def threshold_weights(degree: ArrayLike, threshold: float) -> tuple[int, ...]:
-    """Weights of a sparse grid by degrees of observability ``(n,)``: 1 above the threshold, 2 up to
-    it [Liang2014, Eq. 19].
+    """Sparse-grid weights from degrees of observability ``(n,)``: 1 above the threshold, 2 for the
+    others [Liang2014, Eq. 19].
 
     >>> celnav.analysis.observability.threshold_weights([9.6, 1.0, 0.2], 5.0)
     (1, 2, 2)
@@ -303,8 +303,8 @@ def threshold_weights(degree: ArrayLike, threshold: float) -> tuple[int, ...]:
 
 
 def hysteresis(degree: ArrayLike, threshold: float, before: ArrayLike, band: float = 1.1) -> Array:
-    """Which degrees ``(..., n)`` are above a threshold; within a factor ``band`` of it they stay as
-    ``before (..., n)``.
+    """Mask ``(..., n)`` of the degrees above a threshold; degrees within a factor ``band`` of it
+    keep their value in ``before (..., n)``.
 
     >>> celnav.analysis.observability.hysteresis([9.6, 5.2, 5.2], 5.0, before=[0, 0, 1])
     array([ True, False,  True])

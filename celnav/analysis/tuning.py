@@ -1,6 +1,4 @@
-"""Noise tuning by the likelihood of the innovations [Schweppe1965]: the parameters that make the
-data most probable.
-"""
+"""Maximum-likelihood tuning of noise parameters, from a filter's innovations [Schweppe1965]."""
 
 from __future__ import annotations
 
@@ -35,31 +33,30 @@ __all__ = ["likelihood_gradient", "maximize_likelihood"]
 Build = Callable[[Array], tuple[Filter, Gaussian]]
 Domain = str | tuple[float, float]
 DOMAINS = {"positive": (0.0, np.inf), "unit interval": (0.0, 1.0)}
-STEP = 2e-3  # of differences, in logarithms
-WIDE = 3e-3  # of fourth-order differences, relative to each parameter
-FLIGHTS = 20  # runs of a search, about, for each parameter twice and once more
-# gain in log-likelihood of the last step of the search at which Newton's method takes over
+STEP = 2e-3  # step of differences, in logarithms
+WIDE = 3e-3  # step of fourth-order differences, relative to each parameter
+FLIGHTS = 20  # expected number of gradients in a search; each costs 1 + 2 d runs by differences
+# Newton's method starts when a step of the search gains less log-likelihood than this.
 ROUGH = 1e-3
-STEPS = 4  # of Newton's method, at most
+STEPS = 4  # largest number of Newton steps
 
 
 class Tuned(NamedTuple):
     """The maximum of a likelihood.
 
-    parameters: ``(d,)`` at the maximum of the likelihood. log_likelihood: there, of all runs
-        together.
-    standard_errors: ``(d,)`` of the parameters, from the curvature; inf if ``converged`` is False
-        because there is no curvature.
-    covariance: ``(d, d)`` of the parameters' *logarithms* (in an interval, of
-        ``log((p - low) / (high - p))``): an interval of a positive parameter is
+    parameters: ``(d,)``, at the maximum. log_likelihood: maximum, the sum over all runs.
+    standard_errors: ``(d,)``, from the curvature; inf if the curvature does not give any.
+    covariance: ``(d, d)``, of the parameters' *logarithms* (in an interval, of
+        ``log((p - low) / (high - p))``). A 95 % interval of a positive parameter is
         ``parameters * exp(+-2 sqrt(diagonal))``.
-    evaluations: parameters that were tried, including those for gradient and curvature.
-    converged: whether the parameters are an inner maximum of the likelihood.
-    message: the optimizer's message, or why there is no such maximum.
-    failures: how many of the parameters tried gave no filter, or one that failed; they count as
+    evaluations: number of parameter vectors that were evaluated, including those for gradients and
+        curvature.
+    converged: whether the parameters are an interior maximum of the likelihood.
+    message: the optimizer's message, or why there is no interior maximum.
+    failures: number of evaluations without a filter, or with a filter that failed; they count as
         improbable.
     engine: "compiled" if one run gave likelihood and gradient, "numpy" if differences did; with
-        "auto" also why.
+        "auto" also the reason.
     """
 
     parameters: Array
@@ -74,8 +71,8 @@ class Tuned(NamedTuple):
 
 
 class LikelihoodGradient(NamedTuple):
-    """The log-likelihood ``value (...)`` of each run, and its ``gradient (..., d)``. engine: as in
-    `Tuned`.
+    """The log-likelihood ``value (...)`` of each run, and its ``gradient (..., d)``; ``engine`` as
+    in `Tuned`.
     """
 
     value: Array
@@ -86,14 +83,17 @@ class LikelihoodGradient(NamedTuple):
 def likelihood_gradient(
     build: Build, parameters: ArrayLike, epochs: Iterable[Epoch], *, engine: str = "auto"
 ) -> LikelihoodGradient:
-    """The log-likelihood ``(...)`` of each run, and its derivatives ``(..., d)`` by parameters.
+    """The log-likelihood ``(...)`` of each run, and its gradient ``(..., d)`` with respect to the
+    parameters: `LikelihoodGradient`.
 
-    build: ``parameters (d,) -> (filter, prior)``; it is also called at neighboring parameters, up
-        to a hundredth of each away.
-    parameters: ``(d,)``. epochs: the data.
-    engine: "compiled": one run gives both, exactly, if the parameters are in matrices of the filter
-        or in the prior; "numpy": by differences of runs, to some seven digits; "auto": compiled if
-        possible.
+    build: ``parameters (d,) -> (filter, prior)``; it is also called with parameters that differ by
+        up to 1 %.
+    parameters: ``(d,)``. epochs: the data, with at least one measurement.
+    engine: "compiled" computes both exactly in one run, if the parameters enter matrices of the
+        filter or the prior. "numpy" uses differences of runs, accurate to about seven digits.
+        "auto" is "compiled" if possible.
+
+    ValueError for other arguments; CannotCompile with "compiled" if it is not possible.
 
     >>> value, gradient, engine = likelihood_gradient(build, [0.1, 0.5], epochs)
     """
@@ -131,8 +131,8 @@ def maximize_likelihood(
     max_iterations: int = 100,
     engine: str = "auto",
 ) -> Tuned:
-    """`Tuned`: parameters, such as deviations and correlations, that maximize
-    ``Track.log_likelihood``, summed over the runs.
+    """Maximize the sum of ``Track.log_likelihood`` over the runs with respect to parameters, such
+    as standard deviations and correlations; return `Tuned`.
 
     The search uses logarithms, so parameters may be of any size. Parameters at which ``build`` or
     the filter fails count as improbable. For example, for a standard deviation and a correlation::
@@ -140,17 +140,17 @@ def maximize_likelihood(
         maximize_likelihood(build, [0.1, 0.5], epochs, domain=["positive", "unit interval"])
 
     build: ``parameters (d,) -> (filter, prior)``.
-    start: ``(d,)``, within the domain, where the filter works.
+    start: ``(d,)``, within the domain; the filter must work there (ValueError otherwise).
     epochs: the data; the same for all parameters.
-    domain: range of the parameters, one for all or one for each: "positive", "unit interval" (0 to
-        1) or ``(low, high)``.
-    factor: the search stays within ``start / factor`` and ``start * factor``; in an interval, of
-        the distances to its ends.
-    tolerance: log-likelihood that may be left to gain; a parameter one standard error off loses
-    0.5.
-    max_iterations: of the optimizer.
-    engine: as in `likelihood_gradient`; "auto" is "numpy" also if compiling would take longer than
-        it saves.
+    domain: range of all parameters, or a list with the range of each: "positive", "unit interval"
+        (0 to 1) or ``(low, high)``.
+    factor: the search stays between ``start / factor`` and ``start * factor``; in an interval this
+        holds for ``(p - low) / (high - p)``.
+    tolerance: largest gain of log-likelihood that may remain; a parameter one standard error from
+        the maximum loses 0.5.
+    max_iterations: largest number of iterations of the optimizer.
+    engine: as in `likelihood_gradient`; "auto" also selects "numpy" if compilation would take
+        longer than it saves.
 
     >>> domain = ["positive", "unit interval"]
     >>> tuned = celnav.analysis.tuning.maximize_likelihood(build, [0.1, 0.5], epochs, domain=domain)
@@ -184,7 +184,7 @@ def maximize_likelihood(
             "ftol": ROUGH / max(1.0, abs(likelihood.first)),
         },
     )
-    # Near failures a line search may discard the best point that it has tried.
+    # Near failures of the filter a line search may discard its best point.
     s = optimum.x if optimum.success else likelihood.best()
     for left in range(STEPS, -1, -1):
         covariance, why = np.full((len(x0), len(x0)), np.inf), ""
@@ -203,7 +203,7 @@ def maximize_likelihood(
             why = f"the data do not determine parameter {i}: the likelihood has no maximum in it"
             break
         covariance, gradient = (vectors / -eigenvalues) @ vectors.T, likelihood.gradient(s)
-        # What a quadratic likelihood would gain by Newton's step.
+        # Gain of a Newton step if the log-likelihood were quadratic.
         gain = 0.5 * gradient @ covariance @ gradient
         ahead = np.clip(s + covariance @ gradient, -reach, reach)
         if gain <= tolerance or not left or not likelihood(ahead) > likelihood(s):
@@ -231,7 +231,7 @@ def maximize_likelihood(
 
 
 def _data(epochs: Iterable[Epoch]) -> Sequence[Epoch]:
-    """Epochs, at least one of them with measurements."""
+    """Checked epochs; ValueError if none of them has a measurement."""
     data = (
         epochs
         if isinstance(epochs, Epochs)
@@ -255,17 +255,17 @@ def _flight(build: Build, parameters: Array, epochs: Sequence[Epoch]) -> Array:
 
 
 def _checked(compiled: Gradient, x: Array, lengths: Array, reference: Array) -> tuple[Array, Array]:
-    """The results of a compiled run, if the value equals the numpy engine's ``reference`` and
-    differences of values agree with the gradient.
+    """Value and gradient of a compiled run. CannotCompile unless the value equals the numpy
+    engine's ``reference`` and differences of values agree with the gradient.
     """
     value, gradient = compiled(x, lengths)
     above, below = (compiled(x + step * lengths, lengths)[0].sum() for step in (STEP, -STEP))
-    # The rise along the diagonal of the parameters must equal the sum of the gradient.
+    # The derivative along the sum of all axes must equal the sum of the gradient.
     rise, slopes = (above - below) / (2.0 * STEP), gradient.reshape(-1, len(x)).sum(0) * lengths
     size = np.abs(reference).sum()
     if not (np.abs(value - reference) <= 1e-6 * (1.0 + np.abs(reference))).all():
         raise CannotCompile(
-            "the model gives other values when it is recorded: it looks at what it is given"
+            "the model gives other values when it is recorded: it depends on the type of its input"
         )
     if not np.abs(rise - slopes.sum()) <= 1e-3 * np.abs(slopes).sum() + 1e-5 * (1.0 + size):
         raise CannotCompile("the likelihood is not smooth in the parameters")
@@ -281,8 +281,9 @@ def _measured(epoch: Any) -> bool:
 
 
 class _Scale:
-    """From logarithms ``(d,)``, relative to the start, to parameters; the logarithms are of the
-    distances to the ends of the domain.
+    """Map from logarithms ``(d,)``, relative to the start, to parameters.
+
+    The logarithm is of ``p - low``, or of ``(p - low) / (high - p)`` in an interval.
     """
 
     def __init__(self, domain: Domain | Sequence[Domain], start: Array):
@@ -296,7 +297,7 @@ class _Scale:
         )
         if len(domains) != len(start):
             raise ValueError(
-                f"domain: expected one for all or {len(start)}, one for each parameter, got "
+                f"domain: expected one domain, or {len(start)}, one for each parameter, got "
                 f"{len(domains)}"
             )
         pairs = [DOMAINS.get(spec) if isinstance(spec, str) else spec for spec in domains]
@@ -327,14 +328,14 @@ class _Scale:
         )
 
     def slope(self, s: Array) -> Array:
-        """Derivative of the parameters by their logarithms."""
+        """Derivative ``(d,)`` of the parameters with respect to their logarithms."""
         above = self(s) - self._low
         return np.asarray(above * (1.0 - above / (self._high - self._low)))
 
 
 class _Likelihood:
-    """Log-likelihood as a function of logarithms relative to the start, nan where there is none,
-    with its derivatives.
+    """Log-likelihood and its derivatives as functions of logarithms relative to the start; nan
+    where there is no filter or the filter fails.
     """
 
     def __init__(self, build: Build, epochs: Sequence[Epoch], scale: _Scale, d: int, engine: str):
@@ -388,26 +389,26 @@ class _Likelihood:
         return self.values[key]
 
     def exact(self, s: Array) -> Array | None:
-        """First derivatives ``(d,)`` from the compiled step, None if it has none."""
+        """First derivatives ``(d,)`` from the compiled engine; None if there are none."""
         self(s)
         return self.slopes.get(tuple(s.tolist()))
 
     def best(self) -> Array:
-        """The most probable of the parameters tried ``(d,)``."""
+        """The logarithms ``(d,)`` with the largest likelihood so far."""
         return np.array(
             max((value, s) for s, value in self.values.items() if not np.isnan(value))[1]
         )
 
     def _neighbors(self, s: Array) -> tuple[Array, Array]:
-        """Likelihoods ``(d,)`` a step above and below s."""
+        """Log-likelihoods ``(d,)`` one step above and one step below s along each axis."""
         axes = STEP * np.eye(len(s))
         return np.array([self(s + axis) for axis in axes]), np.array(
             [self(s - axis) for axis in axes]
         )
 
     def gradient(self, s: Array) -> Array:
-        """First derivatives ``(d,)``; as differences on the side where the filter works, 0 if it
-        works on neither.
+        """First derivatives ``(d,)``. A difference is one-sided if the filter fails on one side,
+        and 0 if it fails on both.
         """
         if (exact := self.exact(s)) is not None:
             return exact
@@ -420,7 +421,7 @@ class _Likelihood:
         return np.nan_to_num(mean / STEP)
 
     def _differences(self, s: Array) -> Array | None:
-        """Differences of exact gradients ``(d, d)``, None if one is missing."""
+        """Second derivatives ``(d, d)`` from exact gradients; None if one is missing."""
         rows = []
         for axis in STEP * np.eye(len(s)):
             above, below = (
@@ -432,18 +433,18 @@ class _Likelihood:
         return np.array(rows)
 
     def cost(self, s: Array) -> tuple[float, Array]:
-        """The function that an optimizer minimizes, and its gradient."""
+        """Minus the log-likelihood, for an optimizer, and its gradient ``(d,)``."""
         if np.isnan(self(s)):  # finite, increasing outward, so that a line search turns back
             depth = 1e3 + abs(self.first)
             return depth * (1.0 + float(s @ s)) - self.first, 2.0 * depth * s
         return -self(s), -self.gradient(s)
 
     def curvature(self, s: Array) -> Array:
-        """Second derivatives ``(d, d)``, nan where the filter fails beside s."""
+        """Second derivatives ``(d, d)``; nan where the filter fails near s."""
         if (rows := self._differences(s)) is not None:
             return 0.5 * (rows + rows.T)
         axes, here, (above, below) = STEP * np.eye(len(s)), self(s), self._neighbors(s)
-        # Second differences on the diagonal; beside it those along the sum of two axes.
+        # Diagonal: second differences. Others: second differences along the sum of two axes.
         H = np.diag(above - 2.0 * here + below)
         for i, j in combinations(range(len(s)), 2):
             both = axes[i] + axes[j]

@@ -50,7 +50,7 @@ from celnav.filters.model import (
     matrices_of,
 )
 from celnav.filters.records import Info
-from celnav.gaussian.checks import broadcast_batches, instance, numbers
+from celnav.gaussian.checks import broadcast_batches, describe, instance, numbers
 from celnav.gaussian.linalg import (
     POSITIVE,
     Array,
@@ -351,6 +351,11 @@ def _values(
         if type(y) is not np.ndarray or y.dtype != np.float64:
             y = as_floats(name, y, x)
     except (AttributeError, IndexError, TypeError, ValueError) as error:
+        if _is_of_interval(model, x, epoch, noise):
+            raise ValueError(
+                f"{name}: expected a function (points, epoch), got {describe(function)} of points "
+                f"and their interval; pass lambda x, epoch: {name}(x, epoch.dt)"
+            ) from error
         u_text = "an input" if getattr(epoch, "u", None) is not None else "None"
         error.add_note(
             f"{name} is called with points {x.shape} and an Epoch: epoch.dt is its interval, "
@@ -367,6 +372,15 @@ def _values(
         raise ValueError(f"{name} returned shape {y.shape}, expected ({expected}); {POINTS}")
     values: Array = y
     return values
+
+
+def _is_of_interval(model: Motion | Sensor, x: Array, epoch: Any, noise: Sequence[Array]) -> bool:
+    """Whether a model that failed for an epoch works for its interval, as ``f(x, dt)`` does."""
+    try:
+        as_floats(model.name, getattr(model, model.name)(x, epoch.dt, *noise), x)
+    except Exception:
+        return False
+    return True
 
 
 # -- by matrices -----------------------------------------------------------------------------------

@@ -90,9 +90,8 @@ class _Model:
         # How many noises go through the function is decided by the filter.
         elif not any(accepts(model, count) for count in range(2, 10)):
             raise ValueError(
-                f"{name}: expected a function (points, epoch, *noise), got {describe(model)} of "
-                "other "
-                "arguments"
+                f"{name}: expected a function (points, epoch, *noise), got {describe(model)} with "
+                f"other arguments; pass lambda x, epoch: {name}(x) for a function of the state"
             )
         if self.jacobian is not None:
             function(

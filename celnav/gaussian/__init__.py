@@ -1,8 +1,8 @@
-"""Gaussians: beliefs about a state, and what a function makes of their mean and covariance.
+"""Gaussian beliefs about a state, and their propagation through a function.
 
-`linalg` small matrices and the two forms of a covariance · `spaces`, `attitude` the differences
-of states · `belief` checked Gaussians · `rules`, `sparse_grid` the mean and covariance of a
-function of a Gaussian · `checks` the checks of arguments.
+`linalg`: small matrices, and beliefs in square-root and covariance form · `spaces`, `attitude`,
+`extended_pose`: differences of states · `belief`: checked Gaussians · `rules`, `sparse_grid`: mean
+and covariance of a function of a Gaussian · `checks`: checks of arguments.
 """
 
 from celnav.lazy import modules

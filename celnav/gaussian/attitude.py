@@ -1,11 +1,11 @@
-"""Attitudes: unit quaternions, scalar last, and the Rodrigues parameters that filters take their
-differences in.
+"""Attitudes as unit quaternions, scalar last; their differences are generalized Rodrigues
+parameters.
 
-Conventions. ``q = [rho, q4]``; ``matrix(q)`` takes inertial components to body components;
+Conventions. ``q = [rho, q4]``; ``matrix(q)`` maps inertial components to body components;
 ``matrix(multiply(q, p)) == matrix(q) @ matrix(p)``; an error is ``multiply(q, inverse(q_hat))``, in
 body axes. These are the inverse of scipy's rotations: ``Rotation.from_quat(q).as_matrix()`` is the
-transpose of ``matrix(q)``. All functions take leading batch axes, are several times as fast as
-scipy's objects, and smooth at the identity. Only `unit`, `from_euler` and `attitude` check their
+transpose of ``matrix(q)``. All functions accept leading batch axes. They are smooth at the identity
+and several times as fast as scipy's objects. Only `unit`, `from_euler` and `attitude` check their
 arguments.
 """
 
@@ -28,11 +28,10 @@ _TINY = 1e-300
 
 
 def unit(q: ArrayLike, name: str = "q") -> Array:
-    """Checked quaternions ``(..., 4)``, normalized at round-off; rows of nan (nothing measured) are
-    left as they are.
+    """Check quaternions ``(..., 4)`` and return them normalized; a row of nan (not measured) stays
+    nan.
 
-    Raises ValueError if a row is infinite or partly nan, or its norm differs from 1 by more than
-    1e-6.
+    ValueError if a row is infinite or partly nan, or if its norm differs from 1 by more than 1e-6.
     """
     array = numbers(name, q, (..., 4))
     missing = np.isnan(array)
@@ -72,14 +71,12 @@ def multiply(q: Array, p: Array) -> Array:
 
 
 def inverse(q: Array) -> Array:
-    """The opposite rotation ``(..., 4)``."""
+    """Inverse rotation ``(..., 4)``."""
     return np.asanyarray(q * np.array([-1.0, -1.0, -1.0, 1.0]))
 
 
 def positive(q: Array) -> Array:
-    """Whichever of q and -q, which are the same attitude, has a scalar part that is not negative:
-    ``(..., 4)``.
-    """
+    """``q`` or ``-q`` ``(..., 4)``, the same attitude, with a scalar part that is not negative."""
     return np.asanyarray(q * np.copysign(1.0, q[..., 3:]))
 
 
@@ -95,9 +92,7 @@ def matrix(q: Array) -> Array:
 
 
 def rotate(q: Array, v: ArrayLike) -> Array:
-    """Components ``(..., 3)`` on body axes of vectors ``v (..., 3)`` given on inertial ones:
-    ``matrix(q) @ v``.
-    """
+    """``matrix(q) @ v``: body components ``(..., 3)`` of vectors with inertial components ``v``."""
     (a, b, c, d), (x, y, z) = component_major(q), component_major(numbers("v", v))
     # t = 2 v x rho, then v + q4 t + t x rho.
     tx, ty, tz = 2.0 * (y * c - z * b), 2.0 * (z * a - x * c), 2.0 * (x * b - y * a)
@@ -114,7 +109,7 @@ def exp(phi: Array) -> Array:
     vector = phi.T  # components first: (3, ...)
     quarter = np.maximum(0.25 * np.sqrt(np.add.reduce(vector * vector)), _TINY)
     # With t = tan(theta / 4): rho = 2 t / (1 + t^2) phi / theta, q4 = (1 - t^2) / (1 + t^2).
-    # A tangent is as exact as a sine and a cosine, and several times as fast.
+    # One tangent is as accurate as a sine and a cosine, and several times as fast.
     t = np.tan(quarter)
     t2 = t * t
     rho, q4 = vector * (t / (quarter * (2.0 + 2.0 * t2))), (1.0 - t2) / (1.0 + t2)
@@ -122,7 +117,7 @@ def exp(phi: Array) -> Array:
 
 
 def log(q: Array) -> Array:
-    """Rotation vector ``(..., 3)`` rad, of at most pi."""
+    """Rotation vector ``(..., 3)`` rad, of length at most pi."""
     p = positive(q)
     sine = np.linalg.norm(p[..., :3], axis=-1, keepdims=True)
     angle = 2.0 * np.arctan2(sine, p[..., 3:])
@@ -138,7 +133,9 @@ def angle(q: Array) -> Array:
 
 
 def from_euler(angles: ArrayLike) -> Array:
-    """Quaternion of roll, pitch, yaw ``(..., 3)`` rad, ``A = R1(roll) R2(pitch) R3(yaw)``."""
+    """Quaternion ``(..., 4)`` of roll, pitch, yaw ``(..., 3)`` rad,
+    ``A = R1(roll) R2(pitch) R3(yaw)``.
+    """
     turns = exp(numbers("angles", angles, (..., 3))[..., None] * np.eye(3))
     return multiply(turns[..., 0, :], multiply(turns[..., 1, :], turns[..., 2, :]))
 
@@ -183,14 +180,14 @@ def cross(v: Array) -> Array:
 
 
 def cross_product(a: Array, b: Array) -> Array:
-    """Vector products ``a x b (..., 3)``, also of traced numbers."""
+    """Vector products ``a x b (..., 3)``; unlike numpy's, it also accepts traced numbers."""
     (x, y, z), (u, v, w) = ([vector[..., i] for i in range(3)] for vector in (a, b))
     return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], -1)
 
 
 def turn_coefficients(square: Array) -> tuple[Array, Array]:
-    """``(1 - cos t) / t^2`` and ``(t - sin t) / t^3`` of ``square = t^2 (...)``, without loss of
-    digits near 0.
+    """``(1 - cos t) / t^2`` and ``(t - sin t) / t^3`` for ``square = t^2 (...)``, without
+    cancellation near 0.
     """
     small = square < 1e-2
     safe = np.where(small, 1.0, square)
@@ -209,11 +206,11 @@ def turn_coefficients(square: Array) -> tuple[Array, Array]:
 
 
 def transport(p: Array, a: float = 1.0, b: float = 4.0) -> Array:
-    """Matrix ``(..., 3, 3)`` that carries deviations about the reference to the reference moved by
-    ``p``; a is 1 or 0.
+    """Matrix ``(..., 3, 3)`` that maps deviations at a reference to deviations at the reference
+    moved by ``p (..., 3)``.
 
-    The derivative of ``to_rodrigues(from_rodrigues(p + d) (x) from_rodrigues(p)^-1)`` with respect
-    to d at 0.
+    It is the derivative of ``to_rodrigues(from_rodrigues(p + d) (x) from_rodrigues(p)^-1)`` with
+    respect to d at d = 0. ValueError unless ``a`` is 0 or 1.
     """
     if a not in (0.0, 1.0):
         raise ValueError(
@@ -233,10 +230,12 @@ def attitude(
     """Space of attitudes: points are quaternions ``(..., 4)``, tangents Rodrigues parameters
     ``(..., 3)``.
 
-    The sign of a quaternion never matters. A measurement, and the point of a belief, must be of
-    norm 1 within 1e-6. ``a``, from 0 to 1, and ``b > 0`` are those of `to_rodrigues`.
-    ``transported``: the covariance follows the reference after an update. ``axes`` of the tangents:
-    "body", or "reference", those from which a quaternion leads to the body.
+    The sign of a quaternion has no effect. A measurement and the mean of a belief must have norm 1
+    within 1e-6.
+
+    a, b: parameters of `to_rodrigues`, ``0 <= a <= 1`` and ``b > 0``.
+    transported: whether an update also maps the covariance to the new reference attitude.
+    axes: axes of the tangents, "body" or "reference" (a quaternion rotates reference to body axes).
 
     >>> motion = celnav.Motion(f, Q, space=attitude())
     """
@@ -257,11 +256,11 @@ def _turned(a: float, b: float, body: bool, point: Array, tangent: Array) -> Arr
 
 
 def renormalized(q: Array) -> Array:
-    """Quaternions ``(..., 4)`` of norm 1, so that round-off does not add up; ValueError for others
-    than unit ones.
+    """Normalize quaternions ``(..., 4)``, so that round-off does not accumulate; ValueError if a
+    norm differs from 1 by more than 1e-6.
     """
     square = np.vecdot(q, q)[..., None]
-    # While a step is recorded the numbers are not known yet.
+    # While a step is recorded, the numbers have no values yet.
     recording = q.dtype.hasobject
     if not recording and np.abs(square - 1.0).max(initial=0.0) > 2.0 * UNIT_TOLERANCE:
         raise ValueError(

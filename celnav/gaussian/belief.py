@@ -1,4 +1,4 @@
-"""Checked Gaussian beliefs (`Gaussian`), and the checks of covariances that a user passes."""
+"""Checked Gaussian beliefs (`Gaussian`), and checks of the covariances that a user passes."""
 
 from __future__ import annotations
 
@@ -25,14 +25,17 @@ __all__ = ["Gaussian", "nees"]
 
 @dataclass(frozen=True, eq=False)
 class Gaussian:
-    """A Gaussian, such as the prior of a filter. Its arguments are checked here, once.
+    """A Gaussian, such as the prior of a filter.
 
     mean: ``(..., N)``; each run of a batch has its own mean.
-    cov: covariance ``(..., n, n)``, which may be singular. One ``(n, n)`` may serve many means: a
-        filter whose matrices are the same for all runs (constant or per epoch) then propagates one
-        covariance, until the runs miss different measurements. A number is that multiple of the
-        identity.
-    sqrt_cov: a lower triangular root of the covariance, or a standard deviation, instead of it.
+    cov: covariance ``(..., n, n)``, which may be singular; a number means that multiple of the
+        identity. One ``(n, n)`` may serve many means. If the filter's matrices are also the same
+        for all runs, it propagates one covariance, until the runs miss different measurements.
+    sqrt_cov: instead of ``cov``, its lower triangular root ``(..., n, n)``, or one standard
+        deviation.
+
+    On curved spaces the covariance may have fewer components than the mean (``n < N``). ValueError
+    names the argument if the shapes do not match or if ``cov`` is not a covariance.
 
     >>> Gaussian([7000.0, 0.0], np.diag([1.0, 1e-4])).std
     array([1.  , 0.01])
@@ -47,7 +50,8 @@ class Gaussian:
     ):
         x = finite("mean", mean, (..., None))
         if (cov is None) == (sqrt_cov is None):
-            raise ValueError("Gaussian: expected exactly one of cov and sqrt_cov")
+            got = "neither" if cov is None else "both"
+            raise ValueError(f"Gaussian: expected exactly one of cov and sqrt_cov, got {got}")
         if cov is not None:
             P, root = symmetric(as_matrix("cov", cov, x.shape[-1]), "cov")
         else:
@@ -55,11 +59,11 @@ class Gaussian:
             root = finite("sqrt_cov", root, (..., "n", "n"))
             if np.triu(root, 1).any():
                 raise ValueError(
-                    "sqrt_cov: expected a lower triangular matrix (celnav.gaussian.linalg.tria "
-                    "makes one of any root)"
+                    "sqrt_cov: expected a lower triangular matrix, got entries above the diagonal; "
+                    "celnav.gaussian.linalg.tria(root) is lower triangular"
                 )
             P = outer(root)
-        # Fewer deviations than components are possible (a quaternion), more are not.
+        # n < N is possible (a quaternion has N = 4, n = 3); n > N is not.
         if P.shape[-1] > x.shape[-1]:
             raise ValueError(
                 f"mean: expected shape (..., {P.shape[-1]}) to go with the covariance, got "
@@ -75,8 +79,8 @@ class Gaussian:
         return np.asarray(np.sqrt(self.cov.diagonal(0, -2, -1)))
 
     def sample(self, rng: np.random.Generator, size: tuple[int, ...] = ()) -> Array:
-        """Draw vectors ``size + (..., n)``. On curved spaces they are tangents at the mean, which
-        is then not added.
+        """Draw vectors ``(*size, ..., n)``. On curved spaces (``n < N``) they are tangents at the
+        mean; the mean is not added.
         """
         if not hasattr(rng, "standard_normal"):
             raise ValueError(
@@ -89,7 +93,7 @@ class Gaussian:
 
 
 def mask_failed(belief: Belief) -> Belief:
-    """The belief, with nan throughout in the runs that have failed (`lost`)."""
+    """The belief, with nan in every entry of the runs that have failed (`lost`)."""
     if not belief[1].dtype.hasobject and not any_lost(belief):
         return belief
     lost = belief.lost()
@@ -100,9 +104,7 @@ def mask_failed(belief: Belief) -> Belief:
 
 
 def any_lost(belief: Belief) -> bool:
-    """Whether any run has failed (`lost`); mostly decided by two sums, without a look at each
-    run.
-    """
+    """Whether any run has failed (`lost`); two sums usually decide, without a test of each run."""
     # A sum may overflow although no entry is infinite: the last line decides that case.
     plain = isfinite(np.add.reduce(belief[0], None) + np.add.reduce(belief[1], None))
     if plain and (
@@ -114,14 +116,16 @@ def any_lost(belief: Belief) -> bool:
 
 
 def symmetric(cov: ArrayLike, name: str, n: int | None = None) -> tuple[Array, Array]:
-    """A covariance, symmetrized at round-off, and its lower root; ValueError names the argument if
-    it is not a covariance.
+    """Check a covariance ``(..., n, n)``; return it, symmetrized at round-off, and its lower root.
+
+    ValueError names the argument if it is not symmetric positive semidefinite.
     """
     P = finite(name, cov)
     expected = "symmetric positive semidefinite" + (f" ({n}, {n})" if n is not None else "")
     if P.ndim < 2 or P.shape[-1] != P.shape[-2] or (n is not None and P.shape[-1] != n):
-        alone = f"; [[{P:g}]] of one component, {P:g} * np.eye(n) of n alike" if P.ndim == 0 else ""
-        hint = alone or ("; variances alone are np.diag(...)" if P.ndim == 1 else "")
+        hint = "; pass np.diag(...) of variances" if P.ndim == 1 else ""
+        if P.ndim == 0:
+            hint = f"; pass [[{P:g}]] for one component, {P:g} * np.eye(n) for n"
         raise ValueError(f"{name}: expected {expected}, got shape {P.shape}{hint}")
     if P.dtype.hasobject:  # traced numbers are checked when the compiled step runs
         return P, semidefinite_root(P)
@@ -135,14 +139,15 @@ def symmetric(cov: ArrayLike, name: str, n: int | None = None) -> tuple[Array, A
     root = semidefinite_root(P, LEFT_OVER)
     if not np.isfinite(root).all():
         raise ValueError(
-            f"{name}: expected {expected}, smallest eigenvalue {np.linalg.eigvalsh(P).min():.3g}"
+            f"{name}: expected {expected}, got an eigenvalue {np.linalg.eigvalsh(P).min():.3g}"
         )
     return P, root
 
 
 def nees(error: Array, root: Array) -> Array:
-    """Normalized estimation error squared ``e' P^-1 e``, shape ``(...)``, from ``error (..., n)``
-    and a root of P.
+    """Normalized estimation error squared (NEES) ``e' P^-1 e``, shape ``(...)``.
+
+    error: ``(..., n)``, estimate minus truth. root: lower root ``(..., n, n)`` of P.
 
     >>> value = celnav.gaussian.belief.nees(track.mean - truth, track.sqrt_cov)  # (T, ...)
     """

@@ -1,7 +1,7 @@
-"""Checks of arguments: numbers, arrays, choices, functions. Each error names the argument, what was
-expected and what was passed.
+"""Checks of arguments: numbers, arrays, choices, functions.
 
-An argument is checked once, where an object is made, and not in the calls of each filter step.
+Each ValueError names the argument, what was expected and what was passed. An argument is checked
+once, when an object is made, and not again in each filter step.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from celnav.tape.numbers import recorded
 
 LIMIT = 1_000_000_000  # numbers (8 GB) that one argument may ask for
 Shape = tuple[Any, ...]
-"""Lengths of axes: an integer, a letter (1 or more, the same wherever it stands), None (any);
-``...`` in front is any batch.
+"""Lengths of axes: an integer; a letter (any length from 1, the same for each axis with that
+letter); None (any length). A leading ``...`` stands for any batch axes.
 """
 
 
 def numbers(name: str, value: Any, shape: Shape | None = None) -> Array:
-    """``value`` as float64, possibly the same array; masked entries, and None within a list, become
-    nan.
+    """``value`` as a float64 array, copied only if necessary; masked entries, and None in a list,
+    become nan.
 
-    ValueError if the array does not have this `Shape`, or does not hold real numbers. Dates and
-    durations are refused too, because they carry their own unit.
+    ValueError if the array does not have this `Shape`, or if it does not hold real numbers. Dates
+    and durations raise it too, because they carry their own unit.
     """
     array: Array = (
         value
@@ -69,7 +69,7 @@ def _as_floats(name: str, value: Any) -> Any:
             f"{name}: expected numbers, got dates or durations; seconds are (t - t[0]) / "
             "numpy.timedelta64(1, 's')"
         )
-    missing = "; use nan for what is missing, a row of them for a row" if _has_none(value) else ""
+    missing = "; use nan for missing entries, a row of nan for a row" if _has_none(value) else ""
     raise ValueError(f"{name}: expected numbers, got {value!r:.80}{missing}")
 
 
@@ -96,8 +96,8 @@ def _fits(lengths: tuple[int, ...], shape: Shape) -> bool:
 
 
 def finite(name: str, value: Any, shape: Shape | None = None) -> Array:
-    """A float64 copy of ``value``; ValueError names it if some of it is not finite, or it is not of
-    a `Shape`.
+    """A float64 copy of ``value``; ValueError if an entry is not finite, or if the array does not
+    have this `Shape`.
     """
     array = numbers(name, value, shape).copy()
     if array.dtype.hasobject:
@@ -111,7 +111,7 @@ def finite(name: str, value: Any, shape: Shape | None = None) -> Array:
 
 
 def as_matrix(name: str, value: Any, n: int | None) -> Array:
-    """A finite matrix; a number stands for that multiple of the identity ``(n, n)``, or for itself
+    """A finite matrix. A number becomes that multiple of the identity ``(n, n)``; it stays a number
     if n is None.
     """
     array = finite(name, value)
@@ -119,13 +119,13 @@ def as_matrix(name: str, value: Any, n: int | None) -> Array:
 
 
 def unmasked(name: str, value: Any) -> Any:
-    """What a model returned; ValueError names the model if an entry is masked, because the mean
-    over points needs every entry.
+    """The values that a model returned; ValueError names the model if an entry is masked, because
+    the mean over sigma points needs every entry.
     """
     if isinstance(value, np.ma.MaskedArray) and np.ma.is_masked(value):
         raise ValueError(
-            f"{name}: expected numbers, got masked ones; a component that was not measured is nan "
-            "in z"
+            f"{name}: expected numbers, got masked ones; if a component was not measured, set it "
+            "to nan in z instead"
         )
     return value
 
@@ -139,7 +139,7 @@ def number(
     above: float = -inf,
     below: float = inf,
 ) -> float:
-    """A finite number from ``least`` to ``most`` and between ``above`` and ``below``; ValueError
+    """A finite number, ``least <= value <= most`` and ``above < value < below``; ValueError
     otherwise.
     """
     try:
@@ -155,9 +155,7 @@ def number(
 
 
 def integer(name: str, value: Any, least: int = 1, most: int | None = None) -> int:
-    """A whole number from ``least`` to ``most``, which may be of type float; ValueError
-    otherwise.
-    """
+    """An integer from ``least`` to ``most``, also of type float (3.0); ValueError otherwise."""
     candidate = as_integer(value)
     if candidate is None or candidate < least or (most is not None and candidate > most):
         bounds = "an integer" + (
@@ -171,7 +169,7 @@ def integer(name: str, value: Any, least: int = 1, most: int | None = None) -> i
 
 
 def as_integer(value: Any) -> int | None:
-    """The integer equal to ``value``, which may be of type float; None for anything else."""
+    """The integer equal to ``value``, also of type float (3.0); None for anything else."""
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value[()]
     if isinstance(value, int) and not isinstance(value, bool):  # of any size
@@ -183,7 +181,9 @@ def as_integer(value: Any) -> int | None:
 def integers(
     name: str, value: Any, least: int = 0, most: int | None = None, count: int | None = None
 ) -> tuple[int, ...]:
-    """Whole numbers from ``least`` to ``most``, ``count`` of them; ValueError otherwise."""
+    """A tuple of ``count`` integers from ``least`` to ``most`` (count None: any number of them);
+    ValueError otherwise.
+    """
     parts = np.asarray(value, dtype=object)
     candidates = [None] if parts.ndim != 1 else [as_integer(item) for item in parts]
     out = tuple(
@@ -201,8 +201,8 @@ def integers(
 
 
 def choice(name: str, value: Any, options: Iterable[Any]) -> Any:
-    """The ``value`` if it is one of the ``options`` (words or numbers); ValueError lists them, and
-    suggests the closest.
+    """The ``value``, if it is one of the ``options`` (words or numbers); otherwise ValueError lists
+    the options and suggests the closest.
     """
     names = list(options)
     value = value[()] if isinstance(value, np.ndarray) else value
@@ -216,14 +216,14 @@ def choice(name: str, value: Any, options: Iterable[Any]) -> Any:
 
 
 def sequence(name: str, value: Any, example: str, least: int = 0) -> list[Any]:
-    """The items of an iterable as a list; ValueError for text, a table or a scalar, with an
-    ``example``.
+    """The items of an iterable as a list; ValueError, with an ``example``, for a string, a dict, a
+    scalar, or fewer than ``least`` items.
     """
     try:
         if not isinstance(value, str | bytes | dict):
             parts = list(value)
             if len(parts) < least:
-                raise ValueError(f"{name}: expected at least {least}, got {len(parts)}")
+                raise ValueError(f"{name}: expected a length of at least {least}, got {len(parts)}")
             return parts
     except TypeError:
         pass
@@ -231,36 +231,36 @@ def sequence(name: str, value: Any, example: str, least: int = 0) -> list[Any]:
 
 
 def together(**batches: tuple[int, ...]) -> tuple[int, ...]:
-    """Joint batch axes; ValueError names all of them if they do not broadcast."""
+    """Broadcast shape of batch axes; ValueError names all arguments if they do not broadcast."""
     try:
         return np.broadcast_shapes(*batches.values())
     except ValueError:
         shapes = ", ".join(map(str, batches.values()))
         raise ValueError(
-            f"{', '.join(batches)}: expected batch axes that go together, got {shapes}"
+            f"{', '.join(batches)}: expected batch axes that broadcast, got {shapes}"
         ) from None
 
 
 def broadcast_batches(
     name: str, batch: tuple[int, ...], other: tuple[int, ...], whose: str
 ) -> tuple[int, ...]:
-    """Joint batch axes of an argument and of its partner, ``whose`` axes are ``other``; ValueError
+    """Broadcast shape of an argument's batch axes with the axes ``other`` of ``whose``; ValueError
     if they do not broadcast.
     """
     try:
         return np.broadcast_shapes(batch, other)
     except ValueError:
         raise ValueError(
-            f"{name}: batch axes {batch} do not go with those of {whose}, {other}"
+            f"{name}: expected batch axes that broadcast with {other} of {whose}, got {batch}"
         ) from None
 
 
 def function(name: str, value: Any, arguments: str, hint: str = "") -> Any:
-    """A function that can be called with its ``arguments``, such as "(mean, epoch)"; ValueError
-    names it otherwise.
+    """The function, if it can be called with its ``arguments``, such as "(mean, epoch)"; ValueError
+    otherwise.
     """
     if not accepts(value, arguments.count(",") + 1):
-        other = " of other arguments" if callable(value) else ""
+        other = " with other arguments" if callable(value) else ""
         raise ValueError(
             f"{name}: expected a function {arguments}, got {describe(value)}{other}{hint}"
         )
@@ -268,8 +268,8 @@ def function(name: str, value: Any, arguments: str, hint: str = "") -> Any:
 
 
 def instance(name: str, value: Any, of: Any, expected: str) -> Any:
-    """An object of the class or classes ``of``; ValueError says what was ``expected``, with an
-    example.
+    """The object, if it is an instance of the class or classes ``of``; otherwise ValueError says
+    what was ``expected``.
     """
     if not isinstance(value, of):
         raise ValueError(f"{name}: expected {expected}, got {describe(value)}")
@@ -277,7 +277,7 @@ def instance(name: str, value: Any, of: Any, expected: str) -> Any:
 
 
 def describe(value: Any) -> str:
-    """A short description: a function or class by its name, anything else by its type."""
+    """A short description for messages: a function or class by name, anything else by type."""
     if isinstance(value, type):
         return f"class {value.__name__}"
     return (
@@ -288,11 +288,11 @@ def describe(value: Any) -> str:
 
 
 def accepts(function: Any, count: int) -> bool:
-    """Whether something can be called with ``count`` arguments, as far as its signature tells."""
+    """Whether something can be called with ``count`` arguments, judged by its signature."""
     try:
         signature(function).bind(*(None,) * count)
     except TypeError:
         return False
-    except ValueError:  # some functions of C have no signature
+    except ValueError:  # some functions written in C have no signature
         return callable(function)
     return True

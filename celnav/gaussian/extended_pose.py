@@ -1,5 +1,5 @@
-"""Extended poses: attitude, velocity and position as one element of the group SE_2(3), and the
-invariant error of them [Barrau2017].
+"""Extended poses (attitude, velocity and position as one element of the group SE_2(3)) and their
+invariant errors [Barrau2017].
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ __all__ = ["extended_pose"]
 
 
 def extended_pose() -> Space:
-    """Space of extended poses: points are quaternion, velocity and position ``(..., 10)``, tangents
-    ``(..., 9)`` the left-invariant error [Barrau2017, Sec. III].
+    """Space of extended poses: points are quaternion, velocity and position ``(..., 10)``; tangents
+    ``(..., 9)`` are left-invariant errors [Barrau2017, Sec. III].
 
-    With R the rotation from body to reference axes a point is moved by ``(phi, a, b)``, all on
-    body axes: ``R exp(phi)``, ``v + R J a``, ``p + R J b``, and J is the left Jacobian of phi. An
-    error so defined propagates by the inertial measurements alone, whatever the estimate. Its parts
-    are q, v and p.
+    A tangent ``(phi, a, b)``, on body axes, moves a point to ``R exp(phi)``, ``v + R J a``,
+    ``p + R J b``. R is the rotation from body to reference axes and J the left Jacobian of phi. The
+    propagation of this error depends on the inertial measurements only, not on the estimate. The
+    named parts of the space are q, v and p.
 
     >>> motion = celnav.Motion(f, Q, space=extended_pose())
     """

@@ -1,11 +1,11 @@
-"""Batched kernels for small matrices, and the two forms in which a filter keeps its covariance,
-`SquareRoot` and `Covariance`.
+"""Batched kernels for small matrices, and beliefs in square-root form (`SquareRoot`) and covariance
+form (`Covariance`).
 
-Every function accepts leading batch axes (a Monte-Carlo block of runs) and treats the last two as a
-matrix. Roots are *lower* triangular with a non-negative diagonal, ``P = L @ L.mT``; "columns" means
-any ``(..., n, q)`` array ``A`` with ``P = A @ A.mT``. A matrix of a batch that has no root becomes
-nan, and the others are not affected. A single matrix goes to LAPACK directly, since numpy's batched
-functions spend most of a small one's time on preparations. Each form has its own algebra.
+Every function accepts leading batch axes (the runs of a Monte-Carlo simulation) and treats the last
+two axes as a matrix. Roots are *lower* triangular with a non-negative diagonal, ``P = L @ L.mT``.
+"Columns" are any ``(..., n, q)`` array ``A`` with ``P = A @ A.mT``. If a matrix of a batch has no
+root, its result is nan, and the other matrices are not affected. A single matrix goes to LAPACK
+directly: for a small matrix, numpy's batched functions spend most of their time on overhead.
 """
 
 from __future__ import annotations
@@ -28,24 +28,24 @@ EPS = float(np.finfo(np.float64).eps)
 NEGLIGIBLE = 1e-12
 """Fraction of the largest standard deviation, or variance, below which a value is round-off."""
 PRECISE = 1e3
-"""Ratio of an innovation's σ to that of its noise beyond which a difference of covariances loses
-too many digits.
+"""Ratio of an innovation's σ to its noise's σ, above which a difference of covariances loses too
+many digits.
 """
 LEFT_OVER = PRECISE**2 * EPS
 """Fraction of a covariance that is round-off after such a difference."""
 POSITIVE: Array = np.broadcast_to(1.0, 1)
-"""The sign of columns that all count with +1."""
+"""The ``sign`` of columns that all have sign +1."""
 
 
 def is_concretely_true(condition: Any) -> bool:
-    """Whether a condition on numbers holds; False while a step is recorded, where the numbers are
-    not known yet. For shortcuts and checks.
+    """Whether a condition on numbers holds. False while a step is recorded, because the numbers
+    have no values yet. For shortcuts and checks.
     """
     return isinstance(condition, bool | np.bool_) and bool(condition)
 
 
 def present(x: Array) -> Array:
-    """Whether components were measured, that is, are not nan: truth values of the same shape."""
+    """Mask, of the shape of ``x``, of the components that were measured (are not nan)."""
     return np.asanyarray(recorded.present(x) if x.dtype.hasobject else x == x)
 
 
@@ -62,7 +62,7 @@ def outer(A: Array) -> Array:
 
 
 def side_by_side(parts: Sequence[Array]) -> Array:
-    """Arrays ``(..., k)`` joined along their last axis; their batch axes broadcast."""
+    """Join arrays ``(..., k)`` along their last axis; their batch axes broadcast."""
     batches = {array.shape[:-1] for array in parts}
     if len(batches) > 1:
         batch = np.broadcast_shapes(*batches)
@@ -179,7 +179,7 @@ def cholesky(P: Array) -> Array:
     root = _root(P)
     if root is not None or P.ndim == 2:
         return np.full(P.shape, np.nan) if root is None else root
-    # LAPACK rejects the whole batch: find the matrices that have no root, keep the others.
+    # LAPACK rejects the whole batch: find the matrices without a root, and factor the others.
     bad = np.linalg.eigvalsh(_scaled(P)[1])[..., :1, None] <= 4 * P.shape[-1] * EPS
     return np.where(bad, np.nan, np.linalg.cholesky(np.where(bad, np.eye(P.shape[-1]), P)))
 
@@ -198,8 +198,7 @@ def semidefinite_root(P: Array, round_off: float = 64 * EPS) -> Array:
         std = np.sqrt(P.diagonal(0, -2, -1))
         if (root.diagonal(0, -2, -1) > least * std).all():
             return root
-    # C = D^-1 P D^-1 with D the standard deviations; L = tria(D V sqrt(lambda)) from C = V lambda
-    # V'.
+    # With D the standard deviations: C = D^-1 P D^-1 = V lambda V', L = tria(D V sqrt(lambda)).
     scale, C = _scaled(P)
     eigenvalues, vectors = np.linalg.eigh(C)
     nothing = 4 * C.shape[-1] * EPS  # the round-off that a variance of zero leaves
@@ -217,8 +216,8 @@ def semidefinite_root(P: Array, round_off: float = 64 * EPS) -> Array:
 
 
 def downdate(L: Array, V: Array) -> Array:
-    """Lower root of ``L @ L.mT - V @ V.mT``, all columns of ``V (..., n, k)`` at once; nan exactly
-    where this difference is indefinite.
+    """Lower root ``(..., n, n)`` of ``L @ L.mT - V @ V.mT``, for all columns of ``V (..., n, k)``
+    at once; nan exactly where this difference is indefinite.
 
     L may be singular if the columns of V lie in its range.
     """
@@ -228,8 +227,8 @@ def downdate(L: Array, V: Array) -> Array:
     lost = np.isnan(root[..., 0, 0])
     if root.dtype.hasobject or not lost.any():
         return root
-    # A singular L has many solutions of L W = V. The shortest decides, and substitution does not
-    # find it: use the pseudoinverse from L = U s Q', in units of the row norms of L.
+    # For a singular L, L W = V has many solutions. The shortest one decides, but substitution does
+    # not find it: use the pseudoinverse from L = U s Q', in units of the row norms of L.
     lost = np.asanyarray(lost & np.isfinite(L).all((-2, -1)) & np.isfinite(V).all((-2, -1)))[
         ..., None, None
     ]
@@ -250,8 +249,8 @@ def downdate(L: Array, V: Array) -> Array:
 
 
 def block(rows: Sequence[Sequence[Any]]) -> Array:
-    """Block matrix of matrices ``(..., k, q)`` whose batch axes broadcast; a plain ``0`` is a block
-    of zeros of the fitting size.
+    """Block matrix of matrices ``(..., k, q)`` whose batch axes broadcast; the integer ``0`` means
+    a block of zeros.
     """
     heights, widths = [0] * len(rows), [0] * len(rows[0])
     batches, like = set(), np.empty(0)
@@ -275,8 +274,8 @@ def sigma_deviations(E: Array, nodes: Array, batch: int) -> Array:
     """``E @ node`` for every node: points ``(p, ..., n)`` from ``E (..., n, k)`` and
     ``nodes (k, p)``, with ``batch`` axes of runs.
 
-    Components come first in memory, the fast order for models, and all runs take part in n matrix
-    products instead of one product each.
+    Components come first in memory, the fast order for models. The runs share n matrix products;
+    there is no product per run.
     """
     axes = E.ndim - 2
     if not axes:
@@ -315,7 +314,7 @@ class SquareRoot(NamedTuple):
 
     @classmethod
     def of(cls, belief: Any) -> Self:
-        """Any Gaussian in this form."""
+        """Convert any Gaussian to this form."""
         return cls(belief.mean, belief.sqrt_cov)
 
     @staticmethod
@@ -337,10 +336,10 @@ class SquareRoot(NamedTuple):
         """Condition the last rows of ``A (..., m + n, q)`` on the first ``m``.
 
         Returns the root ``S (..., m, m)`` of the first rows, ``U = K @ S (..., n, m)`` and the root
-        of the last rows given the first. With a prescribed ``gain`` K ``(..., n, m)`` that root is
-        the root of ``last - K @ first`` (Joseph form). The covariance form has a shortcut if it is
-        given ``prior_factor``, the covariance of the last rows, and ``noise (..., m, s)``, the
-        columns that only the first rows have.
+        ``(..., n, n)`` of the last rows given the first. With a prescribed ``gain`` K
+        ``(..., n, m)`` this last root is the root of ``last - K @ first`` (Joseph form). The
+        covariance form has a shortcut with ``prior_factor``, the covariance of the last rows, and
+        ``noise (..., m, s)``, the columns that are zero in the last rows.
         """
         if gain is not None:
             S = cls.marginal(A[..., :m, :], sign)
@@ -351,18 +350,19 @@ class SquareRoot(NamedTuple):
 
     @staticmethod
     def transported(matrix: Array, root: Array) -> Array:
-        """Root of deviations carried by ``matrix (..., n, n)``."""
+        """Root of ``matrix @ P @ matrix.mT``, with ``matrix (..., n, n)``."""
         return tria(matrix @ root)
 
     @staticmethod
     def sum(root: Array, columns: Array) -> Array:
-        """Root of the sum of two independent covariances, the second given by its columns."""
+        """Root of ``P + columns @ columns.mT``, with ``columns (..., n, q)``."""
         return tria(block([[root, columns]]))
 
     @staticmethod
     def mixed(roots: Sequence[Array], weights: Array, columns: Array) -> Array:
-        """Root of the sum of covariances times their ``weights (..., k)``, and of the columns
-        ``(..., n, k)`` between their means.
+        """Root of the covariance of a mixture: the sum of k covariances times their
+        ``weights (..., k)``, plus ``columns @ columns.mT`` from the differences of the means,
+        ``columns (..., n, k)``.
         """
         scale = np.sqrt(weights)[..., None, None, :]
         return tria(block([[*(root * scale[..., i] for i, root in enumerate(roots)), columns]]))
@@ -376,11 +376,11 @@ class SquareRoot(NamedTuple):
 
 class Covariance(NamedTuple):
     """A belief in covariance form: ``mean (..., N)`` and ``cov (..., n, n)``. `SquareRoot`
-    documents the methods.
+    documents the methods, whose ``sqrt_cov`` or root becomes the covariance here.
 
-    It needs fewer operations and keeps half of the digits. Only the innovation covariance is
-    factored; the state's covariance is factored too if a rule needs its root, or if a measurement
-    is precise.
+    It needs fewer operations than the square-root form, and loses half of the digits. Only the
+    innovation covariance is factored. The state's covariance is factored too if a rule needs its
+    root, or if a measurement is precise.
     """
 
     mean: Array
@@ -443,14 +443,12 @@ class Covariance(NamedTuple):
 
     @classmethod
     def _condition_columns(cls, A: Array, sign: Array, S: Array) -> tuple[Array, Array]:
-        """``U = K @ S`` and the conditioned covariance of the last rows, from the innovation root
-        S.
+        """``U = K @ S (..., n, m)`` and the conditional covariance ``(..., n, n)`` of the last
+        rows, from the innovation root ``S (..., m, m)``.
 
-        The explained part is subtracted from the columns: a difference of covariances would lose
-        half of the digits.
+        It subtracts columns; a difference of covariances would lose half of the digits.
         """
-        # W = S^-1 Z (..., m, q), so that W sign W' = I; U = X sign W'; the rest has columns X - U
-        # W.
+        # W = S^-1 Z (..., m, q), so W sign W' = I; U = X sign W'; the rest has columns X - U W.
         m = S.shape[-1]
         Z, X = A[..., :m, :], A[..., m:, :]
         W = solve_lower(S, Z)
@@ -473,15 +471,15 @@ class Covariance(NamedTuple):
         )
 
     def lost(self) -> Array:
-        """Runs ``(...)`` that have failed: not finite, or a negative variance beyond round-off of
-        the largest variance.
+        """Runs ``(...)`` that have failed: an entry is not finite, or a variance is negative beyond
+        the round-off of the largest variance.
         """
         finite = np.isfinite(self.mean).all(-1) & np.isfinite(self.cov).all((-2, -1))
         return np.asanyarray(~(finite & _negligible(self.cov.diagonal(0, -2, -1)).all(-1)))
 
 
 def _negligible(variances: Array) -> Array:
-    """Which variances are at least zero, up to round-off."""
+    """Mask of the variances ``(..., n)`` that are at least zero, up to round-off."""
     return np.asanyarray(
         variances >= -NEGLIGIBLE * np.abs(variances).max(-1, keepdims=True, initial=0.0)
     )

@@ -1,8 +1,8 @@
-"""Kernels of `celnav.gaussian.linalg` that branch on their numbers, rewritten for traced numbers,
-whose values are not known yet.
+"""Versions for traced numbers, which have no values yet, of the kernels of `celnav.gaussian.linalg`
+that branch on values.
 
-They take one matrix, because a recorded step has no axis of runs. Entries known to be zero cost
-nothing.
+They accept one matrix, because a recorded step has no axis of runs. An entry that is the constant 0
+emits no operations.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from celnav.tape.tape import TracedScalar, emit, total
 Array = Any
 SUMS = 4
 LONG = 20_000
-"""Operations of a factorization above which it is compiled as a loop. A loop takes a third more
-time to run, but no longer to compile.
+"""Number of operations above which a factorization is compiled as a loop. A loop runs a third
+slower, but its compilation time does not grow.
 """
 LONG_SOLUTION = 10_000
 """The same limit for a triangular system."""
-SMALLEST = 1e-290  # a smaller square of the rest is treated as zero: no reflection
+SMALLEST = 1e-290  # below this square of its norm the rest of a row is treated as zero
 
 
 def present(x: Array) -> Array:
-    """Whether components were measured, that is, are not nan.
+    """Mask of the components that were measured (are not nan).
 
-    Only numbers of the epochs may be missing: a run whose model makes nan itself fails, and numpy
-    runs it again.
+    Only inputs of an epoch may be missing. If a model returns nan, the run fails, and numpy repeats
+    it.
     """
 
     def is_present(v: Any) -> Any:
@@ -46,7 +46,7 @@ def _zero(x: Any) -> bool:
 
 
 def _product(a: list[Any], b: list[Any]) -> Any:
-    """Product of two rows, in several partial sums, so that no sum waits for another."""
+    """Inner product of two rows in `SUMS` partial sums, so that additions run in parallel."""
     return total(
         total(emit("mul", x, y) for x, y in zip(a[k::SUMS], b[k::SUMS], strict=True))
         for k in range(SUMS)
@@ -54,8 +54,8 @@ def _product(a: list[Any], b: list[Any]) -> Any:
 
 
 class Mirror(NamedTuple):
-    """A reflection that takes a row ``(a, rest)`` to ``(length, 0, ...)``; ``there``: whether the
-    rest differs from zero (False if that is known in advance).
+    """A reflection that maps a row ``(a, rest)`` to ``(length, 0, ...)``; ``there``: whether the
+    rest differs from zero (the constant False if there is no rest).
     """
 
     a: Any
@@ -67,8 +67,10 @@ class Mirror(NamedTuple):
 
 
 def _mirror(a: Any, rest: list[Any]) -> Mirror:
-    """Householder reflection ``I - v v' / (length (length - a))`` of a row, where v is the row but
-    its first entry is ``a - length = -s / (length + a)``: the form without cancellation is used.
+    """Householder reflection ``I - v v' / (length (length - a))`` of a row.
+
+    v is the row with ``a - length`` as its first entry. For a > 0 that is ``-s / (length + a)``,
+    which does not cancel; s is the square of the rest.
     """
     if not rest:
         return Mirror(a, rest, emit("abs", a), 0.0, 0.0, False)
@@ -85,7 +87,7 @@ def _mirror(a: Any, rest: list[Any]) -> Mirror:
 
 
 def _reflected(mirror: Mirror, along: Any, rest: list[Any]) -> tuple[Any, list[Any]]:
-    """The first entry and the rest of another row after the reflection."""
+    """Reflect another row ``(along, rest)``: its new first entry and its new rest."""
     turned = emit("mul", emit("copysign", 1.0, mirror.a), along)
     if mirror.there is False:
         return turned, rest
@@ -107,13 +109,13 @@ def _reflected(mirror: Mirror, along: Any, rest: list[Any]) -> tuple[Any, list[A
 
 
 def outer(A: Array) -> Array:
-    """``A @ A.mT``: each entry below the diagonal is that above it; a loop if they are many."""
+    """``A @ A.mT``, each product computed once for both triangles; a loop if there are many."""
     if not any(isinstance(x, TracedScalar) for x in A.flat):  # other objects, such as decimals
         return A @ A.mT
     n, q = A.shape
     rows = [[A[i, j] for j in range(q)] for i in range(n)]
     full: Array = np.array([[not _zero(x) for x in row] for row in rows], float)
-    # Of each pair of the lower triangle that is not zero a product and a sum.
+    # One product and one sum for each pair of entries that are not zero.
     if (full @ full.T).sum() >= LONG_PRODUCT:
         return A @ A.mT
     P = TracedArray((n, n))
@@ -128,7 +130,7 @@ def tria(A: Array) -> Array:
     [Golub1996, Sec. 5.1].
     """
     n, q = A.shape
-    # Entries known to be zero stay the number 0.0, so that they emit no operation.
+    # Constant zeros stay the float 0.0, so that they emit no operation.
     rows = [[A[i, j] for j in range(q)] + [0.0] * max(n - q, 0) for i in range(n)]
     tape, L = tape_of(A), TracedArray((n, n))
     if (
@@ -153,8 +155,9 @@ def tria(A: Array) -> Array:
 
 @cache
 def _rolled(nonzero: tuple[tuple[bool, ...], ...]) -> tuple[Loop, list[tuple[int, int]]]:
-    """`tria` as loops over rows, and the places of L that it fills; ``nonzero``: the entries that
-    are not known to be zero.
+    """`tria` as loops over rows, and the positions in L that it fills.
+
+    nonzero: mask of the entries that are not the constant 0.
     """
     n, q = len(nonzero), len(nonzero[0])
     full: Array = np.array(nonzero)
@@ -163,7 +166,7 @@ def _rolled(nonzero: tuple[tuple[bool, ...], ...]) -> tuple[Loop, list[tuple[int
     root_at, mirror_at = n * q, n * q + n * n
     for i in range(n):
         rest, below = i + 1 + np.flatnonzero(full[i, i + 1 :]), np.any(full[i + 1 :], axis=0)
-        pivot = {"pivot": (i * q, 0), "kept": (mirror_at, 0)}
+        pivot = {"pivot": (i * q, 0), "mirror": (mirror_at, 0)}
 
         def row(
             stage: LoopRecorder, place: str, which: Array, i: int = i, rest: Array = rest
@@ -178,7 +181,7 @@ def _rolled(nonzero: tuple[tuple[bool, ...], ...]) -> tuple[Loop, list[tuple[int
         mirror = _mirror(*row(stage, "pivot", full[i]))
         stage.put("left", 0, mirror.length)
         for k, x in enumerate((mirror.inverse, mirror.scale, mirror.there)):
-            stage.put("kept", k, x)
+            stage.put("mirror", k, x)
         stages.append(stage.stage())
         positions.append((i, i))
         # Then the rows below it, one loop whose addresses advance by q and by n.
@@ -189,7 +192,7 @@ def _rolled(nonzero: tuple[tuple[bool, ...], ...]) -> tuple[Loop, list[tuple[int
             a, others = row(stage, "pivot", full[i])
             mirror = mirror._replace(a=a, rest=others)
             if mirror.there is not False:
-                inverse, scale, has_rest = (stage.take("kept", k) for k in range(3))
+                inverse, scale, has_rest = (stage.take("mirror", k) for k in range(3))
                 mirror = mirror._replace(
                     inverse=inverse, scale=scale, there=emit("ne", has_rest, 0.0)
                 )
@@ -218,8 +221,8 @@ def cholesky(P: Array) -> Array:
 
 
 def semidefinite_root(P: Array, nothing: float, round_off: float) -> Array:
-    """Lower root of a matrix that may be singular. A pivot of at most ``nothing`` times its
-    variance gives a column of zeros; a pivot below ``-round_off`` times its variance gives nan.
+    """Lower root of a matrix that may be singular. A pivot up to ``nothing`` times its variance
+    gives a column of zeros; a pivot below ``-round_off`` times its variance gives nan.
     """
     n = len(P)
     L = TracedArray((n, n))
@@ -243,7 +246,7 @@ def semidefinite_root(P: Array, nothing: float, round_off: float) -> Array:
 def solve_lower(L: Array, B: Array) -> Array:
     """``L^-1 B``, by substitution; a zero on the diagonal gives results that are not finite."""
     n = len(L)
-    # One division for each row; the columns of B need only products.
+    # One division per row; the columns of B then need products only.
     inverse = [emit("div", 1.0, L[i, i]) for i in range(n)]
 
     def column(b: Array) -> Array:

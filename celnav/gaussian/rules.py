@@ -1,10 +1,10 @@
 """Rules for the mean and the covariance of a function of a Gaussian.
 
-A `Rule` is data: nodes and weights. `Taylor` linearizes. Both give the points at which to evaluate
-the function, and the `Image` that its values make. A function with the field's name makes a rule
-for a dimension: `unscented`, `cubature`, `gauss_hermite`, `simplex`, `tensor_product`;
-`celnav.smolyak` makes sparse grids. A rule also has filterpy's interface, so it works as
-``points=`` of ``filterpy.kalman.UnscentedKalmanFilter``.
+A `Rule` has nodes and weights; `Taylor` linearizes. Both give the points at which to evaluate the
+function, and compute an `Image` from the function's values there. `unscented`, `cubature`,
+`gauss_hermite`, `simplex` and `tensor_product` make rules; `celnav.smolyak` makes sparse grids. A
+rule also has filterpy's interface, so it works as ``points=`` of
+``filterpy.kalman.UnscentedKalmanFilter``.
 """
 
 from __future__ import annotations
@@ -52,14 +52,15 @@ __all__ = [
 ]
 
 MAX_POINTS = 1_000_000
-ROUND_OFF = 1e-3  # fraction of a model's values that round-off may reach in their weighted mean
+ROUND_OFF = 1e-3  # largest round-off of a weighted mean, as a fraction of the model's values
 
 
 class Image(NamedTuple):
-    """One output of a function of a Gaussian.
+    """Mean and covariance of a function of a Gaussian.
 
-    center: ``(..., N)``, the image of the center. shift: ``(..., k)``, from there to the mean.
-    columns: ``(..., k, q)``, deviations about the mean: the covariance is
+    center: ``(..., N)``, the function's value at the center.
+    shift: ``(..., k)``, the mean minus the center, a tangent.
+    columns: ``(..., k, q)``, weighted deviations from the mean: the covariance is
         ``columns @ diag(sign) @ columns.mT``, see `Joint`.
     jacobian: ``() -> (..., k, n)``, the statistical Jacobian ``cov(y, x) cov(x)^-1``.
     """
@@ -73,8 +74,8 @@ class Image(NamedTuple):
 def _points(
     center: Array, roots: Sequence[Array], nodes: Array, space: Space, batch: int
 ) -> list[Array]:
-    """Points ``(p, ..., N)`` about a center, and ``(p, ..., k)`` of each noise: along the columns
-    of each root go its own rows of ``nodes (dimensions, p)``.
+    """Points ``(p, ..., N)`` about a center, and points ``(p, ..., k)`` of each noise; the first
+    rows of ``nodes (dimensions, p)`` belong to the first root, and so on.
     """
     root, *noise_roots = roots
     first = root.shape[-1]
@@ -94,11 +95,12 @@ class Rule:
     nodes: ``(p, n)``; node 0 is the center (its weights may be 0).
     wm: ``(p,)`` weights of the mean; they sum to 1, and ``sum wm nodes = 0``.
     wc: ``(p,)`` weights of the covariance (None: ``wm``); ``sum wc nodes nodes' = I``. They may be
-        negative. A rule without nodes in some dimension is a quadrature, but filters refuse it,
-        because it would lose the variance of that dimension.
+        negative. A rule may have no nodes in some dimension, but filters reject it, because it
+        would lose the variance of that dimension.
 
-    The arrays are read-only after construction. ``n`` is the dimension. ``sign (q,)`` is -1 for
-    columns of negative weight and 1 otherwise; ``(1,)`` if no weight is negative.
+    The arrays are read-only. ``n`` is the dimension. ``sign (q,)`` is -1 for columns of negative
+    weight and 1 otherwise; ``(1,)`` if no weight is negative. ValueError names the argument that
+    breaks one of these conditions.
 
     >>> rule = celnav.Rule([[0.0], [1.0], [-1.0]], [0.0, 0.5, 0.5])
     """
@@ -124,12 +126,11 @@ class Rule:
         covered = self.nodes.any(0)
         second = self.nodes.T @ (self.wc[:, None] * self.nodes)
         if not np.allclose(second, np.diag(covered.astype(float)), rtol=0.0, atol=1e-6):
-            raise ValueError("wc: expected sum wc nodes nodes' = I")
+            raise ValueError(f"wc: expected sum wc nodes nodes' = I, got {second.tolist()!r:.80}")
         self._idle = np.flatnonzero(~covered).tolist()
         for array in (self.nodes, self.wm, self.wc):
             array.flags.writeable = False
-        # Means and columns are relative to the image of the center, so its mean weight has no
-        # effect.
+        # Means and columns are relative to the value at the center: its mean weight has no effect.
         used = (self.wm != 0.0) | (self.wc != 0.0)
         used[0] = self.wc[0] != 0.0
         self._used: Any = (
@@ -156,8 +157,9 @@ class Rule:
     def points(
         self, mean: Array, root: Array, space: Space = EUCLIDEAN, augment: Sequence[Array] = ()
     ) -> list[Array]:
-        """Points ``(p, ..., N)`` of ``N(mean, root @ root.mT)``, and ``(p, ..., k)`` of each noise
-        whose root is in ``augment``. The first dimensions of the rule are the state's.
+        """Points ``(p, ..., N)`` of ``N(mean, root @ root.mT)``, and points ``(p, ..., k)`` of each
+        noise whose root is in ``augment``. The first dimensions of the rule belong to the state.
+        ValueError if the dimensions do not match.
         """
         first, batch = root.shape[-1], max(mean.ndim - 1, root.ndim - 2)
         total = first if not augment else first + sum(E.shape[-1] for E in augment)
@@ -178,7 +180,7 @@ class Rule:
         ``y (p, ..., M)`` at the points.
         """
         # shift = sum wm (y - center); columns = sqrt(|wc|) (y - center - shift).
-        # Point 0 is the center; a space with a mean of its own gives the mean itself: no shift.
+        # Point 0 is the center. If the space defines a mean, it is the center, with a shift of 0.
         center = y[0] if space.mean is None else space.mean(y, self.wm)
         values = (y if space is EUCLIDEAN else space.minus(y, center))[self._used]
         values = values.T if values.ndim == 2 else points_last(values)  # (..., k, q)
@@ -188,17 +190,17 @@ class Rule:
             columns -= shift[..., None]
         else:
             shift = np.zeros(columns.shape[-2])
-        # The signs of the weights are not in the columns, they are in `sign`.
+        # `sign` holds the signs of the weights; the columns have only their magnitudes.
         columns *= self._scale
         return Image(center, shift, columns, partial(self._jacobian, columns, root))
 
     def state_columns(self, root: Array, augment: Sequence[Array]) -> Array:  # noqa: ARG002
-        """Columns ``(..., n, q)`` of the state itself, where a function leaves it unchanged."""
+        """Columns ``(..., n, q)`` of the state's own covariance, to match those of an `Image`."""
         return np.asanyarray(root @ self._unit[: root.shape[-1]])
 
     def _jacobian(self, columns: Array, root: Array) -> Array:
-        # cov(y, x) = columns sign (root unit)', so J = cov(y, x) P^-1 solves J root = columns sign
-        # unit'.
+        # cov(y, x) = columns sign (root unit)', and J = cov(y, x) P^-1 with P = root root':
+        # J root = columns sign unit'.
         cross = (columns * self.sign) @ self._unit[: root.shape[-1]].T
         return solve_right(root, cross)
 
@@ -217,7 +219,7 @@ class Rule:
         return self.wc[self._filterpy]
 
     def num_sigmas(self) -> int:
-        """Number of points, without a center of weight 0."""
+        """Number of points, excluding a center of weight 0."""
         return len(self.wm[self._filterpy])
 
     def sigma_points(self, x: ArrayLike, P: ArrayLike) -> Array:
@@ -232,19 +234,19 @@ class Rule:
             )
         )
         if not np.isfinite(root).all():
-            raise ValueError("P: expected a positive semidefinite covariance")
+            raise ValueError(f"P: expected a positive semidefinite covariance, got {P!r:.80}")
         return np.ascontiguousarray(self.points(mean, root)[0][self._filterpy])
 
 
 class Taylor:
     """First-order expansion about the mean: the rule that makes a filter an extended Kalman filter.
 
-    It serves any dimension. It uses the ``jacobian`` of a `Motion` or a `Sensor` that has one, and
-    central differences along the columns of the root otherwise.
+    It works for any dimension. It uses the ``jacobian`` of a `Motion` or a `Sensor` if there is
+    one, and central differences along the columns of the root otherwise.
 
-    step: length of the difference, in standard deviations.
-    about: ``(..., N)``, the point to expand about instead of the mean, as an iterated filter does.
-        The belief does not move: the linear function maps its mean.
+    step: length of the differences, in standard deviations.
+    about: ``(..., N)``, the point to expand about instead of the mean, as in an iterated filter.
+        The mean does not change; the linear approximation is evaluated there.
 
     >>> filter = celnav.sigma_point(motion, gps, rule=celnav.Taylor())  # celnav.ekf(motion, gps)
     """
@@ -261,11 +263,11 @@ class Taylor:
     def points(
         self, mean: Array, root: Array, space: Space = EUCLIDEAN, augment: Sequence[Array] = ()
     ) -> list[Array]:
-        """The center and its neighbors ``(p, ..., N)``; noise points ``(p, ..., k)`` vary in their
-        own directions only.
+        """The center and its neighbors ``(p, ..., N)``, and points ``(p, ..., k)`` of each noise,
+        one direction at a time.
 
-        With ``about``, the difference from there to the mean is one more direction, after the
-        columns of the root.
+        With ``about``, the tangent from there to the mean is one more direction, after the columns
+        of the root. ValueError if ``about`` has another length than the mean.
         """
         center = mean if self.about is None else self.about
         if center.shape[-1:] != mean.shape[-1:]:
@@ -284,7 +286,7 @@ class Taylor:
         return _points(center, roots, directions, space, batch)
 
     def image(self, y: Array, space: Space, root: Array) -> Image:
-
+        """The `Image` from the values ``y (p, ..., M)`` at the `points`."""
         if y.dtype.hasobject:
             center: Array = at_zero(y)[0][0]
             columns: Array = at_zero(space.minus(y[0], center))[1]
@@ -303,7 +305,7 @@ class Taylor:
         return Image(center, shift, columns, partial(self._jacobian, columns, root))
 
     def state_columns(self, root: Array, augment: Sequence[Array]) -> Array:
-
+        """Columns ``(..., n, q)`` of the state's own covariance, with zeros for each noise."""
         return (
             side_by_side([root, *(np.zeros((root.shape[-2], E.shape[-1])) for E in augment)])
             if augment
@@ -312,12 +314,12 @@ class Taylor:
 
     @staticmethod
     def _jacobian(columns: Array, root: Array) -> Array:
-        # columns = J root for the state; those of the noises follow.
+        # The state's columns are J root; the columns of the noises follow them.
         return solve_right(root, columns[..., : root.shape[-1]])
 
 
 class AnyDimension:
-    """A rule for any dimension; a function ``n -> rule`` makes it once for each."""
+    """A rule for any dimension; the function ``n -> rule`` is called once per dimension."""
 
     def __init__(self, make: Callable[[int], Any]):
         self.make, self._rules = make, dict[int, Any]()
@@ -326,7 +328,7 @@ class AnyDimension:
         return describe(getattr(self.make, "func", self.make)).removeprefix("function ")
 
     def __call__(self, n: int) -> Any:
-        """The rule of a dimension."""
+        """The rule for n dimensions; ValueError if the function does not make one."""
         if n not in self._rules:
             try:
                 rule = self.make(n)
@@ -346,13 +348,13 @@ class AnyDimension:
 
 # -- made for a dimension --------------------------------------------------------------------------
 def check_point_count(name: str, points: int, n: int) -> None:
-    """Raise ValueError before points are made: for more than `MAX_POINTS`, or more numbers than
-    `celnav.gaussian.checks.LIMIT`.
+    """Raise ValueError, before points are made, for more than `MAX_POINTS` points or more than
+    `celnav.gaussian.checks.LIMIT` numbers.
     """
     if points > MAX_POINTS or points * n > LIMIT:
         raise ValueError(
-            f"{name}: {points} points of {n} components exceed the limit of {MAX_POINTS} points, "
-            f"{LIMIT} numbers"
+            f"{name}: expected at most {MAX_POINTS} points and {LIMIT} numbers, got {points} "
+            f"points of {n} components"
         )
 
 
@@ -364,9 +366,9 @@ def _axes(n: int, radius: float) -> Array:
 def unscented(n: int, alpha: float = 1.0, beta: float = 0.0, kappa: float = 0.0) -> Rule:
     """Scaled unscented rule of ``2n + 1`` points [Merwe2004]; the defaults have no negative weight.
 
-    With the defaults the center has no weight, and the rule is ``cubature(n)``, that of the
-    cubature Kalman filter. The customary ``kappa = 3 - n`` matches fourth moments on the axes; a
-    small ``alpha`` with ``beta = 2`` keeps the points near the mean.
+    With the defaults the center has weight 0, and the rule equals ``cubature(n)``, the rule of the
+    cubature Kalman filter. The customary ``kappa = 3 - n`` matches fourth moments on the axes. A
+    small ``alpha`` with ``beta = 2`` places the points near the mean.
 
     >>> celnav.unscented(6, alpha=0.1, beta=2.0)
     Rule(n=6, points=13, negative weights=1)
@@ -389,7 +391,7 @@ def unscented(n: int, alpha: float = 1.0, beta: float = 0.0, kappa: float = 0.0)
 
 
 UNSCENTED = AnyDimension(unscented)
-"""The default of filters that take any rule."""
+"""The default rule of filters that accept any rule."""
 
 
 def simplex(n: int) -> Rule:
@@ -406,7 +408,7 @@ def simplex(n: int) -> Rule:
     nodes = np.sqrt((n + 1) / (d * (d + 1))) * (
         np.triu(np.ones((n + 1, n))) - d * np.eye(n + 1, n, -1)
     )
-    nodes[:, 0] *= -1.0  # as filterpy has it
+    nodes[:, 0] *= -1.0  # the sign that filterpy uses
     weights = np.full(n + 1, 1.0 / (n + 1))
     return _centered(nodes, weights, weights)
 
@@ -434,23 +436,26 @@ def cubature(n: int, degree: int = 3) -> Rule:
     nodes = np.vstack([_axes(n, float(np.sqrt(n + 2))), np.sqrt((n + 2) / 2) * pairs])
     weights = np.full(len(nodes), 1.0 / (n + 2) ** 2)
     weights[0] = 2.0 / (n + 2)
-    # Points on the axes: negative beyond four dimensions.
+    # Weights of the points on the axes; negative for n > 4.
     weights[1 : 2 * n + 1] = (4.0 - n) / (2.0 * (n + 2) ** 2)
     return Rule(nodes, weights)
 
 
 def gauss_hermite(n: int, order: int = 3) -> Rule:
-    """Tensor product of Gauss-Hermite rules of ``order`` points: ``order ** n``, at most
-    `MAX_POINTS`; odd orders have a center.
+    """Tensor product of Gauss-Hermite rules of ``order`` points: ``order ** n`` points in all.
+
+    For an odd order the center is one of them. ValueError for more than `MAX_POINTS`.
 
     >>> celnav.gauss_hermite(3, order=3)
     Rule(n=3, points=27, negative weights=0)
     """
     n, size = integer("n", n), integer("order", order, 2, 100)
-    # min: 2**20 points are too many already, and 2**1000000000 has 300 million digits.
+    # 2**20 points already exceed the limit; the exact 2**1000000000 has 300 million digits.
     if (count := size ** min(n, 20)) > MAX_POINTS:
-        many = f"order: {size}**{n} = {count}" if n <= 20 else f"n: {size}**{n}"
-        raise ValueError(f"{many} points exceed the limit of {MAX_POINTS}")
+        name, many = ("order", f" = {count}") if n <= 20 else ("n", "")
+        raise ValueError(
+            f"{name}: expected at most {MAX_POINTS} points, got {size}**{n}{many} points"
+        )
     x, w = np.polynomial.hermite_e.hermegauss(size)
     x[np.abs(x) < 1e-12] = 0.0
     nodes = np.stack(np.meshgrid(*[x] * n, indexing="ij"), -1).reshape(-1, n)
@@ -461,13 +466,13 @@ def gauss_hermite(n: int, order: int = 3) -> Rule:
 
 
 def tensor_product(*rules: Rule) -> Rule:
-    """Rule for the joint of independent Gaussians: every node of each rule with every node of the
-    others.
+    """Rule for the joint distribution of independent Gaussians: it combines every node of each rule
+    with every node of the others.
 
-    If a model is nonlinear in the first k states only and, given these, linear in the other n - k,
-    the product ``tensor_product(gauss_hermite(k, m), simplex(n - k))`` has ``m**k (n - k + 1)``
-    points and gives exactly the result of the full tensor rule of ``m**n`` points (the marginalized
-    rule; it needs lower roots and the nonlinear states first).
+    Marginalized rule: suppose that a model is nonlinear in the first k states only and, given
+    these, linear in the other n - k. Then ``tensor_product(gauss_hermite(k, m), simplex(n - k))``,
+    with ``m**k (n - k + 1)`` points, gives exactly the result of the full tensor rule with ``m**n``
+    points. The nonlinear states must come first, and roots must be lower triangular.
 
     >>> rule = celnav.gaussian.rules.tensor_product(celnav.gauss_hermite(2, 3), celnav.simplex(4))
     """
@@ -491,7 +496,8 @@ def tensor_product(*rules: Rule) -> Rule:
 
 
 def from_filterpy(points: Any) -> Rule:
-    """`Rule` of a filterpy sigma-point object (Merwe, Julier, Simplex, or any of that interface).
+    """`Rule` with the points of a filterpy sigma-point object (Merwe, Julier, Simplex, or any with
+    the same interface); ValueError for other objects.
 
     >>> points = MerweScaledSigmaPoints(6, 0.1, 2.0, -3.0)
     >>> filter = celnav.sigma_point(motion, gps, rule=celnav.from_filterpy(points))
@@ -508,7 +514,7 @@ def from_filterpy(points: Any) -> Rule:
 
 
 def _centered(nodes: Array, wm: Array, wc: Array) -> Rule:
-    """Rule with its center first: the center is moved there, or added with weight 0."""
+    """Make a rule with the center first; a missing center is added with weight 0."""
     nearest = int(np.argmin(np.abs(nodes).sum(-1)))
     if np.abs(nodes[nearest]).max() > 1e-12:
         return Rule(np.vstack([np.zeros(nodes.shape[-1]), nodes]), np.r_[0.0, wm], np.r_[0.0, wc])

@@ -1,9 +1,8 @@
-"""State and measurement spaces define the sum, the difference and the mean of points; and views of
-points with their components first.
+"""State and measurement spaces: the sum, the difference and the mean of points.
 
-A filter does its algebra on differences (tangent vectors of dimension ``n``); a space relates them
-to points (arrays whose last axis has length ``N``, which need not equal ``n``). For vectors these
-are plain sums and differences; angles wrap; attitudes retract.
+A filter does its algebra with differences (tangent vectors, of dimension ``n``). A space relates
+them to points (arrays whose last axis has length ``N``, which need not equal ``n``). In a vector
+space these are ordinary sums and differences; angles are wrapped; attitudes use a retraction.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ __all__ = ["Space", "angles", "product"]
 
 
 class NamedPart(NamedTuple):
-    """A named part of a product: first and last place, plus one, in points and in tangents."""
+    """A named part of a product: its index range ``(first, stop)`` in points and in tangents."""
 
     name: str
     points: tuple[int, int]
@@ -30,19 +29,18 @@ class NamedPart(NamedTuple):
 
 
 class Space(NamedTuple):
-    """How points and differences relate. Every function broadcasts over leading axes, and gives nan
-    for nan. Two spaces are equal if they add, subtract, carry and average alike.
+    """The relation between points and differences. Every function broadcasts over leading axes, and
+    nan gives nan. Two spaces are equal if their plus, minus, transport and mean are equal.
 
     plus: ``(point (..., N), tangent (..., n)) -> point``.
     minus: ``(b, a) -> tangent`` at ``a`` that leads to ``b``: ``plus(a, minus(b, a)) == b``.
-    transport: optional ``tangent -> (..., n, n)``, the matrix that carries deviations at a point to
-        the point moved by ``tangent``. None: the identity.
-    mean: optional ``(points (p, ..., N), weights (p,)) -> point``. None: the mean of the
-        differences to the first point, which neither cancels digits nor notices where an angle
-        wraps.
-    check: optional ``(point, name) -> point``, what a point from outside (a measurement) must be;
-        ValueError names it.
-    size: N, if its points have one length. parts: the names of a product, see `part`.
+    transport: optional ``tangent -> (..., n, n)``, the matrix that maps deviations at a point to
+        deviations at the point moved by ``tangent``. None: the identity.
+    mean: optional ``(points (p, ..., N), weights (p,)) -> point``. None: the first point plus the
+        mean difference to it, which avoids cancellation and wrapped angles.
+    check: optional ``(point, name) -> point``, applied to points that a user passes, such as
+        measurements; it raises ValueError with the name.
+    size: N, if all points have the same length. parts: the named parts of a product, see `part`.
     """
 
     plus: Callable[[Array, Array], Array] = np.add
@@ -54,7 +52,7 @@ class Space(NamedTuple):
     parts: tuple[NamedPart, ...] = ()
 
     def part(self, x: Array, name: str) -> Array:
-        """Components ``(..., k)`` of a named part: of points ``x (..., N)``, or of deviations
+        """Components ``(..., k)`` of a named part of points ``x (..., N)`` or of tangents
         ``(..., n)``, such as ``track.std``. ValueError for an unknown name lists the names.
 
         >>> space = celnav.product(q=celnav.attitude(), p=3)
@@ -70,10 +68,11 @@ class Space(NamedTuple):
         return x[..., points if x.shape[-1] == self.size else tangents]
 
     def places(self, name: str) -> tuple[slice, slice]:
-        """Where a named part stands in points, and in tangents."""
+        """Slices of a named part in points and in tangents; ValueError for an unknown name."""
         if not self.parts:
             raise ValueError(
-                "space: expected a product with names, such as celnav.product(p=3, v=3)"
+                "space: expected a product with names, such as celnav.product(p=3, v=3), got a "
+                "space without names"
             )
         names = [part.name for part in self.parts]
         _, points, tangents = self.parts[names.index(choice("name", name, names))]
@@ -81,12 +80,14 @@ class Space(NamedTuple):
 
     @property
     def labels(self) -> list[str]:
-        """Names of the components of a tangent, of the innermost parts: q0, q1, ...; else none."""
+        """Names ``(n,)`` of a tangent's components, from the innermost parts: q0, q1, ...; empty
+        without named parts.
+        """
         return _labels((part.name, part.tangents) for part in self.parts)
 
     @property
     def point_labels(self) -> list[str]:
-        """The same for the components of a point, of which an attitude has four."""
+        """Names ``(N,)`` of a point's components, as in `labels`; an attitude has four."""
         return _labels((part.name, part.points) for part in self.parts)
 
     def __eq__(self, other: object) -> bool:
@@ -106,7 +107,7 @@ class Space(NamedTuple):
 
 
 def _labels(places: Iterable[tuple[str, tuple[int, int]]]) -> list[str]:
-    """Names of components, of parts from one place to another; the last part that has it counts."""
+    """Names of components; if several parts contain a component, the last part names it."""
     labels: dict[int, str] = {}
     for name, (first, stop) in places:
         for i in range(first, stop):
@@ -118,15 +119,16 @@ EUCLIDEAN = Space()
 
 
 def wrap(angle: Any) -> Any:
-    """Angle in radians, wrapped to ``[-pi, pi)``."""
+    """Angle of any shape, rad, wrapped to ``[-pi, pi)``."""
     wrapped = (np.asanyarray(angle) + np.pi) % (2.0 * np.pi) - np.pi
     # Just below -pi the remainder rounds up to a full turn.
     return np.where(wrapped == np.pi, -np.pi, wrapped)[()]
 
 
 def angles(components: Iterable[int] | None = None) -> Space:
-    """Vectors in which the ``components`` (None: all) are angles in radians, wrapped to
-    ``[-pi, pi)``.
+    """Space of vectors whose ``components`` (None: all) are angles in radians, wrapped to
+    ``[-pi, pi)``; ValueError for an index beyond the vector.
+
     >>> h = lambda x, epoch: np.arctan2(x[..., 1:2], x[..., :1])
     >>> bearing = celnav.Sensor(h, R=[[1e-4]], space=celnav.angles([0]))
     """
@@ -139,7 +141,7 @@ def angles(components: Iterable[int] | None = None) -> Space:
 
 
 def _wrapped(operation: Any, indices: tuple[int, ...] | None, a: Array, b: Array) -> Array:
-    """The sum or difference of vectors, its angles wrapped."""
+    """The sum or difference of vectors, with wrapped angles."""
     vector: Array = operation(a, b, dtype=np.float64)
     if indices and max(indices) >= vector.shape[-1]:
         raise ValueError(
@@ -153,18 +155,21 @@ def _wrapped(operation: Any, indices: tuple[int, ...] | None, a: Array, b: Array
 
 
 def product(*factors: tuple[Space, int, int], **parts: Any) -> Space:
-    """Product of spaces, by name or by place.
+    """Product `Space` of spaces, with named parts or in order.
 
-    parts: by name, each a space, a number (a vector of that length), or, for a space of any length,
-        ``(space, N)``. `Space.part` and `Track.part` then take a part by its name, and by the names
-        within a part.
-    factors: by place, each ``(space, N, n)``: the lengths of its points and of its tangents.
+    parts: by name, each a space, a number (the length of a vector), or, for a space of any length,
+        ``(space, N)``. `Space.part` and `Track.part` select a part by its name, or by a name within
+        a part.
+    factors: in order, each ``(space, N, n)`` with the lengths of its points and tangents.
+
+    ValueError for a space that defines its own mean, for lengths that do not match the space, or
+    for a name that occurs twice.
 
     >>> space = celnav.product(q=celnav.attitude(), v=3, course=(celnav.angles(), 1))
     >>> space = celnav.product((celnav.attitude(), 4, 3), (celnav.EUCLIDEAN, 3, 3))
     """
     if parts and factors:
-        raise ValueError("factors: expected all parts of a product by name, or none")
+        raise ValueError("factors: expected all parts of a product by name, or none, got some")
     if parts:
         factors = tuple(_factor(name, part) for name, part in parts.items())
     if not all(
@@ -172,13 +177,14 @@ def product(*factors: tuple[Space, int, int], **parts: Any) -> Space:
         for factor in factors
     ):
         raise ValueError(
-            "factors: expected triples (space, length of its points, length of its tangents)"
+            "factors: expected triples (space, N, n) with the lengths of points and of tangents, "
+            f"got {factors!r:.80}"
         )
     factors = tuple(
         (space, integer("factors", N, 0), integer("factors", n, 0)) for space, N, n in factors
     )
     if any(space.mean is not None for space, _, _ in factors):
-        raise ValueError("factors: a space with its own mean cannot be part of a product")
+        raise ValueError("factors: expected spaces without a mean of their own, got one with it")
     for space, N, n in factors:
         if (count := _tangent_length(space, N, f"factors: points of length {N}")) != n:
             raise ValueError(
@@ -188,14 +194,17 @@ def product(*factors: tuple[Space, int, int], **parts: Any) -> Space:
     points = np.cumsum([0, *(N for _, N, _ in factors)]).tolist()
     tangents = np.cumsum([0, *(n for _, _, n in factors)]).tolist()
     spaces = [space for space, _, _ in factors]
-    # One place on the points' axis and one on the tangents' axis for each space.
+    # For each space its index range in points and its index range in tangents.
     places = list(zip(pairwise(points), pairwise(tangents), strict=True))
     named = [NamedPart(name, *place) for name, place in zip(parts, places, strict=False)]
     for (_, (at, _), (by, _)), space in zip(tuple(named), spaces, strict=False):
         for name, (a, b), (c, d) in space.parts:
             named.append(NamedPart(name, (at + a, at + b), (by + c, by + d)))
     if len({part.name for part in named}) < len(named):
-        raise ValueError("parts: expected names that differ from those within a part")
+        raise ValueError(
+            "parts: expected names that differ from the names within a part, got "
+            f"{', '.join(part.name for part in named)}"
+        )
     blocks = tuple(
         (space, slice(*at), slice(*by)) for space, (at, by) in zip(spaces, places, strict=True)
     )
@@ -230,7 +239,7 @@ def _factor(name: str, part: Any) -> tuple[Space, int, int]:
 
 
 def _tangent_length(space: Space, N: int, name: str) -> int:
-    """How many components a tangent has where points have N."""
+    """Length of the tangents of a space whose points have length N."""
     point = np.full(N, np.nan)
     if space.check is not None:
         space.check(point, name)
@@ -239,7 +248,7 @@ def _tangent_length(space: Space, N: int, name: str) -> int:
 
 
 class _Product(NamedTuple):
-    """Spaces with their places among the components of points, N, and of tangents, n."""
+    """Spaces with their slices in the points (length N) and in the tangents (length n)."""
 
     parts: tuple[tuple[Space, slice, slice], ...]
     N: int
@@ -280,20 +289,20 @@ class _Product(NamedTuple):
 def _check_length(name: str, vector: Array, length: int) -> None:
     if vector.shape[-1] != length:
         raise ValueError(
-            f"{name}: expected {length} components of a product of spaces, got {vector.shape[-1]}"
+            f"{name}: expected {length} components for the product space, got {vector.shape[-1]}"
         )
 
 
 def components_first(x: Array) -> Array:
-    """``(..., n)`` with the component axis first, as a view; numpy's ``moveaxis`` takes longer than
-    a product of small matrices.
+    """View ``(n, ...)`` of an array ``(..., n)``; numpy's ``moveaxis`` would take longer than a
+    product of small matrices.
     """
     last = x.ndim - 1
     return x.transpose((last, *range(last)))
 
 
 def points_last(x: Array) -> Array:
-    """``(n, ...)`` with the component axis last, as a view: the inverse of `components_first`."""
+    """View ``(..., n)`` of an array ``(n, ...)``: the inverse of `components_first`."""
     return x.transpose((*range(1, x.ndim), 0))
 
 

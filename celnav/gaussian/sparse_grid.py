@@ -1,10 +1,11 @@
 """Sparse grids of Gauss-Hermite rules: isotropic, or anisotropic [Nobile2008].
 
-A Smolyak rule adds up differences of one-dimensional rules over the multi-indices ``i`` with
-``sum_j (i_j - 1) g_j <= (level - 1) min(g)``. Channels with a larger weight ``g_j`` get fewer
-points. Nothing is merged by comparing coordinates: each point is enumerated once, as a choice of
-nodes in a few channels, and its weight is a coefficient of a generating function. With ``d(v, l)``
-the weight of node ``v`` in the rule of level ``l`` minus that of level ``l - 1``,
+A Smolyak rule sums tensor products of differences of one-dimensional rules over the multi-indices
+``i`` with ``sum_j (i_j - 1) g_j <= (level - 1) min(g)``. Channels (dimensions) with a larger weight
+``g_j`` get fewer points. The code does not merge points by comparing coordinates. It enumerates
+each point once, as a choice of nodes in a few channels; its weight follows from a generating
+function. With ``d(v, l)`` the weight of node ``v`` at level ``l`` minus its weight at level
+``l - 1``,
 
     W(p) = sum over k <= (level - 1) min(g) of [t^k] prod_j sum_l d(p_j, l) t^(g_j (l - 1)).
 """
@@ -30,8 +31,8 @@ ORDERS = (1, 3, 7, 15, 31, 63)
 and the degree.
 """
 DELAYED = (1, 3, 3, 7, 7, 7, 15)
-"""Orders that rise only when the total degree of the isotropic rule needs it: fewer points, which
-are partly nested.
+"""Orders that increase only when the total degree of the isotropic rule requires it. They give
+fewer points, which are partly nested.
 """
 CANCELED = 1e-12  # a merged weight below this fraction of the sum of its absolute terms is zero
 Polynomial = dict[int, float]  # coefficients by power
@@ -48,8 +49,10 @@ class _Node(NamedTuple):
 
 
 class _Pattern(NamedTuple):
-    """Points that differ by channels and signs only: for each class the nodes of its active
-    channels, and their weight.
+    """Points that differ only in their active channels and signs.
+
+    nodes: for each class, indices of the nodes in its active channels. weight: of each point.
+    number: of points.
     """
 
     nodes: tuple[tuple[int, ...], ...]
@@ -60,18 +63,19 @@ class _Pattern(NamedTuple):
 def smolyak(
     n: int, level: int, weights: Sequence[int] | None = None, *, orders: Sequence[int] = ORDERS
 ) -> Rule:
-    """Smolyak rule of Gauss-Hermite rules in ``n`` dimensions: the points whose weight does not
-    cancel, the center first.
+    """Smolyak `Rule` of Gauss-Hermite rules in ``n`` dimensions, the center first; points whose
+    weight cancels are left out.
 
-    Its weights are partly negative. Channels with ``g_j > (level - 1) min(g)`` have no points:
-    filters refuse such a rule. It is cached. ValueError for a level beyond the orders, or more than
-    `MAX_POINTS` points (before they are made).
+    Some weights are negative. Channels with ``g_j > (level - 1) min(g)`` have no points, and
+    filters reject such a rule. Results are cached. ValueError for a level beyond the orders, or
+    for more than `MAX_POINTS` points.
 
-    n: dimension. level: 1 is the center alone, 2 of equal weights the unscented rule with
+    n: dimension.
+    level: 1 gives the center only; 2 with equal weights gives the unscented rule with
         ``kappa = 3 - n``.
-    weights: ``(n,)`` positive integers g, 1 for the channels that matter most; None: all equal
-        (isotropic). Only their ratios to the smallest count: weights that are all 2 are isotropic.
-    orders: points of the one-dimensional rules by level, see `ORDERS` and `DELAYED`.
+    weights: ``(n,)`` positive integers g, 1 for the most important channels; None: all equal
+        (isotropic). Only ratios to the smallest matter: weights that are all 2 are isotropic.
+    orders: numbers of points of the one-dimensional rules by level, see `ORDERS` and `DELAYED`.
 
     >>> filter = celnav.sigma_point(motion, sensor, rule=celnav.smolyak(6, 3, [1, 1, 1, 2, 2, 2]))
     """
@@ -81,7 +85,8 @@ def smolyak(
 def point_count(
     n: int, level: int, weights: Sequence[int] | None = None, *, orders: Sequence[int] = ORDERS
 ) -> int:
-    """Number of points of `smolyak` (same arguments, any number), without making them.
+    """Number of points of `smolyak` with the same arguments, without making them; there is no
+    limit.
 
     >>> celnav.gaussian.sparse_grid.point_count(13, 3)
     417
@@ -99,9 +104,9 @@ def integrates(
     """Whether `smolyak` gives the exact mean of the monomial ``prod_j x_j^powers[j]`` of a unit
     Gaussian.
 
-    Exact if and only if a power is odd or ``sum_j (l_j - 1) g_j <= (level - 1) min(g)``, where
-    ``l_j`` is the lowest level whose rule is exact for ``x^powers[j]``. (That it is exact then
-    follows since the sum of differences telescopes.)
+    It is exact if and only if a power is odd or ``sum_j (l_j - 1) g_j <= (level - 1) min(g)``,
+    where ``l_j`` is the lowest level whose rule is exact for ``x^powers[j]``. (The condition
+    suffices because the sum of differences telescopes.)
 
     >>> celnav.gaussian.sparse_grid.integrates([2, 2], level=3)
     True
@@ -120,8 +125,8 @@ def integrates(
 
 
 def index_set(level: int, weights: Sequence[int]) -> dict[tuple[int, ...], int]:
-    """Multi-indices, from 1, of the tensor rules of a `smolyak` rule, and their coefficients, 0 for
-    some [Liang2014, Eqs. 16, 17].
+    """Coefficients of the tensor rules in a `smolyak` rule by multi-index, which counts from 1;
+    some are 0 [Liang2014, Eqs. 16, 17].
 
     >>> index_set(3, (2, 1))
     {(1, 1): -1, (1, 2): 0, (1, 3): 1, (2, 1): 1}
@@ -142,10 +147,12 @@ def index_set(level: int, weights: Sequence[int]) -> dict[tuple[int, ...], int]:
 
 
 def check_orders(orders: object) -> tuple[int, ...]:
-    """Checked points of the one-dimensional rules."""
+    """Check numbers of points of the one-dimensional rules; ValueError unless the first is 1."""
     sizes = integers("orders", orders, 1, 100)
     if sizes[:1] != (1,):
-        raise ValueError(f"orders: expected numbers of points, the first 1, got {orders!r:.80}")
+        raise ValueError(
+            f"orders: expected numbers of points that start with 1, got {orders!r:.80}"
+        )
     return sizes
 
 
@@ -176,7 +183,7 @@ def univariate(order: int) -> tuple[Array, Array]:
 
 
 def _nodes(sizes: Sequence[int]) -> tuple[Polynomial, list[_Node]]:
-    """The polynomial of the node 0, and the other nodes, by first level."""
+    """The polynomial of the node 0, and the other nodes in the order of their first levels."""
     center: Polynomial = {}
     distinct: dict[tuple[int, int], _Node] = {}
     for level, size in enumerate(sizes):
@@ -189,8 +196,7 @@ def _nodes(sizes: Sequence[int]) -> tuple[Polynomial, list[_Node]]:
             (center, *(node.series for node in nodes)), w.tolist(), strict=True
         ):
             _add(series, level, weight)
-            # d(v, l) = w(v, l) - w(v, l - 1): a weight enters with + at its level, with - at the
-            # next.
+            # d(v, l) = w(v, l) - w(v, l - 1): + at the weight's level, - at the next.
             _add(series, level + 1, -weight)
     return center, list(distinct.values())
 
@@ -214,7 +220,7 @@ def _patterns(
     level: int, g: tuple[int, ...], sizes: tuple[int, ...]
 ) -> tuple[tuple[float, ...], tuple[_Pattern, ...]]:
     """Values of the nodes, and the patterns whose weight does not cancel, the center first. A class
-    is the channels of one weight g.
+    contains the channels with the same weight g.
     """
     budget = (level - 1) * min(g)
     center, nodes = _nodes(sizes)
@@ -243,8 +249,7 @@ def _patterns(
         pattern_weight = weight(choice, float)
         canceled = abs(pattern_weight) <= CANCELED * weight(choice, abs)
         if not canceled or not any(choice):  # a rule keeps its center, even with weight 0
-            # The number of ways to assign the nodes of each class, with a sign each, to different
-            # channels of the class.
+            # Number of ways to assign the signed nodes of each class to its channels.
             repeats = prod(factorial(chosen.count(i)) for chosen in choice for i in set(chosen))
             ways = prod(
                 perm(count, len(chosen)) << len(chosen)
@@ -258,8 +263,8 @@ def _patterns(
 def _multisets(
     nodes: Sequence[_Node], budget: int, most: int, first: int = 0
 ) -> Iterator[tuple[int, tuple[int, ...]]]:
-    """Choices of at most ``most`` nodes, ascending and with repetition, whose levels fit the
-    budget, as ``(cost, nodes)``.
+    """Yield ``(cost, nodes)`` for each choice of at most ``most`` nodes, ascending and with
+    repetition, whose levels sum to a cost within the budget.
     """
     yield 0, ()
     if not most:

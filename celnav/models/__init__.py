@@ -1,8 +1,8 @@
-"""Physical models, which do not depend on filters.
+"""Physical models of motions, measurements and noise.
 
-`orbit` and `sightings` of a satellite · `pulsar` and `ephemeris` for its X-ray timing · `gnss` and
-`pseudorange` for a receiver · `inertial` for an IMU and what corrects it · `earth` and
-`misalignment` for an aircraft · `gyro` for attitudes · `motion` of vehicles and targets · `noise`.
+Satellites: `orbit`, `sightings`, `pulsar`, `ephemeris`, `gyro`, `gravity` · satellite navigation:
+`gnss`, `pseudorange` · inertial navigation: `inertial`, `misalignment`, `earth` · vehicles and
+targets: `motion` · `noise`.
 """
 
 from celnav.lazy import modules

@@ -1,5 +1,5 @@
-"""The ellipsoid WGS-84 (radii of curvature, rotation, normal gravity), Earth-fixed axes, and an
-aircraft's flight.
+"""The WGS 84 ellipsoid (radii of curvature, rotation, normal gravity), Earth-fixed axes, and the
+flight of an aircraft.
 
 Units: m, s, rad.
 """
@@ -27,7 +27,7 @@ STANDARD_GRAVITY = 9.80665  # m/s^2, the unit g of an accelerometer
 
 
 def meridian_radius(latitude: ArrayLike) -> Array:
-    """Radius of curvature along a meridian, R_M, m, of the shape of ``latitude`` (rad)."""
+    """Radius of curvature along the meridian, R_M, m, in the shape of ``latitude`` (rad)."""
     s = np.sin(latitude)
     return np.asanyarray(
         SEMI_MAJOR_M * (1.0 - ECCENTRICITY_SQUARED) / (1.0 - ECCENTRICITY_SQUARED * s * s) ** 1.5
@@ -35,21 +35,21 @@ def meridian_radius(latitude: ArrayLike) -> Array:
 
 
 def transverse_radius(latitude: ArrayLike) -> Array:
-    """Radius of curvature across the meridian, R_N, m, of the shape of ``latitude`` (rad)."""
+    """Radius of curvature across the meridian, R_N, m, in the shape of ``latitude`` (rad)."""
     s = np.sin(latitude)
     return np.asanyarray(SEMI_MAJOR_M / np.sqrt(1.0 - ECCENTRICITY_SQUARED * s * s))
 
 
 def radii(latitude: ArrayLike, height_m: ArrayLike) -> tuple[Array, Array]:
-    """Meters per radian of arc along and across the meridian at a height: ``R_M + h`` and
-    ``R_N + h``, of the arguments' shape.
+    """``R_M + h`` and ``R_N + h``: meters per radian along and across the meridian, in the shape of
+    the arguments (rad, m).
     """
     return meridian_radius(latitude) + height_m, transverse_radius(latitude) + height_m
 
 
 def normal_gravity(latitude: ArrayLike, height_m: ArrayLike) -> Array:
-    """Gravity (down, with the centrifugal part) of the normal ellipsoid, m/s^2: Somigliana's
-    formula, to second order in height.
+    """Normal gravity (downward, including the centrifugal acceleration), m/s^2, in the shape of the
+    arguments (rad, m): Somigliana's formula, to second order in height.
     """
     s2 = np.square(np.sin(latitude))
     surface = (
@@ -63,13 +63,13 @@ def normal_gravity(latitude: ArrayLike, height_m: ArrayLike) -> Array:
 
 
 def earth_rate(latitude: ArrayLike) -> Array:
-    """Rotation of the Earth on east, north, up axes, ``(..., 3)`` rad/s."""
+    """Rotation rate of the Earth on east, north, up axes, ``(..., 3)`` rad/s."""
     L = numbers("latitude", latitude)
     return np.stack([np.zeros_like(L), ROTATION_RATE * np.cos(L), ROTATION_RATE * np.sin(L)], -1)
 
 
 def transport_rate(velocity: Array, latitude: ArrayLike, height_m: ArrayLike) -> Array:
-    """Rotation of the east, north, up axes over the Earth, ``(..., 3)`` rad/s, at
+    """Rotation rate of the east, north, up axes relative to the Earth, ``(..., 3)`` rad/s, for
     ``velocity (..., 2 or 3)`` m/s.
     """
     north, east = radii(latitude, height_m)
@@ -79,7 +79,7 @@ def transport_rate(velocity: Array, latitude: ArrayLike, height_m: ArrayLike) ->
 
 
 def fixed_position(latitude: ArrayLike, longitude: ArrayLike, height_m: ArrayLike) -> Array:
-    """Earth-fixed position ``(..., 3)`` m of geodetic latitude, longitude (rad) and height."""
+    """Earth-fixed position ``(..., 3)`` m of geodetic latitude, longitude (rad), height (m)."""
     L, lon, h = (np.asanyarray(numbers("latitude", v)) for v in (latitude, longitude, height_m))
     N = transverse_radius(L)
     across = (N + h) * np.cos(L)
@@ -88,7 +88,7 @@ def fixed_position(latitude: ArrayLike, longitude: ArrayLike, height_m: ArrayLik
 
 
 def north_east_down(latitude: float, longitude: float) -> Array:
-    """Matrix ``(3, 3)`` that takes Earth-fixed components to those on north, east, down axes."""
+    """Matrix ``(3, 3)`` from Earth-fixed components to components on north, east, down axes."""
     s, c = np.sin(number("latitude", latitude)), np.cos(latitude)
     so, co = np.sin(number("longitude", longitude)), np.cos(longitude)
     return np.array([[-s * co, -s * so, c], [-so, co, 0.0], [-c * co, -c * so, -s]])
@@ -100,8 +100,10 @@ def local_position(
     height_m: ArrayLike,
     origin: tuple[float, float, float],
 ) -> Array:
-    """Position ``(..., 3)`` m on north, east, down axes that stay at the ``origin``, as geodetic
-    ones: latitude, longitude (rad), height.
+    """Position ``(..., 3)`` m on north, east, down axes that are fixed at the ``origin``.
+
+    Positions and the origin are geodetic: latitude, longitude (rad), height (m). ValueError if they
+    are not finite or do not broadcast.
 
     >>> p = celnav.models.earth.local_position(lat, lon, height, (lat[0], lon[0], height[0]))
     """
@@ -120,19 +122,19 @@ def local_position(
 
 
 def inertial_forces(position: Array, velocity: Array, spin: Array = SPIN) -> Array:
-    """Centrifugal and Coriolis acceleration ``(..., 3)`` m/s^2 on axes that rotate with
-    ``spin (..., 3)`` rad/s; position and velocity in m, m/s on these axes.
+    """Centrifugal and Coriolis acceleration ``(..., 3)`` m/s^2 on axes that rotate at
+    ``spin (..., 3)`` rad/s; position (m) and velocity (m/s) are on these axes.
     """
     # -w x (w x r) - 2 w x v
     return np.asanyarray(-cross_product(spin, 2.0 * velocity + cross_product(spin, position)))
 
 
 def orientation(tt: ArrayLike, ut1: ArrayLike, pole: tuple[float, float] = (0.0, 0.0)) -> Array:
-    """Rotations ``(..., 3, 3)`` that take celestial components (GCRS) to terrestrial ones (ITRS):
+    """Rotations ``(..., 3, 3)`` from celestial components (GCRS) to terrestrial components (ITRS):
     IAU 2006/2000A, by ERFA.
 
-    tt, ut1: Julian dates in terrestrial time and in UT1, ``(..., 2)``: days and the rest. pole: x
-        and y of its motion, rad.
+    tt, ut1: Julian dates ``(..., 2)`` in terrestrial time and in UT1: days, and fractions of a day.
+    pole: polar motion x and y, rad.
     """
     with requires_extra("celnav.models.earth.orientation", "papers"):
         import erfa  # imported only on request
@@ -145,13 +147,13 @@ def orientation(tt: ArrayLike, ut1: ArrayLike, pole: tuple[float, float] = (0.0,
 
 
 def spin(orientations: Array, interval: float) -> Array:
-    """Rotation ``(T - 1, 3)`` rad/s of axes from one ``interval`` (s) to the next, on these axes,
-    including precession and nutation.
+    """Mean rotation rate ``(T - 1, 3)`` rad/s of axes over each ``interval`` (s), on these axes; it
+    includes precession and nutation.
 
-    orientations: ``(T, 3, 3)``, as from `orientation`, with turns below a right angle.
+    orientations: ``(T, 3, 3)``, as from `orientation`; each turn is below 90 degrees.
     """
     rotations = finite("orientations", orientations, ("T", 3, 3))
-    # Fixed vectors, seen from the axes, turn the other way round.
+    # Relative to the rotating axes, fixed vectors turn in the opposite direction.
     turn = rotations[:-1] @ rotations[1:].mT
     sine = 0.5 * np.stack(
         [
@@ -173,9 +175,9 @@ def spin(orientations: Array, interval: float) -> Array:
 class Flight(NamedTuple):
     """Truth ``(T, ...)`` of a flight, on east, north, up axes n and body axes b: right, front, up.
 
-    times: ``(T,)`` s. longitude, latitude: ``(T,)`` rad. height_m: constant.
-    velocity: ``(T, 3)`` m/s. attitude: ``(T, 3, 3)``, C_b^n. force: ``(T, 3)`` m/s^2, the specific
-        force on body axes.
+    times: ``(T,)`` s. longitude, latitude: ``(T,)`` rad. height_m: a constant.
+    velocity: ``(T, 3)`` m/s, on n. attitude: ``(T, 3, 3)``, C_b^n.
+    force: ``(T, 3)`` m/s^2, specific force on b.
     """
 
     times: Array
@@ -200,16 +202,20 @@ def turning_flight(
     substep: float = 0.5,
 ) -> Flight:
     """A level `Flight` at increasing ``times (T,)`` s, with constant acceleration along the track
-    and a constant turn.
+    and a constant turn rate.
 
-    It starts from a place (rad, m) at the first time with ``speed`` m/s and ``heading`` rad,
-    clockwise from north; acceleration in m/s^2, turn rate in rad/s. The position is integrated by
-    Runge-Kutta steps of at most ``substep`` seconds (to 1e-12 rad in 500 s). ValueError if the
-    flight comes within a degree of a pole.
+    longitude, latitude, height_m: position at the first time, rad and m.
+    speed, heading: at the first time, m/s and rad clockwise from north.
+    acceleration, turn_rate: m/s^2 and rad/s.
+    substep: longest Runge-Kutta step of the position, s; 0.5 s integrates 500 s to 1e-12 rad.
+
+    ValueError if the times do not increase, or if the flight comes within a degree of a pole.
     """
     t = finite("times", times, ("T",))
     if (np.diff(t) <= 0.0).any():
-        raise ValueError(f"times: expected an increasing sequence, got shape {t.shape}")
+        raise ValueError(
+            f"times: expected increasing times, got a difference of {np.diff(t).min():.6g} s"
+        )
     longitude, latitude, height_m = (
         number("longitude", longitude),
         number("latitude", latitude),
@@ -241,7 +247,10 @@ def turning_flight(
         places.append(where)
     longitudes, latitudes = np.transpose(places)
     if (np.abs(latitudes) > np.radians(89.0)).any():
-        raise ValueError("latitude: expected a flight away from the poles (within 89 degrees)")
+        raise ValueError(
+            "latitude: expected a flight within 89 degrees of the equator, got "
+            f"{np.degrees(np.abs(latitudes).max()):.6g} degrees"
+        )
 
     v, psi = speed + acceleration * since, heading + turn_rate * since
     right = np.stack([np.cos(psi), -np.sin(psi), np.zeros_like(psi)], -1)

@@ -1,11 +1,10 @@
-"""Positions of Sun, Moon and planets from JPL's ephemerides, barycentric, ICRS axes, in their time
-scale, TDB. Units: km, km/s.
+"""Barycentric positions of Sun, Moon and planets from JPL's ephemerides, on ICRS axes. Units: km,
+km/s.
 
-`de421` needs only the files of the package; `Kernel` reads any such SPK file. Planets are the
-barycenters of their systems, except the Earth. An instant is a Julian date TDB in two parts, so
-that centuries keep their microseconds; the type fixes the scale. Leap seconds and the difference of
-TDB and TT come from ERFA. A machine that stays offline for years keeps ERFA's old table, which
-warns.
+`de421` needs no download; `Kernel` reads any SPK file of this type. A planet is the barycenter of
+its system, except the Earth. An instant is a Julian date TDB in two parts, which resolves
+microseconds over centuries. ERFA provides leap seconds and TDB minus TT; it warns if its table of
+leap seconds is old.
 """
 
 from __future__ import annotations
@@ -58,7 +57,7 @@ _SPK = {
     "neptune": ((0, 8),),
     "pluto": ((0, 9),),
 }
-"""Centers and targets of the segments that add up to a body."""
+"""SPK segments (center, target) whose sum is the position of a body."""
 
 
 class BodyState(NamedTuple):
@@ -71,7 +70,7 @@ class BodyState(NamedTuple):
 
 
 class Kernel:
-    """A binary SPK file; ValueError if it is not one or is cut off.
+    """A binary SPK file; ValueError if the file has another format or is truncated.
 
     >>> date = celnav.models.ephemeris.from_utc("2015-10-17")
     >>> position, velocity = Kernel("de440.bsp").state("mars", date)
@@ -84,20 +83,24 @@ class Kernel:
             self._spk = SPK(DAF(BytesIO(content)))
             size = 8 * (self._spk.daf.free - 1)
         except Exception as error:  # jplephem raises many types of errors for wrong bytes
-            raise ValueError(f"{self.path}: expected a binary SPK ephemeris ({error})") from None
+            raise ValueError(
+                f"{self.path}: expected a binary SPK ephemeris, got another format ({error})"
+            ) from None
         if len(content) < size:
             raise ValueError(
-                f"{self.path}: expected {size} bytes, got {len(content)}: the file is cut off"
+                f"{self.path}: expected {size} bytes, got {len(content)}: the file is truncated"
             )
 
     def state(self, body: str, date: Tdb) -> BodyState:
-        """`BodyState` of one of `BODIES` at dates of any shape ``(...)``; ValueError for a body
-        that the file does not have.
+        """`BodyState` of one of `BODIES` at dates of any shape ``(...)``; ValueError if the file
+        does not have the body or does not cover a date.
         """
         choice("body", body, BODIES)
         present = [b for b in sorted(BODIES) if all(pair in self._spk.pairs for pair in _SPK[b])]
         if body not in present:
-            raise ValueError(f"{self.path}: no data for {body!r}; it has {', '.join(present)}")
+            raise ValueError(
+                f"body: expected one that {self.path} has ({', '.join(present)}), got {body!r}"
+            )
         segments = [self._spk[pair] for pair in _SPK[body]]
         instance("date", date, Tdb, 'a Tdb, such as celnav.models.ephemeris.from_utc("2015-10-17")')
         first, last = max(s.start_jd for s in segments), min(s.end_jd for s in segments)
@@ -122,7 +125,7 @@ class Kernel:
 
 @cache
 def de421() -> Kernel:
-    """DE421 [Folkner2009], 1899 to 2053, from the package skyfield-data."""
+    """The `Kernel` DE421 [Folkner2009], 1899 to 2053, from the package skyfield-data."""
     with requires_extra("de421", "papers"):
         return Kernel(str(files("skyfield_data") / "data" / "de421.bsp"))
 
@@ -131,8 +134,8 @@ DAY_S = 86400.0
 
 
 class Tdb(NamedTuple):
-    """Julian date TDB: whole days (or any fixed day) and the rest, in days; arrays of one shape, or
-    numbers.
+    """Julian date TDB in two parts, ``day + rest``, both in days: numbers, or arrays of the same
+    shape.
     """
 
     day: Array | float
@@ -143,7 +146,7 @@ class Tdb(NamedTuple):
         return Tdb(self.day, self.rest + numbers("seconds", seconds) / DAY_S)
 
     def since(self, other: Tdb) -> Array:
-        """Seconds ``(...)`` from another instant."""
+        """Seconds ``(...)`` since another `Tdb`."""
         instance(
             "other", other, Tdb, 'a Tdb, such as celnav.models.ephemeris.from_utc("2015-10-17")'
         )
@@ -151,14 +154,14 @@ class Tdb(NamedTuple):
 
 
 def from_tt(day: ArrayLike, rest: ArrayLike = 0.0) -> Tdb:
-    """`Tdb` of a Julian date ``day + rest`` in terrestrial time, at the center of the Earth."""
+    """`Tdb` of Julian dates ``day + rest (...)`` in terrestrial time, at the Earth's center."""
     days, rests = finite("day", day), finite("rest", rest)
     return Tdb(days, rests + erfa.dtdb(days, rests, 0.0, 0.0, 0.0, 0.0) / DAY_S)
 
 
 def from_utc(instant: str | datetime) -> Tdb:
-    """`Tdb` of an instant in UTC: "2015-10-17T04:00:00" (leap seconds too: 23:59:60), or a datetime
-    with a time zone.
+    """`Tdb` of an instant in UTC: "2015-10-17T04:00:00" (or a leap second, 23:59:60), or a datetime
+    with a time zone; ValueError otherwise.
     """
     when, leap = instant, "23:59:60" in str(instant)
     if isinstance(instant, str):

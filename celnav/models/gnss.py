@@ -1,10 +1,10 @@
-"""Broadcast orbits and clocks of BeiDou (B1I; MEO, IGSO and GEO) [BDS-SIS-ICD], of GPS (L1 C/A)
-[IS-GPS-200] and of Galileo (E1) [Galileo-OS-SIS-ICD].
+"""Broadcast orbits and clocks of BeiDou (B1I; MEO, IGSO and GEO) [BDS-SIS-ICD], GPS (L1 C/A)
+[IS-GPS-200] and Galileo (E1) [Galileo-OS-SIS-ICD].
 
-Positions are Earth-fixed at their own time, m; CGCS2000, WGS 84 and GTRF are the same to
-centimeters. Times are seconds of BDT since its beginning, 2006-01-01 (week times 604,800 plus
-seconds of week); GPS time and Galileo's system time are ahead by 14 s. Satellites lie along the
-last axis of every element.
+Positions are in m on the Earth-fixed axes at the time of the position. CGCS2000, WGS 84 and GTRF
+agree to centimeters. Times are seconds of BDT since 2006-01-01 (week times 604,800 plus seconds of
+week). GPS time and Galileo system time are ahead of BDT by 14 s. Satellites are on the last axis of
+every element.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from celnav.gaussian.linalg import Array
 
 GRAVITY_PARAMETER = 3.986004418e14  # m^3/s^2, of BeiDou and Galileo
 ROTATION_RATE = 7.2921150e-5  # rad/s, of BeiDou
-# The elements of GPS are made with these; Galileo's with this rate too.
+# GPS elements use these two constants; Galileo elements use this rotation rate too.
 GPS_GRAVITY_PARAMETER, GPS_ROTATION_RATE = 3.986005e14, 7.2921151467e-5
 LIGHT = 299792458.0  # m/s
 B1I_HZ, L1_HZ = 1561.098e6, 1575.42e6
@@ -30,23 +30,24 @@ SYSTEM_LETTERS = "CGE"
 BEIDOU, GPS, GALILEO = range(3)
 GEO_NUMBERS = frozenset({*range(1, 6), *range(59, 64)})
 TILT = np.radians(5.0)
-"""Tilt of the plane to which a geostationary orbit's elements refer: without it the node would be
-undefined.
-"""
+"""Tilt of the reference plane of geostationary orbits; without it the node would be undefined."""
 
 
 @dataclass(frozen=True, eq=False)
 class Broadcast:
     """Broadcast elements of satellites, each field ``(S,)``; angles in rad, lengths in m, times in
-    s.
+    s. ValueError if a field is not finite or is out of range.
 
-    number: of the satellite, C01 is 1. system: 0 for BeiDou, 1 for GPS, 2 for Galileo. toe, toc:
-        reference times of orbit and clock, BDT.
-    sqrt_a, e, i0, Omega0, omega, M0, delta_n, Omega_dot, i_dot, cuc, cus, crc, crs, cic, cis: of
-        the orbit.
-    a0, a1, a2: of the clock. tgd: group delay of B1I, L1 or E1, s; of Galileo that of the two
-        signals to which the clock refers. health: 0 if healthy. accuracy: of the range by orbit and
-        clock as the satellite predicts it (URA, SISA), m; 0 where it is not known.
+    number: number of the satellite, 1 for C01.
+    system: 0 for BeiDou, 1 for GPS, 2 for Galileo.
+    toe, toc: reference times of orbit and clock, BDT.
+    sqrt_a, e, i0, Omega0, omega, M0, delta_n, Omega_dot, i_dot, cuc, cus, crc, crs, cic, cis: orbit
+        elements and corrections.
+    a0, a1, a2: clock polynomial.
+    tgd: group delay of B1I, L1 or E1, s; for Galileo, for the pair of signals of the clock.
+    health: 0 if healthy.
+    accuracy: range accuracy that the satellite predicts for its orbit and clock (URA, SISA), m; 0
+        if it is unknown.
     """
 
     number: Array
@@ -83,10 +84,10 @@ class Broadcast:
             )
         if not np.isin(self.system, range(len(SYSTEM_LETTERS))).all():
             raise ValueError(
-                f"system: expected 0 (BeiDou), 1 (GPS) or 2 (Galileo) each, got {self.system}"
+                f"system: expected 0 (BeiDou), 1 (GPS) or 2 (Galileo), got {self.system}"
             )
         if count and (self.e.max() >= 1.0 or self.e.min() < 0.0):
-            raise ValueError(f"e: expected eccentricities from 0 to below 1, got {self.e}")
+            raise ValueError(f"e: expected eccentricities 0 <= e < 1, got {self.e}")
         if count and self.sqrt_a.min() <= 0.0:
             raise ValueError(
                 f"sqrt_a: expected positive roots of semi-major axes, got {self.sqrt_a}"
@@ -110,13 +111,13 @@ class Broadcast:
         return np.asarray(geostationary & (self.system == BEIDOU))
 
     def chosen(self, which: Array) -> Broadcast:
-        """The `Broadcast` of some of the satellites, by index or mask."""
+        """The `Broadcast` of the satellites that an index or a mask selects."""
         return Broadcast(*(getattr(self, field.name)[which] for field in fields(self)))
 
 
 class SatelliteState(NamedTuple):
-    """Positions (m) and velocities (m/s) ``(..., S, 3)``, Earth-fixed; clocks (s, ahead of BDT) and
-    their rates ``(..., S)``.
+    """Earth-fixed positions (m) and velocities (m/s) ``(..., S, 3)``; clock offsets (s, positive
+    ahead of BDT) and their rates ``(..., S)``.
     """
 
     position: Array
@@ -126,8 +127,9 @@ class SatelliteState(NamedTuple):
 
 
 def satellites(broadcast: Broadcast, t: Array | float) -> SatelliteState:
-    """`SatelliteState` of all satellites at times ``t (..., S)`` or one time; velocities are exact
-    derivatives.
+    """`SatelliteState` of all satellites at times ``t``, ``(..., S)`` or a number, s BDT.
+
+    Velocities are the exact derivatives of the positions.
     """
     b, t = broadcast, np.asarray(t, dtype=np.float64)
     # Times since the reference, within half a week.
@@ -158,11 +160,11 @@ def satellites(broadcast: Broadcast, t: Array | float) -> SatelliteState:
     x, y = r * np.cos(u), r * np.sin(u)
     x_dot, y_dot = r_dot * np.cos(u) - y * u_dot, r_dot * np.sin(u) + x * u_dot
 
-    # In space, about a node that rotates with the Earth; the node of a geostationary orbit stays in
-    # the tilted plane until the end.
+    # Earth-fixed, from the longitude of the node. For a geostationary orbit the axes do not rotate
+    # with the Earth until the end, after the tilt.
     geo = b.geostationary
     turning = b.Omega_dot - np.where(geo, 0.0, spin)
-    # Seconds of the week in the satellite's own time scale.
+    # toe as seconds of the week in the time scale of the satellite's system.
     node = b.Omega0 + turning * tk - spin * np.mod(b.toe + ahead_s(b.system), WEEK_S)
     cos_O, sin_O, cos_i, sin_i = np.cos(node), np.sin(node), np.cos(i), np.sin(i)
     across, across_dot = y * cos_i, y_dot * cos_i - y * sin_i * i_dot
@@ -183,13 +185,14 @@ def satellites(broadcast: Broadcast, t: Array | float) -> SatelliteState:
 
 
 def ahead_s(system: Array) -> Array:
-    """How far a system's time is ahead of BDT, s; ``system``: as in `Broadcast`."""
+    """A system's time minus BDT, s, in the shape of ``system``, which is as in `Broadcast`."""
     return np.where(np.asarray(system) == BEIDOU, 0.0, GPS_AHEAD_S)
 
 
 def eccentric_anomaly(mean: Array, e: Array) -> Array:
-    """Eccentric anomaly (rad) of a mean anomaly by Newton's method, to round-off for any e below
-    0.9.
+    """Eccentric anomaly (rad) from the mean anomaly by Newton's method, to round-off for e < 0.9.
+
+    The result has the shape of the arguments.
     """
     E = mean + e * np.sin(mean)
     for _ in range(8):
@@ -206,9 +209,7 @@ def tilted(vectors: Array, angle: float) -> Array:
 
 
 def turned(vectors: Array, angle: Array) -> Array:
-    """``R_z(angle)`` times vectors ``(..., 3)``: into a frame that has rotated by the angle
-    ``(...)``.
-    """
+    """``R_z(angle)`` times vectors ``(..., 3)``: components on axes rotated by ``angle (...)``."""
     x, y, z = np.moveaxis(vectors, -1, 0)
     return np.stack(
         [np.cos(angle) * x + np.sin(angle) * y, np.cos(angle) * y - np.sin(angle) * x, z], -1
@@ -216,6 +217,6 @@ def turned(vectors: Array, angle: Array) -> Array:
 
 
 def spun(places: Array, rate: Array | float) -> Array:
-    """Velocities of places ``(..., 3)`` that rotate about the z axis at a rate ``(...)`` rad/s."""
+    """Velocities of positions ``(..., 3)`` that rotate about z at a rate ``(...)`` rad/s."""
     x, y, z = np.moveaxis(places, -1, 0)
     return np.stack([-y * rate, x * rate, np.zeros_like(z)], -1)

@@ -1,10 +1,10 @@
-"""Gravity by spherical harmonics, in Earth-fixed axes, without a singularity at the poles
+"""Gravity from spherical harmonics, on Earth-fixed axes, without a singularity at the poles
 [Cunningham1970]. Units: m, s.
 
 The potential is a sum of solid harmonics. Each derivative of a harmonic is a sum of harmonics of
-the next degree [Montenbruck2000, Eq. 3.33]. So acceleration and gradient are fields of coefficients
-themselves, computed once; at a place only the harmonics are evaluated, by recursion over the degree
-for all orders together.
+the next degree [Montenbruck2000, Eq. 3.33]. So acceleration and gradient have coefficients of their
+own, which are computed once. At a position only the harmonics are evaluated, by recursion over the
+degree, for all orders together.
 """
 
 from __future__ import annotations
@@ -21,17 +21,20 @@ from celnav.gaussian.checks import finite, instance, integer, number
 from celnav.gaussian.linalg import Array
 
 MOST_DEGREE = 2190
-"""The largest degree of a file; its coefficients take 80 MB."""
+"""The largest degree that `read` accepts; its coefficients need 80 MB."""
 
 
 @dataclass(frozen=True, eq=False)
 class Gravity:
-    """A field of gravity: ``gm`` m^3/s^2, ``radius`` m of reference, coefficients ``C``,
-    ``S (N + 1, N + 1)`` by degree and order.
+    """A gravity field.
 
-    Coefficients are fully normalized; those with an order above the degree are ignored. The
-    acceleration is that of the masses alone; on rotating axes add
-    `celnav.models.earth.inertial_forces`.
+    gm: gravitational parameter, m^3/s^2. radius: reference radius, m.
+    C, S: fully normalized coefficients ``(N + 1, N + 1)`` by degree and order. Entries whose order
+        exceeds their degree are ignored.
+
+    The acceleration is gravitational only; on rotating axes add
+    `celnav.models.earth.inertial_forces`. ValueError if an argument is not finite or the shapes
+    differ.
 
     >>> field = celnav.models.gravity.read("EGM2008.gfc", degree=8)
     >>> field.acceleration(np.array([6.8e6, 0.0, 0.0]))  # m/s^2
@@ -55,7 +58,7 @@ class Gravity:
         return len(self.C) - 1
 
     def truncated(self, degree: int) -> Gravity:
-        """The field to a lower degree, as a `Gravity`."""
+        """The `Gravity` truncated to a lower degree."""
         count = integer("degree", degree, 0, self.degree) + 1
         return Gravity(self.gm, self.radius, self.C[:count, :count], self.S[:count, :count])
 
@@ -88,7 +91,7 @@ class Gravity:
         return (self.gm / self.radius**3) * np.concatenate([x, y[1:], z[2:]])
 
     def _sum(self, fields: Array, position: Array) -> Array:
-        """Values ``(..., k)`` at places of fields with coefficients ``(k, 2, N + 1, N + 1)``."""
+        """Values ``(..., k)`` of k fields with coefficients ``(k, 2, N + 1, N + 1)``."""
         place = np.moveaxis(position, -1, 0)
         harmonics = _harmonics(place.reshape(3, -1) / self.radius, fields.shape[-1] - 1)
         # (k, coefficients) @ (coefficients, places)
@@ -97,8 +100,8 @@ class Gravity:
 
 
 def _harmonics(place: Array, degree: int) -> Array:
-    """Solid harmonics ``(2, N + 1, N + 1, K)``: with cosines and with sines, by degree and order;
-    ``place (3, K)`` in radii.
+    """Solid harmonics ``(2, N + 1, N + 1, K)``: cosine and sine terms by degree and order, at
+    ``place (3, K)`` in units of the reference radius.
     """
     inverse = 1.0 / (place[0] * place[0] + place[1] * place[1] + place[2] * place[2])
     x, y, z = place * inverse
@@ -116,8 +119,10 @@ def _harmonics(place: Array, degree: int) -> Array:
 
 @cache
 def _recursion(degree: int) -> list[tuple[Array, Array, float]]:
-    """Factors of the recursion to each degree n from 1: of degree n - 1 ``(n, 1)`` and of n - 2
-    ``(n - 1, 1)`` by order, and to order n.
+    """Factors of the recursion to each degree n >= 1.
+
+    For each degree: the factors ``(n, 1)`` of degree n - 1 and ``(n - 1, 1)`` of degree n - 2, by
+    order, and the factor of order n.
     """
     factors = []
     for n in range(1, degree + 1):
@@ -136,16 +141,16 @@ def _recursion(degree: int) -> list[tuple[Array, Array, float]]:
 
 
 def _derivatives(coefficients: Array) -> Array:
-    """Derivatives of a field ``(2, N + 1, N + 1)`` by x, y and z, times the radius:
-    ``(3, 2, N + 2, N + 2)`` [Montenbruck2000, Eq. 3.33].
+    """Coefficients ``(3, 2, N + 2, N + 2)`` of the derivatives with respect to x, y and z, times
+    the radius, of a field with coefficients ``(2, N + 1, N + 1)`` [Montenbruck2000, Eq. 3.33].
     """
     N = coefficients.shape[-1]
     n, m = np.mgrid[:N, :N]
     C, S = np.where(m <= n, coefficients, 0.0)
-    # There is no sine of order 0, whatever its coefficient.
+    # The sine term of order 0 is zero, whatever its coefficient.
     S, m = np.where(m > 0, S, 0.0), np.minimum(m, n)
-    # The normalization of a harmonic over that of the next degree, times the factor of the
-    # equation, if the order rises, falls or stays.
+    # Ratio of the normalizations of degrees n and n + 1, times the factor of the equation, for an
+    # order that increases, decreases or stays.
     scale = (2 * n + 1) / (2 * n + 3)
     up = np.sqrt(scale * (n + m + 1) * (n + m + 2) * np.where(m == 0, 2.0, 1.0)) * 0.5
     down = np.sqrt(scale * (n - m + 1) * (n - m + 2) * np.where(m == 1, 2.0, 1.0)) * 0.5
@@ -158,14 +163,14 @@ def _derivatives(coefficients: Array) -> Array:
 
 
 def read(path: str | Path, degree: int | None = None) -> Gravity:
-    """The `Gravity` in a file of ICGEM's format, ``.gfc``, to a degree or all of it.
+    """The `Gravity` from a file in ICGEM's format, ``.gfc``, up to ``degree`` (None: all of it).
 
-    Rates and other time-dependent terms are ignored: records other than ``gfc`` and ``gfct`` are
-    skipped.
+    Time-dependent terms are ignored: only records ``gfc`` and ``gfct`` are used.
 
     Raises
     ------
-    InputError: naming file and line, if it is not such a file. OSError: if it cannot be read.
+    InputError: if the file has another format; it names the file and the line. OSError: if the file
+        cannot be read.
     """
     most = MOST_DEGREE if degree is None else integer("degree", degree, 0, MOST_DEGREE)
     head: dict[str, str] = {}
@@ -186,7 +191,8 @@ def read(path: str | Path, degree: int | None = None) -> Gravity:
                 n, m, c, s = int(words[1]), int(words[2]), float(words[3]), float(words[4])
             except (IndexError, ValueError):
                 raise InputError(
-                    f"{path}: line {number_}: expected gfc, degree, order, C, S, got {line[:60]!r}"
+                    f"{path}: line {number_}: expected gfc with degree, order, C and S, got "
+                    f"{line[:60]!r}"
                 ) from None
             if not (0 <= m <= n <= MOST_DEGREE and np.isfinite([c, s]).all()):
                 raise InputError(
@@ -197,7 +203,7 @@ def read(path: str | Path, degree: int | None = None) -> Gravity:
                 records.append((n, m, c, s))
     if not body:
         raise InputError(
-            f"{path}: expected a gravity field in ICGEM's format, with a line end_of_head, got none"
+            f"{path}: expected a gravity field in ICGEM's format, got no line end_of_head"
         )
     return _field(path, head, records, degree)
 
@@ -215,14 +221,14 @@ def _field(
             sizes.append(float(head[key].replace("D", "e").replace("d", "e")))
         except (KeyError, ValueError):
             raise InputError(
-                f"{path}: expected {key} with a number in the head, got {head.get(key, 'none')!r}"
+                f"{path}: expected a number for {key} in the header, got {head.get(key, 'none')!r}"
             ) from None
     if (norm := head.get("norm", "fully_normalized")) != "fully_normalized":
         raise InputError(f"{path}: norm: expected fully_normalized, got {norm!r}")
     highest = max((n for n, *_ in records), default=-1)
     if highest < (degree or 0):
         raise InputError(
-            f"{path}: expected coefficients to degree {degree or 0}, got them to {highest}"
+            f"{path}: expected coefficients up to degree {degree or 0}, got degree {highest}"
         )
     C, S = np.zeros((2, highest + 1, highest + 1))
     for n, m, c, s in records:

@@ -1,10 +1,10 @@
-"""Rate gyros with drift [Farrenkopf1978]: their measurements, the propagation of an attitude with
-them, and the steady-state accuracy; and the rotation of a rigid satellite, which they measure.
+"""Rate gyros with drift [Farrenkopf1978]: measurements, propagation of an attitude, and
+steady-state accuracy; and the rotation of a rigid satellite.
 
-A gyro measures the mean rate of an interval plus drift plus white noise,
-``measured = rate + beta + eta_v``; the drift is a Gauss-Markov process or a random walk. States are
-``(..., 7)``: quaternion (see `celnav.gaussian.attitude`) and drift in rad/s; their errors
-``(..., 6)``: rotation vector in body axes, and drift.
+A gyro measures the mean rate over an interval, plus drift, plus white noise,
+``measured = rate + beta + eta_v``. The drift is a Gauss-Markov process or a random walk. States
+``(..., 7)`` are quaternion (see `celnav.gaussian.attitude`) and drift, rad/s. Errors ``(..., 6)``
+are rotation vector on body axes, and drift.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from celnav.gaussian.linalg import Array, matvec, side_by_side
 
 @dataclass(frozen=True)
 class Gyro:
-    """Noise of a gyro triad, not negative.
+    """Noise of a gyro triad; ValueError for negative values.
 
     sigma_v: angle random walk, rad/s^(1/2). sigma_u: drift random walk, rad/s^(3/2).
-    tau: correlation time of the drift, s; infinite: a random walk.
+    tau: correlation time of the drift, s; inf for a random walk.
     """
 
     sigma_v: float
@@ -52,12 +52,11 @@ class Gyro:
         """A `Gyro` from a data sheet [IEEE1997]; the drift is a random walk, or a Gauss-Markov
         process.
 
-        angle_random_walk: N, deg/h^(1/2); a noise density of x deg/s/Hz^(1/2) is one of 60 x
-            deg/h^(1/2).
-        rate_random_walk: K, deg/h^(3/2).
+        angle_random_walk: N, deg/h^(1/2), which is 60 times a noise density in deg/s/Hz^(1/2).
+        rate_random_walk: K, deg/h^(3/2); 0 if ``bias_instability`` is positive.
         bias_instability: B, deg/h, used as the standard deviation of a drift with correlation time
-            ``tau`` s: its Allan deviation peaks at 0.62 B, after 1.9 tau, where the Allan deviation
-            of flicker noise is 0.66 B throughout.
+            ``tau`` s. Its Allan deviation has a maximum of 0.62 B at 1.9 tau; the Allan deviation
+            of flicker noise is 0.66 B everywhere.
 
         >>> celnav.models.gyro.Gyro.datasheet(0.3, bias_instability=5.0, tau=600.0)
         """
@@ -67,7 +66,7 @@ class Gyro:
             return cls(float(white), float(walk), tau)
         if walk:
             raise ValueError(
-                "rate_random_walk: expected 0 where bias_instability is given, got "
+                "rate_random_walk: expected 0 together with a bias_instability, got "
                 f"{rate_random_walk!r}"
             )
         time = number("tau", tau, above=0.0)  # a standard deviation alone does not define a process
@@ -84,16 +83,16 @@ class Gyro:
         return self.sigma_v / float(np.sqrt(dt))
 
     def drift_std(self, dt: float) -> float:
-        """Standard deviation of the drift's change over ``dt`` seconds, rad/s; for the stationary
-        drift, ``sigma_u sqrt(tau / 2)``.
+        """Standard deviation of the drift's change over ``dt`` seconds, rad/s; for an infinite
+        ``dt`` it is the stationary drift's, ``sigma_u sqrt(tau / 2)``.
         """
         if np.isinf(self.tau):
             return self.sigma_u * float(np.sqrt(dt))
         return self.sigma_u * float(np.sqrt(-0.5 * self.tau * np.expm1(-2.0 * dt / self.tau)))
 
     def drift(self, start: Array, walk: Array, dt: float) -> Array:
-        """Drift ``(T, ..., 3)`` rad/s from ``start (..., 3)``, with standard normal
-        ``walk (T - 1, ..., 3)``, steps of ``dt`` s.
+        """Drift ``(T, ..., 3)`` rad/s from ``start (..., 3)`` in steps of ``dt`` s;
+        ``walk (T - 1, ..., 3)`` is standard normal.
         """
         drift = np.empty((len(walk) + 1, *walk.shape[1:]))
         drift[0], factor, deviation = start, self.factor(dt), self.drift_std(dt)
@@ -115,8 +114,11 @@ class Gyro:
         return np.kron([[angle, both], [both, drift]], np.eye(3))
 
     def measure(self, q: Array, drift: Array, noise: Array, dt: float) -> Array:
-        """Samples ``(T - 1, ..., 3)`` rad/s from attitudes ``q (T, ..., 4)`` with ``drift`` and
-        standard normal ``noise``.
+        """Gyro samples ``(T - 1, ..., 3)`` rad/s for attitudes ``q (T, ..., 4)``.
+
+        drift: ``(T - 1, ..., 3)`` rad/s, or with all T epochs, or constant ``(..., 3)``.
+        noise: standard normal ``(T - 1, ..., 3)``. dt: interval, s. ValueError for arguments that
+        do not broadcast.
         """
         q, dt = unit(q, "q"), number("dt", dt, above=0.0)
         if q.ndim < 2 or len(q) < 2:
@@ -126,7 +128,7 @@ class Gyro:
         # Rotation vectors (T - 1, ..., 3) in body axes.
         turns = log(multiply(q[1:], inverse(q[:-1])))
         drift, noise = finite("drift", drift, (..., 3)), finite("noise", noise, (..., 3))
-        # If the drift has an axis of time with all T attitudes, the last one has no sample.
+        # A drift with all T epochs: the last epoch has no sample.
         if drift.ndim >= max(turns.ndim, noise.ndim) and len(drift) == len(q):
             drift = drift[:-1]
         together(q=turns.shape[:-1], drift=drift.shape[:-1], noise=noise.shape[:-1])
@@ -135,8 +137,8 @@ class Gyro:
     def propagate(
         self, x: Array, measured: Array, dt: float, rate_noise: Array | float = 0.0
     ) -> Array:
-        """State ``(..., 7)`` after an interval with the sample ``measured (..., 3)``, less drift
-        and ``rate_noise``.
+        """State ``(..., 7)`` after ``dt`` s; the rate is ``measured (..., 3)`` minus drift and
+        ``rate_noise``, rad/s.
         """
         drift = x[..., 4:]
         # q' = exp(w dt) (x) q
@@ -153,7 +155,6 @@ class Gyro:
         second = np.where(small, 1.0 / 6.0 - angle**2 / 120.0, (safe - np.sin(safe)) / safe**3)
         T, eye = cross(turn), np.eye(3)
         square = T @ T
-        # The matrix of a rotation vector, and its integral over the interval.
         matrix = np.zeros((*turn.shape[:-1], 6, 6), like=turn)
         # exp(-[turn x]), and minus its integral over the interval.
         matrix[..., :3, :3] = eye - np.sinc(angle / np.pi) * T + first * square
@@ -163,8 +164,8 @@ class Gyro:
 
 
 def preintegrate(measured: Array, drift: Array, dt: float) -> Array:
-    """One sample ``(..., 3)`` rad/s with the same turn as samples ``(k, ..., 3)`` together, given
-    the drift ``(..., 3)``.
+    """One gyro sample ``(..., 3)`` rad/s that gives the same rotation as the k samples
+    ``measured (k, ..., 3)``, each over ``dt`` s, for a drift ``(..., 3)`` rad/s.
     """
     measured, drift, dt = (
         finite("measured", measured, (..., 3)),
@@ -173,7 +174,7 @@ def preintegrate(measured: Array, drift: Array, dt: float) -> Array:
     )
     if measured.ndim < 2 or not len(measured):
         raise ValueError(
-            f"measured: expected samples (k, ..., 3), one or more, got shape {measured.shape}"
+            f"measured: expected one sample or more, (k, ..., 3), got shape {measured.shape}"
         )
     together(measured=measured.shape[1:-1], drift=drift.shape[:-1])
     turned = exp((measured[0] - drift) * dt)
@@ -194,8 +195,8 @@ class SteadyState(NamedTuple):
 
 
 def steady_state(sigma_n: float, gyro: Gyro, interval: float) -> SteadyState:
-    """The steady state of a filter: attitude measured to ``sigma_n`` rad each ``interval`` s, with
-    a random-walk drift [Farrenkopf1978].
+    """`SteadyState` of a filter with attitude measurements of ``sigma_n`` rad every ``interval`` s
+    and a random-walk drift [Farrenkopf1978].
     """
     sigma_n, interval = (
         number("sigma_n", sigma_n, above=0.0),
@@ -203,15 +204,12 @@ def steady_state(sigma_n: float, gyro: Gyro, interval: float) -> SteadyState:
     )
     instance("gyro", gyro, Gyro, "a Gyro, such as Gyro(sigma_v, sigma_u)")
     if np.isfinite(gyro.tau):
-        raise ValueError(
-            f"gyro: expected a drift that walks at random (tau = inf), got tau = {gyro.tau!r}"
-        )
+        raise ValueError(f"gyro: expected a random-walk drift (tau = inf), got tau = {gyro.tau!r}")
     T, u, v = interval, gyro.sigma_u, gyro.sigma_v
     Su, Sv = u * T**1.5 / sigma_n, v * np.sqrt(T) / sigma_n
     small = Sv**2 / 4.0 + Su**2 / 48.0
     g = np.sqrt(1.0 + small)
-    # zeta - 1, without subtracting 1: the difference of squares would lose the digits that matter
-    # for a good gyro.
+    # zeta - 1, without a subtraction, which would lose the digits that matter for a good gyro.
     excess = small / (g + 1.0) + Su / 4.0 + 0.5 * np.sqrt(2.0 * g * Su + Sv**2 + Su**2 / 3.0)
     zeta = 1.0 + excess
     before = sigma_n * np.sqrt(excess * (zeta + 1.0))
@@ -224,13 +222,12 @@ def steady_state(sigma_n: float, gyro: Gyro, interval: float) -> SteadyState:
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """A rigid satellite with momentum wheels on a circular orbit, under gravity gradient. Units: kg
-    m^2, N m s, N m, rad, s.
+    """A rigid satellite with momentum wheels on a circular orbit, under gravity-gradient torque.
 
-    inertia: ``(3, 3)``, body axes; ValueError for one that no distribution of mass has. wheels:
-        ``(3,)``, angular momentum of the wheels. torque: ``(3,)``, constant.
-    orbit_rate: rad/s; the inertial frame equals the orbital frame at t = 0 (x along the velocity,
-        z to nadir).
+    inertia: ``(3, 3)`` kg m^2, body axes; ValueError if no distribution of mass has it.
+    wheels: ``(3,)`` N m s, angular momentum of the wheels. torque: ``(3,)`` N m, a constant.
+    orbit_rate: rad/s. The inertial frame is the orbital frame at t = 0: x along the velocity, z to
+        nadir.
     """
 
     inertia: Any
@@ -244,21 +241,27 @@ class Body:
         number("orbit_rate", self.orbit_rate)
         small, middle, large = np.linalg.eigvalsh(self.inertia).tolist()
         if not np.allclose(self.inertia, self.inertia.T) or small <= 0.0:
-            raise ValueError("inertia: expected a symmetric positive definite (3, 3)")
+            raise ValueError(
+                f"inertia: expected a symmetric positive definite (3, 3), got {self.inertia!r:.80}"
+            )
         if large > 1.001 * (small + middle):  # a flat plate has equality, up to rounding
             got = f"{small:.6g}, {middle:.6g} and {large:.6g}"
             raise ValueError(
-                "inertia: expected principal moments none of which is larger than the two others "
-                f"together, got {got}"
+                "inertia: expected principal moments that satisfy the triangle inequality, got "
+                f"{got}"
             )
 
     def nadir(self, q: Array, t: float) -> Array:
-        """Direction of the Earth's center ``(..., 3)`` on body axes."""
+        """Unit vector ``(..., 3)`` to the Earth's center on body axes, at attitudes ``q (..., 4)``
+        and time ``t`` s.
+        """
         at = self.orbit_rate * t
         return rotate(q, [-np.sin(at), 0.0, np.cos(at)])
 
     def rates(self, x: Array, t: float) -> Array:
-        """Rate of the state ``(..., 7)``: quaternion and angular velocity (rad/s, body axes)."""
+        """Time derivative ``(..., 7)`` of the state: quaternion and angular velocity (rad/s, body
+        axes).
+        """
         q, w = x[..., :4], x[..., 4:]
         turning = 0.5 * multiply(np.concatenate([w, np.zeros_like(w[..., :1])], -1), q)
         c = self.nadir(q, t)
@@ -270,14 +273,14 @@ class Body:
         )
 
     def propagate(self, x: Array, dt: float, steps: int) -> Array:
-        """States ``(steps + 1, ..., 7)`` from the first at equal intervals, integrated to a
-        relative 1e-12.
+        """States ``(steps + 1, ..., 7)`` at intervals of ``dt`` s, the start ``x (..., 7)`` first,
+        integrated with a relative tolerance of 1e-12.
         """
         start, dt = finite("x", x, (..., 7)), number("dt", dt)
         unit(start[..., :4], "x")
         steps = integer("steps", steps, 0, LIMIT // max(start.size, 1))
         if not dt:
-            raise ValueError("dt: expected an interval, got 0")
+            raise ValueError("dt: expected an interval other than 0, got 0")
 
         def rates(t: float, flat: Array) -> Array:
             return self.rates(flat.reshape(start.shape), t).ravel()

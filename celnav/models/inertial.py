@@ -1,5 +1,5 @@
-"""Inertial navigation with satellite fixes and other sensors: a strapdown system as a motion, and
-sensors that know its states [Groves2013]::
+"""Inertial navigation with GNSS fixes and other sensors: a strapdown system as a motion, and
+sensors of its states [Groves2013]::
 
     imu = Imu.datasheet(gyro_deg_s_sqrt_hz=0.004, accelerometer_ug_sqrt_hz=70.0, ...)
     system = strapdown(latitude, height_m, imu, states=("lever",))
@@ -7,12 +7,12 @@ sensors that know its states [Groves2013]::
     merged = celnav.merge(imu=(t, (rate, force)), fixes=(t_fix, z_fix))
     track = celnav.run(filter, system.prior(level(force[:100].mean(0)), heading, ...), *merged)
 
-Axes: n north, east, down, fixed to the Earth at the origin of the positions; b the body's, on which
-the unit measures. The attitude q takes n to b: ``rotate(inverse(q), force)`` is on n. Inputs of an
-interval: angular rate rad/s and specific force m/s^2, in its middle.
+Axes: n is north, east, down, Earth-fixed at the origin of the positions; b is the body, the axes of
+the IMU. The attitude q rotates n to b, so ``rotate(inverse(q), force)`` is on n. The inputs of an
+interval are angular rate (rad/s) and specific force (m/s^2) in its middle.
 
-State, by name in ``system.space``: attitude q, velocity v (m/s) and position p (m) on n, biases of
-gyros bg (rad/s) and accelerometers ba (m/s^2); and of `STATES` those that are asked for.
+State, with names in ``system.space``: attitude q, velocity v (m/s) and position p (m) on n, biases
+of gyros bg (rad/s) and accelerometers ba (m/s^2), and optional states from `STATES`.
 """
 
 from __future__ import annotations
@@ -54,23 +54,25 @@ STATES = {
     "axle": (1, 0.5),
     "wheel": (1, 0.02),
 }
-"""Further states: how many components, and their standard deviation at the start. lag: s that fixes
-are later than their time by the unit's clock. lever: m, correction to the antenna's lever arm.
-scale: of gyros (3) and accelerometers (3), measured over true, less 1. mount: pitch and yaw of the
-vehicle's axes against the body's, rad. axle: m, correction to the forward lever arm of the axle
-that does not steer. wheel: scale of the wheel's speed, measured over true, less 1.
+"""Optional states: number of components, and initial standard deviation.
+
+lag: delay of the fixes relative to the IMU's clock, s. lever: correction of the antenna's lever
+arm, m. scale: scale-factor errors of gyros (3) and accelerometers (3), measured / true - 1. mount:
+pitch and yaw of the vehicle axes relative to the body axes, rad. axle: correction of the forward
+lever arm of the axle that does not steer, m. wheel: scale-factor error of the wheel speed,
+measured / true - 1.
 """
 WALK = 1e-3
-"""Change of a further state in 1 s, in its deviations at the start: it is nearly constant."""
+"""Random walk of an optional state over 1 s, relative to its initial standard deviation."""
 
 
 @dataclass(frozen=True)
 class Imu:
-    """Noise of an inertial unit; each number holds on every axis, and is not negative.
+    """Noise of an IMU, the same on every axis; ValueError for negative numbers.
 
-    gyro_noise: rad/s/Hz^(1/2). accelerometer_noise: m/s^2/Hz^(1/2).
-    gyro_bias, accelerometer_bias: standard deviations at the start, rad/s and m/s^2.
-    gyro_walk, accelerometer_walk: changes of the biases in 1 s, rad/s/s^(1/2) and m/s^2/s^(1/2).
+    gyro_noise: noise density, rad/s/Hz^(1/2). accelerometer_noise: noise density, m/s^2/Hz^(1/2).
+    gyro_bias, accelerometer_bias: initial standard deviations of the biases, rad/s and m/s^2.
+    gyro_walk, accelerometer_walk: random walks of the biases, rad/s/s^(1/2) and m/s^2/s^(1/2).
     """
 
     gyro_noise: float
@@ -100,11 +102,13 @@ class Imu:
     ) -> Imu:
         """An `Imu` in the units of data sheets [IEEE1997].
 
-        gyro_deg_s_sqrt_hz, gyro_deg_sqrt_h: noise density, or angle random walk: one of them.
-        accelerometer_ug_sqrt_hz, accelerometer_m_s_sqrt_h: noise density, or velocity random walk.
-        gyro_bias_deg_s, accelerometer_bias_mg: what may remain at the start, one sigma.
-        gyro_instability_deg_h, accelerometer_instability_ug: bias instability B; the bias walks by
-            ``B sqrt(2 / instability_s)`` in 1 s, as one of deviation B and that correlation time.
+        gyro_deg_s_sqrt_hz, gyro_deg_sqrt_h: noise density, or angle random walk; pass one of them.
+        accelerometer_ug_sqrt_hz, accelerometer_m_s_sqrt_h: noise density, or velocity random walk;
+            pass one of them.
+        gyro_bias_deg_s, accelerometer_bias_mg: initial standard deviations of the biases.
+        gyro_instability_deg_h, accelerometer_instability_ug: bias instability B.
+        instability_s: correlation time of the biases, s. Over 1 s the biases change by
+            ``B sqrt(2 / instability_s)``, as a Gauss-Markov process with standard deviation B does.
 
         >>> imu = Imu.datasheet(gyro_deg_sqrt_h=0.3, accelerometer_ug_sqrt_hz=70.0,
         ...                     gyro_bias_deg_s=0.1, accelerometer_bias_mg=5.0)
@@ -146,11 +150,12 @@ class Imu:
         gyro_walk: float = 0.0,
         accelerometer_walk: float = 0.0,
     ) -> Imu:
-        """An `Imu` whose white noise is that of a log at rest: the Allan deviation over
-        ``interval_s``, rms of the axes (`celnav.models.noise.allan_deviation`).
+        """An `Imu` with the white noise of a log at rest: the Allan deviation over ``interval_s``
+        s, RMS of the axes (`celnav.models.noise.allan_deviation`).
 
-        t: ``(T,)`` s, evenly spaced. rate, force: ``(T, 3)``, rad/s and m/s^2. The others are those
-        of `Imu`, because a short rest does not tell them.
+        t: ``(T,)`` s, evenly spaced. rate, force: ``(T, 3)``, rad/s and m/s^2.
+        gyro_bias, accelerometer_bias, gyro_walk, accelerometer_walk: as in `Imu`; a short log does
+            not determine them.
         """
         gyro, accelerometer = (
             np.sqrt(np.square(allan_deviation(t, x, interval_s).deviation).mean() * interval_s)
@@ -162,7 +167,7 @@ class Imu:
 
 
 def _one_of(**given: tuple[float | None, float]) -> float:
-    """The one number that is given, in SI units."""
+    """The only number that is not None, in SI units; ValueError for none or several."""
     values = {
         name: number(name, x, 0.0) * unit for name, (x, unit) in given.items() if x is not None
     }
@@ -173,8 +178,8 @@ def _one_of(**given: tuple[float | None, float]) -> float:
 
 
 def level(force: ArrayLike) -> Array:
-    """Roll and pitch ``(..., 2)`` rad of a body at rest, from its mean specific force ``(..., 3)``
-    m/s^2 on axes forward, right, down.
+    """Roll and pitch ``(..., 2)`` rad of a body at rest from its mean specific force ``(..., 3)``
+    m/s^2 on forward, right, down axes.
 
     >>> roll, pitch = celnav.models.inertial.level(force[:100].mean(0))
     """
@@ -192,13 +197,18 @@ def standing(
     rate_spread: float,
     force_spread: float,
 ) -> tuple[Array, Array]:
-    """Times and rows ``(K, 6)`` for `Strapdown.standstill`: of windows of ``window_s`` in which the
-    unit stands, the last time, zero velocity and the mean rate.
+    """Detect standstill in windows of ``window_s`` s; return times ``(K,)`` s and measurements
+    ``(K, 6)`` for `Strapdown.standstill`.
+
+    A measurement has the last time of its window, zero velocity (m/s) and the mean rate (rad/s).
 
     t: ``(T,)`` s. rate, force: ``(T, 3)``, rad/s and m/s^2.
-    most_rate: limit of the mean rate, rad/s, on each axis: bias and a turn together. rate_spread,
-    force_spread: limits of the standard deviations within a window, on each axis. With the engine
-    on a rest shakes as much as a smooth ride straight on: compare the times with speeds of fixes.
+    most_rate: upper limit of the mean rate on each axis, including the gyro bias, rad/s.
+    rate_spread, force_spread: upper limits of the standard deviations within a window on each axis,
+        rad/s and m/s^2.
+
+    At rest with the engine running, the vibration may equal a smooth, straight ride: compare the
+    times with the speeds of the fixes.
 
     >>> limits = dict(window_s=0.5, most_rate=0.01, rate_spread=0.005, force_spread=0.2)
     >>> rows = celnav.models.inertial.standing(t, rate, force, **limits)
@@ -212,7 +222,7 @@ def standing(
         number("rate_spread", rate_spread, above=0.0),
         number("force_spread", force_spread, above=0.0),
     ]
-    last = np.flatnonzero(np.diff(window))  # of each window but the last, which is not full
+    last = np.flatnonzero(np.diff(window))  # last row of each window; the final window is partial
     if not len(last):
         return times[:0], np.zeros((0, 6))
     first = np.append(0, last[:-1] + 1)
@@ -228,7 +238,7 @@ def standing(
 
 @dataclass(frozen=True, eq=False)
 class Strapdown:
-    """A strapdown system: a motion, and sensors that know its states. Make one with `strapdown`."""
+    """A strapdown system: a motion, and sensors of its states. Make one with `strapdown`."""
 
     latitude: float
     height_m: float
@@ -238,7 +248,7 @@ class Strapdown:
 
     @cached_property
     def space(self) -> Space:
-        """The space of the states, which `Space.part` takes by name."""
+        """The space of the states; `Space.part` selects a state by its name."""
         axes = "reference" if self.error == "local" else "body"
         pose: dict[str, Any] = {"q": attitude(axes=axes), "v": 3, "p": 3}
         if self.error == "invariant":
@@ -247,22 +257,22 @@ class Strapdown:
 
     @cached_property
     def motion(self) -> Motion:
-        """How the state moves over an interval; ``epoch.u`` is ``(rate, force)``."""
+        """The `Motion` of the state over an interval; ``epoch.u`` is ``(rate, force)``."""
         return Motion(self._move, sqrt_Q=self._noise, space=self.space)
 
     @cached_property
     def _spin(self) -> Array:
-        """Rotation of the Earth on n."""
+        """Rotation rate ``(3,)`` of the Earth on n, rad/s."""
         east, north, up = earth.earth_rate(self.latitude)
         return np.array([north, east, -up])
 
     @cached_property
     def _gravity(self) -> tuple[Array, Array]:
-        """Gravity at the origin, and its gradient ``(3, 3)``."""
+        """Gravity ``(3,)`` m/s^2 at the origin, and its gradient ``(3, 3)`` 1/s^2, on n."""
         L, h = self.latitude, self.height_m
         g, above = (float(earth.normal_gravity(L, h + up)) for up in (0.0, 1.0))
         north, east = earth.radii(L, h)
-        # Along a meridian the vertical turns and, a thousandth of this, gravity grows.
+        # Along a meridian the vertical turns. Gravity also increases, a thousand times less.
         step = 1e-4
         sides = [float(earth.normal_gravity(L + s * step, h)) for s in (0.5, -0.5)]
         growth = (sides[0] - sides[1]) / (step * north)
@@ -271,7 +281,7 @@ class Strapdown:
         return np.array([0.0, 0.0, g]), gradient
 
     def _measured(self, x: Array, u: Any) -> tuple[Array, Array]:
-        """Rate and force, corrected."""
+        """Rate and force ``(..., 3)``, corrected for biases and scale-factor errors."""
         rate, force = u if isinstance(u, tuple) else (u[..., :3], u[..., 3:])
         rate, force = rate - self.space.part(x, "bg"), force - self.space.part(x, "ba")
         if "scale" in self.states:
@@ -280,15 +290,15 @@ class Strapdown:
         return rate, force
 
     def _acceleration(self, back: Array, force: Array, v: Array, p: Array, ahead: Any) -> Array:
-        """Change of the velocity, ``C' f + g - 2 w x v``, ``ahead`` seconds after v and p; ``back``
-        takes b to n.
+        """Acceleration ``C' f + g - 2 w x v`` on n, ``ahead`` seconds after v and p; the quaternion
+        ``back`` rotates b to n.
         """
         at_origin, gradient = self._gravity
         a = rotate(back, force) + at_origin + (p + ahead * v) @ gradient
         return np.asanyarray(a - 2.0 * cross_product(self._spin + 0.0 * v, v + ahead * a))
 
     def _move(self, x: Array, epoch: Any) -> Array:
-        # q' = exp(w dt) q exp(-w_ie dt): exact while rate and force stand still on b.
+        # q' = exp(w dt) q exp(-w_ie dt): exact if rate and force are constant on b.
         dt, part = epoch.dt, partial(self.space.part, x)
         dt = np.asanyarray(np.multiply(dt, 1.0))[..., None]
         rate, force = self._measured(x, epoch.u)
@@ -309,13 +319,16 @@ class Strapdown:
         once, integrated, remaining = self._columns
         dt = np.asanyarray(np.multiply(epoch.dt, 1.0))[..., None, None]
         columns = np.sqrt(dt) * (once + dt * (integrated + remaining))
-        # Zeros that machine code knows, whatever the interval, cost it nothing.
+        # Entries that are zero for any interval become constants, which compiled code omits.
         return np.where(once + integrated + remaining != 0.0, columns, 0.0)
 
     @cached_property
     def _columns(self) -> tuple[Array, Array, Array]:
-        """Noise over 1 s, ``(n, r)``: of each state by itself, and of the position through the
-        velocity: ``dt / 2`` of the same noise and ``dt / 12^(1/2)`` of another.
+        """Noise columns ``(n, r)`` over 1 s: the noise of each state, and the effect of the
+        velocity noise on the position.
+
+        The effect is ``dt / 2`` times the velocity noise, plus ``dt / 12^(1/2)`` times an
+        independent noise.
         """
         imu, places = self.imu, self.space.places
         sigma = {
@@ -337,7 +350,7 @@ class Strapdown:
 
     @property
     def n(self) -> int:
-        """How many components an error has."""
+        """Number of components of an error."""
         return 15 + sum(STATES[name][0] for name in self.states)
 
     def prior(
@@ -352,13 +365,16 @@ class Strapdown:
         sigma_velocity: float,
         sigma_position: float,
     ) -> Gaussian:
-        """What is known at the start. Biases and further states are 0, with the deviations of `Imu`
-        and of the states.
+        """The prior `Gaussian`. Biases and optional states have mean 0 and the standard deviations
+        of the `Imu` and of the states.
 
-        level: roll and pitch ``(..., 2)`` rad, as from `level`. heading: ``(...)`` rad from north,
-        clockwise; the course of a car, ``arctan2(v_east, v_north)``; of an unknown one several, as
-        runs of a batch, of which the likelihood picks one. velocity, position: ``(..., 3)`` on n.
-        sigma_level, sigma_heading: rad, about horizontal and vertical axes.
+        level: roll and pitch ``(..., 2)`` rad, as from `level`.
+        heading: ``(...)`` rad clockwise from north. For a car, it is the course
+            ``arctan2(v_east, v_north)``. If it is unknown, pass several headings as runs of a
+            batch, and select one by likelihood.
+        velocity, position: ``(..., 3)`` m/s and m, on n.
+        sigma_level, sigma_heading: rad, about the horizontal axes and the vertical axis.
+        sigma_velocity, sigma_position: m/s and m, on each axis.
         """
         roll_pitch, psi = finite("level", level, (..., 2)), finite("heading", heading)
         v, p = finite("velocity", velocity, (..., 3)), finite("position", position, (..., 3))
@@ -396,7 +412,7 @@ class Strapdown:
         )
         if self.error == "local":
             return Gaussian(mean, np.diag(std**2))
-        # Errors on n become errors on b: of the attitude, or of the whole pose.
+        # Rotate errors from n to b: attitude errors, or errors of the whole extended pose.
         turned = np.zeros((*batch, self.n, self.n)) + np.eye(self.n)
         for at in range(0, 9 if self.error == "invariant" else 3, 3):
             turned[..., at : at + 3, at : at + 3] = matrix(q)
@@ -410,11 +426,11 @@ class Strapdown:
         sigma_position: ArrayLike,
         sigma_velocity: ArrayLike | None = None,
     ) -> Sensor:
-        """Fixes of an antenna: position ``(..., 3)``, or with ``sigma_velocity`` position and
-        velocity ``(..., 6)``, on n.
+        """`Sensor` of fixes of an antenna, on n: position ``(..., 3)``, or position and velocity
+        ``(..., 6)`` with ``sigma_velocity``.
 
-        lever: ``(3,)`` m from the unit to the antenna, on b. sigma_position, sigma_velocity: m and
-        m/s, of all axes or ``(3,)``.
+        lever: ``(3,)`` m from the IMU to the antenna, on b.
+        sigma_position, sigma_velocity: m and m/s, one number or ``(3,)``.
         """
         sigmas = [_sigmas("sigma_position", sigma_position, 3)]
         if sigma_velocity is not None:
@@ -439,7 +455,7 @@ class Strapdown:
         return side_by_side([p, v]) if with_velocity else p
 
     def _turning(self, x: Array, epoch: Any) -> Array:
-        """Rate of b against n, on b; 0 at the first epoch, which no interval leads up to."""
+        """Rotation rate of b relative to n, on b; 0 at the first epoch, which has no interval."""
         q = self.space.part(x, "q")
         spin = rotate(q, self._spin + 0.0 * q[..., :3])
         if epoch.u is None:
@@ -447,10 +463,10 @@ class Strapdown:
         return np.asanyarray(self._measured(x, epoch.u)[0] - spin)
 
     def standstill(self, *, sigma_velocity: ArrayLike, sigma_rate: ArrayLike) -> Sensor:
-        """Velocity zero and mean rate ``(..., 6)`` while the vehicle stands; `standing` makes the
-        rows.
+        """`Sensor` of zero velocity and mean rate ``(..., 6)`` at standstill; `standing` makes the
+        measurements.
 
-        sigma_velocity, sigma_rate: m/s and rad/s, of all axes or ``(3,)``.
+        sigma_velocity, sigma_rate: m/s and rad/s, one number or ``(3,)``.
         """
         velocity = _sigmas("sigma_velocity", sigma_velocity, 3)
         rate = _sigmas("sigma_rate", sigma_rate, 3)
@@ -462,11 +478,14 @@ class Strapdown:
         return side_by_side([part("v"), part("bg") + spin])
 
     def sideways(self, sigma: ArrayLike, *, lever: ArrayLike = (0.0, 0.0, 0.0)) -> Sensor:
-        """Speed to the right and down, on the vehicle's axes, of the axle that does not steer: the
-        measurement is ``(..., 2)``, zeros.
+        """`Sensor` of zero speed to the right and down (nonholonomic constraint), on the vehicle
+        axes, at the axle that does not steer.
 
-        sigma: m/s, of both or ``(2,)``. lever: ``(3,)`` m from the unit to the axle's middle, on b.
-        The states mount and axle correct axes and lever. While it skids or stands, leave rows out.
+        The measurements are zeros ``(..., 2)``. Omit them while the vehicle skids or stands. The
+        states mount and axle correct the vehicle axes and the lever arm.
+
+        sigma: m/s, one number or ``(2,)``.
+        lever: ``(3,)`` m from the IMU to the middle of the axle, on b.
         """
         arm = finite("lever", lever, (3,))
         return Sensor(
@@ -474,8 +493,8 @@ class Strapdown:
         )
 
     def wheel_speed(self, sigma: float, *, lever: ArrayLike = (0.0, 0.0, 0.0)) -> Sensor:
-        """Speed forward ``(..., 1)`` m/s of the wheels of the axle that does not steer; else as
-        `sideways`. The state wheel is its scale.
+        """`Sensor` of the forward speed ``(..., 1)`` m/s of the wheels on the axle that does not
+        steer; arguments as in `sideways`. The state wheel is its scale-factor error.
         """
         arm = finite("lever", lever, (3,))
         return Sensor(
@@ -504,18 +523,20 @@ def strapdown(
     *,
     error: str = "invariant",
 ) -> Strapdown:
-    """A `Strapdown` system near a place: Earth rotation, Coriolis acceleration, and normal gravity
-    with its first derivatives, which 6 km away leave 1e-5 m/s^2 and 60 km away 1e-3.
+    """A `Strapdown` system near an origin. It models Earth rotation, Coriolis acceleration, and
+    normal gravity with its first derivatives.
 
-    latitude: rad. height_m: above the ellipsoid. Positions count from there.
-    imu: its noise. states: names of `STATES`, or a dict of names with their standard deviations at
-        the start.
-    error: "invariant": errors of attitude, velocity and position on b, those of
-        `celnav.gaussian.extended_pose.extended_pose`, which a poor heading harms least. "body": of
-        the attitude on b, of velocity and position on n. "local": all on n.
+    The error of the gravity model is 1e-5 m/s^2 at 6 km from the origin and 1e-3 m/s^2 at 60 km.
 
-    Within an interval the errors of attitude and biases are taken not to reach the velocity: at 100
-    Hz this changes correlations of the process noise by less than a hundredth.
+    latitude, height_m: origin of the positions, rad and m above the ellipsoid.
+    imu: noise of the IMU.
+    states: names from `STATES`, or a dict from names to initial standard deviations.
+    error: "invariant" uses the errors of `celnav.gaussian.extended_pose.extended_pose`, which are
+        least sensitive to a poor heading. "body" has attitude errors on b, and velocity and
+        position errors on n. "local" has all errors on n.
+
+    Within an interval, process noise of attitude and biases is assumed not to affect the velocity.
+    At 100 Hz this changes correlations of the process noise by less than 0.01.
 
     >>> system = celnav.models.inertial.strapdown(0.8, 100.0, imu, states=("lag", "lever"))
     >>> filter = celnav.ekf(system.motion, system.gnss(sigma_position=0.02))
@@ -534,6 +555,6 @@ def _sigmas(name: str, value: ArrayLike, count: int) -> Array:
     sigma = finite(name, value)
     if sigma.shape not in ((), (count,)) or (sigma <= 0.0).any():
         raise ValueError(
-            f"{name}: expected a positive number or {count} of them, got {value!r:.80}"
+            f"{name}: expected a positive number, or {count} positive numbers, got {value!r:.80}"
         )
     return np.broadcast_to(sigma, count)

@@ -1,13 +1,13 @@
-"""A strapdown inertial navigation system, its errors at large misalignment, and their measurements
+"""Errors of a strapdown inertial navigation system at large misalignment, and measurements of them
 by star sensors and SAR.
 
-State of the errors ``(..., 13)``: misalignment phi (3, rad), errors of the east and north velocity
-(2, m/s), of longitude and latitude (2, rad), gyro drift eps (3, rad/s), accelerometer bias nabla
-(3, m/s^2); computed minus true [Liang2014]. Frames: n east, north, up; n' the same as computed by
-the system; b the body. The misalignment is the Euler angles of
+Error state ``(..., 13)``, computed minus true [Liang2014]: misalignment phi (3, rad), errors of
+east and north velocity (2, m/s) and of longitude and latitude (2, rad), gyro drift eps (3, rad/s),
+accelerometer bias nabla (3, m/s^2). Frames: n is east, north, up; n' is n as the system computes
+it; b is the body. The misalignment consists of the Euler angles of
 ``C_n^n' = C_y(phi_y) C_x(phi_x) C_z(phi_z)``. Given phi, the dynamics are linear in the other ten
-states, and the measurements are nonlinear in phi only. `mechanize` steps the whole system, with
-which this model must agree.
+states, and the measurements are nonlinear in phi only. `mechanize` simulates the complete system,
+as a reference for this error model.
 """
 
 from __future__ import annotations
@@ -47,16 +47,18 @@ STATES = (
     "nabla_z",
 )
 SINGULAR = np.radians(89.0)
-"""The Euler angles are singular at phi_x = 90 degrees: sigma points beyond this are meaningless."""
+"""Limit of phi_x, rad: the Euler angles are singular at 90 degrees, and sigma points beyond are
+meaningless.
+"""
 FLIGHT = "a Flight, such as celnav.models.earth.turning_flight(times, ...)"
 
 
 class Navigation(NamedTuple):
-    """The system's own values during an interval: inputs of the error model.
+    """Computed values of the navigation system, the inputs of the error model.
 
-    attitude: ``(..., 3, 3)``, C_b^n', computed. force: ``(..., 3)`` m/s^2, measured, on the axes
-        n'.
-    velocity: ``(..., 2)`` m/s, east and north (level flight). latitude: ``(...)`` rad. height_m.
+    attitude: ``(..., 3, 3)``, computed C_b^n'. force: ``(..., 3)`` m/s^2, measured specific force
+        on n'.
+    velocity: ``(..., 2)`` m/s, east and north (level flight). latitude: ``(...)`` rad. height_m: m.
     """
 
     attitude: Array
@@ -67,8 +69,10 @@ class Navigation(NamedTuple):
 
 
 def navigation(flight: Flight, at: Array | int | slice, phi: Array, bias: Array) -> Navigation:
-    """`Navigation` at the epochs ``at`` of a flight whose system has a true misalignment and
-    accelerometer bias ``(..., 3)``.
+    """`Navigation` at the epochs ``at`` (an index, indices or a slice) of a flight.
+
+    phi, bias: true misalignment (rad) and accelerometer bias (m/s^2), ``(..., 3)``. ValueError for
+    an epoch beyond the flight.
     """
     instance("flight", flight, Flight, FLIGHT)
     phi, bias = finite("phi", phi, (..., 3)), finite("bias", bias, (..., 3))
@@ -79,10 +83,10 @@ def navigation(flight: Flight, at: Array | int | slice, phi: Array, bias: Array)
     except (IndexError, ValueError):
         count = len(flight.times)
         raise ValueError(
-            f"at: expected numbers of epochs below {count}, one, several or a slice, got {at!r:.80}"
+            f"at: expected an index below {count}, several, or a slice, got {at!r:.80}"
         ) from None
     attitude = misalignment_matrix(phi) @ true
-    # Accelerometers measure in body axes; the computed attitude resolves this on n'.
+    # Accelerometers measure on b; the computed attitude transforms this to n'.
     force = matvec(attitude, flight.force[at] + bias)
     return Navigation(
         attitude, force, flight.velocity[at, :2], flight.latitude[at], flight.height_m
@@ -118,8 +122,8 @@ def misalignment_angles(C: Array) -> Array:
 
 
 def _dot(row: Iterable[Array], v: Iterable[Array]) -> Array:
-    """A row of a matrix times a vector: for batches of sigma points several times as fast by
-    components as by small products.
+    """A row of a matrix times a vector, by components: for batches of sigma points several times as
+    fast as small matrix products.
     """
     (a, b, c), (x, y, z) = row, v
     product: Array = a * x + b * y + c * z
@@ -127,14 +131,14 @@ def _dot(row: Iterable[Array], v: Iterable[Array]) -> Array:
 
 
 def derivative(x: Array, nav: Navigation) -> Array:
-    """Rate of the state ``(..., 13)``; gyro drift and accelerometer bias are constant
+    """Time derivative ``(..., 13)`` of the state; gyro drift and accelerometer bias are constant
     [Liang2014, Eqs. 20-25, corrected].
     """
     return np.moveaxis(_rates(component_major(x), nav), 0, -1)
 
 
 def _rates(X: Array, nav: Navigation) -> Array:
-    """The same with the component axis first."""
+    """`derivative` with the component axis first, ``(13, ...)``."""
     s, c = np.sin(X[PHI]), np.cos(X[PHI])
     C, Cb, f = (
         _rows(s, c),
@@ -149,11 +153,11 @@ def _rates(X: Array, nav: Navigation) -> Array:
         components_first(earth.transport_rate(nav.velocity, L, nav.height_m)),
     )
 
-    # The errors of the computed rates; that of the Earth's rate has no east component.
+    # Errors of the computed rates w_ie and w_en; the first has no east component.
     d_ie = 0.0, -ie[2] * dL, ie[1] * dL
     d_en = -Vy / north, Vx / east, Vx * (tanL / east) + dL * (vx * secL * secL / east)
 
-    # Rotation of n' against n, on the axes n', and the resulting rates of the angles.
+    # Rotation rate of n' relative to n, on n', and the resulting rates of the Euler angles.
     rate, drift, bias = ie + en, X[DRIFT], X[BIAS]
     wx, wy, wz = (
         rate[i] - _dot(C[i], rate) - _dot(Cb[i], drift) + (d_ie[i] + d_en[i]) for i in range(3)
@@ -164,7 +168,7 @@ def _rates(X: Array, nav: Navigation) -> Array:
     # Rates of the Euler angles from the rotation w on the axes n'.
     out[0], out[1], out[2] = cy * wx + sy * wz, wy - (sx / cx) * turn, turn / cx
 
-    # Velocity: f' - C' (f' - C_b^n' nabla), Coriolis terms of the error and of the rates' errors.
+    # Velocity: f' - C' (f' - C_b^n' nabla), Coriolis terms of velocity error and of rate errors.
     true = [f[i] - _dot(Cb[i], bias) for i in range(3)]
     fx, fy = (f[i] - _dot((C[0][i], C[1][i], C[2][i]), true) for i in range(2))
     spin, error = 2.0 * ie[2] + en[2], 2.0 * d_ie[2] + d_en[2]
@@ -174,14 +178,14 @@ def _rates(X: Array, nav: Navigation) -> Array:
 
 
 def advance(x: Array, nav: Navigation, dt: float) -> Array:
-    """State ``(..., 13)`` after ``dt`` seconds, inputs at the middle of the interval; linear in all
-    but phi.
+    """State ``(..., 13)`` after ``dt`` seconds, with inputs at the middle of the interval; it is
+    linear in all states but phi.
 
     A point near phi_x = 90 degrees is not detected, see `SINGULAR`.
     """
     X = component_major(x)
     rate = _rates(X, nav)
-    # The position moves with the velocity error in the middle of the interval.
+    # The position error uses the velocity error in the middle of the interval.
     half, (north, east) = 0.5 * dt, earth.radii(nav.latitude, nav.height_m)
     rate[5] += half * rate[3] / (east * np.cos(nav.latitude))
     rate[6] += half * rate[4] / north
@@ -209,11 +213,11 @@ def star_residuals(x: Array, attitude: Array, stars: Array) -> Array:
 
 
 def wahba_misalignment(z: Array, attitude: Array, stars: Array) -> Array:
-    """Misalignment ``(..., 3)`` that best fits measured star residuals ``z (..., 3 k)``: Wahba's
-    problem, by SVD [Markley1988].
+    """Misalignment ``(..., 3)`` rad that best fits measured star residuals ``z (..., 3 k)``:
+    Wahba's problem, solved by SVD [Markley1988].
 
-    ``stars (..., k, 3)``: unit vectors. ValueError if all are parallel (``|r_i x r_j| < 1e-3``):
-    a rotation about them would be free.
+    attitude: ``(..., 3, 3)``, C_b^n'. stars: ``(..., k, 3)``, unit vectors on n. ValueError if all
+    stars are parallel (``|r_i x r_j| < 1e-3``), because the rotation about them is undetermined.
     """
     directions = finite("stars", stars, (..., "k", 3))
     k, length = directions.shape[-2], np.linalg.norm(directions, axis=-1)
@@ -225,7 +229,8 @@ def wahba_misalignment(z: Array, attitude: Array, stars: Array) -> Array:
     pairs = np.cross(directions[..., :, None, :], directions[..., None, :, :])
     if (np.linalg.norm(pairs, axis=-1).max((-2, -1), initial=0.0) < 1e-3).any():
         raise ValueError(
-            "stars: expected two directions that are not parallel (|r_i x r_j| >= 1e-3)"
+            "stars: expected two directions that are not parallel (|r_i x r_j| >= 1e-3), got "
+            "parallel ones"
         )
     z, attitude = finite("z", z, (..., 3 * k)), finite("attitude", attitude, (..., 3, 3))
     body = z.reshape(*z.shape[:-1], k, 3)
@@ -239,8 +244,8 @@ def wahba_misalignment(z: Array, attitude: Array, stars: Array) -> Array:
 
 
 class Solution(NamedTuple):
-    """The computed navigation, ``(T, ...)``: attitude C_b^n' ``(T, 3, 3)``, velocity ``(T, 2)``
-    m/s, longitude, latitude rad.
+    """The computed navigation solution: attitude C_b^n' ``(T, 3, 3)``, velocity ``(T, 2)`` m/s,
+    longitude and latitude ``(T,)`` rad.
     """
 
     attitude: Array
@@ -250,12 +255,12 @@ class Solution(NamedTuple):
 
 
 def mechanize(flight: Flight, attitude: Array, drift: Array, bias: Array) -> Solution:
-    """The `Solution` along a flight from a wrong initial attitude, with gyro drift (rad/s) and
-    accelerometer bias (m/s^2).
+    """The `Solution` along a flight from a wrong initial attitude ``(3, 3)``, with gyro ``drift``
+    (rad/s) and accelerometer ``bias`` (m/s^2), ``(3,)``.
 
-    Horizontal channels only: the height is known. The flight is sampled twice per step (at the ends
-    and in the middle), so it has an odd number of epochs; one row of the solution per step, the
-    start first.
+    Only the horizontal channels are computed; the height is exact. Each step uses the flight at its
+    start, middle and end, so the flight has an odd number of epochs (ValueError otherwise). The
+    solution has one row per step, after the start.
     """
     t = instance("flight", flight, Flight, FLIGHT).times
     if len(t) < 3 or len(t) % 2 == 0:
@@ -270,17 +275,14 @@ def mechanize(flight: Flight, attitude: Array, drift: Array, bias: Array) -> Sol
         flight.height_m,
         (slice(0, -2, 2), slice(1, None, 2), slice(2, None, 2)),
     )
-    # Measurements in the middle of each step: the gyros measure the body's rotation against
-    # inertial space.
+    # Measurements at the middle of each step. Gyros measure rotation relative to inertial space.
     L, b = flight.latitude[middle], flight.attitude
     spin = earth.earth_rate(L) + earth.transport_rate(flight.velocity[middle], L, h)
     turn = Rotation.from_matrix(b[first].mT @ b[last]).as_rotvec()
     gyros, forces = turn / dt + matvec(b[middle].mT, spin) + drift, flight.force[middle] + bias
 
     def after(dt: float, start: Solution, at: Solution, gyro: Array, force: Array) -> Solution:
-        """The computed solution ``dt`` seconds after the ``start``, with the rates of the solution
-        ``at``.
-        """
+        """The solution ``dt`` seconds after ``start``, with the rates at the solution ``at``."""
         # C' = exp(-w_in dt) C exp(w_ib dt), and v' = C f - (2 w_ie + w_en) x v.
         ie, en = earth.earth_rate(at.latitude), earth.transport_rate(at.velocity, at.latitude, h)
         change = at.attitude @ force - np.cross(2.0 * ie + en, np.append(at.velocity, 0.0))

@@ -1,9 +1,9 @@
 """Kinematic motions of vehicles and targets [BarShalom2001]: constant velocity, constant
 acceleration, coordinated turns.
 
-Each is a `celnav.Motion` whose noise is white in continuous time and exact over an interval of any
-length: two steps equal one step over both. States have positions first, then velocities, then
-accelerations, each with all axes: ``[x, y, vx, vy]``. Units are the user's; below they are m and s.
+Each is a `celnav.Motion` with white noise in continuous time, discretized exactly for any interval:
+two steps equal one step over both. States have positions first, then velocities, then
+accelerations, each for all axes: ``[x, y, vx, vy]``. Any units work; m and s are used below.
 Intervals may differ from epoch to epoch and from run to run (``epoch.dt``).
 """
 
@@ -25,11 +25,11 @@ MOST_AXES = 100
 
 
 def constant_velocity(dim: int, q: ArrayLike) -> Motion:
-    """Nearly constant velocity: white noise is the acceleration; states ``(..., 2 dim)``, positions
-    and velocities.
+    """Nearly constant velocity: the acceleration is white noise. States ``(..., 2 dim)`` are
+    positions and velocities.
 
-    q: spectral density of the acceleration, m^2/s^3, one for all axes or ``(dim,)``: over T s
-        velocities change by ``sqrt(q T)``.
+    q: spectral density of the acceleration, m^2/s^3, one number or ``(dim,)``. Over T s the
+        standard deviation of a velocity change is ``sqrt(q T)``.
 
     >>> motion = celnav.models.motion.constant_velocity(2, q=0.1)
     """
@@ -37,11 +37,11 @@ def constant_velocity(dim: int, q: ArrayLike) -> Motion:
 
 
 def constant_acceleration(dim: int, q: ArrayLike) -> Motion:
-    """Nearly constant acceleration: white noise is the jerk; states ``(..., 3 dim)``, positions,
+    """Nearly constant acceleration: the jerk is white noise. States ``(..., 3 dim)`` are positions,
     velocities and accelerations.
 
-    q: spectral density of the jerk, m^2/s^5, one for all axes or ``(dim,)``: over T s accelerations
-        change by ``sqrt(q T)``.
+    q: spectral density of the jerk, m^2/s^5, one number or ``(dim,)``. Over T s the standard
+        deviation of an acceleration change is ``sqrt(q T)``.
 
     >>> motion = celnav.models.motion.constant_acceleration(3, q=1e-4)
     """
@@ -49,10 +49,10 @@ def constant_acceleration(dim: int, q: ArrayLike) -> Motion:
 
 
 def known_turn(rate: float, q: float) -> Motion:
-    """A turn in the plane at a known rate: velocities ``[vx, vy]`` rotate, and the acceleration is
-    white noise; states ``(..., 4)``.
+    """A turn in a plane at a known rate: the velocity rotates, and the acceleration is white noise.
+    States ``(..., 4)`` are ``[x, y, vx, vy]``.
 
-    rate: rad/s, from x to y; 0 is `constant_velocity`.
+    rate: turn rate from x to y, rad/s; 0 gives `constant_velocity`.
     q: spectral density of the acceleration, m^2/s^3.
 
     >>> motion = celnav.models.motion.known_turn(rate=np.radians(3.0), q=0.1)
@@ -73,12 +73,12 @@ def _known_turn_noise(rate: Array, amplitude: Array, _mean: Array, epoch: Any) -
 
 
 def coordinated_turn(q: float, q_rate: float) -> Motion:
-    """A turn in the plane at a random-walk rate, the last component; states ``(..., 5)``,
+    """A turn in a plane at a rate that is a random walk. States ``(..., 5)`` are
     ``[x, y, vx, vy, rate]``.
 
-    q: spectral density of the acceleration, m^2/s^3, exact for the estimated rate. q_rate: spectral
-    density of the rate's change, rad^2/s^3; a change within an interval turns the vehicle only from
-    the end of the interval on.
+    q: spectral density of the acceleration, m^2/s^3, discretized exactly for the estimated rate.
+    q_rate: spectral density of the rate's derivative, rad^2/s^3. A change of the rate within an
+        interval affects the velocity only after the interval.
 
     >>> motion = celnav.models.motion.coordinated_turn(q=0.1, q_rate=1e-5)
     """
@@ -118,7 +118,7 @@ def _turn_jacobian(mean: Array, epoch: Any) -> Array:
 
 def _turn_noise(amplitude: Array, change: Array, mean: Array, epoch: Any) -> Array:
     T = _interval(epoch)
-    # (..., 5, 5): noise of the acceleration, and of the rate in the last column.
+    # (..., 5, 5): acceleration noise, and rate noise in the last column.
     pushed = _WIDER @ _pushed(mean[..., 4], T) @ _WIDER.T
     return np.asanyarray(amplitude * pushed + change * np.sqrt(T) * _LAST)
 
@@ -143,7 +143,7 @@ def _blocks(i: int, j: int) -> tuple[Array, Array]:
 
 
 def _interval(epoch: Any) -> Array:
-    """The interval ``(..., 1, 1)`` s."""
+    """The epoch's interval ``(..., 1, 1)`` s, ready to multiply matrices."""
     dt: Any = np.multiply(epoch.dt, 1.0)
     return np.asanyarray(dt[..., None, None])
 
@@ -153,13 +153,10 @@ def _chain(dim: int, order: int, q: ArrayLike) -> Motion:
     axes = integer("dim", dim, 1, MOST_AXES)
     densities = finite("q", q)
     if densities.shape not in ((), (axes,)) or (densities < 0.0).any():
-        raise ValueError(
-            f"q: expected a density that is not negative, or {axes} of them, got {q!r:.80}"
-        )
+        raise ValueError(f"q: expected a spectral density >= 0, or {axes} of them, got {q!r:.80}")
     # F = sum over k of T^k / k! on the k-th block above the diagonal.
     terms = [np.kron(np.eye(order, k=k) / factorial(k), np.eye(axes)) for k in range(order)]
-    # Over T the noise is T^(a + 1/2) times the noise over 1 s, for a quantity that integrates the
-    # driven one a times.
+    # Noise over T is T^(a + 1/2) times noise over 1 s, for the a-th integral of the driven state.
     a = np.arange(order)[::-1]
     once = [factorial(k) for k in a.tolist()]
     root = np.linalg.cholesky(1.0 / (np.multiply.outer(once, once) * (np.add.outer(a, a) + 1.0)))
@@ -177,7 +174,7 @@ def _chain_noise(columns: tuple[Array, ...], _mean: Array, epoch: Any) -> Array:
 
 
 def _polynomial(terms: tuple[Array, ...], epoch: Any) -> Array:
-    """The sum of ``terms[k] T^k`` over an interval of T."""
+    """The sum of ``terms[k] T^k`` for an interval T."""
     total, T = terms[-1], _interval(epoch)
     for term in terms[-2::-1]:
         total = term + T * total
@@ -208,9 +205,7 @@ def _turned(rate: Array, T: Array) -> Array:
 
 
 def _pushed(rate: Array, T: Array) -> Array:
-    """Root ``(..., 4, 4)`` of the covariance from white acceleration of density 1 during a turn:
-    two columns for each block.
-    """
+    """Root ``(..., 4, 4)`` of the covariance from white acceleration of density 1 in a turn."""
     theta = rate[..., None, None] * T
     first, second = turn_coefficients(theta * theta)
     residual = np.sqrt(2.0 * second - first * first - (theta * second) ** 2)

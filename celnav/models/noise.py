@@ -1,4 +1,4 @@
-"""Noise models: AR(1) sequences, and continuous noise made discrete."""
+"""Noise: AR(1) sequences, discretization of continuous noise, Allan deviation."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from celnav.gaussian.linalg import Array
 
 
 class Allan(NamedTuple):
-    """Allan deviations ``(...)``, of the unit of the samples, and their 95 % intervals."""
+    """Allan deviations ``(...)``, in the unit of the samples, and their 95 % confidence limits."""
 
     deviation: Array
     low: Array
@@ -23,10 +23,10 @@ class Allan(NamedTuple):
 
 
 def allan_deviation(t: ArrayLike, samples: ArrayLike, interval_s: float) -> Allan:
-    """Overlapping Allan deviation of means over ``interval_s`` [Riley2008, Eq. 11].
+    """Overlapping Allan deviation (`Allan`) of means over ``interval_s`` s [Riley2008, Eq. 11].
 
-    t: ``(T,)`` s, evenly spaced. samples: ``(T, ...)`` of a rate. White noise of density N has
-    ``N / interval_s^(1/2)``; the intervals hold for white noise.
+    t: ``(T,)`` s, evenly spaced within half a period. samples: ``(T, ...)`` of a rate. For white
+    noise of density N it is ``N / interval_s^(1/2)``; the confidence limits assume white noise.
 
     >>> deviation = celnav.models.noise.allan_deviation(t, rate, 1.0).deviation
     """
@@ -38,18 +38,20 @@ def allan_deviation(t: ArrayLike, samples: ArrayLike, interval_s: float) -> Alla
         raise ValueError(f"t: expected three times or more, got {len(times)}")
     period = (times[-1] - times[0]) / (len(times) - 1)
     if not (np.abs(np.diff(times) - period) < 0.5 * period).all():
-        raise ValueError("t: expected increasing times that are evenly spaced within half a period")
+        raise ValueError(
+            "t: expected increasing times, evenly spaced within half a period, got other intervals"
+        )
     m, total = round(number("interval_s", interval_s, above=0.0) / period), len(times)
     if not 1 <= m <= (total - 1) // 2:
         most = (total - 1) // 2 * period
         raise ValueError(
-            f"interval_s: expected {period:g} to {most:g} s, half of the samples, got "
+            f"interval_s: expected {period:g} to {most:g} s, from one sample to half of them, got "
             f"{interval_s!r}"
         )
     sums = np.concatenate([np.zeros_like(x[:1]), np.cumsum(x - x.mean(0), 0)])
     second = sums[2 * m :] - 2.0 * sums[m:-m] + sums[: -2 * m]
     deviation = np.sqrt(0.5 * np.square(second).mean(0)) / m
-    # Equivalent degrees of freedom, white noise of a rate [Riley2008, Sec. 5.4].
+    # Equivalent degrees of freedom for white noise of a rate [Riley2008, Sec. 5.4].
     dof = 1.5 * total / m - 2.0 * (total - 1.0) / (total + 1.0)
     dof *= 4.0 * m * m / (4.0 * m * m + 5.0)
     low, high = (np.sqrt(dof / (2.0 * gammaincinv(0.5 * dof, p))) for p in (0.975, 0.025))
@@ -57,8 +59,8 @@ def allan_deviation(t: ArrayLike, samples: ArrayLike, interval_s: float) -> Alla
 
 
 def stationary_covariance(Phi: ArrayLike, R: ArrayLike) -> Array:
-    """Covariance ``(m, m)`` of a stationary sequence ``V' = Phi V + zeta``, ``zeta ~ N(0, R)``;
-    ValueError if there is none.
+    """Covariance ``(m, m)`` of the stationary sequence ``V' = Phi V + zeta``, ``zeta ~ N(0, R)``;
+    ValueError if the spectral radius of ``Phi`` is not below 1.
     """
     phi = finite("Phi", Phi, ("m", "m"))
     noise = finite("R", symmetric(R, "R", len(phi))[0], phi.shape)
@@ -71,8 +73,8 @@ def stationary_covariance(Phi: ArrayLike, R: ArrayLike) -> Array:
 
 
 def effective_covariance(Phi: ArrayLike, R: ArrayLike) -> Array:
-    """Covariance ``(m, m)`` of white noise whose spectrum equals that of the stationary sequence at
-    frequency 0, ``(I - Phi)^-1 R (I - Phi)^-T``.
+    """Covariance ``(m, m)`` of white noise with the spectral density at frequency 0 of the
+    stationary sequence: ``(I - Phi)^-1 R (I - Phi)^-T``.
     """
     stationary_covariance(Phi, R)
     phi = finite("Phi", Phi)
@@ -81,8 +83,9 @@ def effective_covariance(Phi: ArrayLike, R: ArrayLike) -> Array:
 
 
 def ar1(Phi: ArrayLike, increments: ArrayLike, first: ArrayLike) -> Array:
-    """AR(1) sequence ``(T, ..., m)`` from increments ``(T - 1, ..., m)`` and its first value
-    ``(..., m)``; ``Phi (..., m, m)``.
+    """AR(1) sequence ``V (T, ..., m)`` with ``V' = Phi V + increment``.
+
+    Phi: ``(..., m, m)``. increments: ``(T - 1, ..., m)``. first: ``(..., m)``, the first value.
     """
     Phi = finite("Phi", Phi, (..., "m", "m"))
     m = Phi.shape[-1]
@@ -106,10 +109,10 @@ def ar1(Phi: ArrayLike, increments: ArrayLike, first: ArrayLike) -> Array:
 def van_loan(
     F: ArrayLike, G: ArrayLike, spectral_density: ArrayLike, dt: float
 ) -> tuple[Array, Array]:
-    """Discretize ``dx = F x dt + G dw`` over ``dt >= 0`` s: transition matrix and noise covariance
-    ``(n, n)`` [VanLoan1978].
+    """Discretize ``dx = F x dt + G dw`` over ``dt >= 0`` s; return the transition matrix and the
+    noise covariance, ``(n, n)`` [VanLoan1978].
 
-    ``F (n, n)`` in 1/s, ``G (n, k)``, and ``spectral_density (k, k)`` of ``w``, two-sided.
+    F: ``(n, n)`` 1/s. G: ``(n, k)``. spectral_density: ``(k, k)``, two-sided, of ``dw/dt``.
 
     >>> F, Q = van_loan([[0.0, 1.0], [0.0, 0.0]], [[0.0], [1.0]], [[0.1]], 0.5)  # constant velocity
     """
@@ -125,9 +128,12 @@ def van_loan(
 
 
 class Noise(NamedTuple):
-    """AR(1) noises of a measurement, ``V' = F V + xi``, and a process, ``J V' + Q'``,
-    ``Q' = L Q + e``, as `ar1_noise` makes them: ``F (m, m)``, ``L (q, q)``, ``J (q, m)``,
-    covariances ``Xi (m, m)`` of ``xi`` and ``E (q, q)`` of ``e``, stationary V, Q."""
+    """AR(1) measurement noise ``V' = F V + xi`` and process noise ``J V' + Q'`` with
+    ``Q' = L Q + e``; make one with `ar1_noise`.
+
+    F: ``(m, m)``. L: ``(q, q)``. J: ``(q, m)``. Xi: covariance ``(m, m)`` of xi. E: covariance
+    ``(q, q)`` of e. V, Q: stationary covariances ``(m, m)`` and ``(q, q)``.
+    """
 
     F: Array
     L: Array
@@ -139,15 +145,15 @@ class Noise(NamedTuple):
 
     @property
     def whites(self) -> tuple[tuple[Array, Array], ...]:
-        """Covariances ``((q, q), (m, m))`` for a filter that treats both noises as white: those of
-        the driving noises, and the stationary ones.
+        """Two pairs of covariances ``((q, q), (m, m))`` for a filter that treats both noises as
+        white: the driving noises, and the stationary noises.
         """
         return (self.E, self.Xi), (self.Q + self.J @ self.V @ self.J.mT, self.V)
 
 
 def ar1_noise(F: ArrayLike, L: ArrayLike, J: ArrayLike, Xi: ArrayLike, E: ArrayLike) -> Noise:
-    """A checked `Noise`; ValueError if ``F`` or ``L`` is not diagonal with magnitudes below 1, or
-    if ``Xi`` or ``E`` is not a covariance.
+    """Make a `Noise`. ValueError if ``F`` or ``L`` is not diagonal with magnitudes below 1, if
+    ``Xi`` is not positive definite, or if ``E`` is not a covariance.
     """
     xi, e = finite("Xi", Xi, ("m", "m")), finite("E", E, ("q", "q"))
     m, q = len(xi), len(e)
@@ -155,10 +161,10 @@ def ar1_noise(F: ArrayLike, L: ArrayLike, J: ArrayLike, Xi: ArrayLike, E: ArrayL
     for name, a in zip("FL", colors, strict=True):
         if np.any(a - np.diag(a.diagonal())) or np.abs(a).max() >= 1.0:
             raise ValueError(
-                f"{name}: expected a diagonal matrix of magnitudes below 1, got {a!r:.80}"
+                f"{name}: expected a diagonal matrix with magnitudes below 1, got {a!r:.80}"
             )
     if np.linalg.eigvalsh(symmetric(xi, "Xi", m)[0])[0] <= 0.0:
-        raise ValueError("Xi: expected a positive definite covariance")
+        raise ValueError("Xi: expected a positive definite covariance, got a singular one")
     symmetric(e, "E", q)
     # A diagonal AR(1): V_ij = Xi_ij / (1 - F_i F_j).
     V, Q = (

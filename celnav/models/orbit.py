@@ -1,8 +1,8 @@
-"""Orbits about the Earth: forces, short and long steps, Kepler elements. Units: km, km/s, s, rad.
+"""Earth orbits: accelerations, short and long steps, Kepler elements. Units: km, km/s, s, rad.
 
-States are ``(..., 6)``, position then velocity in an Earth-centered inertial equatorial frame. The
-functions that filters call at every step do not check their arguments: `acceleration`,
-`third_body`, `step` (seconds), `advance` and `flow` (minutes).
+States ``(..., 6)`` are position, then velocity, in an Earth-centered inertial equatorial frame.
+Filters call `acceleration`, `third_body`, `step` (for seconds), `advance` and `flow` (for minutes)
+at every step; these do not check their arguments.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from celnav.gaussian.spaces import component_major, points_last
 
 
 class UnitWarning(UserWarning):
-    """A number that is possible but looks as if it had another unit."""
+    """Warning of a value that is possible, but suggests another unit."""
 
 
 def warn_of_degrees(name: str, angles: ArrayLike) -> None:
-    """Warn (`UnitWarning`) of angles beyond a full turn, which are hardly radians."""
+    """Warn (`UnitWarning`) of angles beyond a full turn, which are probably in degrees."""
     size = np.abs(angles)
     if (size > 2.0 * np.pi + 1e-9).any():
         text = f"{name}: {np.nanmax(size):.6g} rad is more than a full turn; angles are in radians"
@@ -35,8 +35,8 @@ def warn_of_degrees(name: str, angles: ArrayLike) -> None:
 
 @dataclass(frozen=True)
 class Earth:
-    """Gravity and size: ``mu`` km^3/s^2, equatorial ``radius_km``, ``j2`` (0: two bodies only);
-    numbers, or one for each run.
+    """Gravitational parameter ``mu`` km^3/s^2, equatorial ``radius_km``, and ``j2`` (0 for the
+    two-body problem); numbers, or arrays with one number per run.
     """
 
     mu: float = 398600.4418
@@ -56,10 +56,10 @@ EARTH = Earth()
 
 
 def acceleration(position: Array, earth: Earth = EARTH) -> Array:
-    """Gravity of two bodies and J2, km/s^2, for positions with the *component axis first*,
-    ``(3, ...)`` [Sun2015, Eq. 38].
+    """Two-body and J2 acceleration ``(3, ...)`` km/s^2 at positions ``(3, ...)`` km, with the
+    *component axis first* [Sun2015, Eq. 38].
     """
-    # a_x = k x (1 + 3/2 J2 (R / r)^2 (1 - 5 z^2 / r^2)), k = -mu / r^3; in a_z the 1 - 5 is 3 - 5.
+    # a_x = k x (1 + 3/2 J2 (R / r)^2 (1 - 5 z^2 / r^2)), k = -mu / r^3; in a_z, 3 replaces 1.
     squares = position * position
     inverse = 1.0 / np.add.reduce(squares)
     k = (-earth.mu * inverse) * np.sqrt(inverse)
@@ -70,10 +70,10 @@ def acceleration(position: Array, earth: Earth = EARTH) -> Array:
 
 
 def third_body(position: Array, body: Array, gm: float) -> Array:
-    """Acceleration ``(..., 3)`` of a satellite at ``position (..., 3)`` by a ``body (..., 3)`` of
-    ``gm`` km^3/s^2, both geocentric.
+    """Acceleration ``(..., 3)`` km/s^2 of a satellite due to a third body with ``gm`` km^3/s^2.
 
-    This form does not subtract two nearly equal attractions [Battin1987, Eqs. 8.60-8.62].
+    position, body: geocentric, ``(..., 3)`` km. The formula avoids the difference of two nearly
+    equal attractions [Battin1987, Eqs. 8.60-8.62].
     """
     q = ((position * (position - 2.0 * body)).sum(-1) / np.square(body).sum(-1))[..., None]
     f = q * (3.0 + q * (3.0 + q)) / (1.0 + (1.0 + q) ** 1.5)
@@ -82,15 +82,15 @@ def third_body(position: Array, body: Array, gm: float) -> Array:
 
 
 def step(state: Array, dt: float, earth: Earth = EARTH) -> Array:
-    """Orbit ``(..., 6)`` after ``dt`` seconds: one Runge-Kutta step of order 4.
+    """State ``(..., 6)`` after ``dt`` seconds: one Runge-Kutta step of order 4.
 
-    Over 600 steps of 1 s in a low orbit it agrees with an integration to round-off within 5e-8 m.
+    After 600 steps of 1 s in a low orbit the error is below 5e-8 m.
 
     >>> motion = celnav.Motion(lambda x, epoch: orbit.step(x, epoch.dt), Q)
     """
     x = component_major(state)
     position, velocity, half = x[:3], x[3:], 0.5 * dt
-    # Runge-Kutta for r'' = a(r), with the velocities of the stages eliminated.
+    # Runge-Kutta for r'' = a(r), where the velocities of the stages are eliminated.
     ahead, end = position + half * velocity, position + dt * velocity
     a1 = acceleration(position, earth)
     a2 = acceleration(ahead, earth)
@@ -104,8 +104,8 @@ def step(state: Array, dt: float, earth: Earth = EARTH) -> Array:
 
 
 def transition(state: Array, dt: float, earth: Earth = EARTH) -> Array:
-    """State transition matrix ``(..., 6, 6)`` of `step`, by central differences (of 1 km and 1 m/s,
-    exact to 1e-9).
+    """State transition matrix ``(..., 6, 6)`` of `step`, by central differences with steps of 1 km
+    and 1 m/s, accurate to 1e-9.
     """
     h = np.repeat([1.0, 1e-3], 3)
     # (12, 6): plus and minus a step along each axis.
@@ -115,10 +115,11 @@ def transition(state: Array, dt: float, earth: Earth = EARTH) -> Array:
 
 
 def check_orbit(state: ArrayLike, name: str = "state", earth: Earth = EARTH) -> Array:
-    """A checked orbital state ``(..., 6)``: finite, and not at the center of the Earth.
+    """Check an orbital state ``(..., 6)`` km, km/s and return it; ValueError if it is not finite or
+    at the center of the Earth.
 
-    Warns (`UnitWarning`) of a position inside the Earth or of a speed that no bound orbit has:
-    units are km and km/s.
+    It warns (`UnitWarning`) of a position inside the Earth, and of a radius or speed that suggests
+    other units.
     """
     instance("earth", earth, Earth, "an Earth, such as celnav.models.orbit.EARTH")
     x = finite(name, state, (..., 6))
@@ -135,15 +136,15 @@ def check_orbit(state: ArrayLike, name: str = "state", earth: Earth = EARTH) -> 
         )
     if (v > np.sqrt(2.0 * earth.mu / r) * 3.0).any() or (r > 1e7).any():
         text = (
-            f"{name}: r = {r.max():.6g} km with a speed of {v.max():.6g} km/s is no orbit of the "
-            "Earth; units are km and km/s"
+            f"{name}: r = {r.max():.6g} km with a speed of {v.max():.6g} km/s is not an Earth "
+            "orbit; units are km and km/s"
         )
         warnings.warn(text, UnitWarning, stacklevel=2)
     return x
 
 
 def propagate(state: ArrayLike, dt: float, steps: int, earth: Earth = EARTH) -> Array:
-    """Orbit ``(steps + 1, ..., 6)`` at equal intervals of ``dt`` seconds, the start first."""
+    """States ``(steps + 1, ..., 6)`` at equal intervals of ``dt`` seconds, the start first."""
     out = [check_orbit(state, earth=earth)]
     dt, steps = number("dt", dt), integer("steps", steps, 0, LIMIT // max(out[0].size, 1))
     for _ in range(steps):
@@ -160,7 +161,7 @@ def from_elements(
     true_anomaly: float,
     earth: Earth = EARTH,
 ) -> Array:
-    """State ``(6,)`` from Kepler elements: semi-major axis ``a > 0`` km, eccentricity
+    """State ``(6,)`` km, km/s from Kepler elements: semi-major axis ``a > 0`` km, eccentricity
     ``0 <= e < 1``, and angles in rad.
     """
     instance("earth", earth, Earth, "an Earth, such as celnav.models.orbit.EARTH")
@@ -184,10 +185,10 @@ def from_elements(
 
 
 def to_elements(state: ArrayLike, earth: Earth = EARTH) -> Array:
-    """Kepler elements ``(..., 6)`` (a km, e, i, raan, argp, true anomaly in rad, angles in [0, 2
-    pi)) of bound orbits.
+    """Kepler elements ``(..., 6)`` of bound orbits: a (km), e, i, raan, argp, true anomaly (rad,
+    from 0 to 2 pi).
 
-    For a circular orbit the perigee, and for an equatorial one the node, is set to angle 0.
+    A circular orbit gets argp = 0, and an equatorial orbit raan = 0.
     """
     x = check_orbit(state, earth=earth)
     r, v = x[..., :3], x[..., 3:]
@@ -217,16 +218,15 @@ def to_elements(state: ArrayLike, earth: Earth = EARTH) -> Array:
     )
 
 
-# -- long steps, and the derivatives that filters need
-# ---------------------------------------------- A step is one polynomial through the accelerations
-# at Gauss-Lobatto nodes, found by Picard iteration. All nodes of all runs are evaluated together:
-# few calls on long arrays, where Runge-Kutta makes many on short ones.
+# -- long steps, and the derivatives that filters need ---------------------------------------------
+# Picard iteration fits one polynomial to the accelerations at the Gauss-Lobatto nodes of a step.
+# It evaluates all nodes of all runs together, in few calls with long arrays.
 class Flow(NamedTuple):
-    """State ``(..., 6)`` after a step, transition ``Phi (..., 6, 6)`` and the effect
-    ``G (..., 6, 6)`` of a held disturbance.
+    """State ``(..., 6)`` after a step, its transition matrix ``Phi (..., 6, 6)``, and the effect
+    ``G (..., 6, 6)`` of a constant disturbance.
 
-    ``x(T) = f(x(0)) + G W`` for a disturbance ``W`` of the rates, with ``dPhi/dt = A Phi`` and
-    ``dG/dt = A G + I``.
+    ``x(T) = f(x(0)) + G W`` for a constant disturbance ``W`` of the state's derivative, with
+    ``dPhi/dt = A Phi`` and ``dG/dt = A G + I``.
     """
 
     state: Array
@@ -235,8 +235,8 @@ class Flow(NamedTuple):
 
 
 class Nodes(NamedTuple):
-    """Gauss-Lobatto nodes ``(N,)`` of [0, 1], and the matrices ``(N, N)`` that integrate once and
-    twice from 0 to each node, to degree N - 1.
+    """Gauss-Lobatto nodes ``(N,)`` in [0, 1], and matrices ``(N, N)`` that integrate once and twice
+    from 0 to each node, exactly up to degree N - 1.
     """
 
     at: Array
@@ -258,10 +258,10 @@ def _lobatto(count: int) -> Nodes:
 
 NODES = _lobatto(6)
 ROUNDS, ROUNDS_PHI = 6, 3
-"""Picard iterations of the orbit and of its transition."""
+"""Numbers of Picard iterations for the orbit and for its transition matrix."""
 Extra = Callable[[Array, Array], Array]
-"""Further accelerations ``(3, N, runs)`` km/s^2 at positions of that shape, ``N`` times ``(N,)`` s
-into the step.
+"""Function ``(positions (3, N, runs) km, times (N,) s after the start of the step)`` that returns
+further accelerations ``(3, N, runs)`` km/s^2.
 """
 
 
@@ -288,18 +288,18 @@ def gradient(position: Array, earth: Earth = EARTH) -> Array:
 
 
 def advance(state: Array, dt: float, earth: Earth = EARTH, extra: Extra | None = None) -> Array:
-    """State ``(..., 6)`` after ``dt`` seconds: 300 s, a twentieth of a low orbit, to 1e-7 m."""
+    """State ``(..., 6)`` after ``dt`` seconds; for 300 s in a low orbit the error is 1e-7 m."""
     return _orbit(state, dt, earth, extra)[1]
 
 
 def flow(state: Array, dt: float, earth: Earth = EARTH, extra: Extra | None = None) -> Flow:
-    """`Flow`: `advance` and its derivatives, exact to 2e-8 for 300 s in a low orbit, without the
-    gradient of ``extra``.
+    """`Flow`: `advance` and its derivatives, without the gradient of ``extra``; for 300 s in a low
+    orbit they are accurate to 2e-8.
     """
     r, end = _orbit(state, dt, earth, extra)
     A = gradient(r, earth)
-    # Positions Y and velocities Z of the transition's columns at the nodes: Y'' = A Y, starting
-    # with Y = [I, t I].
+    # Rows of the transition matrix for position (Y) and velocity (Z) at the nodes: Y'' = A Y, with
+    # Y = [I, t I] as the first iterate.
     times, i = dt * NODES.at[:, None], np.arange(3)
     twice, once = dt * dt * NODES.twice, dt * NODES.once
     bent = np.concatenate([A, times * A], 1)
@@ -311,8 +311,8 @@ def flow(state: Array, dt: float, earth: Earth = EARTH, extra: Extra | None = No
     Z = once @ bent
     Z[i, 3 + i] += 1.0
     last = np.concatenate([Y[:, :, -1], Z[:, :, -1]])
-    # The transition is symplectic, so its inverse is made of its blocks, and the mean of the
-    # inverse of their means: G = Phi times the integral of Phi^-1.
+    # Phi is symplectic, so its blocks give Phi^-1, and the blocks' means give the mean of Phi^-1:
+    # G = Phi times the integral of Phi^-1.
     y, z = NODES.once[-1] @ Y, NODES.once[-1] @ Z
     a, b, c, d = (np.swapaxes(block, 0, 1) for block in (y[:, :3], y[:, 3:], z[:, :3], z[:, 3:]))
     inverse = np.concatenate([np.concatenate([d, -b], 1), np.concatenate([-c, a], 1)])

@@ -1,11 +1,11 @@
-"""Pseudoranges and their rates: satellite positions at emission, and the measurements of a
+"""Pseudoranges and range rates: satellite positions at emission, and the measurements of a
 receiver.
 
-Positions are Earth-fixed at the time of reception, m; clocks are in m (times the speed of light).
-The state of a receiver is ``(p, v, b, d)``: position, velocity, clock bias and drift; with k more
-systems of satellites ``(p, v, b, d, o_1, ..., o_k)``: ranges of the j-th have the bias ``b + o_j``.
-``offsets (k, S)`` are 1 in row j for its satellites, 0 elsewhere. A measurement has all ranges
-first, then all rates.
+Positions are in m on the Earth-fixed axes at reception. Clock errors are multiplied by the speed of
+light (m, m/s). The state of a receiver is ``(p, v, b, d)``: position, velocity, clock bias and
+clock drift. With k more satellite systems it is ``(p, v, b, d, o_1, ..., o_k)``; ranges of system j
+have the bias ``b + o_j``. Row j of ``offsets (k, S)`` is 1 for satellites of system j, 0 for the
+others. A measurement has all ranges first, then all range rates.
 """
 
 from __future__ import annotations
@@ -27,9 +27,12 @@ from celnav.models.gnss import (
 
 
 class Sources(NamedTuple):
-    """Satellites relative to a receiver: positions ``q (..., S, 3)`` m at emission in the
-    Earth-fixed frame of reception, and ``w (..., S, 3)`` m/s with which the rate of the range is
-    ``e.(w - v)``, e the unit vector to q; clocks (m, m/s).
+    """Satellites as seen by a receiver.
+
+    q: ``(..., S, 3)`` m, positions at emission on the Earth-fixed axes at reception.
+    w: ``(..., S, 3)`` m/s, effective velocities: the range rate is ``e.(w - v)``, with the unit
+        vector e to q.
+    clock, drift: ``(..., S)`` m and m/s.
     """
 
     q: Array
@@ -41,15 +44,15 @@ class Sources(NamedTuple):
 def sources(
     broadcast: Broadcast, t: Array | float, position: Array, velocity: Array | float = 0.0
 ) -> Sources:
-    """`Sources`: all satellites for a receiver at ``position (..., 3)``, moving by ``velocity``, at
-    times of reception ``t (...)``.
+    """`Sources`: all satellites for a receiver at ``position (..., 3)`` m with ``velocity`` (m/s),
+    at times of reception ``t (...)`` s BDT.
 
-    A position error of 10 m changes them by less than 1e-5 m, a velocity error of 10 m/s hardly at
-    all.
+    A position error of 10 m changes the result by less than 1e-5 m; a velocity error of 10 m/s has
+    an even smaller effect.
     """
     when, place = np.asarray(t, dtype=np.float64)[..., None], np.asarray(position)[..., None, :]
     delay = np.asarray(0.08)
-    # Light time: delay = |q - p| / c, with q turned with the Earth by the delay.
+    # Light time: delay = |q - p| / c, with q on the axes that the Earth has after the delay.
     for _ in range(4):
         state = satellites(broadcast, when - delay)
         q = turned(state.position, ROTATION_RATE * delay)
@@ -64,11 +67,11 @@ def emitted(
     position: Array,
     velocity: Array | float = 0.0,
 ) -> Sources:
-    """The same from measured pseudoranges ``(..., S)`` m: the error of the receiver's clock, which
-    shows ``t``, cancels.
+    """`Sources` from measured pseudoranges ``(..., S)`` m at the time ``t (...)`` of the receiver's
+    clock, whose error cancels.
 
-    The Earth turns during the geometric delay; a ``position (..., 3)`` error of a kilometer moves
-    satellites by a centimeter.
+    ``position (..., 3)`` m gives the Earth's rotation during the signal's travel: an error of 1 km
+    changes satellite positions by 1 cm.
     """
     when = np.asarray(t, dtype=np.float64)[..., None]
     return emitted_each(
@@ -83,7 +86,9 @@ def emitted_each(
     position: Array,
     velocity: Array | float = 0.0,
 ) -> Sources:
-    """The same with a time ``(..., S)`` and a place and velocity ``(..., S, 3)`` per satellite."""
+    """`emitted` with a time ``(..., S)``, a position and a velocity ``(..., S, 3)`` for each
+    satellite.
+    """
     sent = t - pseudorange / LIGHT
     state = satellites(broadcast, sent - satellites(broadcast, sent).clock)
     q = state.position
@@ -101,7 +106,7 @@ def _beside(velocity: Array | float) -> Any:
 def _seen(
     state: SatelliteState, q: Array, delay: Array, place: Array, velocity: Array | float
 ) -> Sources:
-    """`Sources`, with the Doppler effect of the satellite's own motion included in its velocity."""
+    """`Sources` whose effective velocities include the Doppler factor ``1 / (1 + e.v_i / c)``."""
     # The rate of the range is e.(v_s - v) / (1 + e.v_i / c), with v_i the inertial velocity.
     moved = turned(state.velocity, ROTATION_RATE * delay)
     inertial = moved + spun(q, ROTATION_RATE)
@@ -114,8 +119,10 @@ def _seen(
 
 
 def undetermined(used: Array, offsets: Array) -> Array:
-    """Which offsets ``(..., k)`` satellites ``used (..., S)`` leave open: those of systems without
-    a satellite; without one of the first system that of the next, whose clock then stands for its.
+    """Mask ``(..., k)`` of the offsets that the satellites ``used (..., S)`` do not determine.
+
+    These are the offsets of systems without a satellite. If the first system has none, the offset
+    of the next present system is undetermined too, because its clock becomes the reference.
     """
     present = (used[..., None, :] & (offsets > 0.0)).any(-1)
     first = (used & ~offsets.any(-2)).any(-1, keepdims=True)
@@ -123,8 +130,9 @@ def undetermined(used: Array, offsets: Array) -> Array:
 
 
 def measure(x: Array, q: Array, w: Array, offsets: Array | None = None) -> Array:
-    """Ranges (m) and rates (m/s) ``(..., 2 S)`` of states ``x (..., 8 + k)`` from satellites
-    ``q, w (..., S, 3)``; ``offsets (k, S)``: None for one system.
+    """Pseudoranges (m) and range rates (m/s) ``(..., 2 S)`` for states ``x (..., 8 + k)``.
+
+    q, w: ``(..., S, 3)``, see `Sources`. offsets: ``(k, S)``; None for one system.
     """
     away = q - x[..., None, :3]
     distance = np.sqrt(np.vecdot(away, away))
@@ -134,7 +142,7 @@ def measure(x: Array, q: Array, w: Array, offsets: Array | None = None) -> Array
 
 
 def jacobian(x: Array, q: Array, w: Array, offsets: Array | None = None) -> Array:
-    """Derivative ``(..., 2 S, 8 + k)`` of `measure`."""
+    """Jacobian ``(..., 2 S, 8 + k)`` of `measure`."""
     away, relative = q - x[..., None, :3], w - x[..., None, 3:6]
     distance = np.sqrt(np.vecdot(away, away))[..., None]
     e = away / distance

@@ -1,8 +1,8 @@
-"""X-ray pulsars: directions, timing accuracy, and the information of a timing about a position.
-Units: km, s.
+"""X-ray pulsars: directions, timing accuracy, and pulse delays as functions of position. Units: km,
+s.
 
-The measurement of a pulsar is the delay of a pulse between spacecraft and solar-system barycenter,
-times the speed of light: km. Positions are barycentric, ICRS axes.
+The measurement is the delay of a pulse between the spacecraft and the solar-system barycenter,
+times the speed of light, in km. Positions are barycentric, on ICRS axes.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ AREA_CM2 = 1e4
 
 @dataclass(frozen=True)
 class Pulsar:
-    """A pulsar.
+    """A pulsar; ValueError for values out of range.
 
-    right_ascension_deg, declination_deg: J2000. distance_kpc: from the Sun.
-    period_s: of the pulses. width_s: of a pulse. flux: photons / cm^2 / s. pulsed_fraction: of the
-        flux.
+    right_ascension_deg, declination_deg: J2000. distance_kpc: from the Sun. period_s: pulse period.
+    width_s: pulse width. flux: photons / cm^2 / s. pulsed_fraction: pulsed part of the flux, up to
+        1.
     """
 
     name: str
@@ -69,10 +69,11 @@ class Pulsar:
     def timing_std(
         self, seconds: float, area_cm2: float = AREA_CM2, background: float = BACKGROUND
     ) -> float:
-        """Standard deviation (s) of a pulse's time of arrival after ``seconds`` of observation.
+        """Standard deviation (s) of a pulse's time of arrival from ``seconds`` of observation.
 
-        ``W / (2 SNR)``, with the ratio of the pulsed photons to the noise of all photons
-        [Sheikh2006].
+        It is ``W / (2 SNR)``; SNR is the number of pulsed photons over the standard deviation of
+        the number of all photons during pulses [Sheikh2006]. area_cm2: of the detector.
+        background: of X-rays, photons / cm^2 / s.
         """
         seconds, area_cm2 = (
             number("seconds", seconds, above=0.0),
@@ -91,13 +92,13 @@ class Pulsar:
 
 
 def known() -> dict[str, Pulsar]:
-    """The pulsars of ``data/pulsars.toml`` by name."""
+    """The pulsars in ``data/pulsars.toml`` by name."""
     with data("pulsars.toml").open("rb") as file:
         return {name: Pulsar(name, **values) for name, values in tomllib.load(file).items()}
 
 
 def pulsars(names: Sequence[str]) -> list[Pulsar]:
-    """Pulsars of `known` by name, in a list; ValueError for an unknown name."""
+    """List of the pulsars in `known` with these names; ValueError for an unknown name."""
     table = known()
     return [
         table[choice("pulsar", name, table)] for name in sequence("names", names, '["B1937+21"]')
@@ -105,12 +106,11 @@ def pulsars(names: Sequence[str]) -> list[Pulsar]:
 
 
 class Timing:
-    """The delays of several pulsars, as functions of a barycentric position [Sheikh2006]: Roemer,
+    """Pulse delays of several pulsars as functions of a barycentric position [Sheikh2006]: Roemer,
     parallax and Shapiro terms.
 
-    Delays include their whole number of periods. A measured phase gives only the rest, which is a
-    position within half a period (234 km for B1937+21) at best: see `uncounted`. ValueError if
-    three directions or more lie in one plane.
+    Delays include whole periods. A measured phase does not: it determines a delay modulo one period
+    (467 km for B1937+21), see `uncounted`. ValueError if three or more directions lie in one plane.
 
     >>> timing = Timing(pulsars(["B0531+21", "B1821-24", "B1937+21"]))
     >>> sensor = celnav.Sensor(lambda x, epoch: timing.delay(earth + x[..., :3], sun), R)
@@ -131,15 +131,15 @@ class Timing:
 
     @property
     def uncounted(self) -> Space:
-        """Measurement space (``Sensor(..., space=)``) of pulses that are not counted: innovations
-        are folded into half a period.
+        """Measurement `Space` of phases without a pulse count, for ``Sensor(..., space=)``:
+        innovations are wrapped to half a period on each side of 0.
         """
         periods = LIGHT_KM_S * np.array([p.period_s for p in self.pulsars])
         return Space(minus=partial(_within_half_a_period, periods))
 
     def delay(self, position: Array, sun: Array) -> Array:
-        """Delays ``(..., m)`` km of positions ``(..., 3)``; ``sun (..., 3)`` is the Sun's position.
-        See `shapiro`.
+        """Delays ``(..., m)`` km at positions ``(..., 3)`` km; ``sun (..., 3)`` is the Sun's
+        position, km. The Shapiro term is `shapiro`.
         """
         b = -np.asarray(sun)
         along, of_b = position @ self.directions.T, b @ self.directions.T
@@ -151,14 +151,14 @@ class Timing:
         return np.asanyarray(along + parallax + self.shapiro(position, sun))
 
     def shapiro(self, position: Array, sun: Array) -> Array:
-        """Shapiro delay ``(..., m)`` km as usually printed, with ``|r| + |b|`` instead of
-        ``|r + b|`` in `shapiro_exact`.
+        """Shapiro delay ``(..., m)`` km as most papers print it, with ``|r| + |b|`` where
+        `shapiro_exact` has ``|r + b|``.
         """
         ratio = self._reach(position) / self._reach(-np.asarray(sun))
         return np.asanyarray(2.0 * GM_SUN / LIGHT_KM_S**2 * np.log(np.abs(ratio + 1.0)))
 
     def shapiro_exact(self, position: Array, sun: Array) -> Array:
-        """Shapiro delay ``(..., m)`` km between the barycenter and the position, with the true
+        """Shapiro delay ``(..., m)`` km between the barycenter and the position, with the exact
         distance from the Sun.
         """
         b = -np.asarray(sun)

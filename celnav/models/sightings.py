@@ -1,14 +1,14 @@
-"""Celestial sightings: angles between the Earth's center and stars, and the Earth's angular
-diameter. Units: km, rad.
+"""Celestial sightings of a satellite: angles to two stars, and the Earth's angular diameter. Units:
+km, rad.
 
-Three angles ``(A1, A2, A3)`` fix a position up to the side of the plane of the two stars
-[Sun2015, Eqs. 40-43, corrected]::
+Three angles ``(A1, A2, A3)`` determine a position, except on which side of the plane of the two
+stars it lies [Sun2015, Eqs. 40-43, corrected]::
 
     A1, A2: between the satellite's position vector and the stars
-    A3 = 2 arcsin(R_e / r): the Earth's diameter
+    A3 = 2 arcsin(R_e / r): the Earth's angular diameter
 
-The stars lie in the equatorial plane, the first along x, the second ``separation`` away, so the
-side is the hemisphere.
+The stars lie in the equatorial plane: the first along x, the second at an angle ``separation``. So
+the side is the hemisphere.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ def star_directions(separation: float) -> Array:
 
 
 def angles(position: Array, stars: Array, radius_km: float = EARTH.radius_km) -> Array:
-    """Angles ``(..., k + 1)`` of positions: to stars ``(k, 3)`` of unit length, then the Earth's
-    diameter; nan inside the Earth.
+    """Angles ``(..., k + 1)`` rad at positions ``(..., 3)`` km: to stars ``(k, 3)``, unit vectors,
+    then the Earth's angular diameter, which is nan inside the Earth.
     """
     r = np.sqrt(np.einsum("...i,...i->...", position, position))[..., None]
     cosines, ratio = np.clip(position / r @ stars.T, -1.0, 1.0), radius_km / r
@@ -49,20 +49,20 @@ def angles(position: Array, stars: Array, radius_km: float = EARTH.radius_km) ->
 def visible(position: Array, stars: Array, radius_km: float = EARTH.radius_km) -> Array:
     """Mask ``(..., k)`` of the stars that the Earth does not hide from positions ``(..., 3)``."""
     A = angles(position, stars, radius_km)
-    # Seen from the satellite the Earth's center lies opposite to the position vector.
+    # As seen from the satellite, the Earth's center is opposite to the position vector.
     return np.asanyarray(np.pi - A[..., :-1] > 0.5 * A[..., -1:])
 
 
 def observe(position: Array, stars: Array, radius_km: float = EARTH.radius_km) -> Array:
-    """`angles`, with nan for each star that the Earth hides: a filter skips these components."""
+    """`angles` with nan for each star that the Earth hides; filters skip nan components."""
     A = angles(position, stars, radius_km)
     A[..., :-1] = np.where(visible(position, stars, radius_km), A[..., :-1], np.nan)
     return A
 
 
 def limb(position: Array, toward: Array, radius_km: float = EARTH.radius_km) -> Array:
-    """Points ``(..., 2, 3)`` km where sight lines touch the Earth, in the plane of a position and a
-    direction ``(..., 3)``.
+    """Limb points ``(..., 2, 3)`` km, where lines of sight touch the Earth, in the plane of a
+    position and a direction ``toward``, ``(..., 3)``.
     """
     r = np.linalg.norm(position, axis=-1, keepdims=True)
     up = position / r
@@ -82,13 +82,14 @@ def position(
     radius_km: float = EARTH.radius_km,
     strict: bool = True,
 ) -> Array:
-    """Pseudo-position ``(..., 3)`` from three angles ``(..., 3)``, see `angles`
+    """Pseudo-position ``(..., 3)`` km from three angles, see `angles`
     [Sun2015, Eqs. 41-42, corrected].
 
-    A: angles, ``A3`` between 0 and pi; nan components give nan. separation: between the stars, rad.
-    hemisphere: +1 or -1, the sign of z ``(...)``, which the angles do not determine.
-    strict: raise ValueError for angles that no position has, which noise may cause; otherwise they
-        give nan.
+    A: angles ``(..., 3)`` rad, with ``A3`` between 0 and pi; nan gives nan.
+    separation: angle between the stars, rad.
+    hemisphere: +1 or -1, ``(...)``, the sign of z, which the angles do not determine.
+    strict: raise ValueError for angles that no position has (noise may cause them); False gives nan
+        for them.
     """
     measured = numbers("A", A, (..., 3))
     if np.isinf(measured).any():
@@ -101,11 +102,11 @@ def position(
     side, radius_km = finite("hemisphere", hemisphere), number("radius_km", radius_km, above=0.0)
     if together(A=measured.shape[:-1], hemisphere=side.shape) != measured.shape[:-1]:
         raise ValueError(
-            f"hemisphere: expected one, or one for each of {measured.shape[:-1]} positions, got "
-            f"shape {side.shape}"
+            f"hemisphere: expected one sign, or one for each of {measured.shape[:-1]} positions, "
+            f"got shape {side.shape}"
         )
     if (np.abs(side) != 1.0).any():
-        raise ValueError("hemisphere: expected +1 or -1")
+        raise ValueError(f"hemisphere: expected +1 or -1, got {hemisphere!r:.80}")
     diameter = measured[..., 2]
     if ((diameter <= 0.0) | (diameter >= np.pi)).any():
         raise ValueError(
@@ -120,7 +121,8 @@ def position(
     if strict and impossible.any():
         count = np.count_nonzero(impossible)
         raise ValueError(
-            f"A: {count} sets of angles belong to no position (z^2 < 0); strict=False gives nan"
+            f"A: expected angles of a position (z^2 >= 0), got {count} sets of other angles; "
+            "strict=False gives nan for them"
         )
     uz = side * np.sqrt(np.where(impossible, np.nan, square))
     r = radius_km / np.sin(0.5 * diameter)
@@ -130,17 +132,17 @@ def position(
 def jacobian(
     A: Array, separation: float, hemisphere: ArrayLike = 1.0, radius_km: float = EARTH.radius_km
 ) -> Array:
-    """Jacobian ``(..., 3, 3)`` of `position` with respect to the angles, km/rad; ValueError where z
-    = 0, which has none.
+    """Jacobian ``(..., 3, 3)`` km/rad of `position` with respect to the angles; ValueError for
+    z = 0, where there is none.
     """
     place = position(A, separation, hemisphere, radius_km=radius_km)
     r = np.linalg.norm(place, axis=-1, keepdims=True)
     u = place / r
-    # z is a square root: closer to 0 there is only rounding.
+    # z is a square root: closer to 0 it consists of round-off.
     if (np.abs(u[..., 2]) < 1e-7).any():
         raise ValueError("A: expected a position off the plane of the stars, got z = 0")
     A1, A2, A3 = np.moveaxis(numbers("A", A), -1, 0)
-    # Derivatives of the unit vector with respect to A1 and A2, then of the radius to A3, along it.
+    # Derivatives of the unit vector with respect to A1 and A2, then of the radius w.r.t. A3.
     ux = np.stack([-np.sin(A1), np.zeros_like(A1)], -1)
     uy = np.stack([np.sin(A1) / np.tan(separation), -np.sin(A2) / np.sin(separation)], -1)
     uz = -(u[..., :1] * ux + u[..., 1:2] * uy) / u[..., 2:]
@@ -149,8 +151,10 @@ def jacobian(
 
 
 def pseudo_position_covariance(position_km: Array, separation: float, sigma: ArrayLike) -> Array:
-    """Covariance ``(..., 3, 3)`` km^2 of the pseudo-position for standard deviations ``sigma (3,)``
-    rad of the angles, with a warning above 1.
+    """Covariance ``(..., 3, 3)`` km^2 of the pseudo-position at ``position_km (..., 3)``.
+
+    separation: angle between the stars, rad. sigma: ``(3,)`` rad, standard deviations of the
+    angles; `UnitWarning` above 1 rad.
     """
     deviations, position_km = (
         finite("sigma", sigma, (3,)),
@@ -158,7 +162,7 @@ def pseudo_position_covariance(position_km: Array, separation: float, sigma: Arr
     )
     if (np.abs(deviations) > 1.0).any():
         text = (
-            f"sigma: a deviation of {np.abs(deviations).max():.6g} rad tells nothing; "
+            f"sigma: a standard deviation of {np.abs(deviations).max():.6g} rad is more than 1; "
             "angles are in radians"
         )
         warnings.warn(text, UnitWarning, stacklevel=2)

@@ -1,14 +1,16 @@
-"""The papers, one module each, all with the same names; the list of all studies, and functions that
-load one.
+"""The papers: one module for each, all with the same names; the list of all studies, and functions
+that load a study.
 
 ``CITATION``, ``TITLE``, ``Config``, ``PRESETS``, ``simulate``, ``filters``: the scenario.
-``trial``, and ``JUDGED``, its groups with their units: see `celnav.study.trial`. ``STUDY``: runs,
-rows and findings, see `celnav.study.study`. ``FIGURES``, ``TABLES``: file stem -> caption and
-function of the results. ``RECORDINGS``, ``record``: names of recordings, and the function that
-writes them. ``INPUTS`` (optional): names of the folders that ``STUDY.parts`` takes, which are also
-options of ``celnav reproduce``. ``MISSION`` (optional): default parameters of a mission for all
-presets. Studies on real data (`celnav.real`) and a user's file (`celnav.papers.own`) have the same
-names.
+``trial``, ``JUDGED``: the trial and its groups, see `celnav.study.trial`.
+``STUDY``: parts, rows and findings, see `celnav.study.study`.
+``FIGURES``, ``TABLES``: file stem -> caption and function of the results.
+``RECORDINGS``, ``record``: names of recordings, and the function that writes them.
+``INPUTS`` (optional): names of input folders, which are arguments of ``STUDY.parts`` and options of
+``celnav reproduce``.
+``MISSION`` (optional): default parameters of a mission for all presets.
+
+Studies on real data (`celnav.real`) and a user's file (`celnav.papers.own`) have the same names.
 """
 
 from __future__ import annotations
@@ -37,16 +39,16 @@ REAL = {
 
 
 def is_file(study: str) -> bool:
-    """Whether a study is a user's file, not an identifier."""
+    """Whether a study is a user's file (``.py``), not an identifier."""
     return study.endswith(".py")
 
 
 def load(study: str, *, mission: bool = False) -> ModuleType:
-    """The module of a paper, of a study on real data, or of a user's study, FILE.py
+    """Load the module of a paper, of a study on real data, or of a user's study, FILE.py
     (`celnav.papers.own.load`).
 
-    ``mission``: whether the module is loaded for missions. They need presets, which studies on real
-        data do not have.
+    mission: whether the module is loaded for missions, which need presets; studies on real data
+        have none.
 
     Raises
     ------

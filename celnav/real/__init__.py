@@ -1,9 +1,9 @@
-"""Studies on real data, one module each. They test no published statements.
+"""Studies on real data, one module for each. They do not test published statements.
 
 ``CITATION``: the source of the data. ``TITLE``, ``STUDY``, ``FIGURES``, ``TABLES``, ``RECORDINGS``
 and ``record`` are as in a paper's module (see `celnav.papers`). ``INPUTS`` has the name of the
-study; under this name ``STUDY.parts`` takes the folder of the data. ``FILES``: patterns of the
-files that the folder must have.
+study, which is also the argument of ``STUDY.parts`` for the folder of the data. ``FILES``: patterns
+of the files that the folder must have.
 
 The ledger has checks and findings. Findings have intervals from a bootstrap over blocks of time
 (`celnav.study.ledger.estimate`, ``block=``). Filters run once, so arrays are ``(T, 1, ...)``. The
@@ -37,5 +37,5 @@ def found(folder: str | Path, patterns: Sequence[str]) -> list[Path]:
     each = [sorted(where.glob(pattern)) if where.is_dir() else [] for pattern in patterns]
     for pattern, files in zip(patterns, each, strict=True):
         if not files:
-            raise FileNotFoundError(f"{where}: expected a folder with a file {pattern}")
+            raise FileNotFoundError(f"{where}: expected a folder with a file {pattern}, got none")
     return [files[0] for files in each]

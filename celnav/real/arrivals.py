@@ -1,15 +1,15 @@
 """Arrival times of millisecond pulsars, their timing models, fixes of the Earth, and ephemerides.
 
-``n`` is the direction of a pulsar, and ``d`` the error of the Earth's position in its ephemeris.
-Pulses then arrive ``n.d`` km early. The timing model of a pulsar has phase, spin and spin-down,
-position, proper motion and parallax. Each is a column of a linear model. The noise is white noise
-in addition to the reported noise, and a random walk of the spin. The size of both maximizes the
-restricted likelihood. The fit absorbs errors of the Earth that resemble its columns: a constant or
-yearly error, and most of a slow error [Blandford1984].
+With ``n`` the direction of a pulsar and ``d`` the error of the Earth's position in its ephemeris,
+pulses arrive ``n.d`` km early. The timing model of a pulsar has phase, spin and spin-down,
+position, proper motion and parallax. Each is a column of a linear model. Besides the reported
+noise, there are white noise and a random walk of the spin. Their sizes maximize the restricted
+likelihood. The fit absorbs position errors that resemble its columns: a constant or yearly error,
+and most of a slow error [Blandford1984].
 
-Residuals are used as released [Agazie2023], from models fitted to all years. For the columns above,
-a new fit to some years undoes the first fit exactly. Binary orbits and dispersion still depend on
-all years.
+We use the released residuals [Agazie2023], from models fitted to all years. For the columns above,
+a new fit to some years removes the effect of the first fit exactly. Binary orbits and dispersion
+still depend on all years.
 """
 
 from __future__ import annotations
@@ -129,8 +129,8 @@ class Clock(NamedTuple):
     """A pulsar as a clock, with a timing model fitted to its past.
 
     arrivals: all arrivals. before, after: ``(N,)`` bool, arrivals used in the fit, and predicted
-    arrivals. early: ``(k,)`` km, how much earlier than predicted the latter arrive. cov: ``(k,
-    k)``, covariance of ``early``. weights: ``(k, N0)``; the prediction is ``weights @
+    arrivals. early: ``(k,)`` km, predicted minus observed times of the predicted arrivals. cov:
+    ``(k, k)``, covariance of ``early``. weights: ``(k, N0)``; the prediction is ``weights @
     late[before]``. noise: additional white noise (km), random walk of the spin (km/year in a year).
     """
 
@@ -143,8 +143,8 @@ class Clock(NamedTuple):
     noise: tuple[float, float]
 
     def seen(self, moved: Array, learned: bool) -> Array:
-        """How much earlier than predicted ``(k, ...)`` km pulses arrive, if the Earth is displaced
-        by ``moved (N, 3, ...)`` km.
+        """Change of ``early``, ``(k, ...)`` km, for a displacement ``moved (N, 3, ...)`` km of the
+        Earth.
 
         learned: whether the timing model was fitted with the same displacement.
         """
@@ -195,18 +195,18 @@ def clocks(folder: Path, split: float, end: float) -> tuple[Clock, ...]:
         white, red = sized(a.late[before], a.sigma[before], M[before], K[np.ix_(before, before)])
         V = np.diag(a.sigma**2 + white**2) + red**2 * K
         L = np.linalg.cholesky(V[np.ix_(before, before)])
-        known, shared = (
+        columns, shared = (
             solve_triangular(L, x, lower=True) for x in (M[before], V[np.ix_(before, after)])
         )
-        Q, R = np.linalg.qr(known)
-        left = solve_triangular(R, (M[after] - shared.T @ known).T, trans="T").T
+        Q, R = np.linalg.qr(columns)
+        left = solve_triangular(R, (M[after] - shared.T @ columns).T, trans="T").T
         weights = solve_triangular(L, (shared.T + left @ Q.T).T, lower=True, trans="T").T
         cov = V[np.ix_(after, after)] - shared.T @ shared + left @ left.T
         early = weights @ a.late[before] - a.late[after]
         out.append(Clock(a, before, after, early, cov, weights, (white, red)))
     if not out:
         raise InputError(
-            f"{folder}: expected pulsars observed for {LEAST_YEARS:g} years before MJD "
+            f"{folder}: expected pulsars with {LEAST_YEARS:g} years of observations before MJD "
             f"{split:.0f}, got none"
         )
     return tuple(out)
@@ -216,8 +216,8 @@ def clocks(folder: Path, split: float, end: float) -> tuple[Clock, ...]:
 class Weeks(NamedTuple):
     """Weeks with a fix.
 
-    day: middle (MJD) ``(T,)``. R, y: equations ``y (T, 3, ...) = R (T, 3, 3) d`` plus noise of unit
-    covariance. heard: number of pulsars ``(T,)``.
+    day: middle of the week (MJD) ``(T,)``. R, y: equations ``y (T, 3, ...) = R (T, 3, 3) d`` plus
+    noise of unit covariance. heard: number of pulsars ``(T,)``.
     """
 
     day: Array
@@ -232,7 +232,7 @@ class Weeks(NamedTuple):
 
     @property
     def std(self) -> Array:
-        """Predicted σ ``(T,)`` km of the fix, over all three axes."""
+        """Predicted σ ``(T,)`` km of the fix: root of the sum of the three variances."""
         return np.asarray(
             np.linalg.norm(
                 np.linalg.solve(self.R, np.broadcast_to(np.eye(3), self.R.shape)), axis=(1, 2)
@@ -265,7 +265,7 @@ def weekly(
         count.append(len(there))
     if len(day) < 2:
         raise InputError(
-            f"expected two weeks or more in which {least} pulsars were heard, got {len(day)}"
+            f"expected two weeks or more with {least} observed pulsars, got {len(day)}"
         )
     return Weeks(np.array(day), np.stack(R), np.stack(y), np.array(count))
 
@@ -276,10 +276,10 @@ def remembered(
     """Weekly equations of arrivals, whitened by earlier arrivals of the same pulsar: ``y (T, 12) =
     H (T, 12, 12) x`` plus unit noise.
 
-    The earlier arrivals carry the information about the error of the timing model.
+    The earlier arrivals determine the error of the timing model.
 
-    moves: transition matrices ``(T, 12, 12)`` from the first of the weeks ``day (T,)`` to each of
-    them.
+    moves: transition matrices ``(T, 12, 12)`` from the first week to each of the weeks
+    ``day (T,)``.
     """
     rows, weeks = [], []
     for c, z in zip(heard, early, strict=True):

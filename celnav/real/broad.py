@@ -1,9 +1,9 @@
-"""Attitude from gyro, accelerometer and magnetometer in a hand, compared with cameras: BROAD
-[Laidig2021].
+"""Attitude of a hand-held sensor from gyro, accelerometer and magnetometer, compared with cameras:
+BROAD [Laidig2021].
 
-Settings. The true attitude chose none of them. The position of the hand has a σ of half an arm's
-length, measured anew each second. The scale factors of the gyro change by 0.1 %. The other settings
-come from the trials `TUNED`, which are three of the six undisturbed trials:
+Settings were chosen without the true attitude. The position of the hand has a σ of half an arm's
+length, with one independent measurement per second. The scale factors of the gyro change by 0.1 %.
+The other settings come from the trials `TUNED`, three of the six undisturbed trials:
 
 - The noise of gyro and accelerometer, the field's disturbance and the gyro's matrix maximize the
   likelihood of the innovations in the previous model.
@@ -11,13 +11,13 @@ come from the trials `TUNED`, which are three of the six undisturbed trials:
 - The σ of the accelerometer's bias is the RMS difference between specific force and gravity while
   the sensor is at rest.
 
-This is not a blind test. The errors of these eight trials, and those of VQF, were known when the
-model was made. On 2026-11-26 it replaced a model with colored acceleration, whose inclination error
+This is not a blind test. We knew the errors of our filter and of VQF in these eight trials when we
+made the model. On 2026-11-26 it replaced a model with colored acceleration, whose inclination error
 was twice its predicted σ. That model had three faults:
 
 - It modeled low frequencies of the acceleration, which a hand that stays in place hardly has.
-- Its magnetometer corrected inclination, with errors of the field that do not average out.
-- At rest its filter estimated a heading, wrong by up to 4 deg, from linearization alone.
+- Its magnetometer corrected the inclination, with errors of the field that do not average out.
+- At rest, linearization errors alone gave its filter a heading estimate, wrong by up to 4 deg.
 
 The RMSE of the previous model was 2.10 deg in total and 0.91 deg in inclination. The total RMSE of
 the new model is larger because of the heading in one fast rotation. There the direction of the
@@ -127,7 +127,7 @@ def run_vqf(installed: bool, config: Flight, _rngs: Sequence[Any]) -> dict[str, 
 def published(config: Flight, _rngs: Sequence[Any]) -> dict[str, Array]:
     """Total RMSE ``(trials,)``, deg, of each published filter.
 
-    The files that come with the data have it under "tagp_parameters". The filter has one setting,
+    The data include files with these RMSEs, under "tagp_parameters". Each filter has one setting,
     which minimizes the mean RMSE over all 39 trials and so uses the true attitude.
 
     Raises
@@ -188,13 +188,13 @@ def parts(effort: float, broad: Path) -> dict[str, Part]:
 
 
 def squares(r: Results, name: str, trials: Sequence[int], kind: int = 0) -> Array:
-    """Squared errors (deg^2) that the benchmark evaluates, of some trials one after the other."""
+    """Squared errors (deg^2) that the benchmark evaluates, concatenated over some trials."""
     values = r.get(name, "judged")[:, list(trials), kind].T.ravel()
     return np.asarray(np.square(values[np.isfinite(values)]))
 
 
 def beside_vqf(trials: Sequence[int], kind: int = 0) -> Decided:
-    """RMSE of the MEKF with Student's t over that of VQF, if VQF is installed."""
+    """RMSE ratio of the MEKF with Student's t to VQF, if VQF is installed."""
     label = f"{KINDS[kind]} RMSE over that of VQF"
     if not VQF_INSTALLED:
         return lambda _r: Number(f"{label} (VQF is not installed)", np.nan, (None, 1.0))
@@ -204,12 +204,12 @@ def beside_vqf(trials: Sequence[int], kind: int = 0) -> Decided:
 def over(
     label: str, name: str, other: str | float, trials: Sequence[int], accept: Bounds, kind: int = 0
 ) -> Decided:
-    """RMSE of a filter over that of another filter, or over a value in deg."""
+    """Ratio of a filter's RMSE to another filter's RMSE, or to a value in deg."""
 
     def number(r: Results) -> Number:
         both = [
-            squares(r, one, trials, kind)
-            for one in ((name, other) if isinstance(other, str) else (name,))
+            squares(r, key, trials, kind)
+            for key in ((name, other) if isinstance(other, str) else (name,))
         ]
         block = min(round(BLOCK_S / np.diff(r.times(name)[:2])[0]), len(both[0]) // 2)
         return estimate(
@@ -224,7 +224,7 @@ def over(
 
 
 def claimed(label: str, name: str, trials: Sequence[int], part: slice, accept: Bounds) -> Decided:
-    """RMS error of components on Earth axes over their predicted σ."""
+    """Ratio of the RMS error of components on Earth axes to their predicted σ."""
 
     def number(r: Results) -> Number:
         there = np.isfinite(r.get(name, "judged")[..., 0])[:, list(trials)].T
@@ -245,7 +245,7 @@ def claimed(label: str, name: str, trials: Sequence[int], part: slice, accept: B
 
 
 def better(i: int, name: str) -> Decided:
-    """Total RMSE of a filter over that of the better published filter."""
+    """Total RMSE ratio of a filter to the better published filter."""
 
     def number(r: Results) -> Number:
         level, least = min((r.value("published", one, i), one) for one in PUBLISHED)
@@ -447,15 +447,16 @@ def beside(r: Results) -> Figure:
 
 def over_time(r: Results) -> Figure:
     """Errors about Earth axes in one trial, with the predicted ±2 σ."""
-    known = np.flatnonzero(np.isfinite(r.error("mekf", "mekf", "attitude")[:, SHOWN, 0]))
-    own = slice(
-        round(1.0 / np.diff(r.times("mekf")[:2])[0]), int(known[-1]) + 1
+    finite = np.flatnonzero(np.isfinite(r.error("mekf", "mekf", "attitude")[:, SHOWN, 0]))
+    window = slice(
+        round(1.0 / np.diff(r.times("mekf")[:2])[0]), int(finite[-1]) + 1
     )  # from 1 s to the end of the trial
-    t = r.times("mekf")[own]
+    t = r.times("mekf")[window]
 
     def items(axis: int) -> list[Item]:
         error, std = (
-            r.error("mekf", "mekf", "attitude", what)[own, SHOWN, axis] for what in ("error", "std")
+            r.error("mekf", "mekf", "attitude", what)[window, SHOWN, axis]
+            for what in ("error", "std")
         )
         bounds = [
             curve(t, sign * 2.0 * std, Line("predicted ±2 σ", colors.SIGMA, ":"))
@@ -481,7 +482,7 @@ def over_time(r: Results) -> Figure:
 
 
 def consistent(r: Results) -> Figure:
-    """RMS error over predicted σ in each trial, for heading and inclination."""
+    """Ratio of RMS error to predicted σ in each trial, for heading and inclination."""
 
     def panel(title: str, part: slice) -> Panel:
         every = {

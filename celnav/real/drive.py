@@ -101,7 +101,7 @@ def read_pos(path: str | Path) -> Solution:
     column = dict(zip(names[1:], np.transpose(rows), strict=True))
     t = (np.array(times) - np.datetime64(0, "s")) / np.timedelta64(1, "s")
     if (np.diff(t) <= 0.0).any():
-        raise InputError(f"{called}: expected times that increase")
+        raise InputError(f"{called}: expected increasing times, got others")
     nothing = np.full(len(t), np.nan)
     place, speed = (
         np.stack([column.get(name, nothing) for name in group], -1) for group in (PLACE, SPEED)
@@ -119,8 +119,8 @@ def read_pos(path: str | Path) -> Solution:
 
 
 def read_tags(path: str | Path) -> tuple[float, float]:
-    """GPS times (s) of the first and last tag in an RTKLIB time-tag file. Tags record when the
-    bytes of a stream arrived.
+    """Read the GPS times (s) of the first and last tag in an RTKLIB time-tag file. Tags record when
+    the bytes of a stream arrived.
 
     Raises
     ------
@@ -130,9 +130,9 @@ def read_tags(path: str | Path) -> tuple[float, float]:
     count = (len(raw) - TAG_BYTES - 16) // 8
     if not raw.startswith(TAGGED) or count < 1:
         raise InputError(f"{path}: expected time tags of RTKLIB, {TAGGED.decode()}, got none")
-    _, whole, part = struct.unpack_from("<IId", raw, TAG_BYTES)
+    _, whole, fraction = struct.unpack_from("<IId", raw, TAG_BYTES)
     (last,) = struct.unpack_from("<I", raw, TAG_BYTES + 16 + 8 * (count - 1))
-    start = whole + part
+    start = whole + fraction
     return start, start + last / 1000.0
 
 
@@ -140,8 +140,8 @@ def read_imu(path: str | Path, tags: str | Path) -> Samples:
     """Read the samples of a unit whose stream has time tags, plain or gzipped. A line has three
     accelerations (g), three rates (deg/s) and the unit's clock (ms).
 
-    The clock is scaled so that the first and last samples fall on the first and last tags. The
-    first and last lines are dropped, because the stream may have cut them.
+    The clock is scaled so that the first and last samples coincide with the first and last tags.
+    The first and last lines are omitted, because they may be incomplete.
 
     Raises
     ------
@@ -167,7 +167,7 @@ def read_imu(path: str | Path, tags: str | Path) -> Samples:
     clock = table[:, 6] - table[0, 6]
     if (np.diff(clock) <= 0.0).any():
         k = int(np.argmax(np.diff(clock) <= 0.0)) + 3
-        raise InputError(f"{called}, line {k}: expected a clock that increases")
+        raise InputError(f"{called}, line {k}: expected an increasing clock, got another value")
     start, end = read_tags(tags)
     return Samples(
         start + clock * (end - start) / clock[-1],

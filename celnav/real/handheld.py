@@ -1,15 +1,16 @@
-"""Model of a gyro, an accelerometer and a magnetometer in a hand, and files of BROAD [Laidig2021].
+"""Model of a hand-held gyro, accelerometer and magnetometer, and files of BROAD [Laidig2021].
 
 Earth axes are east, north (of the magnetic field) and up. The state has the attitude, the drift of
 the gyro, velocity and position of the hand, the disturbance of the field, and constants. A step has
-`STEP` samples and lasts an eighth of a second. Its gyro samples are integrated. The other samples
-are rotated to the axes at its end and averaged. Samples of the magnetometer are treated as `LAG`
-samples old. This delay maximizes the likelihood of the innovations in the trials `TUNED`.
+`STEP` samples and lasts an eighth of a second. The gyro samples of a step are integrated. The other
+samples are rotated to the axes at the end of the step and averaged. Magnetometer samples are
+assumed to be late by `LAG` samples. This delay maximizes the likelihood of the innovations in the
+trials `TUNED`.
 
 The model uses five physical facts:
 
-- A hand stays within reach. The specific force is integrated twice, and the position is measured as
-  zero, with the σ of an arm's reach. The model has no spectrum of the acceleration.
+- A hand stays within reach. The specific force is integrated twice, and a pseudo-measurement of the
+  position is zero, with the σ of an arm's reach. The acceleration needs no spectral model.
 - The field differs from place to place, and a hand returns to the same places. Errors of the field
   therefore do not average out. So the magnetometer measures heading only, from the horizontal
   field. Gyro and accelerometer determine the inclination.
@@ -58,7 +59,7 @@ TRIALS = (
 TUNED = (TRIALS[0], TRIALS[3], TRIALS[5])
 GRAVITY = 9.8127  # m/s^2, in Berlin
 STEP, LAG = 36, 4  # samples
-QUIET, SLOW = 0.05, 0.03  # m/s^2, rad/s: limits for rest, over a second
+QUIET, SLOW = 0.05, 0.03  # m/s^2, rad/s: limits at rest, over a second
 
 
 # -- logs ------------------------------------------------------------------------------------------
@@ -143,8 +144,8 @@ def samples(path: Path, lag: int = LAG) -> Samples:
             )
         if not np.isfinite(values).any(0).all() or np.isinf(values).any():
             raise InputError(
-                f"{path}: {name}: expected finite numbers or nan, got infinity or a column of nan "
-                "only"
+                f"{path}: {name}: expected finite numbers or nan, got infinity or a column that is "
+                "all nan"
             )
         return np.asarray(values, np.float64)
 
@@ -154,8 +155,7 @@ def samples(path: Path, lag: int = LAG) -> Samples:
     for name, values in zip(named, (gyr, acc, mag, q, moving), strict=True):
         if len(values) != len(gyr):
             raise InputError(
-                f"{path}: {name}: expected as many rows as imu_gyr has, {len(gyr)}, got "
-                f"{len(values)}"
+                f"{path}: {name}: expected {len(gyr)} rows, as in imu_gyr, got {len(values)}"
             )
     if np.isnan(gyr).any() or not hz > 0.0:
         raise InputError(
@@ -168,7 +168,7 @@ def samples(path: Path, lag: int = LAG) -> Samples:
 
 
 def _unit(q: Array) -> Array:
-    """Unit quaternions, scalar last, from those of a file, scalar first; nan if there is none."""
+    """Unit quaternions, scalar last, from quaternions of a file, scalar first; nan stays nan."""
     norm = np.linalg.norm(q, axis=-1, keepdims=True)
     return np.asarray(np.roll(q, -1, -1) / np.where(norm > 0.5, norm, np.nan))
 
@@ -181,7 +181,8 @@ def steps(gyr: Array, acc: Array, mag: Array, hz: float, lag: int = LAG) -> Log:
     )
     turn, sums = np.tile(attitude.IDENTITY, (T, 1)), np.zeros((2, T, 3))
     rate = np.zeros((T, 3))
-    # i: index of a sample in its step, negative before it. `turn`: rotation from there to the end.
+    # i: index of a sample in its step, negative before it. `turn`: rotation from sample i to the
+    # end of the step.
     for i in range(STEP - 1, -lag - 1, -1):
         for total, values, late in zip(sums, (acc, mag), (0, lag), strict=True):
             if 0 <= i + late < STEP:
@@ -203,7 +204,7 @@ def steps(gyr: Array, acc: Array, mag: Array, hz: float, lag: int = LAG) -> Log:
 
 
 def _last(values: Array, width: int, before: Any) -> Array:
-    """The last values ``(T, 3, width)`` at each epoch; ``before`` fills in before the first."""
+    """The last ``width`` values at each epoch, ``(T, 3, width)``; ``before`` pads the start."""
     values = np.concatenate([np.zeros((width - 1, 3)) + before, values])
     return np.lib.stride_tricks.sliding_window_view(values, width, axis=0)
 
@@ -213,10 +214,10 @@ def _last(values: Array, width: int, before: Any) -> Array:
 class Settings:
     """Standard deviations and rates, the same for all trials (or one for each run, ``(runs, 1)``).
 
-    gyro: angle random walk, rad/s^(1/2). turning: angle random walk from errors that grow with the
-    rate, for each rad/s; 0.001 gives 0.1 % over a second.
+    gyro: angle random walk, rad/s^(1/2). turning: angle random walk per rad/s of rate, from errors
+    proportional to the rate; 0.001 gives 0.1 % over a second.
     acc, shaking: white noise of a step, m/s^2, and its increase for each 1 m/s^2 of `Log.lively`.
-    reach: m s^(1/2), σ of the position about zero, if it is measured anew each second.
+    reach: m s^(1/2), σ of the position about zero for one independent measurement per second.
     mag: white noise of a step, uT.
     field, stir: uT, σ of the field's disturbance on Earth axes; 1/s, its decay rate for each m/s^2
     of `Log.lively`.
@@ -273,10 +274,10 @@ VECTORS = (V, P, D)
 def together() -> Space:
     """Space of states whose deviations rotate the `VECTORS` on Earth axes with the attitude.
 
-    Deviations of the attitude are about Earth axes. The measurement of a vector by a sensor then
-    does not depend on the attitude's deviation. A rotation of everything about the vertical is then
-    the same deviation for all estimates of the vectors [Barrau2017]. Only the mean of the field
-    measures this rotation.
+    Deviations of the attitude are about Earth axes. So the measurement of a vector on the sensor's
+    axes does not depend on the attitude's deviation. A rotation of the complete state about the
+    vertical is the same deviation for all estimates of the vectors [Barrau2017]. Only the mean of
+    the field measures this rotation.
     """
 
     def plus(x: Array, d: Array) -> Array:
@@ -309,7 +310,9 @@ def together() -> Space:
 
 
 def apart() -> Space:
-    """Space of states with attitude deviations on the sensor's axes; the others are additive."""
+    """Space of states with attitude deviations on the sensor's axes; other deviations are
+    additive.
+    """
     return product((attitude.attitude(), 4, 3), (EUCLIDEAN, N - 3, N - 3))
 
 
@@ -359,8 +362,8 @@ def on_earth(x: Array, vector: Array) -> Array:
 
 
 def sensors(s: Settings) -> tuple[Sensor, ...]:
-    """Sensors for reach, velocity at rest, horizontal field, and gyro at rest. The first three
-    measure zero.
+    """Sensors for reach, velocity at rest, horizontal field, and gyro at rest; measurements of the
+    first three are zero.
     """
 
     def horizontal(x: Array, epoch: Epoch) -> Array:
@@ -389,7 +392,9 @@ def sensors(s: Settings) -> tuple[Sensor, ...]:
 
 
 def on_sensor(part: slice, x: Array, _epoch: Epoch) -> Array:
-    """Vector of states on the sensor's axes, where it gives no information about the attitude."""
+    """A vector of the state on the sensor's axes, on which it does not depend on the attitude's
+    deviation.
+    """
     return attitude.rotate(x[..., Q], x[..., part])
 
 
@@ -407,7 +412,7 @@ def filters(s: Settings = SETTINGS) -> dict[str, Sequential]:
 
 
 def prior(logs: Sequence[Log], s: Settings = SETTINGS) -> Gaussian:
-    """Initial estimate of each trial, from its first second at rest and the field in a building."""
+    """Prior of each trial, from its first second at rest and typical fields in a building."""
     count = round(1.0 / logs[0].dt)
     up, mag = (
         np.stack([np.nanmean(values[:count], 0) for values in each])
@@ -423,7 +428,7 @@ def prior(logs: Sequence[Log], s: Settings = SETTINGS) -> Gaussian:
     )
     mean = np.zeros((len(logs), N + 1))
     mean[:, Q] = Rotation.from_matrix(axes.mT).as_quat()
-    # From the data, so that the start gives no information about heading.
+    # The field comes from the data, so that the prior has no information about heading.
     mean[:, H] = (mag * axes[..., 1]).sum(-1)[:, None]
     std = [0.1, 0.1, 0.3, DRIFT, SWAY, SWAY, s.field, 4.0, s.acc_bias, s.scale]
     each = side_by_side([np.zeros((len(logs), 1)) + part for part in std])
@@ -448,11 +453,11 @@ class Flight:
         return found(self.folder, [f"{name}.mat" for name in self.trials])
 
     def logs(self) -> list[Log]:
-        """The trials, padded to the longest; after the end of a trial nothing is measured."""
+        """The trials, padded to the length of the longest with missing measurements."""
         logs = [read(path, self.lag) for path in self.paths()]
         if max(log.dt for log in logs) > 1.001 * min(log.dt for log in logs):
             raise InputError(
-                f"{self.folder}: sampling_rate: expected the same in all trials, got "
+                f"{self.folder}: sampling_rate: expected the same rate in all trials, got "
                 f"{[STEP / x.dt for x in logs]} Hz"
             )
         T = round(self.part * max(len(log.rate) for log in logs))
@@ -490,8 +495,8 @@ def measured(logs: Sequence[Log]) -> Epochs:
         np.stack(part, 1) for part in list(zip(*logs, strict=True))[:6]
     )
     acc[0] = mag[0] = np.nan  # the prior already uses it
-    known = np.isfinite(acc).all(-1, keepdims=True) * 1.0
-    u = rate, lively, np.nan_to_num(acc), np.nan_to_num(mag), known
+    has_force = np.isfinite(acc).all(-1, keepdims=True) * 1.0
+    u = rate, lively, np.nan_to_num(acc), np.nan_to_num(mag), has_force
     z = 0.0 * acc, 0.0 * still, 0.0 * mag[..., :2], still
     times = logs[0].dt * np.arange(len(rate))
     return epochs(times, z, tuple(values[1:] for values in u), truth)

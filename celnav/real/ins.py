@@ -1,21 +1,21 @@
-"""A car with a consumer-grade inertial unit and RTK fixes, which are withheld for 15 s again and
-again [GnssImu2025].
+"""A car with a consumer-grade IMU and RTK fixes, with repeated simulated outages of 15 s
+[GnssImu2025].
 
 Settings come from the data sheet, from the receiver, and from the noise in the first half minute,
-while the car stands. A factor multiplies this noise. It is the one of `FACTORS` with the largest
-likelihood for the fixes of the first two minutes outside outages. The owner of the log provides the
+while the car is at rest. A factor multiplies this noise: the element of `FACTORS` with the largest
+likelihood of the fixes in the first two minutes, outside outages. The owner of the log provides the
 mounting angles, the delay `LATE_S` of the samples, and the outages.
 
-This is not a blind test. Errors in outages were known when the additional states and sensors were
-chosen, with the first values tried. They were also known when the noise was given a factor.
+This is not a blind test. We knew the errors in outages when we chose the additional states and
+sensors, with the first values tried, and when we introduced the factor.
 
-Standstill is not detected. Limits on the unit's vibration that accept the car's first rest also
-accept seconds of a ride at 10 m/s. Where fixes show a rest in real time, they already measure its
-speed. With measurements of standstill from fixes, the largest drift with wheels increased and the
-median drift decreased, each by at most half a meter.
+Standstill is not detected. Limits on the IMU's vibration that accept the car's first rest also
+accept seconds of a ride at 10 m/s. In real time only fixes show a rest, and they already measure
+the speed. With measurements of standstill from fixes, the largest drift with wheels increased and
+the median drift decreased, each by at most half a meter.
 
-The antenna's position was first compared without the estimated lag. The smoother's NEES of 150
-showed this mistake.
+A first evaluation of the antenna's position neglected the estimated lag. The smoother's NEES of 150
+revealed this mistake.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ START = {
     "sigma_velocity": 0.1,
     "sigma_position": 0.05,
 }
-MOVES = 1.0  # m/s; above this speed the course gives the heading
+MOVES = 1.0  # m/s; above this speed the course equals the heading
 # Outages: first start, length, margin before the end. Fixes between them last twice as long.
 FIRST_S, LENGTH_S, LAST_S = 40.0, 15.0, 30.0
 MORE = {"lag": 0.05, "lever": 0.1, "mount": np.radians(2.0), "axle": 1.0}
@@ -85,9 +85,9 @@ class Drive:
     """A filter and the folder of its log.
 
     kind: name of a filter. error: see `celnav.models.inertial.strapdown`.
-    constrained: adds the states `MORE` and a sideways speed of zero.
-    factor: multiplies the white noise at rest.
-    end_s: end of the used log, s. smoothed: also runs the smoother.
+    constrained: whether to add the states `MORE` and a sideways speed of zero.
+    factor: factor of the white noise at rest.
+    end_s: end of the used log, s. smoothed: whether to run the smoother too.
     """
 
     folder: Path
@@ -110,10 +110,10 @@ FLOWN: dict[str, dict[str, Any]] = {
 }
 """Runs by name, as changes of a `Drive`."""
 PEER = {"fixes": (6.82, 12.79), "wheels": (5.09, 10.59)}
-"""Median and largest drift (m) after 15 s of the program that came with the log, on the same
-outages.
+"""Median and largest drift (m) after 15 s, on the same outages, of the program published with the
+log.
 
-"fixes": the program as published. "wheels": with its own constraint on wheels. We measured both
+"fixes": the program as published. "wheels": with its own constraint on wheels. We measured each
 twice with its settings, forward, without its velocity matching. Its low-pass filter uses future
 samples.
 """
@@ -192,8 +192,8 @@ def task(log: Log, config: Drive) -> tuple[Any, Gaussian, Merged, inertial.Strap
     """Filter, prior, merged measurements, and strapdown system."""
     made = system(log, config)
     used = log.fixed & (withheld(log.t_fix) < 0) & (log.t_fix <= config.end_s)
-    own = log.t <= min(config.end_s, log.t_fix[-1])
-    t, inputs = log.t[own], (log.rate[own], log.force[own])
+    in_time = log.t <= min(config.end_s, log.t_fix[-1])
+    t, inputs = log.t[in_time], (log.rate[in_time], log.force[in_time])
     moving = int(np.flatnonzero(used & (np.hypot(*log.fixes[:, 3:5].T) > MOVES))[0])
     first = int(np.searchsorted(log.t_fix, t[0]))
     prior = made.prior(
@@ -228,8 +228,8 @@ def fly(config: Drive, _rngs: Sequence[Any]) -> dict[str, Array]:
 
     Returns
     -------
-    drift: ``(K, 2)`` m, after two thirds of each outage and at its end. It is the norm of the error
-    minus the error at the first withheld fix.
+    drift: ``(K, 2)`` m, after two thirds of each outage and at its end: the norm of the difference
+    between the error and the error at the first withheld fix.
     sigma: ``(K,)`` m, predicted σ of the position at the end. nees: ``(K,)``, at the end.
     worst: ``(K,)`` m, largest error within the outage.
     nis: sum of all NIS over the sum of the degrees of freedom.
@@ -243,7 +243,7 @@ def fly(config: Drive, _rngs: Sequence[Any]) -> dict[str, Array]:
     # Position that a fix would measure, with the lag and lever arm of the state.
     antenna = made.gnss(LEVER, sigma_position=1.0).h(track.mean, Epoch())
     q, p = made.space.part(track.mean, "q"), track.part("p")
-    own, inside = [], withheld(measured.t_fix)
+    rows, inside = [], withheld(measured.t_fix)
     for k in range(int(inside.max()) + 1):
         at = np.flatnonzero((inside == k) & measured.fixed)
         t = measured.t_fix[at]
@@ -257,7 +257,7 @@ def fly(config: Drive, _rngs: Sequence[Any]) -> dict[str, Array]:
         P = p.cov[end] + FIX["sigma_position"] ** 2 * np.eye(3)
         last = turned if config.error == "invariant" else error[-1]
         size = np.linalg.norm(error, axis=-1).max()
-        own.append(
+        rows.append(
             [
                 drift[len(drift) * 2 // 3],
                 drift[-1],
@@ -266,7 +266,7 @@ def fly(config: Drive, _rngs: Sequence[Any]) -> dict[str, Array]:
                 size,
             ]
         )
-    ten, end_of, sigma, nees, worst = np.transpose(own)
+    ten, end_of, sigma, nees, worst = np.transpose(rows)
     return {
         "drift": np.stack([ten, end_of], -1),
         "sigma": sigma,
@@ -292,7 +292,7 @@ def drifts(r: Results, name: str) -> Array:
 
 
 def typical(label: str, name: str, other: str | float, accept: Bounds) -> Decided:
-    """Median drift of a filter over that of another filter, or over a value in m."""
+    """Ratio of a filter's median drift to another filter's, or to a value in m."""
 
     def number(r: Results) -> Number:
         if isinstance(other, float):
@@ -304,7 +304,7 @@ def typical(label: str, name: str, other: str | float, accept: Bounds) -> Decide
 
 
 def alike(label: str, name: str, other: str) -> Decided:
-    """RMS drift of a filter over that of another filter, accepted within 10 %."""
+    """RMS drift ratio of two filters, accepted within 10 %."""
 
     def number(r: Results) -> Number:
         both = [np.square(drifts(r, one)) for one in (name, other)]

@@ -1,7 +1,7 @@
 """Position of the Earth from arrival times of millisecond pulsars, 2004 to 2020 [Agazie2023], with
-ephemerides that had errors.
+older ephemerides, which have errors.
 
-These rules were written before any result of the test years was seen:
+We wrote these rules before we saw any result of the test years:
 
 - Timing models are fitted to the years before 2017; the filters run over the later years without a
   new fit. A pulsar is used if it was observed for three years before 2017, on at least 30 days.
@@ -12,9 +12,9 @@ These rules were written before any result of the test years was seen:
 - Filters start with errors of 10 km and 0.1 m/s on each axis and a prior σ of 100 km for the Sun's
   error. They are evaluated after their first year.
 
-DE440 is treated as the truth. The filters are given older ephemerides as wrong ones. Their
-barycenter is displaced by 117 km, because DE440 includes bodies beyond Neptune [Park2021]. Relative
-to the Sun the Earth's orbit differs by 0.2 km in DE421 and by 1.1 km in DE405.
+DE440 is treated as the truth. The filters use older ephemerides, whose barycenter is displaced by
+117 km, because DE440 includes bodies beyond Neptune [Park2021]. Relative to the Sun, the Earth's
+orbit differs by 0.2 km in DE421 and by 1.1 km in DE405.
 """
 
 from __future__ import annotations
@@ -96,8 +96,8 @@ FILTERS = ("ekf", "tkf", "tdkf", "tstdkf", "aug")
 
 # -- parts -----------------------------------------------------------------------------------------
 class Flight(NamedTuple):
-    """The Earth around the Sun, with pulsars timed with DE440. old: ephemeris of the filters, DE440
-    if empty.
+    """The Earth's orbit about the Sun, with pulsar timing by DE440. old: ephemeris of the filters;
+    DE440 if empty.
     """
 
     folder: Path
@@ -105,8 +105,8 @@ class Flight(NamedTuple):
 
 
 def tuned(folder: Path) -> tuple[float, float]:
-    """Size (in predicted σ) and weekly correlation of the noise of fixes, in the two years before
-    the test years.
+    """Standard deviation (in predicted σ) and weekly correlation of the fixes' errors, in the two
+    years before the test years.
     """
     before = clocks(folder, TUNED, FLOWN)
     y = weekly(before, [c.early for c in before], TUNED, FLOWN).y
@@ -117,19 +117,19 @@ def trial(c: Flight, _rngs: Rngs) -> Trial:
     """The filters of [Xu2023] on weekly fixes.
 
     The Earth's orbit about the Sun replaces the satellite's orbit about the Earth, and the Sun's
-    ephemeris error that of the Earth. "drift" models a Sun's error that grows linearly. "clocks"
-    also uses arrival times instead of fixes, and so models that the error of a timing model
-    persists. The barycentric position is evaluated: orbit plus Sun's error.
+    ephemeris error replaces the Earth's. "drift" models an error of the Sun that grows linearly.
+    "clocks" also does this, but uses arrival times instead of fixes, and so models persistent
+    errors of timing models. The barycentric position is evaluated: orbit plus the Sun's error.
     """
     heard, years = clocks(c.folder, FLOWN, END), differences()
-    seen = weekly(heard, [k.early for k in heard], FLOWN, END)
-    day, t = seen.day, DAY_S * (seen.day - seen.day[0])
+    observed = weekly(heard, [k.early for k in heard], FLOWN, END)
+    day, t = observed.day, DAY_S * (observed.day - observed.day[0])
     earth, sun = (
         years[f"{c.old}/{body}"] if c.old else (lambda at: np.zeros((*np.shape(at), 3)))
         for body in ("earth", "sun")
     )
     truth = earth(day)
-    z = seen.y + (seen.R @ truth[..., None])[..., 0]
+    z = observed.y + (observed.R @ truth[..., None])[..., 0]
     early = [k.early + k.seen(earth(k.arrivals.day + 0.5), False) for k in heard]
 
     level, F = tuned(c.folder)
@@ -147,12 +147,12 @@ def trial(c: Flight, _rngs: Rngs) -> Trial:
     step = np.sqrt(
         np.square(np.diff(years["de421/sun"](past) - years["de405/sun"](past), axis=0)).mean()
     )
-    known = paper.filters(
+    by_name = paper.filters(
         paper.Config(bias_prior_km=SUN_KM, walk_km=float(step)), paper.LINEAR, noise
     )
     for name, m in (("drift", 3), ("clocks", 12)):
         sensor = Sensor(Linear(lambda epoch: epoch.u[1]), R=np.eye(m))
-        known[name] = ekf(Motion(Linear(lambda epoch: epoch.u[0]), Q=np.zeros((12, 12))), sensor)
+        by_name[name] = ekf(Motion(Linear(lambda epoch: epoch.u[0]), Q=np.zeros((12, 12))), sensor)
 
     Phi = np.stack([transition(*pair) for pair in pairwise(day)])
     each = np.stack([block_diag(P, np.eye(6)) + 0.0 for P in Phi])
@@ -160,12 +160,12 @@ def trial(c: Flight, _rngs: Rngs) -> Trial:
     moves = np.stack(list(accumulate(each, lambda before, move: move @ before, initial=np.eye(12))))
     place = np.eye(3, 12) + np.eye(3, 12, 6)
     twelve = {
-        "drift": (seen.R @ place / level, z / level),
+        "drift": (observed.R @ place / level, z / level),
         "clocks": remembered(heard, early, day, moves),
     }
 
     def epochs(name: str) -> Iterator[Epoch]:
-        H, y = twelve.get(name, (seen.R, z))
+        H, y = twelve.get(name, (observed.R, z))
         for k in range(1, len(day)):
             u = (
                 (each[k - 1], H[k])
@@ -180,7 +180,7 @@ def trial(c: Flight, _rngs: Rngs) -> Trial:
         return belief.mean @ both.T - truth, cholesky(both @ belief.cov @ both.T)
 
     start = np.concatenate([earth(day[0]) - sun(day[0]), np.zeros(3)]) + STARTED
-    return Trial(GROUPS, known, Gaussian(start[None], np.diag(STARTED**2)), epochs, compare)
+    return Trial(GROUPS, by_name, Gaussian(start[None], np.diag(STARTED**2)), epochs, compare)
 
 
 def fly_all(c: Flight, rngs: Rngs) -> Arrays:
@@ -203,8 +203,8 @@ def fixes(folder: Path, _rngs: Rngs) -> Arrays:
             c for c in clocks(folder, FLOWN, END) if name == "all" or c.arrivals.name in SOLITARY
         ]
         w = weekly(heard, [c.early for c in heard], FLOWN, END, least)
-        found = {"day": w.day, "error": w.fix[:, None], "std": w.std[:, None], "heard": w.heard}
-        out |= {f"{name}/{key}": values for key, values in found.items()} | {
+        arrays = {"day": w.day, "error": w.fix[:, None], "std": w.std[:, None], "heard": w.heard}
+        out |= {f"{name}/{key}": values for key, values in arrays.items()} | {
             f"{name}/nees": np.square(w.y).sum(1)[:, None]
         }
     return out
@@ -221,8 +221,9 @@ def window(folder: Path, _rngs: Rngs) -> Arrays:
 
     Returns
     -------
-    share: by period of an oscillation (years), visible fraction of it, in predicted σ. For errors
-    of old ephemerides: ``shown (T, 1, 3)`` km in the fixes, and the errors of Earth and Sun.
+    share: visible fraction of an oscillation by its period (years), in predicted σ. For errors of
+    old ephemerides: ``shown (T, 1, 3)`` km, the error in the fixes, and the errors of Earth and
+    Sun.
     """
     heard = clocks(folder, FLOWN, END)
     out: Arrays = {"periods": PERIODS}
@@ -300,7 +301,7 @@ def median(r: Results) -> Number:
 
 
 def ratio(part: str, a: str, b: str, low: float | None, most: float | None) -> Decided:
-    """RMS error of filter ``a`` over that of ``b``."""
+    """RMS error ratio of filter ``a`` to ``b``."""
     about = f"{part}: RMS error, {a} over {b}"
     return lambda r: estimate(
         about, metrics.ratio, [squares(r, part, a), squares(r, part, b)], (low, most), LONG
@@ -308,7 +309,7 @@ def ratio(part: str, a: str, b: str, low: float | None, most: float | None) -> D
 
 
 def claimed(part: str, a: str, b: str, low: float | None, most: float | None) -> Decided:
-    """Mean NEES of filter ``a`` over that of ``b``."""
+    """Mean NEES ratio of filter ``a`` to ``b``."""
 
     def number(r: Results) -> Number:
         late = r.times(part) > YEAR * DAY_S
@@ -352,7 +353,7 @@ def size(name: str, label: str, low: float | None, most: float | None) -> Decide
 
 
 def share(period: float, low: float | None, most: float | None) -> Decided:
-    """Visible fraction of an oscillation with a period."""
+    """Visible fraction of an oscillation with this period (years)."""
     label = f"visible fraction, period {period:g} years"
     return lambda r: Number(
         label,

@@ -47,8 +47,8 @@ class Photons(NamedTuple):
     """Photons of an observation.
 
     t, since: ``(N,)`` s, since the first photon, and since the spin's epoch (TDB). place: ``(N,
-    3)`` km, position of the satellite from the Earth's center. earth, sun: ``(N, 3)`` km, positions
-    from the barycenter.
+    3)`` km, geocentric position of the satellite. earth, sun: ``(N, 3)`` km, barycentric
+    positions.
     """
 
     t: Array
@@ -64,8 +64,8 @@ class Photons(NamedTuple):
         return np.asarray(self.place @ self.spin.pulsar.direction)
 
     def cycles(self, part: float | None) -> Array:
-        """Cycles ``(N,)`` with the satellite at a fraction of its way from the Earth's center;
-        None: uncorrected times of its own clock.
+        """Cycles ``(N,)`` with the satellite at a fraction of its distance from the Earth's center;
+        None uses the uncorrected times of its clock.
         """
         if part is None:
             return self.spin.cycles(self.since)
@@ -108,7 +108,7 @@ def table(
         if column.ndim != 1 or not len(column) or not np.isfinite(column).all():
             raise InputError(f"{path}: expected finite numbers (N,) in {name}, got {column!r:.80}")
     if (np.diff(values[0]) < 0.0).any():
-        raise InputError(f"{path}: expected times that do not go back in {columns[0]}")
+        raise InputError(f"{path}: expected times that do not decrease in {columns[0]}, got others")
     return header, values
 
 
@@ -125,41 +125,44 @@ def read_par(path: Path) -> Spin:
         raise InputError(
             f"{path}: expected a timing model, with a name and a value on each line ({error})"
         ) from None
-    told = {word[0].upper(): word[1] for word in words if len(word) > 1}
-    if "BINARY" in told or "PB" in told:
+    entries = {word[0].upper(): word[1] for word in words if len(word) > 1}
+    if "BINARY" in entries or "PB" in entries:
         raise InputError(
-            f"{path}: expected a pulsar without a companion; orbits of companions are not modeled"
+            f"{path}: expected a pulsar without a companion, got one with it; binary orbits are "
+            "not modeled"
         )
-    if missing := {"RAJ", "DECJ", "F0", "PEPOCH"} - told.keys():
-        raise InputError(f"{path}: expected a timing model with {', '.join(sorted(missing))}")
-    if told.get("UNITS", "TDB") != "TDB":
-        raise InputError(f"{path}: expected UNITS TDB, got {told['UNITS']}")
+    if missing := {"RAJ", "DECJ", "F0", "PEPOCH"} - entries.keys():
+        raise InputError(
+            f"{path}: expected a timing model with {', '.join(sorted(missing))}, got one without"
+        )
+    if entries.get("UNITS", "TDB") != "TDB":
+        raise InputError(f"{path}: expected UNITS TDB, got {entries['UNITS']}")
 
     def value(name: str) -> float:
         try:
-            number = float(told[name].replace("D", "e").replace("d", "e"))
+            number = float(entries[name].replace("D", "e").replace("d", "e"))
         except ValueError:
             number = np.nan
         if not np.isfinite(number):
-            raise InputError(f"{path}: expected a number as {name}, got {told[name]!r:.40}")
+            raise InputError(f"{path}: expected a number as {name}, got {entries[name]!r:.40}")
         return number
 
     def angle(name: str) -> float:
-        parts = re.fullmatch(r"([+-]?)(\d+):(\d+):(\d+(?:\.\d*)?)", told[name], re.ASCII)
+        parts = re.fullmatch(r"([+-]?)(\d+):(\d+):(\d+(?:\.\d*)?)", entries[name], re.ASCII)
         if parts is None:
-            raise InputError(f"{path}: expected {name} as 15:13:55.62, got {told[name]!r:.40}")
+            raise InputError(f"{path}: expected {name} as 15:13:55.62, got {entries[name]!r:.40}")
         sign, *sixties = parts.groups()
         degrees = sum(float(part) / 60.0**i for i, part in enumerate(sixties))
         return -degrees if sign == "-" else degrees
 
     rates = [value("F0")]
-    while (name := f"F{len(rates)}") in told:
+    while (name := f"F{len(rates)}") in entries:
         rates.append(value(name))
     if not 1e-3 < rates[0] < 1e4:
         raise InputError(f"{path}: expected F0 in pulses per second, got {rates[0]!r}")
     try:
         pulsar = Pulsar(
-            told.get("PSRJ", path.stem),
+            entries.get("PSRJ", path.stem),
             15.0 * angle("RAJ"),
             angle("DECJ"),
             4.4,
@@ -193,7 +196,7 @@ def read(folder: Path) -> Photons:
     ]
     if len(t) < LEAST_PHOTONS or t[-1] - t[0] < LEAST_S:
         raise InputError(
-            f"{events}: expected {LEAST_PHOTONS} photons or more in {LEAST_S:g} s or more, got "
+            f"{events}: expected at least {LEAST_PHOTONS} photons in at least {LEAST_S:g} s, got "
             f"{len(t)}"
         )
     met = t + (begun[0] - begun[1]) * DAY_S

@@ -3,16 +3,16 @@
 The data are an hour of PSR B1509-58, observed by RXTE on 15 January 2011 [Luo2021]. The time of a
 photon is transformed to the barycenter with the delay of `celnav.models.pulsar.Timing` (Roemer,
 parallax, Shapiro) and from TT to TDB (Einstein). Three positions of the satellite are compared:
-none (its own clock), the Earth's center, and its orbit. The H-test measures which of them folds
-best [DeJager1989].
+none (uncorrected times), the Earth's center, and its orbit. The H-test measures which of them gives
+the sharpest folded pulse [DeJager1989].
 
-These rules were written before any result was seen. The hour is divided into pieces of two minutes.
-Every other piece contributes to a light curve, with the satellite on its orbit and as many
-harmonics as the H-test selects. The pieces between are then shifted relative to the Earth's center,
-by maximum likelihood with that light curve. The two sets of pieces then exchange their roles. The
-predicted variance of a shift follows from the Fisher information of the light curve and the number
-of photons. It includes the uncertainty of the light curve itself. No orbit is used for a shift.
-Channels 5 to 49 are used.
+We wrote these rules before we saw any result. The hour is divided into pieces of two minutes. Every
+other piece contributes to a light curve, with the satellite on its orbit and as many harmonics as
+the H-test selects. The remaining pieces are then shifted relative to the Earth's center, by maximum
+likelihood with that light curve. The two sets of pieces then exchange their roles. The predicted
+variance of a shift follows from the Fisher information of the light curve and the number of
+photons. It includes the uncertainty of the light curve itself. A shift does not use the orbit. Only
+channels 5 to 49 are used.
 
 The timing model comes from a .par file: direction, spin and its derivatives. Pulsars with
 companions are not supported.
@@ -61,8 +61,8 @@ ORDERS = np.arange(1, MOST_HARMONICS + 1)
 
 
 def harmonics(cycles: Array, block: Array) -> Array:
-    """Sums over the photons of each block, ``(blocks, 1 + 2 k)``: their number, then cosines and
-    sines of all harmonics.
+    """Sums over the photons of each block, ``(blocks, 1 + 2 k)``: number of photons, then cosines
+    and sines of all harmonics.
     """
     angle = 2.0 * np.pi * np.outer(cycles % 1.0, ORDERS)
     values = np.concatenate([np.ones((len(angle), 1)), np.cos(angle), np.sin(angle)], 1)
@@ -78,7 +78,7 @@ def power(sums: Array) -> Array:
 
 
 def h_test(blocks: Array) -> float:
-    """H of blocks of `harmonics`."""
+    """Statistic H of the H-test, from blocks of `harmonics`."""
     return float(power(blocks.sum(0)).max())
 
 
@@ -118,8 +118,8 @@ SHIFTS = np.arange(-0.5, 0.5, 1.0 / 512.0)
 
 
 def shifted(light: Light, phase: Array) -> tuple[float, Array]:
-    """Maximum-likelihood shift (cycles), interpolated between `SHIFTS` by a parabola; their
-    log-likelihoods minus the largest.
+    """Maximum-likelihood shift (cycles), interpolated between `SHIFTS` by a parabola; and the
+    log-likelihoods of `SHIFTS` minus the largest.
     """
     table = np.log(light(np.arange(4096) / 4096.0))
     logs = np.array(
@@ -157,8 +157,8 @@ def folded(folder: Path, _rngs: Rngs) -> Arrays:
 def placed(folder: Path, _rngs: Rngs) -> Arrays:
     """Position from each piece, with the light curve of the other set.
 
-    Returns ``(T,)``: middle (s); position, truth and predicted σ (km); the largest log-likelihood
-    minus that of the truth; the number of photons.
+    Returns arrays ``(T,)``: middle of the piece (s); position, truth and predicted σ (km); the
+    largest log-likelihood minus the log-likelihood of the truth; the number of photons.
     """
     p = read(folder)
     piece = (p.t // PIECE_S).astype(int)
@@ -196,7 +196,7 @@ def parts(_effort: float = 1.0, rxte: Path | None = None) -> dict[str, Part]:
 
 
 def sharper(one: str, other: str) -> Decided:
-    """H with one of `PLACES` minus H with another."""
+    """Difference of H between two of `PLACES`."""
     label = f"H, {one} minus {other}"
 
     def number(r: Results) -> Number:
@@ -231,7 +231,7 @@ def inside(below: float) -> Any:
 
 
 def rms(*arrays: Array) -> float:
-    """Root mean square of the first minus the second, over the third."""
+    """RMS difference of the first two arrays, in units of the third array if there is one."""
     a, b, *by = (*arrays, 1.0)
     return float(np.sqrt(np.square((a - b) / by[0]).mean()))
 

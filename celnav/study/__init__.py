@@ -1,6 +1,6 @@
-"""Studies: runs that are simulated, filtered and judged.
+"""Studies: simulated or recorded runs, filters for them, and evaluated results.
 
-``import celnav`` is enough to write a study. This package also has the names of its modules
+``import celnav`` is enough to write a study. This package also exports the names of its modules
 `study`, `ledger`, `parameters` and `trial`, such as ``celnav.study.Study``. `celnav.study.numbers`
 has the numbers that decide statements.
 """

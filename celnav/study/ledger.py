@@ -1,10 +1,10 @@
 """The ledger of a paper: its statements, its errata and our findings, decided by numbers with
 intervals.
 
-A `Row` says how something is decided, and whether that was changed after a result. A `Claim` is a
+A `Row` defines how an entry is decided, and whether this was changed after a result. A `Claim` is a
 row with its result. A number with sampling error is accepted if its whole 95 % interval lies in the
-accepted range, and refused if no part of it does. Otherwise it is undecided, whatever the number of
-runs.
+accepted range, and rejected if the interval and the range are disjoint. Otherwise it is undecided,
+whatever the number of runs.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ WORDS: dict[str, tuple[str, str]] = {
     "finding": ("shown", "not shown"),
     "check": ("holds", "does not hold"),
 }
-"""Kind -> verdict where it holds, and where it does not."""
+"""Kind -> verdict if the row holds, and verdict if it does not."""
 KINDS = tuple(WORDS)
 BETWEEN = ("reproduced with fitted parameters", "level only", "in part")
 """Verdicts of a statement between "reproduced" and "not reproduced"."""
@@ -73,19 +73,19 @@ VERDICTS = tuple(
 
 
 class Number(NamedTuple):
-    """A number that decides something.
+    """A number that decides a row.
 
     Attributes
     ----------
-    label: its meaning, with the unit. value: nan if there is none. accept: ``(low, high)``, either
-        may be None.
+    label: meaning, with the unit. value: nan if there is none.
+    accept: accepted range ``(low, high)``; None for no limit.
     ci: 95 % interval of ``value``; None for a number without sampling error.
     printed: the paper's value of the same quantity, in the same unit. A statement is not reproduced
         if `agreement` excludes it.
-    strict: an interval that contains an accepted bound is refused, not undecided.
-    runs, printed_runs: number of runs behind ``value`` and ``printed``, 0 if unknown.
-    printed_count: how many printed numbers a statement has. All of them together have to agree
-        with 95 % probability.
+    strict: whether an interval that contains a limit of ``accept`` is rejected, not undecided.
+    runs, printed_runs: number of runs behind ``value`` and ``printed``; 0 if unknown.
+    printed_count: number of printed numbers in a statement. All of them together must agree with
+        95 % probability.
     """
 
     label: str
@@ -100,9 +100,7 @@ class Number(NamedTuple):
 
     @property
     def holds(self) -> bool | None:
-        """Whether the number is accepted; None if its interval does not decide that, or if it is
-        nan.
-        """
+        """Whether the number is accepted; None if its interval does not decide, or if it is nan."""
         low, high = (
             end if bound is None else bound
             for end, bound in zip((-np.inf, np.inf), self.accept, strict=True)
@@ -121,9 +119,9 @@ class Number(NamedTuple):
         """Interval for the printed number: ``ci``, wider by the sampling error of ``printed_runs``
         runs.
 
-        The paper's runs are assumed to vary like ours, so the variance grows by
-        ``runs / printed_runs``. With several numbers each interval is wider, so that all of them
-        hold with 95 %.
+        The paper's runs are assumed to have the variance of ours, so the variance increases by the
+        factor ``1 + runs / printed_runs``. With several printed numbers each interval is wider, so
+        that all of them hold together with 95 % probability.
         """
         if self.printed is None or self.ci is None:
             return None
@@ -141,8 +139,8 @@ class Number(NamedTuple):
         return False if excluded else self.holds
 
     def __format__(self, spec: str) -> str:
-        """The value and its interval, "0.053 [0.048, 0.059]"; ``spec`` is the format of each
-        number, ".3g" by default.
+        """The value and its interval, such as "0.053 [0.048, 0.059]"; ``spec`` formats each number,
+        ".3g" by default.
         """
         shown = format(self.value, spec or ".3g")
         return (
@@ -153,7 +151,7 @@ class Number(NamedTuple):
 
 
 Tiers = Mapping[str, Sequence[Number]]
-"""Verdict -> numbers that must all hold for it, the best verdict first. A verdict may repeat
+"""Verdict -> numbers that must all hold for it; the best verdict is first. A verdict may repeat
 numbers of better verdicts.
 """
 Decision = Callable[[Any], Number | Sequence[Number] | Tiers]
@@ -168,10 +166,11 @@ def estimate(
     block: int = 1,
     **more: Any,
 ) -> Number:
-    """A statistic of runs with its bootstrap interval; runs are the first axis of each sample.
+    """A `Number`: a statistic of runs, and its bootstrap interval. Runs are the first axis of each
+    sample.
 
-    For a single run the samples are its epochs, drawn in blocks of ``block``. ``more``: see
-    `Number`.
+    For a single run the samples are its epochs, resampled in blocks of ``block`` epochs. ``more``:
+    further fields of `Number`.
     """
     return Number(
         label,
@@ -189,17 +188,17 @@ class Row:
 
     Attributes
     ----------
-    kind: one of `KINDS`. id: short, unique and stable. place: where the paper says it. says: the
-        statement, in our words.
-    decide: ``(results) ->`` one `Number`, several that all have to hold, or `Tiers`; None: nothing
+    kind: one of `KINDS`. id: short, unique and stable.
+    says: the statement, in our words. place: where the paper makes it.
+    decide: ``(results) ->`` one `Number`, several that all must hold, or `Tiers`; None if nothing
         is computed.
-    why: how the accepted range follows from the paper's words. found: our finding, in a sentence;
-        "{0}" is the first number.
-    printed: the paper's printed value, verbatim. expected: the verdict of earlier results; empty:
-        it holds.
-    revised: when and why the accepted range was changed after a result was seen. figure: stem of a
-        figure that shows it.
-    needs: a part without which the row is left out, such as that of an optional input.
+    why: how the accepted range follows from the paper's words.
+    found: our finding, in a sentence; "{0}" is replaced by the first number.
+    printed: the paper's printed value, verbatim.
+    expected: the verdict of earlier results; empty if the row holds.
+    revised: when and why the accepted range was changed after a result.
+    figure: stem of a figure that shows the result.
+    needs: name of a part; the row is omitted without it (a part of an optional input).
 
     >>> half = celnav.study.numbers.ratio("error", "new", "old", "position", (None, 0.5))
     >>> row = celnav.study.ledger.Row("statement", "half", "It halves the error.", half, "Table 1")
@@ -230,8 +229,8 @@ class Row:
         return self.expected in OPEN or self.kind in ("erratum", "reconstruction", "remark")
 
     def judged(self, results: Any, full: bool = True) -> Claim:
-        """The row with its verdict: the first tier whose numbers all hold, or "undecided" if an
-        earlier tier is undecided.
+        """The row with its verdict, a `Claim`: the first tier whose numbers all hold, or
+        "undecided" if an earlier tier is undecided.
 
         full: whether all runs were done. With fewer runs, "undecided" is not a surprise.
         """
@@ -243,7 +242,7 @@ class Row:
         tiers = self.decide(results)
         if not isinstance(tiers, Mapping):
             tiers = {good: [tiers] if isinstance(tiers, Number) else tiers}
-        exact = (WORDS["statement"][0], BETWEEN[0])  # where a printed number has to agree
+        exact = (WORDS["statement"][0], BETWEEN[0])  # verdicts that require the printed number
         outcomes = [
             Outcome(word, number, number.reproduces if word in exact else number.holds)
             for word, numbers in tiers.items()
@@ -263,7 +262,7 @@ class Row:
 
 
 class Outcome(NamedTuple):
-    """The result of a number: whether it ``holds`` for a ``tier``; None: undecided."""
+    """A number and whether it ``holds`` for a ``tier``; None if it is undecided."""
 
     tier: str
     number: Number
@@ -292,22 +291,24 @@ class Claim:
 
     @property
     def id(self) -> str:
-        """As in the `Row`."""
+        """Id of the `Row`."""
         return self.row.id
 
     @property
     def kind(self) -> str:
-        """As in the `Row`."""
+        """Kind of the `Row`."""
         return self.row.kind
 
     @property
     def numbers(self) -> tuple[Number, ...]:
-        """All computed numbers, each once."""
+        """All computed numbers, without repetition."""
         return tuple(dict.fromkeys(outcome.number for outcome in self.outcomes))
 
     @property
     def decisive(self) -> Number | None:
-        """The number that prevents the best tier, else the first; None if none was computed."""
+        """The first number that does not hold, or the first number if all hold; None without
+        numbers.
+        """
         return next(
             (outcome.number for outcome in self.outcomes if not outcome.holds),
             (*self.numbers, None)[0],
@@ -315,20 +316,20 @@ class Claim:
 
     @property
     def holds(self) -> bool | None:
-        """Whether the row holds exactly as stated; None if that is open."""
+        """Whether the row holds exactly as stated; None for a verdict in `OPEN`."""
         if self.verdict in OPEN:
             return None
         return self.verdict == WORDS[self.kind][0] or self.verdict == BETWEEN[0]
 
     @property
     def surprise(self) -> bool:
-        """Whether the verdict is not the expected one; with few runs it may be undecided."""
+        """Whether the verdict is not the expected one; "undecided" counts with all runs only."""
         return self.verdict != self.expected and (self.full or self.verdict != "undecided")
 
     @property
     def note(self) -> str:
-        """Our finding with the present numbers; empty if the verdict is not the one that the
-        finding was written for.
+        """Our finding with the present numbers; empty if the verdict differs from the expected one,
+        for which the finding was written.
         """
         if self.verdict != self.expected or not np.isfinite([n.value for n in self.numbers]).all():
             return ""
@@ -336,10 +337,10 @@ class Claim:
 
 
 class Sentence(NamedTuple):
-    """A sentence of a study's answer. It is shown only if each row that it rests on has the verdict
-    given here.
+    """A sentence of a study's answer. It is shown only if each row in ``rests_on`` has the verdict
+    given there.
 
-    text: "{row[0]:.2f}" in it is the first number of a row. rests_on: verdicts by the rows' ids.
+    text: "{row[0]:.2f}" is replaced by the first number of a row. rests_on: verdicts by row id.
     """
 
     text: str
@@ -351,19 +352,19 @@ FIELDS = {
     "row": [field.name for field in fields(Row) if field.name != "decide"],
     "sentence": list(Sentence._fields),
 }
-"""Tables of a ledger's file, and the fields that they may have. All are texts, except ``printed``
-and ``rests_on``.
+"""Tables of a ledger's file, and their fields. All fields are strings, except ``printed`` and
+``rests_on``.
 """
 
 
 def read_ledger(
     path: str | Path, decisions: Mapping[str, Decision]
 ) -> tuple[list[Row], list[Sentence]]:
-    """Rows and sentences of a study whose prose is in a TOML file, in the order of the file.
+    """Read the rows and sentences of a study from a TOML file, in the order of the file.
 
-    Each table ``[[row]]`` has the fields of a `Row` except ``decide``, which ``decisions`` gives by
-    the rows' ids. Each table ``[[sentence]]`` has those of a `Sentence`. A line break in a text is
-    a space.
+    Each table ``[[row]]`` has the fields of a `Row` except ``decide``; ``decisions`` has these
+    functions by row id. Each table ``[[sentence]]`` has the fields of a `Sentence`. A line break in
+    a text becomes a space.
 
     >>> row = "[[row]]\\nkind = 'finding'\\nid = 'half'\\nsays = 'It halves the error.'"
     >>> _ = Path("ledger.toml").write_text(row)
@@ -372,21 +373,23 @@ def read_ledger(
 
     Raises
     ------
-    ValueError: naming the file and the id, if a field is wrong, or if rows, decisions and sentences
-        do not go together. OSError: if the file cannot be read.
+    ValueError: if a field is wrong, or if rows, decisions and sentences do not match; it names the
+        file and the id. OSError: if the file cannot be read.
     """
     tables = _read_tables(path)
     rows: dict[str, Row] = {}
     for table in tables["row"]:
         where = f"{path}, row {table['id']!r}"
         if table["id"] in rows:
-            raise ValueError(f"{where}: expected different ids, got this one twice; rename a row")
+            raise ValueError(f"{where}: expected different ids, got this id twice; rename a row")
         try:
             row = Row(**table, decide=decisions.get(table["id"]))
         except ValueError as error:
             raise ValueError(f"{where}: {error}") from None
         if row.decide is None and not row.needs_no_decision:
-            raise ValueError(f"{where}: expected a decision of this id, got none; add it in Python")
+            raise ValueError(
+                f"{where}: expected a decision for this id, got none; add it in Python"
+            )
         rows[row.id] = row
     for id in decisions:
         choice(f"{path}, decision {id!r}: add its [[row]], or rename one; id", id, rows)
@@ -400,7 +403,7 @@ def read_ledger(
 
 
 def read_printed(path: str | Path) -> dict[str, Any]:
-    """Printed values of a paper, by the ids of rows of `read_ledger`; so each number stands once.
+    """Printed values of a paper by row id, from the file of `read_ledger`.
 
     Raises
     ------
@@ -411,13 +414,13 @@ def read_printed(path: str | Path) -> dict[str, Any]:
 
 
 def _read_tables(path: str | Path) -> dict[str, list[dict[str, Any]]]:
-    """Tables by kind, with known fields of the right type and all that they need; texts on one
-    line.
+    """Checked tables by kind; each text is on one line. ValueError for unknown, missing or wrong
+    fields.
     """
     try:
         content = tomllib.loads(Path(path).read_text(encoding="utf-8"))
     except tomllib.TOMLDecodeError as error:
-        raise ValueError(f"{path}: expected TOML, got an error: {error}; mend that line") from None
+        raise ValueError(f"{path}: expected TOML, got an error: {error}; fix that line") from None
     for kind in content:
         choice(f"{path}: table", kind, FIELDS)
     required = {"row": ("kind", "id", "says"), "sentence": ("text", "rests_on")}
@@ -437,13 +440,13 @@ def _read_tables(path: str | Path) -> dict[str, list[dict[str, Any]]]:
                     table[name] = " ".join(value.split())
             for name in names:
                 if not table.get(name):
-                    raise ValueError(f"{where}: {name}: expected one, got none; add it")
+                    raise ValueError(f"{where}: {name}: expected a value, got none; add it")
             tables[kind].append(table)
     return tables
 
 
 def order(value: float) -> float:
-    """The power of ten at or above a size, for quantities such as round-off whose digits differ
-    between machines.
+    """The smallest power of ten at or above a value, for quantities such as round-off whose digits
+    differ between machines; 0 for values up to 0.
     """
     return 10.0 ** float(np.ceil(np.log10(value))) if value > 0.0 else 0.0

@@ -1,7 +1,7 @@
-"""Monte Carlo: the number of runs, a random generator for each run, and blocks of runs.
+"""Monte Carlo: number of runs, a random generator for each run, blocks of runs.
 
-A run's random numbers depend on ``(seed, study, run)`` alone, where ``study`` is the number of the
-configuration. They do not depend on the block size, the number of processes or the order of work.
+The random numbers of a run depend only on ``(seed, study, run)``, where ``study`` is the number of
+the configuration. They do not depend on block size, number of processes or order of computation.
 """
 
 from __future__ import annotations
@@ -17,18 +17,18 @@ from numpy.random.bit_generator import ISeedSequence
 from celnav.gaussian.checks import describe, integer, number, sequence
 from celnav.gaussian.linalg import Array
 
-MOST_NUMBERS = 1 << 22  # random ones that are drawn ahead, of all runs: 32 MiB
-_INIT_A, _MULT_A = 0x43B0D7E5, 0x931E8875  # of numpy's SeedSequence, whose streams stay as they are
+MOST_NUMBERS = 1 << 22  # largest number of random numbers drawn ahead, for all runs: 32 MiB
+_INIT_A, _MULT_A = 0x43B0D7E5, 0x931E8875  # from numpy's SeedSequence, whose streams are stable
 _INIT_B, _MULT_B = 0x8B51F9DD, 0x58F38DED
 _MIX_L, _MIX_R = 0xCA01F9DD, 0x4973F715
-AHEAD = 64  # requests that are drawn at once
-MOST_STEPS = 10_000_000  # of one run, at its finest rate: more take a day, and gigabytes
+AHEAD = 64  # number of requests whose numbers are drawn together
+MOST_STEPS = 10_000_000  # of one run, at its finest rate; more would need a day and gigabytes
 BRIEF = 0.1
-"""Effort below which studies also shorten their runs, since so few runs decide little."""
+"""Effort below which studies also shorten their runs, because so few runs decide little."""
 
 
 def generator(seed: int, study: int, run: int) -> np.random.Generator:
-    """The generator of one run of one study; all arguments are at least 0."""
+    """The random generator of one run of one study; ValueError for negative arguments."""
     key = (integer("study", study, 0), integer("run", run, 0))
     return np.random.default_rng(np.random.SeedSequence(integer("seed", seed, 0), spawn_key=key))
 
@@ -40,13 +40,13 @@ def renewed(rng: np.random.Generator) -> np.random.Generator:
 
 
 def run_of(rng: np.random.Generator) -> int:
-    """The number of the run that a `generator` belongs to."""
+    """The run number of a `generator`."""
     seeds: Any = rng.bit_generator.seed_seq
     return int(seeds.spawn_key[-1])
 
 
 class _Seeds(ISeedSequence):
-    """A seed sequence whose words for one generator are already known."""
+    """A seed sequence with precomputed words for one generator."""
 
     def __init__(self, words: Array):
         self.words = words
@@ -56,13 +56,13 @@ class _Seeds(ISeedSequence):
 
 
 def generators(seed: int, study: int, runs: int) -> list[np.random.Generator]:
-    """Generators of the first runs, as `generator` gives them, but computed for all runs at once.
+    """The generators of runs 0 to ``runs - 1``, as from `generator`, but computed together.
 
     `numpy.random.SeedSequence` mixes its words one after the other, and the run is the last word.
-    So the earlier steps are common to all runs.
+    So all runs share the earlier steps.
     """
     seed, study = integer("seed", seed, 0), integer("study", study, 0)
-    if max(seed >> 128, study >> 32, runs >> 32):  # of more words
+    if max(seed >> 128, study >> 32, runs >> 32):  # too large for the words used below
         return [generator(seed, study, run) for run in range(runs)]
     pool = np.random.SeedSequence(seed, spawn_key=(study,)).pool
     word, last = np.arange(runs, dtype=np.uint32), np.empty((4, runs), np.uint32)
@@ -81,15 +81,15 @@ def generators(seed: int, study: int, runs: int) -> list[np.random.Generator]:
 
 
 def _hashed(values: Array, factor: int, by: int) -> tuple[Any, int]:
-    """Words of 32 bits, hashed with a factor, and the next factor."""
+    """Hash 32-bit words with a factor; return them and the next factor."""
     after = factor * by % (1 << 32)
     mixed = (values ^ np.uint32(factor % (1 << 32))) * np.uint32(after)
     return mixed ^ (mixed >> np.uint32(16)), after
 
 
 def normals(rngs: Sequence[np.random.Generator], *shapes: tuple[int, ...]) -> list[Array]:
-    """Standard normal arrays, one of each shape from each generator, with the run axis before the
-    last: ``(..., runs, n)``.
+    """Standard normal arrays ``(..., runs, n)``, one for each shape ``(..., n)``; each generator
+    draws one run.
     """
     for rng in (
         every := sequence(
@@ -106,10 +106,11 @@ def normals(rngs: Sequence[np.random.Generator], *shapes: tuple[int, ...]) -> li
 
 
 class Draws:
-    """Standard normal numbers for each run, equal to those of separate calls of its generator.
+    """Standard normal numbers for each run, equal to the numbers of separate calls of its
+    generator, but drawn in chunks.
 
-    They are drawn in chunks. `close` resets the generators to the state after the used numbers; it
-    is not needed for ``owned`` generators, which have no other user.
+    `close` resets the generators to the state after the used numbers. ``owned``: whether nothing
+    else uses the generators; then `close` has no effect.
 
     >>> draws = Draws(rngs)
     >>> noise = draws(3)  # (runs, 3)
@@ -117,7 +118,7 @@ class Draws:
 
     def __init__(self, rngs: Sequence[np.random.Generator], owned: bool = False):
         self.rngs, self._owned = rngs, owned
-        # Other generators than numpy's, such as one of zeros, are called each time.
+        # Generators other than numpy's, such as `Noiseless`, are called for each request.
         self._ahead = all(type(rng) is np.random.Generator for rng in rngs)
         self._chunk = np.empty((len(rngs), 0))
         self._used, self._before = 0, list[Any]()
@@ -140,7 +141,7 @@ class Draws:
         return np.concatenate([left, fresh[:, : self._used]], 1)
 
     def close(self) -> None:
-        """Return the unused numbers: reset the generators to the state after the used ones."""
+        """Reset the generators to the state after the used numbers."""
         if self._used < self._chunk.shape[1]:
             for rng, state in zip(self.rngs, self._before, strict=not self._owned):
                 rng.bit_generator.state = state
@@ -156,8 +157,8 @@ def blocks(runs: int, size: int) -> list[range]:
 
 
 def effort(value: str | float | None = None, default: float = 1.0) -> float:
-    """A fraction in (0, 1] of the Monte-Carlo runs: the argument, else the environment variable
-    ``CELNAV_EFFORT``, else a default.
+    """The fraction in (0, 1] of the Monte-Carlo runs: ``value``, or the environment variable
+    ``CELNAV_EFFORT``, or ``default``; ValueError for other numbers.
     """
     name, text = (
         ("effort", value)
@@ -175,13 +176,13 @@ def effort(value: str | float | None = None, default: float = 1.0) -> float:
 
 def run_count(full: int, runs: int | None, effort: float) -> int:
     """Number of runs of a study: ``runs``, or the full number times the effort; at least 2."""
-    part = integer("full", full) * number("effort", effort, above=0.0, most=1.0)
-    return integer("runs", max(2, round(part)) if runs is None else runs, 2)
+    scaled = integer("full", full) * number("effort", effort, above=0.0, most=1.0)
+    return integer("runs", max(2, round(scaled)) if runs is None else runs, 2)
 
 
 def steps(name: str, count: float) -> int:
-    """The number of steps of a run from a quotient; ValueError with ``name`` if it is below 1 or
-    too large.
+    """The number of steps of a run, rounded from ``count``; ValueError with ``name`` if it is below
+    1 or too large.
     """
     if not 0.5 < count <= MOST_STEPS:
         raise ValueError(f"{name}: expected a run of 1 to {MOST_STEPS} steps, got {count:.10g}")

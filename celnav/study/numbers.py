@@ -1,4 +1,4 @@
-"""Numbers that decide rows of a ledger, each a function of the results: ratios, levels,
+"""Functions of a study's results that give the numbers to decide rows of a ledger: ratios, levels,
 consistency, bands of tables.
 
 >>> worse = ratio("without z_0", ("D", "csrukf"), ("D", "srukf"), "position", (1.3, None))
@@ -40,9 +40,9 @@ __all__ = [
 
 Decided = Callable[[Results], Number]
 PartFilter = tuple[str, str]
-"""Name of a part and of one of its filters."""
+"""Name of a part, and name of one of its filters."""
 SAME_ORDER = 3.2
-"""Factor within which two levels are of one order of magnitude."""
+"""Largest factor between two levels of the same order of magnitude."""
 
 
 def ratio(
@@ -58,10 +58,10 @@ def ratio(
     median: bool = False,
     **more: Any,
 ) -> Decided:
-    """RMSE of a group's length for filter ``a`` over that for filter ``b``.
+    """RMSE ratio of filter ``a`` to filter ``b``, for the norm of a group's error.
 
-    ``at``: epochs of ``a``. ``to``: epochs of ``b``; None: the same. ``axes``: some components
-    only. ``median``: medians over the runs instead of RMSE.
+    at: epochs of ``a``. to: epochs of ``b``; None for the same. axes: components of the group.
+    median: whether to use medians over the runs instead of RMSE.
     """
     both, statistic = ((a, at), (b, at if to is None else to)), _medians if median else _ratio
     return lambda r: estimate(
@@ -96,7 +96,7 @@ def rmse(
     each: bool = False,
     **more: Any,
 ) -> Decided:
-    """RMSE of a group's length in its unit, or with ``each`` the RMS over its components."""
+    """RMSE of the norm of a group's error in its unit, or with ``each`` the RMS over components."""
     over = np.mean if each else np.sum
     return lambda r: estimate(
         label, _rms, [over(r.squares(*a, group, at), axis=-1)], accept, **more
@@ -115,16 +115,16 @@ def settling(
     window: slice = slice(None),
     **more: Any,
 ) -> Decided:
-    """Time (s) from which the RMSE of a group's components stays below a level, or by how much
-    another filter is ``sooner``.
+    """Time (s) after which the RMSE of a group's components stays below a level.
 
-    ``window``: epochs that count; the RMSE has to stay below the level until their end.
+    sooner: another filter, whose time is subtracted. window: the epochs used; the RMSE must stay
+    below the level until the last of them.
     """
     sources = [a] if sooner is None else [a, sooner]
 
     def number(r: Results) -> Number:
         t = r.times(a[0])[window]
-        times = np.append(t, 2.0 * t[-1] - t[-2])  # the last entry: it never settles
+        times = np.append(t, 2.0 * t[-1] - t[-2])  # the last entry means that it never settles
 
         def settled(*squares: Array) -> float:
             last = [
@@ -152,7 +152,7 @@ def consistency(
     what: str = "nees",
     **more: Any,
 ) -> Decided:
-    """Mean over the runs of NEES or NIS."""
+    """Mean NEES over the runs, or mean NIS with ``what="nis"``."""
     return lambda r: estimate(label, _mean, [r.nees(*a, at, what)], accept, **more)
 
 
@@ -169,7 +169,7 @@ def over_time(
     """A statistic of one run, from columns ``(T, ...)`` at epochs from ``start`` on where all
     columns are finite.
 
-    ``block``: epochs that the bootstrap draws together; several correlation lengths of the errors.
+    block: number of epochs in a bootstrap block, several correlation lengths of the errors.
     """
 
     def decide(r: Results) -> Number:
@@ -185,14 +185,14 @@ def over_time(
 
 
 def lagged(values: Array, lag: int = 1) -> tuple[Array, Array]:
-    """A column ``(T, ...)`` and its values ``lag`` epochs later, nan at the end."""
+    """A column ``(T, ...)``, and its values ``lag`` epochs later ``(T, ...)``, nan at the end."""
     later = np.full(values.shape, np.nan)
     later[:-lag] = values[lag:]
     return values, later
 
 
 def correlation(a: Array, b: Array) -> float:
-    """Correlation about zero of two columns, over all their components together."""
+    """Correlation coefficient about zero of two columns, over all components together."""
     return float((a * b).sum() / np.sqrt(np.square(a).sum() * np.square(b).sum()))
 
 
@@ -203,19 +203,20 @@ def of(
     accept: Bounds = (None, None),
     reduce: Callable[[Array], Any] = np.max,
 ) -> Decided:
-    """A number of an array that has no sampling error."""
+    """A number without sampling error, reduced from the array ``name`` of a part."""
     return lambda r: Number(label, float(reduce(r.get(part, name))), accept)
 
 
 def constant(label: str, value: float, accept: Bounds = (None, None)) -> Decided:
-    """A number that is known without any run, such as one from what a paper prints."""
+    """A number that needs no run, such as one computed from printed values."""
     return lambda _: Number(label, float(value), accept)
 
 
 def operations(
     label: str, a: str, b: str, accept: Bounds = (None, None), compare: Any = np.divide
 ) -> Decided:
-    """Operations of a step of one filter over those of another, or another ``compare``.
+    """Ratio of the operations per step of filters ``a`` and ``b``, or another function ``compare``
+    of them.
 
     The part "operations" has the counts, see `celnav.study.operations.counted`.
     """
@@ -229,7 +230,7 @@ def count_holding(
 ) -> Number:
     """How many numbers hold, or with ``leading`` how many hold before the first that does not.
 
-    The interval goes from those that certainly hold to those that possibly hold.
+    The interval is from the count without undecided numbers to the count with them.
     """
     count = []
     for outcomes in ((True,), (True, None)):
@@ -240,17 +241,17 @@ def count_holding(
 
 
 def some(label: str, least: int, numbers: Sequence[Decided]) -> Decided:
-    """How many of several numbers hold; at least ``least`` have to."""
+    """How many of several numbers hold; at least ``least`` must hold."""
     return lambda r: Number(label, sum(n(r).holds is True for n in numbers), (least, None))
 
 
 def all_of(*numbers: Decided) -> Callable[[Results], list[Number]]:
-    """Several numbers, all of which have to hold."""
+    """Several numbers, all of which must hold."""
     return lambda r: [number(r) for number in numbers]
 
 
 def tiers(**words: Sequence[Decided]) -> Callable[[Results], Tiers]:
-    """Numbers by verdict, the best one first; underscores are spaces."""
+    """Numbers by verdict, the best verdict first; underscores become spaces."""
     return lambda r: {
         word.replace("_", " "): [number(r) for number in numbers] for word, numbers in words.items()
     }
@@ -270,9 +271,10 @@ def entries(
     ``best`` holds if at most ``most`` entries lie outside a band, and "level only" if the order of
     magnitude agrees.
 
-    The band holds 95 % of the RMSEs of ``printed_runs`` runs, relative to the true RMSE: the
-    paper's sampling error. Our own sampling error is in the intervals of the counts.
-    ``cells``: part, filter and the printed values for the components of all groups.
+    The band contains 95 % of the RMSEs from ``printed_runs`` runs, relative to the true RMSE: the
+    paper's sampling error. The intervals of the counts include our own sampling error.
+
+    cells: part, filter, and the printed values for the components of all groups.
     """
     printed = np.concatenate([row for _, row in cells])
     # The logarithm of an RMSE of N normal errors has a variance of 1 / (2 N).
@@ -303,7 +305,7 @@ def entries(
 
 
 def _mean(x: Array) -> Any:
-    """Mean of a few numbers, for each resample: `numpy.mean` takes several times as long."""
+    """Mean of a few numbers, for each resample; `numpy.mean` would be several times slower."""
     return np.add.reduce(x, None) / x.size
 
 

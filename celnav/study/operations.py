@@ -1,4 +1,6 @@
-"""Operations of a filter's step, counted on its record, independent of engine and machine."""
+"""Number of operations of a filter's step, counted on its recording, whatever the engine and the
+machine.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,7 @@ from celnav.gaussian.linalg import Array
 
 
 def step_operations(filter: Filter, prior: Gaussian, epochs: Sequence[Epoch]) -> int:
-    """Number of arithmetic operations of one run's step (prediction and update) at the second
+    """Number of arithmetic operations of a step (prediction and update) of one run, at the second
     epoch.
 
     >>> count = celnav.study.operations.step_operations(filter, prior, epochs)
@@ -23,7 +25,7 @@ def step_operations(filter: Filter, prior: Gaussian, epochs: Sequence[Epoch]) ->
     data = as_data(filter, epochs)
     engine, kind = Engine(filter, prior, data, rolled=False), data.distinct[data.kinds[1]]
     inputs, shape = engine.inputs(data.u[kind.u], len(epochs)), engine.begin
-    for _ in range(2):  # from the second step on a state has all its parts
+    for _ in range(2):  # only after the first step does a state have all its parts
         made = engine.record(shape, kind, inputs)
         kernel, shape = made.keeping(engine.keeping(KEEP["mean"])), made.after
     needed = kernel.tape.needed([number for *_, number in kernel.results()])
@@ -33,7 +35,7 @@ def step_operations(filter: Filter, prior: Gaussian, epochs: Sequence[Epoch]) ->
 def counted(
     filters: Mapping[str, Filter], prior: Gaussian, epochs: Iterable[Epoch]
 ) -> dict[str, Array]:
-    """`step_operations` of filters by name, ``(1,)`` each, as arrays of a study's part.
+    """`step_operations` of filters by name, each ``(1,)``, as arrays for a study's part.
 
     >>> arrays = celnav.study.operations.counted({"ukf": filter}, prior, epochs)
     """

@@ -1,4 +1,4 @@
-"""Parameters with a meaning, a source and checks."""
+"""Parameters of studies, with a meaning, a source and checks."""
 
 from __future__ import annotations
 
@@ -14,20 +14,21 @@ from celnav.gaussian.linalg import Array
 __all__ = ["SOURCES", "Parameters", "Timed", "param"]
 
 SOURCES = ("paper", "inferred", "chosen")
-"""Sources of a value: printed; inferred from printed values; chosen by us, since nothing is
-printed.
+"""Sources of a value: printed in the paper; inferred from printed values; chosen by us, because
+nothing is printed.
 """
 
 
 def param(
     value: Any, source: str, meaning: str, *, one_of: tuple[Any, ...] = (), **bounds: float
 ) -> Any:
-    """A parameter of a `Parameters` class, by its default.
+    """A field of a `Parameters` class.
 
-    value: the default; other values must have its type. source: one of `SOURCES`, and the reason
-        after a colon.
-    meaning: in words; the unit is in the parameter's name. one_of: possible values, for a word.
-    bounds: least, most, above, below; for a number, or for each of several.
+    value: the default; other values must have its type.
+    source: one of `SOURCES`; a reason may follow after a colon.
+    meaning: in words; the unit is in the parameter's name.
+    one_of: the possible values of a word.
+    bounds: least, most, above, below; for a number, or for each number of a tuple.
 
     >>> step_s: float = param(1.0, "paper", "interval of the measurements", above=0.0)
     """
@@ -39,7 +40,7 @@ def param(
 
 
 class Parameters:
-    """Base of frozen dataclasses that check their `param` fields when an instance is made."""
+    """Base of frozen dataclasses that check `param` fields; ValueError names a wrong field."""
 
     def __post_init__(self) -> None:
         for f in fields(self):  # type: ignore[arg-type]

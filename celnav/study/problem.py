@@ -1,7 +1,7 @@
-"""A user's problem and a comparison of filters on it: a model, and runs that are drawn from it.
+"""Problems (a model, and runs drawn from it) and a comparison of filters on them.
 
-Truth and measurements are drawn from the model that the filters use, except for outliers. So a
-filter can be consistent, and its accuracy can be compared with a bound.
+Truth and measurements are drawn from the model that the filters use, except for outliers and
+correlated noise. So a filter can be consistent, and its accuracy can be compared with a bound.
 """
 
 from __future__ import annotations
@@ -43,24 +43,22 @@ from celnav.study.trial import (
 __all__ = ["WILD", "Problem", "compare"]
 
 special = LazyModule("scipy.special")
-WILD = 10.0  # by how much an outlier's noise is larger
-PASSES = 3
+WILD = 10.0  # factor of an outlier's noise
+PASSES = 3  # number of timing measurements, of which the smallest is reported
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """A problem whose runs are drawn from the model of the filters: a motion, a sensor and a prior.
+    """A problem whose runs are drawn from the filters' model: a motion, a sensor and a prior.
 
-    The measurement noise may also be correlated in time or have outliers.
-
-    motion, sensor: with additive noise, constant or a function of mean and epoch.
-    prior: belief about the start, mean ``(N,)`` and covariance ``(n, n)``.
-    times: ``(T,)`` s, increasing. u: inputs, ``epoch.u``: ``u[k]`` acts from ``times[k]`` to
-        ``times[k + 1]``.
-    phi: correlation of the measurement's noise with the last one, in [0, 1): an AR(1) process.
-    outliers: part of the components, in [0, 1), whose noise is `WILD` times as large; unknown to
-        the filters.
-    groups: components that are judged, by name; one group of all components if empty.
+    motion, sensor: models with additive noise, constant or a function of mean and epoch.
+    prior: initial belief, mean ``(N,)`` and covariance ``(n, n)``.
+    times: ``(T,)`` s, increasing.
+    u: inputs ``epoch.u``; ``u[k]`` acts from ``times[k]`` to ``times[k + 1]``.
+    phi: correlation of successive noise samples of the measurement, in [0, 1): an AR(1) process.
+    outliers: fraction of the components, in [0, 1), whose noise is `WILD` times as large. The
+        filters do not model them.
+    groups: components to evaluate, by name; one group of all components if empty.
 
     >>> problem = Problem(motion, sensor, prior, np.arange(601.0), outliers=0.05)
     """
@@ -95,7 +93,7 @@ class Problem:
         check_groups(self.groups, self.n)
         if self.motion.augment or self.sensor.augment:
             raise ValueError(
-                "augment: expected noise beside the models, got some through the points"
+                "augment: expected models with additive noise (Q, R), got augmented noise"
             )
         noise = zip(("prior, Q", "R"), self._noise(), (self.n, self.m), strict=True)
         for name, columns, rows in noise:
@@ -120,11 +118,11 @@ class Problem:
 
     @property
     def epochs(self) -> Epochs:
-        """Epochs with their inputs, and without measurements."""
+        """`Epochs` with inputs, without measurements."""
         return epochs(self.times, u=self.u)
 
     def _noise(self) -> tuple[Any, Any]:
-        """Columns of noise after the first interval: process ``(n, r)``, measurement ``(m, s)``."""
+        """Noise columns at the second epoch: process ``(n, r)``, measurement ``(m, s)``."""
         mean, epoch = self.prior.mean, self.epochs[1]
         return self.motion.columns(mean, epoch, self.n), self.sensor.columns(mean, epoch, self.m)
 
@@ -157,7 +155,9 @@ class Problem:
         rngs: Sequence[np.random.Generator],
         reference: str = "",
     ) -> Trial:
-        """A trial of filters on drawn runs; ``reference``: see `celnav.study.trial.Trial`."""
+        """A `Trial` of filters by name on drawn runs; ``reference``: see
+        `celnav.study.trial.Trial`.
+        """
         truth, z = self.draw(rngs)
         groups = tuple(self.groups) or (Group("state", "", slice(0, self.n)),)
         more: dict[str, Any] = {"u": self.u, "space": self.motion.space, "reference": reference}
@@ -174,15 +174,16 @@ def _image(model: Motion | Sensor, x: Array, epoch: Epoch, m: int | None = None)
 class Comparison(NamedTuple):
     """Accuracy, consistency and cost of a filter on a problem.
 
-    problem, filter: names. rms: RMS error of the first group over the second half of the epochs;
-        rms_low, rms_high: its 95 % interval.
-    efficiency: the linearized posterior Cramer-Rao bound over ``rms``, about 1 for an optimal
-        filter, nan if there is no bound. It may exceed 1 slightly by chance, or if process noise
-        leads away from the run at which the bound is linearized.
-    anees, low, high: NEES over its dimension, 1 if consistent, with its 95 % interval. All
+    problem, filter: names.
+    rms: RMS error of the first group over the second half of the epochs; rms_low, rms_high: its
+        95 % interval.
+    efficiency: the linearized posterior Cramer-Rao bound divided by ``rms``, about 1 for an optimal
+        filter; nan if there is no bound. It may exceed 1 slightly by chance, or if process noise
+        moves the runs away from the run at which the bound is linearized.
+    anees, low, high: NEES divided by the dimension, 1 if consistent, and its 95 % interval. All
         intervals come from the differences between runs.
-    lost: runs without an estimate. us_per_step: CPU time of a run's step, microseconds, the least
-        of `PASSES`.
+    lost: number of runs without an estimate.
+    us_per_step: CPU time per step and run, microseconds, the minimum of `PASSES` measurements.
     """
 
     problem: str
@@ -205,10 +206,12 @@ def compare(
     runs: int = 200,
     seed: int = 0,
 ) -> list[Comparison]:
-    """A `Comparison` for each problem and each of its filters, all with the same noise.
+    """A list with a `Comparison` for each problem and filter, all with the same noise.
 
-    problems: by name. runs: of each problem. seed: run r has the generator of ``(seed, 0, r)``.
-    filters: by name, functions of a problem that give a filter, or None if it has none.
+    problems: by name.
+    filters: by name, functions of a problem that return a filter, or None if the filter does not
+        apply.
+    runs: number of runs of each problem. seed: run r uses the generator of ``(seed, 0, r)``.
 
     >>> filters = {"UKF": lambda p: celnav.ukf(p.motion, p.sensor)}
     >>> filters["EKF"] = lambda p: celnav.ekf(p.motion, p.sensor)
@@ -244,7 +247,7 @@ def compare(
 
 
 def _seconds(filter: Filter, trial: Trial, name: str) -> float:
-    """CPU seconds of a filter for all runs, the least of `PASSES`, without any evaluation."""
+    """CPU seconds of a filter for all runs, the minimum of `PASSES`, without evaluation."""
     passes = []
     for _ in range(PASSES):
         start = process_time()
@@ -254,14 +257,15 @@ def _seconds(filter: Filter, trial: Trial, name: str) -> float:
 
 
 def _interval(statistic: Callable[[Array], Any], samples: Array) -> tuple[float, float, float]:
-    """A statistic of runs and its interval; nan where too few are left."""
+    """A statistic of runs, and its interval; nan for too few runs."""
     value = float(statistic(samples)) if len(samples) else np.nan
     return value, *(bootstrap(statistic, samples) if len(samples) > 1 else (np.nan, np.nan))
 
 
 def _bound(problem: Problem) -> Array | None:
-    """Bound along the undisturbed run, for the filter that models the noise's correlation; None on
-    curved spaces. Outliers are ignored.
+    """`bound` along the undisturbed run, from the filter that models the correlation of the noise.
+
+    None for correlated noise on curved spaces. Outliers are ignored.
     """
     if problem.phi == 0.0:
         best: Filter = sigma_point(problem.motion, problem.sensor, rule=Taylor())

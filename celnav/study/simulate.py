@@ -1,6 +1,4 @@
-"""Truth and measurements drawn from a filter's own `Motion` and `Sensor`, so that they cannot
-disagree.
-"""
+"""Simulation of truth and measurements with the `Motion` and `Sensor` of a filter."""
 
 from __future__ import annotations
 
@@ -21,7 +19,7 @@ from celnav.study.montecarlo import Draws, generators
 
 __all__ = ["simulate"]
 
-MOST_RUNS = 1_000_000  # generators of numbers take time and memory
+MOST_RUNS = 1_000_000  # random generators need time and memory
 
 
 def simulate(
@@ -35,18 +33,20 @@ def simulate(
     u: Any = None,
     Phi: Any = None,
 ) -> tuple[Array, Any]:
-    """Truth ``(T, runs, N)`` and measurements ``(T, runs, m)``; for a sequence of sensors, a tuple
-    of measurements.
+    """Draw truth ``(T, runs, N)`` and measurements ``(T, runs, m)`` from models; for a sequence of
+    sensors, a tuple of measurements.
 
-    motion, sensor: the models of a filter; several sensors as a sequence. Noise that enters through
-        the sigma points is drawn too.
-    prior: mean ``(N,)`` and covariance ``(n, n)`` of the start.
+    motion, sensor: the models of a filter; a sequence of sensors is possible. Augmented noise is
+        drawn too.
+    prior: initial mean ``(N,)`` and covariance ``(n, n)``.
     times: ``(T,)`` s. u: inputs, as in `celnav.epochs`.
-    runs: how many; None: one run without an axis of runs, ``(T, N)`` and ``(T, m)``.
-        A study has generators: then ``runs`` is a list of them, one for each run.
-    seed: run r has the generator of ``(seed, 0, r)``, whatever the number of runs.
-    Phi: ``(m, m)`` or a function of the epoch, of colored noise ``V' = Phi V + zeta`` of covariance
-        R (one sensor).
+    runs: number of runs. None gives one run without a run axis, ``(T, N)`` and ``(T, m)``. A list
+        of generators has one for each run.
+    seed: run r uses the generator of ``(seed, 0, r)``, whatever the number of runs.
+    Phi: ``(m, m)`` or a function of the epoch, for colored noise ``V' = Phi V + zeta``, where zeta
+        has covariance R (one sensor only).
+
+    ValueError names an argument that does not fit.
 
     >>> truth, z = celnav.simulate(motion, gps, prior, np.arange(601.0), runs=500)
     """
@@ -90,8 +90,8 @@ def simulate(
     def image(
         name: str, model: Motion | Sensor, x: Array, epoch: Epoch, noise: Callable[..., Any] = white
     ) -> Array:
-        """Values of a model at states ``(runs, N)``, with its augmented noise and the additive
-        noise ``name``.
+        """Values of a model at states ``(runs, N)``, with augmented noise and the additive noise
+        ``name``.
         """
         augment = [draw(root)[None] for root in model.augment]
         y: Array = evaluate(model, x[None].copy(), epoch, augment)[0]

@@ -1,9 +1,9 @@
-"""A store of results: a folder with a manifest and one checksummed file for each finished unit of
-work.
+"""A store of results: a folder with a manifest, and one file with a checksum for each finished
+unit.
 
-Every file is written under a temporary name and renamed, so the folder is valid after any
-interruption. The manifest says which code made the results; results of other code are not used. The
-manifest of a campaign also describes its study.
+Every file is written under a temporary name and then renamed, so the folder is valid after any
+interruption. The manifest identifies the code that made the results; results from other code are
+not used. The manifest of a campaign also describes its study.
 """
 
 from __future__ import annotations
@@ -37,14 +37,14 @@ if TYPE_CHECKING:
 
 FORMAT = 2
 MANIFEST, RESULTS = "manifest.json", ".results"
-"""File of a store's manifest, and folder of a paper's results below the folder of its outputs."""
+"""Name of a store's manifest, and of the subfolder of a paper's outputs that has its results."""
 Array = NDArray[Any]
 
 
 @cache
 def code() -> dict[str, str]:
-    """Versions that determine the numbers: of celnav, with a hash of its sources and data, and of
-    numpy and other packages.
+    """Versions that determine the results: of celnav (with a hash of its sources and data), numpy
+    and scipy.
     """
     root = Path(celnav.__file__).parent
     digest = hashlib.sha256()
@@ -78,7 +78,7 @@ class Store:
             np.savez(path, allow_pickle=False, **arrays, checksum=np.array(_checksum(unit, arrays)))
 
     def has(self, unit: Unit, say: Callable[[str], Any] = print) -> bool:
-        """Whether a unit is finished and sound; ``say`` gets a line about a damaged unit."""
+        """Whether a unit is finished and its file valid; ``say`` gets a line if it is damaged."""
         try:
             return self.path(unit).exists() and bool(self.read(unit))
         except ValueError as error:
@@ -97,14 +97,15 @@ class Store:
 
         Raises
         ------
-        ValueError: naming the file, if it is damaged; nothing in it is used. OSError: if it does
-            not exist.
+        ValueError: if the file is damaged; it names the file. OSError: if it does not exist.
         """
         path = self.path(unit)
         arrays = read_npz(path)
         stored = arrays.pop("checksum", None)
         if stored is None or str(stored) != _checksum(unit, arrays):
-            raise ValueError(f"{path}: checksum does not agree with the contents and the name")
+            raise ValueError(
+                f"{path}: expected the checksum of the contents and the name, got another"
+            )
         try:
             unit.check(arrays)
         except ValueError as error:
@@ -113,7 +114,7 @@ class Store:
 
 
 def _checksum(unit: Unit, arrays: Mapping[str, Array]) -> str:
-    """Checksum of arrays and the unit's key, so that another unit's file is refused."""
+    """Checksum of arrays and the unit's key, which detects a file of another unit."""
     digest = hashlib.sha256(f"{unit.key} ".encode())
     for name in sorted(arrays):
         array = np.ascontiguousarray(arrays[name])
@@ -123,7 +124,7 @@ def _checksum(unit: Unit, arrays: Mapping[str, Array]) -> str:
 
 
 def existing(folder: Path) -> Store | None:
-    """The store in a folder; None if there is none or other code made it. Nothing is written."""
+    """The store in a folder; None if there is none, or if other code made it. It writes nothing."""
     try:
         return Store(folder) if read_json(folder / MANIFEST) == _manifest() else None
     except (OSError, ValueError):
@@ -131,7 +132,7 @@ def existing(folder: Path) -> Store | None:
 
 
 def resumed(folder: Path) -> Store:
-    """The store in a locked folder; a new one if other code made the old one."""
+    """The store in a locked folder. If other code made it, it is replaced by an empty store."""
     if existing(folder) is None:
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(parents=True)
@@ -141,20 +142,20 @@ def resumed(folder: Path) -> Store:
 
 
 class StoreError(InputError):
-    """A folder that does not belong to this study."""
+    """Error for a folder that does not belong to this study."""
 
 
 def open_store(folder: str | Path, study: Mapping[str, Any], may_grow: Collection[str]) -> Store:
-    """A campaign's store in a locked folder: a new one, or that of the same study.
+    """Open a campaign's store in a locked folder, or make a new store.
 
-    study: everything that determines the results, in plain types. may_grow: keys of ``study`` whose
-    numbers or lists may be smaller in the store.
+    study: everything that determines the results, in JSON types.
+    may_grow: keys of ``study`` whose numbers or lists may be smaller in the store.
 
     Raises
     ------
-    StoreError: if the folder belongs to another or a larger study, was begun with another celnav,
-        numpy or scipy, or holds something else. The message lists the differences.
-    OSError: if it cannot be made or written.
+    StoreError: if the folder belongs to another or a larger study, was begun with another version
+        of celnav, numpy or scipy, or has other contents. The message lists the differences.
+    OSError: if the folder cannot be made or written.
     """
     path = Path(folder)
     Outputs(path)
@@ -203,7 +204,7 @@ def _read_manifest(path: Path) -> dict[str, Any] | None:
 def _differences(
     old: Mapping[str, Any], new: Mapping[str, Any], may_grow: Collection[str]
 ) -> list[str]:
-    """``key: old -> new`` for each difference, except numbers and lists that have grown."""
+    """``key: old -> new`` for each difference, except numbers and lists that may grow and did."""
 
     def is_same(key: str) -> bool:
         return key in may_grow and key in old and _is_within(old[key], new[key])
@@ -213,7 +214,7 @@ def _differences(
 
 
 def _is_within(old: Any, new: Any) -> bool:
-    """Whether a list contains the old value or the whole old list, or a number is not smaller."""
+    """Whether a new list contains the old value or all of an old list; a number must not shrink."""
     if not isinstance(new, list):
         return isinstance(old, int) and old <= new
     return old in new or (isinstance(old, list) and all(value in new for value in old))

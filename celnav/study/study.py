@@ -1,8 +1,8 @@
-"""A study: parts that are simulated and filtered, their results by name, and a ledger that is
-judged from the results.
+"""A study: parts that are simulated and filtered, their results by name, and a ledger that the
+results decide.
 
-A paper's study consists of configurations, filters by name, parts, rows of a ledger, and functions
-for figures and tables.
+The study of a paper consists of configurations, filters by name, parts, rows of a ledger, and
+functions for figures and tables.
 """
 
 from __future__ import annotations
@@ -44,13 +44,15 @@ __all__ = [
 
 Rngs = Sequence[np.random.Generator]
 START_S = 0.5
-"""Approximate CPU seconds of a unit before its runs, mostly for compiling filters."""
+"""Approximate CPU seconds of a unit before its runs start, mostly to compile filters."""
 When = int | slice | str
 """An epoch, a slice of epochs to average over, or the name of a window, see `Study`."""
 
 
 def concatenated(blocks: Iterable[dict[str, Array]]) -> dict[str, Array]:
-    """Arrays of blocks, concatenated over runs, and removed from the blocks to save memory."""
+    """Concatenate the arrays of blocks over the runs; they are removed from the blocks to save
+    memory.
+    """
     first, *others = blocks
     for name in list(first) if others else ():
         arrays = [first[name], *(block.pop(name) for block in others)]
@@ -59,18 +61,19 @@ def concatenated(blocks: Iterable[dict[str, Array]]) -> dict[str, Array]:
 
 
 class Part(NamedTuple):
-    """Runs of one configuration, or any other computation, which `Results` holds under a name.
+    """Runs of one configuration, or any other computation; `Results` has its arrays by name.
 
     Attributes
     ----------
-    work: ``(config, rngs) ->`` arrays by name. Arrays with two or more axes have the runs second,
-        ``(T, runs, ...)``, and are joined over blocks. The others must be the same in all blocks.
-    config: first argument of ``work``. number: of the configuration, for its random numbers. runs:
-        at full effort.
-    block: largest number of runs computed together; it affects only round-off. cost: approximate
-        CPU seconds of all runs.
-    join: ``(arrays of blocks) ->`` arrays of all runs, if they are joined in another way, such as a
-        sum; ValueError for arrays of other work.
+    work: ``(config, rngs) ->`` arrays by name. Arrays with two or more axes have the runs on the
+        second, ``(T, runs, ...)``, and are joined over blocks. Other arrays must be the same in all
+        blocks.
+    config: first argument of ``work``. number: number of the configuration, which determines its
+        random numbers.
+    runs: number of runs at full effort. cost: approximate CPU seconds of all runs.
+    block: largest number of runs computed together; it affects round-off only.
+    join: ``(arrays of blocks) ->`` arrays of all runs, for another way to join, such as a sum; it
+        raises ValueError for arrays of other work.
     """
 
     work: Callable[[Any, Rngs], dict[str, Array]]
@@ -85,14 +88,14 @@ class Part(NamedTuple):
 def evaluate_filters(
     trial: Trial, names: Sequence[str], every: int = 1, *, cov: bool = False
 ) -> dict[str, Array]:
-    """Errors and consistency of a trial's filters, at each ``every``-th epoch with a truth.
+    """Errors and consistency of a trial's filters, at every ``every``-th epoch with a truth.
 
     Returns
     -------
-    times ``(T,)`` s. For each filter ``<name>/error`` and ``<name>/std`` ``(T, runs, n)`` in the
-    units of the groups, and ``<name>/nees`` and ``<name>/nis`` ``(T, runs)``. NIS is nan where
-    nothing was measured. A run that fails is nan. With ``cov`` also ``<name>/cov (T, 1, n, n)``
-    of the first run, in the units of the state.
+    Arrays by name: ``times (T,)`` s. For each filter ``<name>/error`` and ``<name>/std``
+    ``(T, runs, n)`` in the units of the groups, and ``<name>/nees`` and ``<name>/nis``
+    ``(T, runs)``. NIS is nan where nothing was measured. All values of a run are nan after it
+    fails. With ``cov`` also ``<name>/cov (T, 1, n, n)`` of the first run, in the state's units.
     """
     out: dict[str, Array] = {}
     for name in names:
@@ -114,8 +117,8 @@ def evaluate_filters(
 def evaluate_from_priors(
     trial: Trial, priors: Mapping[str, Gaussian], names: Sequence[str], every: int = 1
 ) -> dict[str, Array]:
-    """Results of `evaluate_filters` from several priors on the same runs, by ``<filter>, <prior>``.
-    All priors run in one batch.
+    """Results of `evaluate_filters` for several priors on the same runs; filters have the names
+    ``<filter>, <prior>``. All priors run in one batch.
     """
     count, starts = len(priors), list(priors.values())
     covs = [
@@ -153,10 +156,11 @@ def monte_carlo(
     every: int = 1,
     cov: bool = False,
 ) -> Part:
-    """A part that runs a trial's filters by name, see `evaluate_filters`.
+    """A `Part` that runs some of a trial's filters, see `evaluate_filters`.
 
-    trial: ``(config, rngs) ->`` runs and their filters; a module's function, since it is sent to
-        other processes. The other arguments: see `Part`.
+    trial: ``(config, rngs) ->`` `Trial`; it must be a function of a module, because it is sent to
+        other processes.
+    filters: names. every, cov: as in `evaluate_filters`. The other arguments: see `Part`.
 
     >>> trial = lambda config, rngs: problem.trial(filters, rngs)
     >>> part = celnav.study.monte_carlo(trial, ("ukf",), None, runs=400)
@@ -177,20 +181,19 @@ def _evaluate(
 
 @dataclass(frozen=True, eq=False)
 class Study:
-    """The computations for a paper, and the ledger about it.
+    """The computations for a paper, and its ledger.
 
     Attributes
     ----------
-    name: of the paper. groups: components that are judged. rows: the ledger.
-    trial: ``(config, rngs) ->`` runs and their filters, see `celnav.study.trial`; None if nothing
-        is drawn.
-    parts: ``(effort) ->`` parts by name. ``effort``, in (0, 1], may shorten long runs; the number
-        of runs is scaled by it elsewhere.
-    says, found: the main claim of the paper, and our answer, each sentence with the verdicts that
-        it rests on.
+    name: name of the paper. groups: components that are evaluated. rows: the ledger.
+    trial: ``(config, rngs) ->`` `Trial`, see `celnav.study.trial`; None if nothing is drawn.
+    parts: ``(effort) ->`` parts by name. ``effort``, in (0, 1], may shorten long runs; `units`
+        scales the number of runs.
+    says: the main claim of the paper. found: our answer, sentences with the verdicts that they rest
+        on.
     figure: stem of the decisive figure.
-    windows: ``(config, times) ->`` intervals of time by name, as slices of the judged epochs.
-    source: hash of the study's file, if it is not a file of celnav.
+    windows: ``(config, times) ->`` time intervals by name, as slices of the evaluated epochs.
+    source: hash of the study's file, if it is not part of celnav.
     """
 
     name: str
@@ -222,8 +225,8 @@ class Study:
     ) -> list[Unit]:
         """The units of work of the study.
 
-        only: names of the parts to do, all if empty. engine: that of `celnav.run`; empty: the one
-        that is set. inputs: further arguments of `parts`.
+        only: names of the parts to compute; all if empty. engine: as in `celnav.run`; empty for the
+        current engine. inputs: further arguments of `parts`. ValueError for an unknown part.
         """
         parts = self.parts(effort, **inputs)
         for name in only:
@@ -244,8 +247,8 @@ class Study:
     def results(
         self, units: Sequence[Unit], blocks: Iterable[dict[str, Array]], *, effort: float = 1.0
     ) -> Results:
-        """The results from the arrays of units, in their order. Parts are joined one after the
-        other, since they are large.
+        """`Results` from the arrays of units, in the order of the units. Parts are joined one after
+        the other to save memory.
         """
         parts = groupby(zip(units, blocks, strict=True), lambda pair: pair[0].part)
         works = {unit.part: unit.work for unit in units}
@@ -255,8 +258,9 @@ class Study:
     def reproduce(
         self, *, effort: float = 1.0, out: str | Path | None = None, **options: Any
     ) -> Results:
-        """The results of all `units`, computed in this process without writing anything. Results
-        that ``celnav reproduce --out`` has stored with this code are reused.
+        """`Results` of all `units`, computed in this process; nothing is written.
+
+        Results in ``out`` that ``celnav reproduce --out`` has stored with this code are reused.
 
         >>> results = csrukf.STUDY.reproduce(effort=0.1, only=["0", "I"], out="out")
         """
@@ -269,11 +273,11 @@ class Study:
         return self.results(units, arrays, effort=effort)
 
     def at_hand(self, out: str | Path = "out", *, small: float = 0.02) -> Results:
-        """All results, if ``celnav reproduce --out`` has stored them with this code; else those of
-        a ``small`` part of the runs.
+        """`Results` of all runs, if ``celnav reproduce --out`` has stored them with this code;
+        otherwise `Results` of the fraction ``small`` of the runs.
 
-        If ``CELNAV_EFFORT`` is set, it gives the part of the runs in any case. If ``CELNAV_OUT`` is
-        set, it replaces ``out``.
+        The environment variable ``CELNAV_EFFORT`` overrides the fraction in both cases, and
+        ``CELNAV_OUT`` overrides ``out``.
         """
         out = os.environ.get("CELNAV_OUT", out)
         store = existing(Path(out) / self.name / RESULTS)
@@ -282,9 +286,9 @@ class Study:
 
 
 class Unit(NamedTuple):
-    """Some runs of a part, which a process does at a time.
+    """Some runs of a part, which one process computes together.
 
-    about: other inputs of the result, as text. units: number of units of the part.
+    about: other inputs that affect the result, as text. units: number of units of the part.
     """
 
     study: str
@@ -312,13 +316,15 @@ class Unit(NamedTuple):
         return sha256(f"{self.title}, seed {self.seed}, {self.about}".encode()).hexdigest()[:24]
 
     def check(self, arrays: dict[str, Array]) -> None:
-        """Raise ValueError unless the arrays are those of this unit's part."""
+        """Raise ValueError unless the arrays belong to this unit's part."""
         if not arrays:
             raise ValueError(f"{self.title}: expected arrays, got none")
         self.work.join([arrays])
 
     def do(self) -> dict[str, Array]:
-        """Arrays of the part, and ``cpu_s (1, 1)``. Warnings of models and filters are errors."""
+        """Compute the arrays of the part, and ``cpu_s (1, 1)``. Warnings from models and filters
+        are raised as errors.
+        """
         start, token = process_time(), ENGINE.set(self.engine)
         rngs = [generator(self.seed, self.work.number, run) for run in self.runs]
         try:
@@ -332,11 +338,11 @@ class Unit(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Results:
-    """The arrays of a study's parts, from which figures, tables and the ledger are made.
+    """The arrays of a study's parts, for figures, tables and the ledger.
 
     Attributes
     ----------
-    parts: by name. data: ``data[part][name]``, arrays as `Part.work` returns them.
+    parts: parts by name. data: ``data[part][name]``, arrays as `Part.work` returns them.
     """
 
     study: Study
@@ -350,21 +356,23 @@ class Results:
         return self.data[part][name]
 
     def value(self, part: str, name: str, *at: int) -> float:
-        """A number of an array."""
+        """One entry of an array of a part."""
         return float(self.data[part][name][at])
 
     def times(self, part: str) -> Array:
-        """Epochs ``(T,)`` s that were judged."""
+        """Evaluated epochs ``(T,)`` s."""
         return self.data[part]["times"]
 
     def error(self, part: str, filter: str, group: str, what: str = "error") -> Array:
-        """Errors, or with ``what="std"`` the standard deviations that the filter predicts,
-        ``(T, runs, k)`` in the unit of a group.
+        """Errors ``(T, runs, k)`` in the unit of a group, or with ``what="std"`` the predicted
+        standard deviations.
         """
         return self.data[part][f"{filter}/{what}"][..., self.group(group).part]
 
     def at(self, part: str, when: When) -> int | slice:
-        """An epoch or some epochs; a name is that of one of the study's windows."""
+        """Index or slice of epochs; a name refers to one of the study's windows (ValueError if
+        unknown).
+        """
         if not isinstance(when, str):
             return when
         windows = (
@@ -375,25 +383,23 @@ class Results:
         return windows[choice("at", when, windows)]
 
     def squares(self, part: str, filter: str, group: str, at: When = -1) -> Array:
-        """Squared errors ``(runs, k)`` of a group's components at an epoch, or their mean over some
+        """Squared errors ``(runs, k)`` of a group's components at an epoch, or means over several
         epochs.
         """
         square = np.square(self.error(part, filter, group)[self.at(part, at)])
         return square if isinstance(at, int) else np.asarray(square.mean(0))
 
     def nees(self, part: str, filter: str, at: When = -1, what: str = "nees") -> Array:
-        """NEES, or with ``what="nis"`` NIS, of each run ``(runs,)`` at an epoch, or its mean over
-        some epochs.
-        """
+        """NEES ``(runs,)`` at an epoch, or means over several epochs; NIS with ``what="nis"``."""
         values = self.data[part][f"{filter}/{what}"][self.at(part, at)]
         return values if isinstance(at, int) else np.asarray(values.mean(0))
 
     def group(self, name: str) -> Group:
-        """The group with a name."""
+        """The group with this name."""
         return next(group for group in self.study.groups if group.name == name)
 
     def first(self, part: str) -> Trial:
-        """A trial of the first run of a part, to run its filters again in full."""
+        """A `Trial` with the first run of a part, to run its filters again with all output."""
         config, number = self.parts[part].config, self.parts[part].number
         assert self.study.trial is not None, "a study that draws nothing has no runs to run again"
         return self.study.trial(config, [generator(self.seed, number, 0)])
@@ -404,8 +410,8 @@ class Results:
         return self.effort == 1.0
 
     def claims(self, rows: Sequence[Row] = ()) -> list[Claim]:
-        """The claims of all rows of the ledger, or of some. Rows that need an absent part are left
-        out.
+        """The claims of ``rows``, or of all rows of the ledger; rows that need an absent part are
+        omitted.
         """
         return [
             row.judged(self, self.full)

@@ -1,8 +1,8 @@
-"""A trial: simulated runs of one configuration, the filters for them, and the evaluation of their
+"""A trial: simulated runs of one configuration, filters for them, and the evaluation of the
 estimates.
 
 Each paper has a function ``trial(config, rngs) -> Trial``. Missions, campaigns and the linear bound
-use nothing else of the paper.
+use only this function of the paper.
 """
 
 from __future__ import annotations
@@ -35,17 +35,15 @@ __all__ = [
 ]
 
 TOGETHER = 8
-"""Epochs whose square roots are evaluated at once; more would displace the filter's arrays from the
-cache.
-"""
+"""Number of epochs evaluated at once; more would displace the filter's arrays from the cache."""
 
 
 class Group(NamedTuple):
-    """Components of the error that are judged together, such as a position.
+    """Components of the error that are evaluated together, such as a position.
 
-    part: slice of the error's components. scale: factor from the state's units to ``unit``, a
-    number or one for each component. axes: names of the components, for recordings; x, y and z, or
-    numbers, if empty.
+    part: slice of the error's components.
+    scale: factor from the state's units to ``unit``, one number or one for each component.
+    axes: names of the components, for recordings; if empty, x, y and z, or numbers.
 
     >>> position = celnav.Group("position", "m", slice(0, 3), 1000.0)  # of errors in km
     """
@@ -58,7 +56,7 @@ class Group(NamedTuple):
 
     @property
     def names(self) -> Sequence[str]:
-        """Names of the components, one for each."""
+        """Names of the components."""
         count = self.part.stop - self.part.start
         return self.axes or ("xyz" if count == 3 else [str(i + 1) for i in range(count)])
 
@@ -66,14 +64,14 @@ class Group(NamedTuple):
 class Trial(NamedTuple):
     """Simulated runs of a configuration.
 
-    groups: components that are judged. filters: by name. prior: of all runs, ``(runs, n)``.
-    epochs: ``name ->`` epochs for the filter with that name, from the start at every call. Epochs
-        with a ``truth`` are judged.
-    compare: ``(truth, belief) ->`` errors ``(runs, n)`` and roots ``(runs, n, n)`` of the
-        covariance that the belief predicts.
+    groups: components that are evaluated. filters: by name. prior: of all runs, ``(runs, n)``.
+    epochs: ``name ->`` epochs for the filter with this name; each call starts again. Epochs with a
+        ``truth`` are evaluated.
+    compare: ``(truth, belief) ->`` errors ``(runs, n)`` and roots ``(runs, n, n)`` of their
+        predicted covariances.
     reference: name of a filter that is optimal for small errors, for `bound`; empty if there is
         none.
-    place: position ``(..., 3)`` km from the Earth's center for a state ``(..., n)``; None if the
+    place: function from states ``(..., n)`` to geocentric positions ``(..., 3)`` km; None if the
         state is not an orbit.
     """
 
@@ -87,7 +85,7 @@ class Trial(NamedTuple):
 
 
 def check_groups(groups: Any, n: int) -> None:
-    """Raise ValueError unless all are groups of the ``n`` components."""
+    """Raise ValueError unless all are groups with a slice of the ``n`` components."""
     for group in sequence("groups", groups, "[Group('position', 'm', slice(0, 3))]"):
         instance("groups", group, Group, "each a Group")
         if not isinstance(group.part, slice) or not len(range(n)[group.part]):
@@ -108,7 +106,7 @@ def trial_from_arrays(
     space: Space = EUCLIDEAN,
     reference: str = "",
 ) -> Trial:
-    """A trial from arrays of runs, whose errors are the differences in the space of the states.
+    """A `Trial` from arrays of runs; errors are estimate minus truth in the space of the states.
 
     prior: of one run. times: ``(T,)`` s. z, u: as for `celnav.epochs`. truth: ``(T, runs, N)``. The
         other arguments: see `Trial`.
@@ -139,12 +137,12 @@ def squares(groups: Sequence[Group], values: Array) -> Array:
     groups' units.
     """
     parts = [np.square(values[..., group.part] * np.asarray(group.scale)) for group in groups]
-    # One by one: reductions over so few numbers take several times as long.
+    # Add components one by one: numpy's reductions over so few numbers are several times slower.
     return np.stack([reduce(np.add, np.moveaxis(part, -1, 0)) for part in parts], -1)
 
 
 def scales(groups: Sequence[Group], n: int) -> Array:
-    """Factors ``(n,)`` from the components of an error to the units of the groups."""
+    """Factors ``(n,)`` that convert the components of an error to the units of the groups."""
     factors = np.ones(n)
     for group in groups:
         factors[group.part] = group.scale
@@ -152,21 +150,21 @@ def scales(groups: Sequence[Group], n: int) -> Array:
 
 
 class Noiseless:
-    """A generator of zeros, which gives the undisturbed run."""
+    """A generator that draws zeros, for the undisturbed run."""
 
     def standard_normal(self, shape: tuple[int, ...]) -> Array:
-        """Zeros."""
+        """Zeros of a shape."""
         return np.zeros(shape)
 
 
 class Evaluation(NamedTuple):
-    """Results of a filter at the ``K`` judged epochs; nan where a run has no estimate.
+    """Results of a filter at the K evaluated epochs; nan where a run has no estimate.
 
-    times: ``(K,)`` s. error: ``(K, runs, n)``. std: the predicted standard deviations, likewise.
-    nees, nis, dof: ``(K, runs)``; ``dof`` is the number of measured components behind ``nis``.
-    cov: ``(K, n, n)``, the covariance that it predicts for the first run.
-    lost: ``(run, t, why)`` of each run whose estimate ceased to be finite. epochs: number of the
-        filter's epochs, judged or not.
+    times: ``(K,)`` s. error, std: ``(K, runs, n)``, errors and predicted standard deviations.
+    nees, nis, dof: ``(K, runs)``; ``dof`` is the number of measured components in ``nis``.
+    cov: ``(K, n, n)``, predicted covariance of the first run.
+    lost: ``(run, t, why)`` for each run that has failed. epochs: number of all epochs, evaluated or
+        not.
     """
 
     times: Array
@@ -181,8 +179,8 @@ class Evaluation(NamedTuple):
 
 
 def evaluate_filter(trial: Trial, name: str, every: int = 1) -> Evaluation:
-    """Results of the filter with a name, at each ``every``-th epoch that has a truth and at the
-    last.
+    """`Evaluation` of the filter ``name``, at every ``every``-th epoch with a truth and at the last
+    one; ValueError for an unknown name.
     """
     instance("trial", trial, Trial, "a Trial, such as problem.trial(filters, rngs)")
     filter, every = trial.filters[choice("name", name, trial.filters)], integer("every", every)
@@ -203,7 +201,7 @@ def evaluate_filter(trial: Trial, name: str, every: int = 1) -> Evaluation:
             count += 1
             why = ""
             if any_lost(state.belief):
-                # Newly lost: filters without memory may have had no estimate before either.
+                # Did a run fail in this step? A filter without memory may have failed earlier.
                 start = filter.start(trial.prior) if before is None else before
                 if (state.belief.lost() & ~start.belief.lost()).any():
                     why = explain(filter, start, state, epoch)
@@ -215,7 +213,7 @@ def evaluate_filter(trial: Trial, name: str, every: int = 1) -> Evaluation:
                 _note_lost(lost, epoch, state.belief, why)
             if due:
                 yield _row(trial, epoch, state.belief, infos)
-        if skipped is not None:  # the last one that has a truth
+        if skipped is not None:  # the last epoch with a truth
             _note_lost(lost, *skipped[:2])
             yield _row(trial, *skipped)
 
@@ -224,12 +222,12 @@ def evaluate_filter(trial: Trial, name: str, every: int = 1) -> Evaluation:
         times, error, root, nis, dof = (
             np.array(column, np.float64) for column in zip(*block, strict=True)
         )
-        with np.errstate(invalid="ignore"):  # a lost run is nan
+        with np.errstate(invalid="ignore"):  # a failed run is nan
             std, normalized = np.sqrt(np.einsum("...ij,...ij->...i", root, root)), nees(error, root)
             cov = outer(root.reshape(len(root), -1, *root.shape[-2:])[:, 0])
         blocks.append((times, error, std, normalized, nis, dof, cov))
     if not blocks:
-        raise ValueError("epochs: expected some with a truth, got none")
+        raise ValueError("epochs: expected epochs with a truth, got none")
     arrays = (np.concatenate(column) for column in zip(*blocks, strict=True))
     failures = [(run, *what) for run, what in sorted(lost.items())]
     return Evaluation._make([*arrays, failures, count])
@@ -248,8 +246,8 @@ def _row(trial: Trial, epoch: Epoch, belief: Belief, infos: tuple[Info, ...]) ->
 def _note_lost(
     lost: dict[int, tuple[float, str]], epoch: Epoch, belief: Belief, why: str = ""
 ) -> None:
-    """Note the runs without an estimate, and forget those that have one again. Filters without
-    memory may recover.
+    """Record the runs without an estimate; remove those that have an estimate again, as filters
+    without memory may.
     """
     is_finite = np.atleast_1d(np.isfinite(belief.mean).all(-1))
     for i in np.flatnonzero(~is_finite).tolist():
@@ -259,12 +257,12 @@ def _note_lost(
 
 
 def bound(trial: Trial, every: int = 1) -> Array | None:
-    """Linearized posterior Cramer-Rao bound: mean squares ``(K, groups)``, or None without a
-    reference filter.
+    """Linearized posterior Cramer-Rao bound of the mean square errors, ``(K, groups)``; None
+    without a reference filter.
 
     ``trial`` has one `Noiseless` run. The bound is the variance of the reference filter along this
     undisturbed run. For small process noise and errors in the linear range, no filter with the same
-    model and measurements has smaller mean squares.
+    model and measurements has smaller mean square errors.
     """
     instance("trial", trial, Trial, "a Trial, such as problem.trial(filters, rngs)")
     return (

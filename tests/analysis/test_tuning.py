@@ -301,7 +301,7 @@ def test_a_maximum_at_the_edge_of_what_can_be_built_is_told():
             "start: expected parameter 1 between 2 and 3, got 1",
         ),
         ([0.5, 1.0], "large", "domain: expected 'positive', 'unit interval' or .*'large'"),
-        ([0.5, 1.0], ["positive"], "domain: expected one for all or 2"),
+        ([0.5, 1.0], ["positive"], "domain: expected one domain, or 2, one for each"),
         ([0.5, 1.0], (1.0, 0.0), "domain: expected"),
         ([0.5, 1.0], [(0.0, np.nan), "positive"], "domain: expected"),
     ],

@@ -99,7 +99,9 @@ def test_arguments_that_are_told_alike(compiled):
             assert text in told(make)
     test_arguments.test_batches_that_do_not_go_together()
     test_arguments.test_what_is_masked_is_missing()
-    test_arguments.test_a_model_that_takes_the_epoch_for_its_interval_is_told_what_it_gets()
+    for name in ("f", "h"):
+        test_arguments.test_a_model_of_the_interval_raises_one_clear_message(name, "compiled")
+    test_arguments.test_a_model_that_fails_for_another_reason_raises_its_own_error()
 
 
 @pytest.mark.parametrize("runs", [(), (4,)])

@@ -176,7 +176,7 @@ def test_a_matrix_cannot_measure_where_states_are_no_vectors(kind, columns):
     ("mean", "n", "message"),
     [
         (MIDDLE, 7, r"prior: expected a covariance \(6, 6\) of differences of states of 7 comp"),
-        (MIDDLE[:6], 6, "prior: expected 7 components of a product of spaces, got 6"),
+        (MIDDLE[:6], 6, "prior: expected 7 components for the product space, got 6"),
         (2.0 * MIDDLE, 6, "prior: expected unit quaternions, got a norm of 2"),
     ],
 )

@@ -328,7 +328,7 @@ def test_colored_filters_refuse_intervals_that_they_do_not_mean(name):
     [
         (1.0, r"z: expected shape \(\.\.\., m\), got the number 1\.0"),
         (np.ones(3), "z: expected 2 components to go with h, got 3"),
-        (np.ones((3, 2)), r"^z: .*\(3,\).*\(4,\)"),
+        (np.ones((3, 2)), r"^z: .*\(4,\).*\(3,\)"),
     ],
     ids=["a number", "too many", "another batch"],
 )
@@ -498,7 +498,7 @@ def test_a_track_of_noise_of_each_run_with_one_belief(form, f):
 @pytest.mark.parametrize("f", [still, EYE], ids=["function", "matrix"])
 def test_noise_of_other_runs_than_the_beliefs_is_told(f):
     filter = celnav.ukf(celnav.Motion(f, np.array([1.0, 4.0])[:, None, None] * EYE))
-    with pytest.raises(ValueError, match=r"^Q: .*\(2,\).*\(3,\)"):
+    with pytest.raises(ValueError, match=r"^Q: .*\(3,\).*\(2,\)"):
         filter.predict(filter.start(MANY), celnav.Epoch(1, 1.0, 1.0))
 
 

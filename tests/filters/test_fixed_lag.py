@@ -429,11 +429,11 @@ THERE[10, 3, 1] = 0.4
         ),
         (
             lambda: FIXED.late(STATE, 9, np.ones((4, 2))),
-            r"z: batch axes \(4,\) do not go with those of epoch 9, \(5,\)",
+            r"z: expected batch axes that broadcast with \(5,\) of epoch 9, got \(4,\)",
         ),
         (
             lambda: FIXED.late(STATE, [9, 9], np.ones((4, 2))),
-            r"z: batch axes \(4,\) do not go with those of k, \(2,\)",
+            r"z: expected batch axes that broadcast with \(2,\) of k, got \(4,\)",
         ),
         (
             lambda: FIXED.step(STATE, celnav.Epoch(12)),

@@ -428,7 +428,7 @@ def test_smoothing_is_refused():
 @pytest.mark.parametrize(
     ("make", "told"),
     [
-        (lambda: celnav.imm([], PI), "filters: expected at least 1, got 0"),
+        (lambda: celnav.imm([], PI), "filters: expected a length of at least 1, got 0"),
         (lambda: celnav.imm(models()[0], PI), "filters: expected a sequence"),
         (lambda: celnav.imm([1, 2], PI), "filters: expected filters, such as celnav.ukf"),
         (lambda: celnav.imm([FromFunctions(None, None)] * 2, PI), "filters: expected filters"),

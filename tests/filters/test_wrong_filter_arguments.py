@@ -423,11 +423,11 @@ def hooked(hook):
         ),
         (
             lambda: celnav.Motion(lambda x: x, EYE),
-            "f: expected a function (points, epoch, *noise), got function <lambda> of other",
+            "f: expected a function (points, epoch, *noise), got function <lambda> with other",
         ),
         (
             lambda: celnav.Sensor(f, lambda x: EYE),
-            "R: expected a function (mean, epoch), got function <lambda> of other arguments",
+            "R: expected a function (mean, epoch), got function <lambda> with other arguments",
         ),
         (lambda: celnav.Linear(EYE), "matrix: expected a function (epoch), got ndarray"),
         (
@@ -460,7 +460,7 @@ def hooked(hook):
         ),
         (
             lambda: celnav.ukf(MOTION, SENSOR, gain=lambda A: A),
-            "gain: expected a function (A, sign, m), got function <lambda> of ot",
+            "gain: expected a function (A, sign, m), got function <lambda> with ot",
         ),
         (
             lambda: Fallback(FILTER, MOTION),
@@ -513,7 +513,7 @@ def hooked(hook):
             lambda: flown(
                 celnav.colored(MOTION, SENSOR, lambda e: np.zeros((3, 2, 2)), increments=EYE), MANY
             ),
-            "Phi: batch axes (3,) do not go with those of the belief, (4,)",
+            "Phi: expected batch axes that broadcast with (4,) of the belief, got (3,)",
         ),
     ],
 )

@@ -436,7 +436,7 @@ def test_rules_refuse_and_say_what(make, words):
 
 def test_the_limit_of_points_is_checked_before_they_are_made():
     assert MAX_POINTS < 10**10
-    with pytest.raises(ValueError, match=f"exceed the limit of {MAX_POINTS}"):
+    with pytest.raises(ValueError, match=f"expected at most {MAX_POINTS} points"):
         gauss_hermite(50, 10)
 
 

@@ -232,7 +232,7 @@ def test_named_vectors_are_vectors():
     plain = celnav.ukf(celnav.Motion(motion.f, motion.Q), *flt.sensors)
     same = celnav.run(plain, celnav.Gaussian(np.zeros(2), 1.0), np.arange(5.0), np.ones((5, 1)))
     np.testing.assert_allclose(track.mean, same.mean, rtol=1e-14)
-    with pytest.raises(ValueError, match=r"^prior: expected 2 components of a product"):
+    with pytest.raises(ValueError, match=r"^prior: expected 2 components for the product space"):
         flt.start(celnav.Gaussian(np.zeros(3), 1.0))
 
 

@@ -302,7 +302,7 @@ def test_bad_arguments(arguments, message):
 
 
 def test_bad_orders_and_powers():
-    with pytest.raises(ValueError, match="orders: expected numbers of points, the first 1"):
+    with pytest.raises(ValueError, match="orders: expected numbers of points that start with 1"):
         smolyak(2, 2, orders=(3, 5))
     with pytest.raises(ValueError, match="powers: expected integers of at least 0"):
         integrates((2, -1), 2)
@@ -313,7 +313,7 @@ def test_too_many_points_are_refused_before_they_are_made():
     assert count > 1_000_000
     with pytest.raises(
         ValueError,
-        match=f"level: {count} points of 60 components exceed the limit of 1000000 points",
+        match=f"level: expected at most 1000000 points .*, got {count} points of 60 components",
     ):
         smolyak(60, 5)
 

@@ -221,19 +221,19 @@ def test_a_file_is_read(tmp_path):
     [
         ("", "expected a gravity field in ICGEM's format"),
         (BODY, "expected a gravity field in ICGEM's format"),
-        (HEAD, "expected coefficients to degree 0, got them to -1"),
-        (HEAD + "gfc 2\n", "line 6: expected gfc, degree, order, C, S, got 'gfc 2'"),
-        (HEAD + BODY + "gfc 2 x 1 1\n", "line 11: expected gfc, degree, order, C, S"),
+        (HEAD, "expected coefficients up to degree 0, got degree -1"),
+        (HEAD + "gfc 2\n", "line 6: expected gfc with degree, order, C and S, got 'gfc 2'"),
+        (HEAD + BODY + "gfc 2 x 1 1\n", "line 11: expected gfc with degree, order, C and S"),
         (HEAD + "gfc 1 2 0 0\n", "line 6: expected 0 <= order <= degree and finite numbers"),
         (HEAD + "gfc 1 1 nan 0\n", "line 6: expected 0 <= order <= degree and finite numbers"),
         (HEAD + "gfc 999999 1 0 0\n", "line 6: expected 0 <= order <= degree"),
         (
             HEAD.replace("radius", "size") + BODY,
-            "expected radius with a number in the head, got 'none'",
+            "expected a number for radius in the header, got 'none'",
         ),
         (
             HEAD.replace("0.39", "many") + BODY,
-            "expected earth_gravity_constant with a number in the head, got 'many",
+            "expected a number for earth_gravity_constant in the header, got 'many",
         ),
         (
             HEAD.replace("fully_", "un") + BODY,
@@ -253,5 +253,5 @@ def test_what_is_none_is_refused_by_file_and_line(tmp_path, text, message):
 def test_a_degree_that_is_not_there_is_refused(tmp_path):
     path = tmp_path / "field.gfc"
     path.write_text(HEAD + BODY)
-    with pytest.raises(InputError, match="expected coefficients to degree 3, got them to 2"):
+    with pytest.raises(InputError, match="expected coefficients up to degree 3, got degree 2"):
         gravity.read(path, degree=3)

@@ -119,7 +119,7 @@ def test_drifts_of_more_attitudes_than_there_are_are_refused():
     q = np.broadcast_to(at.IDENTITY, (5, 4))
     with pytest.raises(
         ValueError,
-        match=r"^q, drift, noise: expected batch axes that go together, got \(4,\), \(6,\), \(4,\)",
+        match=r"^q, drift, noise: expected batch axes that broadcast, got \(4,\), \(6,\), \(4,\)",
     ):
         WALK.measure(q, np.zeros((6, 3)), np.zeros((4, 3)), 0.5)
 
@@ -273,7 +273,7 @@ def test_a_half_turn_of_initial_error_is_finite_and_converges():
         ),
         (
             lambda: Body(np.diag([1.0, 2.0, 3.1])),
-            "inertia: expected principal moments none of which is larger .* got 1, 2 and 3.1",
+            "inertia: expected principal moments that satisfy .* got 1, 2 and 3.1",
         ),
         (lambda: Body(np.eye(3), wheels=(1.0, 2.0)), "wheels"),
         (lambda: Body(np.eye(3), orbit_rate=np.inf), "orbit_rate"),
@@ -286,7 +286,7 @@ def test_bad_input_is_refused_by_name(make, name):
 
 def test_an_interval_without_length_is_refused():
     x = np.append(at.IDENTITY, np.zeros(3))
-    with pytest.raises(ValueError, match=r"^dt: expected an interval, got 0$"):
+    with pytest.raises(ValueError, match=r"^dt: expected an interval other than 0, got 0$"):
         Body(J).propagate(x, 0.0, 3)
     still = Body(J).propagate(x, -2.0, 3)  # a negative interval is valid
     np.testing.assert_allclose(still, np.tile(x, (4, 1)), atol=1e-15)
@@ -364,7 +364,7 @@ def test_the_drift_of_a_bias_instability_has_its_allan_deviation():
     [
         (
             {"bias_instability": 1.0, "rate_random_walk": 1.0},
-            "rate_random_walk: expected 0 where bias_instability is given, got 1.0",
+            "rate_random_walk: expected 0 together with a bias_instability, got 1.0",
         ),
         ({"bias_instability": -1.0}, "bias_instability: expected a number of at least 0, got -1.0"),
         ({"bias_instability": 1.0, "tau": np.inf}, "tau: expected a positive number, got inf"),

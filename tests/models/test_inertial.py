@@ -558,15 +558,15 @@ def test_windows_in_which_the_unit_stands():
         ),
         (
             lambda: inertial.strapdown(0.5, 0.0, IMU).gnss(sigma_position=[1.0, 2.0]),
-            "sigma_position: expected a positive number or 3 of them",
+            "sigma_position: expected a positive number, or 3 positive numbers",
         ),
         (
             lambda: allan_deviation(np.r_[0.0, 1.0, 5.0, 6.0], np.ones(4), 1.0),
-            "t: expected increasing times that are evenly spaced",
+            "t: expected increasing times, evenly spaced",
         ),
         (
             lambda: allan_deviation(np.arange(9.0), np.ones(9), 5.0),
-            "interval_s: expected 1 to 4 s, half of the samples, got 5.0",
+            "interval_s: expected 1 to 4 s, from one sample to half of them, got 5.0",
         ),
     ],
 )

@@ -282,7 +282,7 @@ def test_parallel_stars_are_refused(stars):
     z = np.zeros((*stars.shape[:-2], 3 * stars.shape[-2]))
     with pytest.raises(
         ValueError,
-        match=r"^stars: expected two directions that are not parallel \(\|r_i x r_j\| >= 1e-3\)$",
+        match=r"^stars: expected two directions that are not parallel .*, got parallel ones$",
     ):
         misalignment.wahba_misalignment(z, np.eye(3), stars)
 

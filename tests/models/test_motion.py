@@ -164,11 +164,11 @@ def test_a_filter_of_what_happens_is_consistent():
         (lambda: motion.constant_velocity(0, 1.0), "dim: expected an integer from 1 to 100, got 0"),
         (
             lambda: motion.constant_velocity(2, [1.0, 2.0, 3.0]),
-            "q: expected a density that is not negative, or 2 of them",
+            "q: expected a spectral density >= 0, or 2 of them",
         ),
         (
             lambda: motion.constant_acceleration(2, -1.0),
-            "q: expected a density that is not negative",
+            "q: expected a spectral density >= 0",
         ),
         (lambda: motion.known_turn([1.0, 2.0], 1.0), "rate: expected a finite number"),
         (

@@ -225,7 +225,7 @@ def test_a_configuration_that_cannot_be_is_refused_by_name(change, name):
 
 
 def test_a_satellite_that_is_not_there_is_told():
-    with pytest.raises(ValueError, match=r"^burst_satellite: expected a place below 15"):
+    with pytest.raises(ValueError, match=r"^burst_satellite: expected an index below 15"):
         simulate(replace(SHORT, burst="one", burst_satellite=20), runs(1))
 
 

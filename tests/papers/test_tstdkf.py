@@ -518,7 +518,7 @@ def test_dates_outside_the_ephemeris_and_unknown_pulsars_are_refused():
         simulate(replace(SHORT, start_utc="2060-01-01"), runs(1))
     with pytest.raises(ValueError, match=r"^pulsar: expected one of"):
         simulate(replace(SHORT, pulsars=("B0531+21", "B1821-24", "Vela")), runs(1))
-    with pytest.raises(ValueError, match=r"^F: expected a diagonal matrix of magnitudes below 1"):
+    with pytest.raises(ValueError, match=r"^F: expected a diagonal matrix with magnitudes below 1"):
         simulate(replace(SHORT, setting=Setting(1.0, 0.0, 0.0)), runs(1))
 
 

@@ -247,7 +247,7 @@ DAMAGE = [
     ),
     (
         lambda t: t.update(imu_acc=t["imu_acc"][:-5]),
-        "imu_acc: expected as many rows as imu_gyr has, 8571, got 8566",
+        "imu_acc: expected 8571 rows, as in imu_gyr, got 8566",
     ),
     (lambda t: t.update(imu_gyr=t["imu_gyr"][:10]), "imu_gyr: expected numbers"),
     (

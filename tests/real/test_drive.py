@@ -60,7 +60,7 @@ def test_a_solution_without_velocity(tmp_path):
         ([HEADER, FIX.format(1.0)[:60]], "line 2: expected a date, a time and 13 numbers"),
         ([HEADER, FIX.format(1.0).replace("21", "nan")], "line 2: expected a date"),
         ([HEADER, FIX.format(1.0).replace("07/08", "13/08")], "line 2: expected a date"),
-        ([HEADER, FIX.format(2.0), FIX.format(1.0)], "expected times that increase"),
+        ([HEADER, FIX.format(2.0), FIX.format(1.0)], "expected increasing times"),
         ([HEADER], "expected fixes, got none"),
     ],
 )
@@ -94,7 +94,7 @@ def test_what_is_no_sample_is_refused(tmp_path):
     tagged = tags(tmp_path / "a.tag")
     for k, line, message in (
         (3, "1,2,3", "line 4: expected seven numbers"),
-        (9, SAMPLES[8], "line 10: expected a clock that increases"),
+        (9, SAMPLES[8], "line 10: expected an increasing clock"),
     ):
         lines = SAMPLES.copy()
         lines[k] = line

@@ -373,11 +373,11 @@ def test_files_that_are_none_are_named(folder, tmp_path):
 
 def test_too_few_pulsars_or_weeks_are_said(tmp_path):
     with pytest.raises(
-        InputError, match="expected two weeks or more in which 6 pulsars were heard, got 0"
+        InputError, match="expected two weeks or more with 6 observed pulsars, got 0"
     ):
         nanograv.fixes(made(tmp_path / "few", count=4), [])
     with pytest.raises(
-        InputError, match="expected pulsars observed for 3 years before MJD 57754, got none"
+        InputError, match="expected pulsars with 3 years of observations before MJD 57754, got none"
     ):
         nanograv.fixes(made(tmp_path / "short", count=4, every=200.0), [])
 

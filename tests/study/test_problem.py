@@ -398,7 +398,7 @@ def test_a_row_does_not_depend_on_the_others():
         ),
         (
             {"motion": Motion(f, np.eye(2), augment=(np.eye(1),))},
-            r"^augment: expected noise beside the models, got some through the points",
+            r"^augment: expected models with additive noise \(Q, R\), got augmented noise",
         ),
         (
             {"prior": Gaussian(np.zeros((3, 2)), np.eye(2))},

@@ -1,5 +1,5 @@
-"""[Liang2014]: an aircraft whose inertial system has a large misalignment, and is corrected with
-two star sensors and SAR images.
+"""[Liang2014]: an aircraft with a large misalignment of its inertial system; two star sensors and
+SAR images correct it.
 
 Eqs. 11-14, 16-18, sparse-grid rules: `celnav.gaussian.sparse_grid`. Eqs. 15, 19, degrees of
 observability and weights by a threshold: `celnav.analysis.observability`. Eqs. 20-28, errors of the
@@ -76,7 +76,7 @@ MICRO_G = 1e-6 * earth.STANDARD_GRAVITY
 DEGREE = radians(1.0)
 BORESIGHTS = np.sqrt(0.5) * np.array([[0.0, 1.0, 1.0], [0.0, -1.0, 1.0]])
 """Boresights of the star sensors on body axes, and directions of the stars."""
-FORM = "covariance"  # form of all filters here
+FORM = "covariance"  # all filters here use the covariance form
 UNSAID = "chosen: not printed"
 
 
@@ -161,8 +161,10 @@ class Config(Timed):
 
     @property
     def units(self) -> tuple[Array, Array]:
-        """Units of states and outputs that bring the degrees of observability nearest to Table 2:
-        rad, m/s, m, deg/h, micro g ``(13,)``; 1, m ``(8,)``."""
+        """Units of states ``(13,)`` (rad, m/s, m, deg/h, micro g) and outputs ``(8,)`` (1, m).
+
+        With these units the degrees of observability are nearest to Table 2.
+        """
         rates = np.repeat([DEGREE / 3600.0, MICRO_G], 3)
         return np.r_[np.ones(5), 1.0 / self.meters(), rates], np.r_[np.ones(6), self.meters()]
 
@@ -198,8 +200,8 @@ PRESETS = {
         sar_interval=10,
     ),
 }
-"""T3: fitted to the levels of Table 3. A: fixes at every step. A-slow: fewer fixes. T3-arcmin: star
-noise read as arc minutes, also fitted."""
+"""T3: fitted to the levels of Table 3. A: fixes at every step. A-slow: fewer fixes. T3-arcmin: also
+fitted, with star noise in arc minutes."""
 TURNING = replace(PRESETS["A-slow"], turn_rate_deg_per_s=2.0)
 """Twenty times the paper's turn rate (chosen). In the middle of the flight the horizontal specific
 force exceeds the vertical one."""
@@ -226,14 +228,14 @@ class Scenario(NamedTuple):
     prior: Gaussian
 
     def interval(self, k: int) -> Navigation:
-        """Navigation solution in the middle of the interval that ends at epoch ``k``, from the
-        system's errors one epoch before; at the first epoch, the solution at that epoch."""
+        """Navigation solution in the middle of the interval that ends at epoch ``k``, with the
+        system's errors of the epoch before. The first epoch has no interval: its own solution."""
         x = self.truth[max(k - 1, 0)]
         return misalignment.navigation(self.config.flight, max(2 * k - 1, 0), x[:, PHI], x[:, BIAS])
 
     def epochs(self) -> Iterator[Epoch]:
-        """Epochs with their `Inputs`, which follow from the system's errors at this epoch and the
-        one before."""
+        """Epochs with `Inputs`, which depend on the system's errors at this epoch and the previous
+        epoch."""
         c = self.config
         flight = c.flight
         star = np.full(6, radians(c.star_arcsec / 3600.0))
@@ -323,8 +325,8 @@ def rules(level: int = 3) -> dict[str, Any]:
 
 
 def quadrature_filter(rule: Any, config: Config) -> Filter:
-    """A filter with any rule. If negative weights make a covariance indefinite, the step is
-    repeated with the positive rule "ghqf3"."""
+    """A filter with any rule. If negative weights make a covariance indefinite, the filter repeats
+    the step with the rule "ghqf3", whose weights are positive."""
     by_rule = partial(sigma_point, *model(config), form=FORM)
     if not isinstance(rule, Rule) or (rule.wc >= 0.0).all():
         return by_rule(rule=rule)
@@ -332,8 +334,8 @@ def quadrature_filter(rule: Any, config: Config) -> Filter:
 
 
 def filters(config: Config) -> dict[str, Filter]:
-    """The filters by name: one for each of the `rules`, and triad-ekf, which linearizes the first
-    star fix about the attitude from the fix itself (Wahba's problem)."""
+    """The filters by name: one for each of the `rules`, and triad-ekf. The latter linearizes the
+    first star fix about the attitude that the fix itself gives (Wahba's problem)."""
     plain = ekf(*model(config), form=FORM)
     wahba = Iterated(**vars(plain), iterations=1, first=wahba_start)
 
@@ -347,7 +349,7 @@ def filters(config: Config) -> dict[str, Filter]:
 
 
 def wahba_start(belief: Belief, z: Array, epoch: Epoch) -> Array:
-    """The prior mean, with the misalignment from both star vectors. Beyond 90 deg of phi_x the
+    """The prior mean, but with the misalignment from both star vectors. Beyond phi_x = 90 deg the
     angles are on another branch."""
     at = np.array(np.broadcast_to(belief.mean, (*z.shape[:-1], 13)))
     at[..., PHI] = misalignment.wahba_misalignment(z[..., :6], epoch.u.attitude, epoch.u.stars)
@@ -379,11 +381,11 @@ def observability(x: Array, epoch: Epoch, units: tuple[Array, Array], order: int
 
 
 def by_observability(config: Config, threshold: float = 5.0, *, weigh: bool = False) -> Choose:
-    """Weights by Eqs. 15 and 19 at the estimate, with degrees relative to that of the east
+    """Weights by Eqs. 15 and 19 at the estimate, with degrees relative to the degree of the east
     velocity. weigh: whether singular vectors are weighted by the filter's covariance.
 
-    If no state is above the threshold, the weights do not change: all weights 2 would be the
-    isotropic rule, with which the filter starts.
+    If no state is above the threshold, the weights do not change: weights that are all 2 would give
+    the isotropic rule, with which the filter starts.
     """
 
     def choose(belief: Any, epoch: Epoch, chosen: Array | None) -> Array:
@@ -414,8 +416,8 @@ def by_nonlinearity(threshold: float = 0.1) -> Choose:
 
 @cache
 def weighted(number: int, level: int = 3) -> Rule:
-    """The rule whose states with weight 1 are the bits of a number. Without any it has level 2, the
-    level of the UKF."""
+    """The rule for a number whose bits mark the states with weight 1. For 0 the level is 2, as for
+    the UKF."""
     return smolyak(13, level, np.where(number & BITS, 1, 2).tolist()) if number else smolyak(13, 2)
 
 
@@ -463,15 +465,15 @@ states has 729 points."""
 
 
 def euler(x: Array, nav: Navigation, dt: float) -> Array:
-    """One Euler step of the error model without velocity errors, so that the position does not
-    change by half a step of acceleration."""
+    """One Euler step of the error model, for states without velocity errors. It does not add half a
+    step of acceleration to the position."""
     return x + dt * misalignment.derivative(x, nav)
 
 
 @cache
 def six_rules() -> dict[str, Rule]:
-    """Rules in six dimensions, like those in 13: UKF with kappa = 3 - n, isotropic sparse grid,
-    tensor rule with three points per dimension."""
+    """Rules in six dimensions, as in `rules`: UKF with kappa = 3 - n, isotropic sparse grid, tensor
+    rule with three points per dimension."""
     return {
         "six/ukf": unscented(6, kappa=-3.0),
         "six/sghqf": smolyak(6, 3),
@@ -506,9 +508,9 @@ def six_states(config: Config, rngs: Rngs) -> tuple[Scenario, dict[str, Any], Ga
     return sim, by_name, Gaussian(sim.prior.mean[:, SIX], np.diag(config.sigma0[SIX] ** 2))
 
 
-# -- how they are judged ---------------------------------------------------------------------------
+# -- evaluation ------------------------------------------------------------------------------------
 def groups(config: Config, angle: float = DEGREE / 60.0, unit: str = "arcmin") -> tuple[Group, ...]:
-    """Groups of states that are judged; ``angle``: unit of the misalignment in radians."""
+    """Groups of states that are evaluated; ``angle``: unit of the misalignment in radians."""
     return (
         Group("misalignment", unit, PHI, 1.0 / angle),
         Group("velocity", "m/s", VELOCITY),

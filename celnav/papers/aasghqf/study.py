@@ -61,8 +61,8 @@ MANY = "T3, 200 runs"
 SHOWN = ("T3", "A-slow", "A")
 PHI = misalignment.PHI
 SIX = replace(T3, step_s=5.0, steps=24, star_interval=6, sar_interval=5)
-"""T3 with longer steps and for two minutes only, with fixes at the same times. A tensor rule takes
-ten times as long as all other filters together."""
+"""T3 with longer steps, for two minutes only, with fixes at the same times: a tensor rule needs ten
+times as long as all other filters together."""
 LEVELS = (2, 3, 4)
 MISALIGNMENTS_DEG = (1.0, 2.0, 5.0, 10.0, 20.0, 30.0, 45.0, 60.0)
 TEN = itemgetter(MISALIGNMENTS_DEG.index(10.0))
@@ -78,8 +78,8 @@ CHOICES: dict[str, Callable[[Config], scenario.Choose]] = {
     "bends, 0.01": lambda _: scenario.by_nonlinearity(0.01),
     "bends, 1": lambda _: scenario.by_nonlinearity(1.0),
 }
-"""Weights chosen online: by Eqs. 15 and 19, with singular vectors weighted by the filter's
-covariance or not; by nonlinearity ("bends")."""
+"""Weights that are chosen online: by Eqs. 15 and 19, with or without weighting of singular vectors
+by the filter's covariance; by nonlinearity ("bends")."""
 MOUNTINGS = (0, 20, 60, 200)
 """Mounting errors in arc seconds, on each axis of each star sensor (chosen)."""
 POINTS = ("UKF", 2, None), ("SGHQF", 3, None), ("AASGHQF", 3, PAPER_WEIGHTS)
@@ -90,8 +90,8 @@ TABLE_2 = PRINTED["degrees-of-observability"]
 TABLE_3 = PRINTED["table-3-levels"]
 TABLE_4 = PRINTED["saving-grows"]
 EXAMPLE = {(1, 1): ("11 12 13 21 22 31", 21), (2, 1): ("11 13 21", 9)}
-"""The example as printed: indices and number of points, by weights. The tables before are also as
-printed: points by n; degrees by state; RMSE in deg, m/s and m; points, and seconds per cycle."""
+"""The example as printed: indices and number of points, by weights. The tables above are printed
+values too: points by n; degrees by state; RMSE in deg, m/s and m; points, and seconds per cycle."""
 
 
 # -- the parts of the study ------------------------------------------------------------------------
@@ -113,7 +113,7 @@ def bound(config: Config, _: Rngs) -> dict[str, Array]:
 
 def six_states(names: Sequence[str], config: Config, rngs: Rngs) -> dict[str, Array]:
     """Filters with six states: errors of the misalignment ``<name>/error (T, runs, 3)`` deg, and
-    the norm of the initial one ``start (1, runs)`` deg."""
+    the norm of the initial misalignment ``start (1, runs)`` deg."""
     sim, filters, prior = scenario.six_states(config, rngs)
     phi = sim.truth[..., PHI]
     out = {"start": np.linalg.norm(phi[:1], axis=-1) / DEGREE}
@@ -126,12 +126,12 @@ def six_states(names: Sequence[str], config: Config, rngs: Rngs) -> dict[str, Ar
 
 
 def cycles(config: Config, _: Rngs) -> dict[str, Array]:
-    """Arithmetic operations of a cycle (prediction and update) of one run, counted in the recorded
+    """Arithmetic operations of a cycle (prediction and update) for one run, counted in the recorded
     step. They do not depend on the machine.
 
-    The steps of SGHQF and of the tensor rule of six states are too long to record. Their counts are
-    lower bounds: each further point adds two operations to each entry of the covariances of the
-    prediction, of the measurements, and between both.
+    The steps of SGHQF and of the six-state tensor rule are too long to record. Their counts are
+    lower bounds. Each further point adds two operations to each entry of three covariances: of the
+    prediction, of the measurement, and between both.
     """
     c = replace(config, steps=1)
     sim = simulate(c, UNDISTURBED)
@@ -153,9 +153,9 @@ def degrees(config: Config, _: Rngs) -> dict[str, Array]:
 
     Returns
     -------
-    every: ``(4, 72, 13)``, for all units of angles (first axis: rad, deg, arc minutes, arc seconds)
-    and of positions, drifts, biases, star residuals and fixes (second axis: first m, deg/h,
-    micro g, 1, m, the nearest to Table 2).
+    every: ``(4, 72, 13)``. First axis: units of angles (rad, deg, arc minutes, arc seconds). Second
+    axis: units of positions, drifts, biases, star residuals and fixes; the first combination (m,
+    deg/h, micro g, 1, m) is nearest to Table 2.
     """
     epoch = next(simulate(replace(config, steps=1), UNDISTURBED).epochs())
     gradients = lie_gradients(
@@ -205,16 +205,16 @@ def on_line(names: Sequence[str], config: Config, rngs: Rngs) -> dict[str, Array
 
 
 def along(config: Config, rngs: Rngs) -> dict[str, Array]:
-    """Degrees of observability along the flight, in several readings of Eq. 15.
+    """Degrees of observability along the flight, for several interpretations of Eq. 15.
 
     Returns
     -------
     above: ``(50, runs, 2, 2, 3, 5, 13)``, states above the threshold, at the estimates of the
-    filter with weights by nonlinearity. The axes between runs and states are the readings: one
-    segment or all segments so far; not weighted or weighted by the filter's covariance; sigma_0
-    from the positions, the measurement or a velocity; units of Table 2, angles in degrees, rates
-    not in deg/h and micro g, SI, or standard deviations.
-    degrees: ``(2, T, 13)``, along the paper's flight and the turning one, both without errors.
+    filter with weights by nonlinearity. The axes between runs and states are the interpretations:
+    one segment or all segments so far; without or with weighting by the filter's covariance;
+    sigma_0 from the positions, the measurement or a velocity; units of Table 2, angles in degrees,
+    rates not in deg/h and micro g, SI, or standard deviations.
+    degrees: ``(2, T, 13)``, along the paper's flight and the turning flight, both without errors.
     """
     sim = simulate(config, rngs)
     states, outputs = config.units
@@ -282,7 +282,8 @@ def first_fixes(config: Config, _: Rngs) -> dict[str, Array]:
 
     Returns
     -------
-    least: smallest eigenvalue of the misalignment's covariance after the fix, over the correct one.
+    least: smallest eigenvalue of the misalignment's covariance after the fix, relative to the
+    correct eigenvalue.
     mean, cov: relative errors of the moments of the star residuals.
     """
     epoch = next(simulate(replace(config, steps=1), UNDISTURBED).epochs())
@@ -380,7 +381,7 @@ def table_1(_: Results) -> list[dict[str, Any]]:
 
 
 def growth(_: Results) -> list[Number]:
-    """Number of tensor rules whose count of points is not m^n; for each level the largest ratio
+    """Number of tensor rules with other than m^n points; for each level the largest ratio
     log(points) / log(n) of sparse grids."""
     built = product([ORDERS[level - 1] for level in LEVELS], (1, 2, 3))
     differ = sum(gauss_hermite(n, m).num_sigmas() != m**n for m, n in built)
@@ -410,7 +411,7 @@ def printed_bound(_: Results) -> list[Number]:
 
 
 def two_states(_: Results) -> list[Number]:
-    """The paper's example: index sets (apart from indices with coefficient 0), points, and common
+    """The paper's example: index sets (without indices whose coefficient is 0), points, and common
     nodes."""
     wrong = 0
     points = []
@@ -504,9 +505,9 @@ def by_state(
 
 
 def each(r: Results, a: str, b: str, accept: Bounds = (None, None)) -> list[Number]:
-    """Filter ``a`` over ``b`` in each preset and state of Table 3. At T3 the errors have long
-    tails, so more runs are used, with the 57 points in place of SGHQF, which give the same
-    estimates."""
+    """RMSE ratio of filter ``a`` to ``b`` in each preset and state of Table 3. At T3 the errors
+    have long tails, so more runs are used. There the 57 points replace SGHQF, because they give the
+    same estimates."""
     many = {"sghqf": "nonlinear"}
     numbers = []
     for part in PRESETS:
@@ -521,14 +522,14 @@ def largest_first(numbers: Sequence[Number]) -> list[Number]:
 
 
 def above_and_below(ratios: Sequence[Number], margin: float = 0.0) -> tuple[int, int]:
-    """How many ratios are above and below 1 with their whole interval."""
+    """Number of ratios whose whole interval is above 1, and number below 1."""
     ends = [number.ci for number in ratios if number.ci]
     return sum(low > 1 + margin for low, _ in ends), sum(high < 1 - margin for _, high in ends)
 
 
 def tenth(r: Results, part: str, name: str) -> Array:
-    """Time ``(runs,)`` s until the misalignment error is a tenth of the initial one; one step after
-    the end if it never is."""
+    """Time ``(runs,)`` s until the misalignment error is a tenth of its initial value; one step
+    after the end if this never happens."""
     below = np.linalg.norm(r.get(part, f"{name}/error"), axis=-1) < 0.1 * r.get(part, "start")
     return SIX.step_s * np.where(below.any(0), below.argmax(0), len(below))
 
@@ -574,8 +575,8 @@ def changed(r: Results, part: str, name: str) -> Array:
 
 
 def adapts(r: Results) -> Tiers:
-    """Fraction of runs with changing weights, by reading and preset; effect on the errors; number
-    of readings with any change."""
+    """Fraction of runs in which weights change, by interpretation and preset; effect on the errors;
+    number of interpretations with any change."""
     shares = []
     ratios = []
     changes = []
@@ -655,8 +656,8 @@ def gentle(r: Results) -> list[Number]:
 
 
 def doubled(r: Results) -> Number:
-    """Size of the mounting errors (arc seconds) that doubles the final RMSE of the angles. Squared
-    errors add."""
+    """Size of the mounting errors (arc seconds) that doubles the final RMSE of the angles, from the
+    sum of squared errors."""
     none, most = (
         r.squares("mounting", f"nonlinear, {size}", "misalignment", LAST).sum(-1)
         for size in (0, 200)
@@ -707,7 +708,8 @@ def classes(r: Results) -> Tiers:
 
 
 def criterion(r: Results) -> list[Number]:
-    """AASGHQF over the filter with 57 points by nonlinearity, in every state and preset."""
+    """RMSE ratio of AASGHQF to the filter with 57 points (by nonlinearity), for every state and
+    preset."""
     ratios = largest_first(each(r, "aasghqf", "nonlinear"))
     above, below = above_and_below(ratios)
     return [
@@ -722,8 +724,8 @@ def criterion(r: Results) -> list[Number]:
 
 
 def better_than_ukf(r: Results) -> Tiers:
-    """Errors of the UKF over those of both sparse filters, in every state and preset, smallest
-    first; number of ratios above 1 for each filter."""
+    """RMSE ratios of the UKF to both sparse filters, for every state and preset, smallest first;
+    number of ratios above 1 for each filter."""
     sghqf, aasghqf = (each(r, "ukf", f, (1.0, None)) for f in ("sghqf", "aasghqf"))
     every = largest_first([*sghqf, *aasghqf])[::-1]
     half = np.sqrt(np.divide(TABLE_3["UKF"], TABLE_3["SGHQF"]))
@@ -978,7 +980,7 @@ DECISIONS: dict[str, Decision] = {
             for f, accept in (("nonlinear, 20", (26.0, None)), ("S, 60", (None, 26.0)))
         ),
     ),
-    # The 57 points give the estimates of SGHQF, and have been run 200 times.
+    # The 57 points give the estimates of SGHQF, and have 200 runs.
     "nees-T3-sghqf": consistency("NEES, SGHQF, T3", (MANY, "nonlinear"), (11.05, 14.95), at=LATE),
     "nees-A-sghqf": consistency("NEES, SGHQF, A", ("A", "sghqf"), (10.4, 15.6), at=LATE),
     "nees-A-triad-ekf": consistency(

@@ -1,9 +1,9 @@
 """[Fan]: an unscented Kalman filter for BeiDou positioning that adapts its measurement noise.
 
 `scenario`: parameters with their source, truth, satellites and measurements, filters.
-`ledger.toml`: what the paper states and what we find. `study`: the runs, and the numbers that
-decide each row of the ledger. `show`: figures, tables, recordings. Their names are available here
-as well: ``celnav.papers.aukf.STUDY``.
+`ledger.toml`: the paper's statements and our findings. `study`: the runs, and the numbers that
+decide each row of the ledger. `show`: figures, tables, recordings. Their names are also available
+here: ``celnav.papers.aukf.STUDY``.
 """
 
 from celnav.lazy import modules

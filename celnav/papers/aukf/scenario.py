@@ -1,10 +1,10 @@
-"""[Fan]: a receiver that circles with 4 g determines its position from BeiDou's pseudoranges and
-their rates.
+"""[Fan]: a receiver on a circle with 4 g determines its position from BeiDou pseudoranges and range
+rates.
 
-The text at hand has lost its display equations and Table 1. In their place stand
-`celnav.models.pseudorange` and `celnav.models.gnss` (measurements, orbits),
-`celnav.receiver.filters.transition` (constant velocity), `celnav.receiver.least_squares` (each
-epoch by itself) and `celnav.filters.adaptive.innovation_window` (the adaptive filter).
+Our copy of the paper lacks the display equations and Table 1. We use `celnav.models.pseudorange`
+and `celnav.models.gnss` (measurements, orbits), `celnav.receiver.filters.transition` (constant
+velocity), `celnav.receiver.least_squares` (each epoch by itself) and
+`celnav.filters.adaptive.innovation_window` (the adaptive filter).
 """
 
 from __future__ import annotations
@@ -183,7 +183,7 @@ class Config(Timed):
     )
 
     def check(self) -> None:
-        """Check the density, that turn and burst start before they end, and the number of
+        """Check the density, the order of start and end of turn and burst, and the number of
         epochs."""
         number("acceleration_noise_m2_per_s3", self.acceleration_noise, 0.0)
         if self.assumed_m is not None:
@@ -224,10 +224,10 @@ class Config(Timed):
 
     @property
     def acceleration_noise(self) -> float:
-        """Density of the white acceleration, m^2/s^3; by default ``a^2 T``, which compensates a
-        constant acceleration."""
-        given = self.acceleration_noise_m2_per_s3
-        return self.acceleration**2 * self.interval_s if given is None else given
+        """Spectral density of the white acceleration, m^2/s^3; by default ``a^2 T``, which accounts
+        for a constant acceleration."""
+        density = self.acceleration_noise_m2_per_s3
+        return self.acceleration**2 * self.interval_s if density is None else density
 
     @property
     def Q(self) -> Array:
@@ -256,7 +256,7 @@ PRESETS = {
 
 
 def axes(config: Config) -> Array:
-    """East, north, up at the middle of the circle, the rows of ``(3, 3)``."""
+    """East, north and up at the center of the circle, as rows ``(3, 3)``."""
     return local_axes(*np.radians([config.latitude_deg, config.longitude_deg]).tolist())
 
 
@@ -290,14 +290,14 @@ class Satellites(NamedTuple):
 
 @lru_cache(maxsize=32)
 def visible(config: Config) -> Satellites:
-    """The satellites of the synthetic constellation that are above the mask at some time."""
+    """The satellites of the synthetic constellation that rise above the mask at some time."""
     broadcast = synthetic()
     position, velocity = circle(config)
-    seen = pseudorange.sources(broadcast, START_S + config.times, position, velocity)
-    up = look(seen.q, position, axes(config)).elevation
+    sources = pseudorange.sources(broadcast, START_S + config.times, position, velocity)
+    up = look(sources.q, position, axes(config)).elevation
     chosen = (up >= np.radians(config.mask_deg)).any(0)
     return Satellites(
-        broadcast.chosen(chosen).names, seen.q[:, chosen], seen.w[:, chosen], up[:, chosen]
+        broadcast.chosen(chosen).names, sources.q[:, chosen], sources.w[:, chosen], up[:, chosen]
     )
 
 
@@ -338,7 +338,7 @@ def simulate(config: Config, rngs: Sequence[np.random.Generator]) -> Scenario:
         velocity[:, None],
         [c.bias_m, c.drift_m_per_s],
     )
-    if c.motion == "model":  # the satellites stay where they are for the circle
+    if c.motion == "model":  # the satellites have the same positions as for the circle
         first, walk, noise = normals(rngs, (8,), (T, 8), (T, 2 * S))
         moved = slice(0, 8)
     F = c.F[moved, moved]
@@ -363,7 +363,7 @@ def burst(config: Config, S: int) -> Array:
     if config.burst == "one":
         if config.burst_satellite >= S:
             raise ValueError(
-                f"burst_satellite: expected a place below {S}, the number of satellites, got "
+                f"burst_satellite: expected an index below {S}, the number of satellites, got "
                 f"{config.burst_satellite}"
             )
         hit[
@@ -381,10 +381,10 @@ def ukf(config: Config) -> Rule:
 
 def adapted(config: Config, S: int, rule: Any, *hook: Hook, Q: Array | None = None) -> Sequential:
     """A filter with the paper's model for S satellites: constant velocity, which is linear, and a
-    measurement by the ``rule``.
+    measurement with the ``rule``.
 
-    ``Q``: process noise ``(..., 8, 8)`` instead of the configuration's, with one for each run if it
-    has that axis.
+    Q: process noise covariance ``(..., 8, 8)`` that replaces the configuration's, optionally with
+    one matrix per run.
     """
     sensor = Sensor(
         lambda x, epoch: pseudorange.measure(x, *epoch.u),
@@ -401,20 +401,20 @@ def adapted(config: Config, S: int, rule: Any, *hook: Hook, Q: Array | None = No
 
 
 def filters(config: Config, S: int | None = None, Q: Array | None = None) -> dict[str, Filter]:
-    """The filters by name, for ``S`` satellites, by default those visible in this configuration;
-    ``Q``: see `adapted`.
+    """The filters by name. S: number of satellites, by default the visible satellites; ``Q``: see
+    `adapted`.
 
-    ls: every epoch by itself. ekf, ukf. aukf: the paper's, adapted by a window of innovations.
-    group, channel: adapted by the part of the residual that no state explains. gate, huber,
-    student, sage-husa: baselines. The filters after ukf are unscented too.
+    ls: least squares for every epoch by itself. ekf, ukf. aukf: the paper's filter, adapted by a
+    window of innovations. group, channel: adapted by the part of the residual that no state can
+    explain. gate, huber, student, sage-husa: baselines. The filters after ukf are unscented too.
     """
     S = len(visible(config).names) if S is None else S
     rule = ukf(config)
     ekf = adapted(config, S, Taylor(), Q=Q)
-    known = {
+    others = {
         name: adapted(config, S, rule, *hook, Q=Q) for name, hook in hooks(S, config.window).items()
     }
-    return {"ls": least_squares(*ekf.sensors), "ekf": ekf, **known}
+    return {"ls": least_squares(*ekf.sensors), "ekf": ekf, **others}
 
 
 def noise_factors(track: Track, config: Config, S: int) -> Array:
@@ -428,8 +428,8 @@ JUDGED = {group.name: group.unit for group in GROUPS}
 
 
 def trial(config: Config, rngs: Sequence[np.random.Generator]) -> Trial:
-    """One run for each generator. There is no bound, because the track is not drawn from the
-    filters' model."""
+    """A trial with one run for each generator. There is no bound, because the track is not drawn
+    from the filters' model."""
     sim = simulate(config, rngs)
     return Trial(
         GROUPS,

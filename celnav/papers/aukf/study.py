@@ -1,7 +1,7 @@
-"""The study of [Fan]: the runs, and the numbers that decide what the paper states and what we
-found.
+"""The study of [Fan]: the runs, and the numbers that decide the paper's statements and our
+findings.
 
-The paper's curves and Table 1 are lost. A check that needs a level uses that of an independent
+The paper's curves and Table 1 are lost. A check that needs a level uses the level of an independent
 prototype with ten runs.
 """
 
@@ -88,7 +88,7 @@ __all__ = [
 Arrays = dict[str, Array]
 Change = Mapping[str, Any]
 INPUTS = ("rinex",)
-"""Arguments of `parts` that may be given on the command line: folders."""
+"""Arguments of `parts` that are also options of the command line: folders."""
 AXES = tuple(Group(name, "m", slice(i, i + 1)) for i, name in enumerate("XYZ"))
 SETTLED_S = 10.0
 AFTER_S = 5.0
@@ -129,30 +129,29 @@ DENSITIES = {
 """Densities of the white acceleration in the filters, m^2/s^3."""
 INITIAL_KM = (1.0, 10.0, 100.0, 1000.0)
 STARTS = ("10/10", "1e3/1e3", "1e3/10", "1e5/1e5", "1e5/10", "1e6/1e6", "1e6/10")
-"""Standard deviations of the initial position, m: the true one and the assumed one."""
+"""Standard deviations of the initial position, m: true / assumed."""
 START_M = (10.0, 1e2, 1e3, 1e4, 1e5, 1e6)
 WINDOWS = (1, 2, 5, 10, 20, 50, 100)
-"""Standard deviations of the initial position at 10 Hz, each assumed correctly and as a tenth; and
+"""Initial standard deviations of the position at 10 Hz, each assumed correctly and as a tenth; and
 epochs in the window of the AUKF."""
 SHAPES = ("noise", "constant")
 STRUCK = range(1, 13)
 ROBUST = (*PAIR, "group", "channel", "huber")
-"""What is added to bad ranges (a constant on all is a step of the clock), how many of twelve are
-bad, and the filters that may withstand it."""
+"""Errors that are added to bad ranges (a constant on all ranges is a clock step), numbers of bad
+ranges of twelve, and the compared filters."""
 READINGS = tuple(
     f"{channels}, {rate}"
     for rate in ("10 Hz", "1 Hz")
     for channels in ("ranges", "ranges and rates", "one range")
 )
-"""Parts for the possible readings of the burst, which the paper does not specify."""
+"""Parts for the possible interpretations of the burst, which the paper does not specify."""
 
 
 class Flight(NamedTuple):
     """Filters by name that run on the standard configuration with a change, and with the further
     changes of each case.
 
-    ``cases``: by a prefix of the filters' names; with the same random numbers, or others if
-    ``anew``.
+    cases: by a prefix of the filters' names. anew: whether each case has its own random numbers.
     """
 
     names: Sequence[str]
@@ -162,8 +161,8 @@ class Flight(NamedTuple):
 
 
 def parts(effort: float = 1.0, rinex: Path | None = None) -> dict[str, Part]:
-    """All that is computed; ``rinex``: folder of a station's files. At an effort below `BRIEF` the
-    burst at 10 Hz is earlier and shorter, and operations are counted with fewer satellites."""
+    """All parts of the study; ``rinex``: folder of a station's files. At an effort below `BRIEF`
+    the burst at 10 Hz is earlier and shorter, and operations are counted with fewer satellites."""
     standard = STANDARD
     sky = STANDARD
     end = 15.0
@@ -193,7 +192,7 @@ def parts(effort: float = 1.0, rinex: Path | None = None) -> dict[str, Part]:
 
     def add(number: int, runs: int, *draws: Mapping[str, Flight]) -> None:
         """Add parts with a number. Their random numbers are drawn one after the other; flights in
-        the same braces share them."""
+        the same dict share them."""
         earlier: list[Config] = []
         for draw in draws:
             for name, flight in draw.items():
@@ -364,8 +363,7 @@ def of_factors(A: Array, struck: Array) -> Arrays:
 
 
 def no_redraw(config: Config, S: int) -> Filter:
-    """UKF whose measurement uses the sigma points of the prediction, which lack the process
-    noise."""
+    """UKF whose update uses the sigma points of the prediction, which lack the process noise."""
     plain = filters(config, S)["ukf"]
     W = np.linalg.cholesky(config.Q)
     V = np.sqrt(config.R(S))
@@ -417,8 +415,8 @@ def nodes(_: Config, rngs: Rngs) -> Arrays:
 
 
 def polar(_: Config, rngs: Rngs) -> Arrays:
-    """From polar coordinates, 1 +- 0.02 and 90 +- 15 deg, to Cartesian ones: samples, images of the
-    sigma points, means and standard deviations."""
+    """Transform from polar coordinates, 1 +- 0.02 and 90 +- 15 deg, to Cartesian coordinates:
+    samples, images of the sigma points, means and standard deviations."""
     rule = unscented(2, 1.0, 0.0, 1.0)
     mean = np.array([1.0, np.pi / 2.0])
     std = np.array([0.02, np.radians(15.0)])
@@ -443,7 +441,8 @@ def polar(_: Config, rngs: Rngs) -> Arrays:
 
 
 def transform(_: Config, rngs: Rngs) -> Arrays:
-    """The unscented transform of random quadratic maps of 2 to 8 Gaussians against exact moments.
+    """The unscented transform of random quadratic maps of 2 to 8 Gaussians, compared with exact
+    moments.
 
     mean: largest relative error. slope: order of the covariance's error in the standard deviation.
     """
@@ -486,19 +485,20 @@ def rms(r: Results, part: str, name: str, at: str, group: str = "position") -> f
 def over(
     label: str, part: str, a: str, b: str, at: str, accept: Bounds = (None, None), **more: Any
 ) -> Decided:
-    """Position RMSE in a window over that of another filter in the same part."""
+    """Position RMSE ratio of filters ``a`` and ``b`` of the same part, in a window."""
     return ratio(label, (part, a), (part, b), "position", accept, at=at, **more)
 
 
 def by_axis(
     label: str, part: str, a: str, b: str, at: str, accept: Bounds = (None, 1.0)
 ) -> list[Decided]:
-    """The same for X, Y and Z."""
+    """`over` for X, Y and Z."""
     return [ratio(f"{g.name}, {label}", (part, a), (part, b), g.name, accept, at=at) for g in AXES]
 
 
 def apart(label: str, a: str, b: str, at: str, most: float, r: Results) -> Number:
-    """RMS distance of two filters' estimates without a burst, over the RMSE of the second."""
+    """RMS difference of two filters' estimates without a burst, relative to the RMSE of the
+    second."""
     away = (r.error("none", a, "position") - r.error("none", b, "position"))[r.at("none", at)]
     return Number(
         label, float(np.sqrt(np.square(away).sum(-1).mean())) / rms(r, "none", b, at), (None, most)
@@ -518,8 +518,8 @@ def correlation(name: str, accept: Bounds, r: Results) -> Number:
 
 
 def same(r: Results) -> list[Number]:
-    """EKF and UKF on the paper's runs: their largest difference (m), the same over the RMSE, ratios
-    by axis, and initial errors from which they differ."""
+    """EKF and UKF on the paper's runs: largest difference (m, and relative to the RMSE), ratios by
+    axis, and initial errors from which they differ."""
     cases = [
         ("none", "all"),
         ("ranges, 10 Hz", "all"),
@@ -591,8 +591,8 @@ def undisturbed(share: bool = False) -> list[Decided]:
 
 
 def suppressed(part: str) -> list[Decided]:
-    """RMSE of the AUKF in the burst over the UKF's, over its quiet error, and over the UKF's by
-    axis."""
+    """RMSE of the AUKF in the burst, relative to the UKF's RMSE, to its own RMSE without a burst,
+    and to the UKF's RMSE by axis."""
     over_quiet = over(
         f"{part}: RMSE over its quiet RMSE",
         part,
@@ -611,7 +611,7 @@ def suppressed(part: str) -> list[Decided]:
 
 def recovery(part: str) -> list[Decided]:
     """Time after the burst until the position error is below twice the quiet RMSE, for the AUKF and
-    over the UKF's; RMSE after the burst over the UKF's."""
+    relative to the UKF; RMSE after the burst relative to the UKF."""
 
     def seconds(r: Results, name: str) -> Array:
         burst = r.at(part, "burst")
@@ -653,8 +653,8 @@ def first(below: Array, more: int = 0) -> Array:
 
 
 def outliers(count: int, at: str) -> list[Decided]:
-    """RMSE of the AUKF with outliers in ``count`` ranges, at one epoch or for ten seconds: over its
-    quiet RMSE, and over the UKF's."""
+    """RMSE of the AUKF with outliers in ``count`` ranges, at one epoch or for ten seconds, relative
+    to its quiet RMSE and to the UKF's RMSE."""
     part = {1: "one range, 10 Hz", 15: "ranges, 10 Hz"}.get(count, f"{count} ranges")
     label = f"bad ranges: {count}, {'one epoch' if at == 'first' else 'ten seconds'}"
     quiet_bounds, ukf_bounds = (
@@ -669,8 +669,8 @@ def outliers(count: int, at: str) -> list[Decided]:
 
 
 def sensitive(r: Results) -> Tiers:
-    """Largest cost of statistics that are wrong by at most a factor of 10, and of such an initial
-    error; epochs from wrong initial errors."""
+    """Largest increase of the RMSE if statistics, or the initial error, are wrong by at most a
+    factor of 10; settling time in epochs from wrong initial errors."""
     *costs, far = [
         ratio(part, (part, "ukf"), ("near/Q 1", "ukf"), "position", at="all")(r)
         for part in ("near/Q 0.1", "near/Q 10", "near/R 0.3", "near/R 3", "far")
@@ -699,8 +699,8 @@ def sensitive(r: Results) -> Tiers:
 
 
 def settling(r: Results, start: str, name: str) -> Array:
-    """Epochs ``(runs,)`` until the position error is below twice the settled RMSE, which is that of
-    the last half from 10 m."""
+    """Epochs ``(runs,)`` until the position error is below twice the settled RMSE, the RMSE of the
+    last half with an initial error of 10 m."""
     errors, settled = (
         np.linalg.norm(r.error(part, name, "position"), axis=-1) for part in (start, STARTS[0])
     )
@@ -708,8 +708,8 @@ def settling(r: Results, start: str, name: str) -> Array:
 
 
 def later(label: str, part: str, case: str, most: float, r: Results, since: int = 0) -> Number:
-    """Median over the runs of how much later (s) than the UKF's the AUKF's position error stays
-    below a level."""
+    """Median over the runs of the delay (s) of the AUKF relative to the UKF, until the position
+    error stays below a level."""
 
     def until(name: str) -> Array:
         below = np.linalg.norm(r.error(part, case + name, "position")[since:], axis=-1) < most
@@ -721,8 +721,8 @@ def later(label: str, part: str, case: str, most: float, r: Results, since: int 
 
 
 def convergence(r: Results) -> list[Number]:
-    """Number of initial errors from which the AUKF is sooner, or later, below three times the
-    settled error of the UKF; and the same after the burst."""
+    """Number of initial errors from which the AUKF reaches three times the settled error of the UKF
+    sooner, or later; and the delay after the burst."""
     quick, slow = (
         3.0 * rms(r, *case, "settled") for case in (("starts", "10/10/ukf"), (STARTS[0], "ukf"))
     )
@@ -741,8 +741,8 @@ def convergence(r: Results) -> list[Number]:
 
 
 def gap(r: Results) -> list[Number]:
-    """AUKF over UKF without a burst where noise is larger than assumed, and the gap over that with
-    the right noise."""
+    """RMSE ratio of AUKF to UKF without a burst if the noise is larger than assumed, and its excess
+    over the ratio with correct noise."""
     squares = [
         r.squares(part, name, "position", "all").sum(-1)
         for part in ("mistuned", "quiet")
@@ -763,8 +763,8 @@ def gap(r: Results) -> list[Number]:
 
 
 def window_range(r: Results) -> list[Number]:
-    """AUKF over UKF, quiet and in the burst, by window; the number of windows with which it is
-    better in both; the best window."""
+    """RMSE ratio of AUKF to UKF, without and in the burst, by window length; the number of lengths
+    with a smaller RMSE in both; the best length."""
     out = list[Number]()
     for rate, decade, least in (("10 Hz", (10, 20, 50, 100), None), ("1 Hz", (), 0.5)):
         part = f"windows, {rate}"
@@ -800,8 +800,8 @@ def window_range(r: Results) -> list[Number]:
 
 
 def bad(shape: str, k: int, name: str, most: Bounds, own: bool = True) -> Decided:
-    """RMSE in the burst on ``k`` of twelve ranges, over that just before it (``own``), or over the
-    UKF's."""
+    """RMSE in the burst on ``k`` of twelve ranges, relative to the RMSE just before it (``own``) or
+    to the UKF's RMSE."""
     case = f"{shape} {k}/"
     label = f"{name}, {shape} on {k} of 12 ranges: over {'its quiet RMSE' if own else 'the UKF'}"
     return over(
@@ -863,15 +863,15 @@ def limits(r: Results) -> list[Number]:
 
 
 def after_burst(r: Results) -> Number:
-    """How much later (s) than the UKF the AUKF stays below three times the quiet RMSE, after the
-    burst on ranges."""
+    """Delay (s) of the AUKF relative to the UKF, until it stays below three times the quiet RMSE
+    after the burst on ranges."""
     part = "ranges, 10 Hz"
     end = r.at(part, "burst").stop  # type: ignore[union-attr]
     return later("after the burst", part, "", 3.0 * rms(r, part, "ukf", "quiet"), r, end)
 
 
 def converges(r: Results) -> Tiers:
-    """Epochs that the AUKF needs more than the EKF and the UKF, in the median; in part: it is
+    """Median number of epochs that the AUKF needs in addition to EKF and UKF; "in part" if it is
     sooner after the burst."""
     more = [
         estimate(

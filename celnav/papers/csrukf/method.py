@@ -1,8 +1,8 @@
 """The covariance of [Sun2015]'s filter in five forms, in the precision of the given arrays.
 
-Neither celnav nor numpy factors in single precision: a `celnav.Gaussian` holds doubles, and numpy
-computes in double precision and rounds at the end. So the factorizations are written out here. A
-matrix without a square root gives nan, and so does everything that follows from it.
+Neither celnav nor numpy factors in single precision: a `celnav.Gaussian` has doubles, and numpy
+computes in double precision and rounds at the end. So this module has its own factorizations. A
+matrix without a square root gives nan, which propagates.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from celnav.papers.csrukf.scenario import Config, H, Scenario, simulate
 __all__ = ["FORMS", "ROOTS", "cholesky", "compared", "downdate", "fly", "step", "tria", "updated"]
 
 Cases = Sequence[tuple[Config, float]]
-"""Configurations with the same number of steps, each with the number of length units per kilometer
-in which it is computed."""
+"""Configurations with the same number of steps, each with the unit of length of its computation,
+as units per kilometer."""
 
 FORMS = {
     "plain": "P - K S K'",
@@ -32,8 +32,8 @@ FORMS = {
     "downdated": "QR and downdate, as printed",
     "array": "one QR",
 }
-"""Forms of an update: of the covariance, of the covariance made symmetric, and as a sum; of the
-square root with a downdate [Sun2015, Eqs. 32-37], and without a difference."""
+"""Forms of an update: covariance, symmetrized covariance, covariance as a sum; square root with a
+downdate [Sun2015, Eqs. 32-37], and square root without a difference."""
 ROOTS = ("downdated", "array")
 
 
@@ -101,8 +101,8 @@ def updated(form: str, factor: Array, D: Array, E: Array, sqrt_R: Array) -> tupl
     deviations of the sigma points of state and measurement, so that ``P = D D'`` and
     ``S = E E' + R``.
     """
-    # The deviations stand before the noise, as printed. If the measurement is precise they are
-    # larger, and reflections that start with the large columns keep the digits of the small ones.
+    # The deviations precede the noise, as printed. For a precise measurement they are larger, and
+    # reflections that start with large columns preserve the digits of the small columns.
     A = side_by_side([E, sqrt_R])
     m = E.shape[-2]
     if form == "array":
@@ -148,7 +148,7 @@ def step(
 def fly(
     form: str, precision: str, cases: Cases, sims: Sequence[Scenario]
 ) -> Iterator[tuple[Array, Array]]:
-    """CSRUKF [Sun2015, Eqs. 21-37], corrected; with angles SRUKF, for white noise.
+    """Run CSRUKF [Sun2015, Eqs. 21-37], corrected; for angles, SRUKF with white noise.
 
     Yields mean, and covariance or root, at each epoch but the first, ``(cases, runs, ...)`` in km
     and km/s.

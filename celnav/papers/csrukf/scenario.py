@@ -148,7 +148,7 @@ class Config(Timed):
     kappa: float = param(0.0, "chosen", "second parameter of the spread of the sigma points")
 
     def check(self) -> None:
-        """Check that the orbit is above the Earth, and that noise and sigma points exist."""
+        """Check that the orbit is above the Earth, and that noise and sigma points are valid."""
         if (a := self.semi_major_axis_km) <= (
             least := orbit.EARTH.radius_km / (1.0 - self.eccentricity)
         ):
@@ -189,13 +189,13 @@ class Config(Timed):
 
     @property
     def increment(self) -> float:
-        """Standard deviation of the noise increments over that of `sigma`."""
+        """Ratio of the standard deviation of the noise increments to `sigma`."""
         return float(np.sqrt(1.0 - self.phi**2)) if self.noise_level == "stationary" else 1.0
 
     @property
     def sigma(self) -> Array:
-        """Standard deviations ``(3,)`` of the measurements, as given: km, or rad of the two angles
-        to the stars and of the Earth's diameter."""
+        """Standard deviations ``(3,)`` of the measurements: of positions, km; or of the two angles
+        to the stars and of the Earth's angular diameter, rad."""
         if self.measured == "positions":
             return np.full(3, self.sigma_km)
         camera = np.radians(self.camera_deg)
@@ -268,7 +268,7 @@ STRESS = replace(P, steps=200, runs=200, noise_position_km=0.2, noise_velocity_k
 PRESETS = {"P": P, "D": D, "B": B, "stress": STRESS}
 """Fitted to the final errors; a poor prior; fitted to the time averages; strong process noise."""
 MISSION = {"noise_level": "stationary"}
-"""What a mission starts from instead: the size of the noise then does not depend on its color."""
+"""Default parameters of a mission: the variance of the noise does not depend on its correlation."""
 
 
 # -- simulation ------------------------------------------------------------------------------------
@@ -288,8 +288,8 @@ class Scenario(NamedTuple):
     angles: Array | None = None
 
     def epochs(self, filter: str = "") -> Epochs:
-        """What a filter of `filters` is given: positions or angles. Filters that assume white noise
-        are not given the first sample."""
+        """Epochs for a filter of `filters`: positions or angles. Filters that assume white noise do
+        not get the first sample."""
         z = self.z
         truth = self.truth
         first = not filter.startswith("srukf")
@@ -297,7 +297,7 @@ class Scenario(NamedTuple):
             z = np.asarray(self.angles)
             first = filter == "angles+z0" or self.config.phi != 0.0
         if filter == "lagged":
-            truth = np.concatenate([truth[:1], truth[:-1]])  # its estimate is of the epoch before
+            truth = np.concatenate([truth[:1], truth[:-1]])  # it estimates the previous epoch
         return epochs(
             self.config.times,
             z if first else np.concatenate([np.full_like(z[:1], np.nan), z[1:]]),
@@ -351,8 +351,8 @@ def white(config: Config, R: Any) -> Filter:
 
 
 def assuming(config: Config, R: Any, Phi: Array | None = None) -> Filter:
-    """CSRUKF in one transform, for pseudo-positions, with an assumed coefficient and increments of
-    covariance ``R``."""
+    """CSRUKF with one transform, for pseudo-positions, with an assumed coefficient and increments
+    of covariance ``R``."""
     sensor = Sensor(H, np.eye(3))  # the first sample is not used
     return colored(
         orbital(config),
@@ -365,17 +365,17 @@ def assuming(config: Config, R: Any, Phi: Array | None = None) -> Filter:
 
 
 def filters(config: Config) -> dict[str, Filter]:
-    """The filters, by the names that figures and tables use; openloop: uses no measurement.
+    """The filters by name, as in figures and tables; openloop uses no measurements.
 
-    With positions: srukf: assumes white noise. csrukf: the paper's structure, corrected. csrukf+z0:
-    uses the first sample, in one transform. augmented: the exact reference. srukf-reff: assumes
-    white noise of the same spectral density at zero frequency. For a random walk, which has none,
-    srukf-inflated: assumes white noise of half the final variance of the walk.
+    With positions: srukf assumes white noise. csrukf has the paper's structure, corrected.
+    csrukf+z0 also uses the first sample, with one transform. augmented is the exact reference.
+    srukf-reff assumes white noise with the same spectral density at zero frequency; a random walk
+    has none, so srukf-inflated assumes white noise with half the final variance of the walk.
 
-    With angles: srukf-isotropic, csrukf-isotropic: use pseudo-positions and assume the same noise
-    on all components. csrukf-jacobian: uses the covariance that follows from the angles. angles:
-    uses the angles themselves, and whitens their noise if it is colored. angles+z0: uses the first
-    sample too; the exact reference.
+    With angles: srukf-isotropic and csrukf-isotropic use pseudo-positions and assume the same noise
+    on all components. csrukf-jacobian uses the covariance that follows from the angles. angles uses
+    the angles themselves, and whitens their noise if it is colored. angles+z0 also uses the first
+    sample, and is the exact reference.
     """
     c = config
     motion = orbital(config)

@@ -1,5 +1,5 @@
-"""The study of [Sun2015]: the runs, and the numbers that decide what the paper states, what is
-wrong in it, and what we found."""
+"""The study of [Sun2015]: the runs, and the numbers that decide the paper's statements, its errors,
+and our findings."""
 
 from __future__ import annotations
 
@@ -96,8 +96,8 @@ HELD = {
     "stationary covariance": lambda phi: 1.0 - phi**2,
     "spectral density": lambda phi: (1.0 - phi) ** 2,
 }
-"""What may be held fixed instead of the increments while phi grows, and the factor by which that
-scales the covariance of the increments."""
+"""Quantities that may stay fixed, instead of the increments, while phi increases, and the resulting
+factors of the increments' covariance."""
 LEDGER = Path(__file__).with_name("ledger.toml")
 TABLE_1, TABLE_2, TABLE_3 = (read_printed(LEDGER)[f"table-{n}-levels"] for n in (1, 2, 3))
 """RMSE of x, y, z (km) and vx, vy, vz (m/s), as printed."""
@@ -117,11 +117,11 @@ class Other(Decorrelated):
 
 
 def variants(config: Config) -> dict[str, Filter]:
-    """Filters that are compared with those of `filters`.
+    """Further filters for comparison with `filters`.
 
-    lagged: csrukf's estimate of the epoch before, which has used one sample more. printed roots: Q*
-    and R* themselves in the QR of Eqs. 27, 32. without J: whitened, not decorrelated. phi ...:
-    csrukf with that assumed coefficient.
+    lagged: csrukf's estimate of the previous epoch, which uses one more sample. printed roots: Q*
+    and R* themselves, not their roots, in the QR of Eqs. 27, 32. without J: whitened, but not
+    decorrelated. phi ...: csrukf with that assumed coefficient.
     """
     csrukf: Any = filters(config)["csrukf"]
     star = decorrelation(H, config.sqrt_Q, np.sqrt(config.R))
@@ -155,8 +155,8 @@ def with_variants(config: Config, rngs: Rngs) -> Trial:
 
 
 def walk(config: Config, rngs: Rngs) -> dict[str, Array]:
-    """The colored noise itself, as the error of a filter that follows the noise: ``noise/error (T,
-    runs, 6)``."""
+    """The colored noise itself, as the error of a filter that returns each measurement:
+    ``noise/error (T, runs, 6)``."""
     noise = simulate(config, rngs).noise
     return {"noise/error": np.concatenate([noise, 0.0 * noise], -1)}
 
@@ -211,16 +211,17 @@ def theory(long_steps: int, config: Config, _: Rngs) -> dict[str, Array]:
 
 
 def settings(count: int, config: Config, rngs: Rngs) -> dict[str, Array]:
-    """Could other parameters give Table 3? Time-averaged errors over random sigma, P0, Q and
-    Sigma0, each ``(count,)``.
+    """Time-averaged errors with random sigma, P0, Q and Sigma0, each ``(count,)``: can other
+    parameters give Table 3?
 
-    Drawn log-uniformly: sigma 0.03 to 3 km, the prior 0.1 to 10 sigma and 3 mm/s to 0.3 m/s,
-    process noise 1e-4 to 0.1 sigma and 1e-6 to 1e-4 m/s, Sigma0 0.1 to 10 R. Table 1 is
-    possible with priors in these ranges.
+    The parameters are log-uniform: sigma from 0.03 to 3 km; the prior from 0.1 to 10 sigma and from
+    3 mm/s to 0.3 m/s; process noise from 1e-4 to 0.1 sigma and from 1e-6 to 1e-4 m/s; Sigma0 from
+    0.1 to 10 R. Table 1 is possible with priors in these ranges.
 
-    growth: of the SRUKF's error from 0.8 I to I. gain: the SRUKF's error at 0.8 I over the bound of
-    all measurements. The bound of their differences, which CSRUKF reaches, does not bound SRUKF.
-    misfit: largest factor between the 24 errors of a parameter set and the printed ones.
+    growth: ratio of the SRUKF's errors at I and 0.8 I. gain: ratio of the SRUKF's error at 0.8 I to
+    the bound of all measurements. (The bound of measurement differences, which CSRUKF reaches, is
+    not a bound for SRUKF.) misfit: largest factor between the 24 errors of a parameter set and the
+    printed errors.
     """
     ends = ((-1.5, 0.5), (-1.0, 1.0), (-5.5, -3.5), (-4.0, -1.0), (-9.0, -7.0), (-0.5, 0.5))
     sigma, p_r, p_v, q_r, q_v, s0 = (10.0 ** rngs[0].uniform(*end, count) for end in ends)
@@ -253,9 +254,9 @@ def settings(count: int, config: Config, rngs: Rngs) -> dict[str, Array]:
 def geometry(config: Config, _: Rngs) -> dict[str, Array]:
     """Eqs. 40 to 42 over one revolution of the printed orbit, from angles without noise.
 
-    radius: by Eq. 41 as printed, over the true radius. wrong: position error (km) of the printed
-    root at each epoch. corrected: the same if the hemisphere is given. later: position error of the
-    printed root 300 s past the equator.
+    radius: radius by Eq. 41 as printed, relative to the true radius. wrong: position error (km) of
+    the printed root at each epoch. corrected: position error with the correct hemisphere. later:
+    position error of the printed root 300 s after the equator.
     """
     period = 2.0 * np.pi * np.sqrt(config.semi_major_axis_km**3 / orbit.EARTH.mu)
     separation = config.separation
@@ -276,8 +277,8 @@ def geometry(config: Config, _: Rngs) -> dict[str, Array]:
 
 
 def redrawn(_: Config, rngs: Rngs) -> dict[str, Array]:
-    """One linear step in which the points of the prediction are used again (Eqs. 29-32), or drawn
-    anew: differences from the Kalman filter."""
+    """One linear step whose update reuses the points of the prediction (Eqs. 29-32), or draws new
+    points: differences from the Kalman filter."""
     F = np.eye(6) + 0.1 * rngs[0].standard_normal((6, 6))
     z = rngs[0].standard_normal(3)
     eye = np.eye(6)
@@ -302,12 +303,12 @@ def redrawn(_: Config, rngs: Rngs) -> dict[str, Array]:
 
 
 def linear(_: Config, rngs: Rngs) -> dict[str, Array]:
-    """A random linear system with colored noise: is the decorrelation complete, and are the
-    estimates those of exact conditioning?
+    """A random linear system with colored noise: test of the decorrelation, and comparison with
+    exact conditioning.
 
-    cross: covariance of process and differenced noise after the decorrelation, over its size
-    before. corrected, first sample lost: differences of mean and standard deviation from the filter
-    that carries the noise in its state, in standard deviations, over 40 epochs.
+    cross: covariance of process and differenced noise after the decorrelation, relative to before.
+    corrected, first sample lost: differences of mean and standard deviation from the filter with
+    the noise in its state, in standard deviations, over 40 epochs.
     """
     (rng,) = rngs
     n = 6
@@ -327,12 +328,12 @@ def linear(_: Config, rngs: Rngs) -> dict[str, Array]:
     z = celnav.simulate(
         motion, sensor, prior, times, runs=1, seed=int(rng.integers(2**31)), Phi=Phi
     )[1]
-    known = (
+    candidates = (
         augmented(motion, sensor, Phi),
         colored(motion, sensor, Phi),
         decorrelated(motion, sensor, Phi, first=False),
     )
-    exact, *others = (run(filter, prior, times, z, keep="cov") for filter in known)
+    exact, *others = (run(filter, prior, times, z, keep="cov") for filter in candidates)
     for name, track in zip(("corrected", "first sample lost"), others, strict=True):
         std = exact.std[..., :n]
         apart = np.broadcast_arrays(track.mean - exact.mean[..., :n], track.std - std)
@@ -341,8 +342,9 @@ def linear(_: Config, rngs: Rngs) -> dict[str, Array]:
 
 
 def parts(effort: float = 1.0) -> dict[str, Part]:
-    """All that is computed. The long arc, the random parameter sets and the runs of `compared` grow
-    with the effort. The sweep over coefficients has shorter runs at an effort below `BRIEF`."""
+    """All parts of the study. The long arc, the random parameter sets and the runs of `compared`
+    grow with the effort. Below an effort of `BRIEF` the sweep over coefficients has shorter runs.
+    """
 
     filter_runs = partial(monte_carlo, with_variants, cov=True)
 
@@ -408,12 +410,12 @@ SETTINGS = {"0.8, many": "Φ = 0.8 I", "I": "Φ = I", "D/I": "Φ = I, poor prior
 
 
 def length(printed: Sequence[float], group: str) -> float:
-    """A printed 3-D length."""
+    """Norm of the printed errors of position or velocity."""
     return float(np.linalg.norm(printed[GROUPS[BOTH.index(group)].part]))
 
 
 def better(case: str, position: float, velocity: float) -> list[Decided]:
-    """RMSE of CSRUKF over that of SRUKF, at the end and averaged."""
+    """RMSE ratio of CSRUKF to SRUKF, at the end and averaged over time."""
     numbers = []
     for group, most in zip(BOTH, (position, velocity), strict=True):
         for at, when in ((-1, "at the end"), (ALL, "averaged")):
@@ -423,7 +425,8 @@ def better(case: str, position: float, velocity: float) -> list[Decided]:
 
 
 def changes(r: Results) -> Tiers:
-    """Growth of the SRUKF's error from 0.8 I to I over that of the CSRUKF's, ours and printed."""
+    """Growth of the SRUKF's error from 0.8 I to I, relative to the CSRUKF's growth; computed and
+    printed."""
     numbers = []
     cases = (("I", "srukf"), ("0.8", "srukf"), ("0.8", "csrukf"), ("I", "csrukf"))
     for group in BOTH:
@@ -506,8 +509,8 @@ def stable(r: Results) -> Tiers:
 
 
 def held_fixed(r: Results) -> list[Number]:
-    """Extreme factors by which a step up in phi changes the RMSE, over both priors, position and
-    velocity, at the end and averaged."""
+    """Smallest and largest factor of the RMSE for an increase of phi, over both priors, position
+    and velocity, at the end and averaged over time."""
 
     def step(extreme: Any, held: str, name: str, most: float | None = 1.0) -> Number:
         steps = []
@@ -531,8 +534,8 @@ def held_fixed(r: Results) -> list[Number]:
 
 
 def converges(case: str, prior: str) -> list[Decided]:
-    """Final error over the initial error, and over that of the open loop. An interval that contains
-    1 shows no convergence."""
+    """Ratios of the final error to the initial error and to the open-loop error. An interval that
+    contains 1 shows no convergence."""
     start = over(
         f"final over initial error, {prior}",
         case,
@@ -554,8 +557,8 @@ def converges(case: str, prior: str) -> list[Decided]:
 
 
 def over_theory(case: str) -> Decided:
-    """Final 3-D position RMSE of CSRUKF, of many runs, over the posterior Cramer-Rao bound of all
-    measurements. CSRUKF uses their differences only, the bound also the first sample itself."""
+    """Ratio of CSRUKF's final 3-D position RMSE, from many runs, to the posterior Cramer-Rao bound
+    of all measurements. CSRUKF uses only differences; the bound also uses the first sample."""
 
     def number(r: Results) -> Number:
         bound = np.square(r.get("theory", "P/csrukf+z0")[-1, SWEEP.index(PHIS[case]), :3]).sum()
@@ -566,8 +569,8 @@ def over_theory(case: str) -> Decided:
 
 
 def long_arc(r: Results) -> list[Number]:
-    """RMSE of SRUKF over the bound of all measurements after 3000 s, 3-D, from a poor prior. The
-    bound of their differences does not bound SRUKF, which uses the samples themselves."""
+    """Ratio of SRUKF's 3-D RMSE to the bound of all measurements after 3000 s, from a poor prior.
+    The bound of measurement differences is not a bound for SRUKF, which uses the samples."""
     srukf = r.get("theory", "long/srukf")[3000, :, :3]
     bound = r.get("theory", "long/csrukf+z0")[3000, :, :3]
     walk, colored = np.linalg.norm(srukf, axis=-1) / np.linalg.norm(bound, axis=-1)

@@ -1,5 +1,5 @@
-"""[Wu2012]: the attitude of a satellite from gyros and a star sensor. The text at hand has lost its
-equations."""
+"""[Wu2012]: the attitude of a satellite from gyros and a star sensor. Our copy of the paper lacks
+the equations."""
 
 from __future__ import annotations
 
@@ -206,7 +206,7 @@ class Scenario(NamedTuple):
         samples.
     stars: ``(T, runs, 4)``, of random sign; nan at the start.
     prior: with the paper's initial error.
-    drawn: with an initial error drawn from the prior, as consistency requires.
+    drawn: prior whose initial error is drawn from it, as consistency requires.
     """
 
     config: Config
@@ -224,8 +224,8 @@ class Scenario(NamedTuple):
         yield Epoch(0, 0.0, 0.0, None, nothing, self.truth[0])
         for n, sample in enumerate(self.gyro, start=1):
             k, rest = divmod(n, c.updates)
-            seen, truth = (nothing, None) if rest else (self.stars[k], self.truth[k])
-            yield Epoch(n, n * c.step_s, c.step_s, sample, seen, truth)
+            z, truth = (nothing, None) if rest else (self.stars[k], self.truth[k])
+            yield Epoch(n, n * c.step_s, c.step_s, sample, z, truth)
 
 
 def simulate(config: Config, rngs: Sequence[np.random.Generator]) -> Scenario:
@@ -241,8 +241,8 @@ def simulate(config: Config, rngs: Sequence[np.random.Generator]) -> Scenario:
         )
         drift = c.gyro.drift(np.asarray(c.bias_deg_per_h) * DEG_PER_H, walk, dt)
         gyro = c.gyro.measure(q, drift, white, dt)
-        # Integrated for a drift of zero: with 1 deg/h the order of such small turns matters less
-        # than 1e-12 rad.
+        # Integrated with zero drift: for 1 deg/h the error from the order of rotations is below
+        # 1e-12 rad.
         if c.preintegrated:
             gyro = preintegrate(
                 gyro.reshape(-1, c.ratio, *gyro.shape[1:]).swapaxes(0, 1), np.zeros(3), dt
@@ -272,8 +272,8 @@ def simulate(config: Config, rngs: Sequence[np.random.Generator]) -> Scenario:
 
 
 def displaced(truth: Array, error: Array) -> Array:
-    """States ``(..., 7)`` that become the truth if they are turned and moved by ``error (...,
-    6)``."""
+    """States ``(..., 7)`` whose error ``(..., 6)`` (rotation vector and drift) is ``error``: they
+    become the truth if the error is applied."""
     turned = attitude.multiply(attitude.inverse(attitude.exp(error[..., :3])), truth[..., :4])
     return np.concatenate([turned, truth[..., 4:] - error[..., 3:]], -1)
 
@@ -285,15 +285,15 @@ def path(config: Config) -> Array:
         attitude.from_euler(np.radians(config.attitude_deg)), np.radians(config.rate_deg_per_s)
     )
     body = Body(config.inertia, config.wheels, config.torque, config.orbit_rate_rad_per_s)
-    found = body.propagate(start, 1.0 / config.gyro_hz, config.samples)[:, :4]
-    found.flags.writeable = False
-    return found
+    q = body.propagate(start, 1.0 / config.gyro_hz, config.samples)[:, :4]
+    q.flags.writeable = False
+    return q
 
 
 # -- the filters -----------------------------------------------------------------------------------
 def spread(dimension: int, config: Config, *, c: float | None = None) -> Rule:
-    """Scaled unscented rule; ``c``: a given spread ``alpha^2 (L + kappa)``, the same for every
-    dimension."""
+    """Scaled unscented rule; ``c``: replaces ``alpha^2 (L + kappa)``, the squared distance of the
+    points, for every dimension."""
     kappa = config.kappa if c is None else c / config.alpha**2 - dimension
     return unscented(dimension, config.alpha, config.beta, kappa)
 
@@ -336,19 +336,18 @@ def filters(
     form: str = "covariance",
     vector: Sensor | None = None,
 ) -> dict[str, Sequential]:
-    """The paper's filters and others for comparison, by name; warns if points of the prior wrap at
-    180 deg.
+    """The paper's filters and others for comparison, by name; it warns if sigma points of the prior
+    wrap at 180 deg.
 
-    aukf: augmented with process and measurement noise in both parts (15 dimensions, 31 points).
-    aukf-1: the same with points drawn once for both parts, which keeps their common noise. ssukf:
-    augmented with each noise where it acts (12 and 9 dimensions, 25 and 19 points). pa, ma: with
-    process noise only, with measurement noise only [Merwe2004]. additive: with neither (6
-    dimensions, 13 points). usque: half of the process noise before the prediction, half after it.
-    mekf: linearized, in the Gibbs vector.
+    aukf: augmented with process and measurement noise in prediction and update (15 dimensions, 31
+    points). aukf-1: aukf with one draw of points for both, which preserves their common noise.
+    ssukf: augmented with each noise only where it acts (12 and 9 dimensions, 25 and 19 points). pa,
+    ma: augmented with process noise only, with measurement noise only [Merwe2004]. additive: not
+    augmented (6 dimensions, 13 points). usque: half of the process noise before the prediction,
+    half after it. mekf: linearized, with the Gibbs vector.
 
-    ``c``: one spread for all rules instead of ``alpha^2 (L + kappa)``. ``transported``: the
-    covariance is transported to the new reference after an update. ``vector``: a sensor instead of
-    the star sensor.
+    c: replaces ``alpha^2 (L + kappa)`` in all rules. transported: whether the covariance is
+    transported to the new reference after an update. vector: a sensor instead of the star sensor.
     """
     reach = np.degrees(np.abs(spread(15, config, c=c).nodes).max() * config.sigma0[:3].max())
     if reach > 180.0:  # longer rotations would be read as shorter ones
@@ -369,7 +368,7 @@ def filters(
     space, gibbs = (
         state_space(transported=transported, a=a, b=2.0 * (a + 1.0)) for a in (1.0, 0.0)
     )
-    seen = vector or Sensor(star, sqrt_R=V, space=attitude.attitude())
+    sensor = vector or Sensor(star, sqrt_R=V, space=attitude.attitude())
     linear = vector or Sensor(
         star, sqrt_R=V, space=attitude.attitude(0.0, 2.0), jacobian=lambda _x, _epoch: np.eye(3, 6)
     )
@@ -377,13 +376,13 @@ def filters(
     mekf = Motion(
         f, Q, space=gibbs, jacobian=lambda x, epoch: gyro.transition(x, epoch.u, epoch.dt)
     )
-    known = augmentations(
-        Motion(f, Q, space=space), seen, W, V, rule=lambda L: spread(L, config, c=c), form=form
+    by_name = augmentations(
+        Motion(f, Q, space=space), sensor, W, V, rule=lambda L: spread(L, config, c=c), form=form
     )
-    return known | {
-        "aukf-1": SingleDraw.of(known["ssukf"]),
+    return by_name | {
+        "aukf-1": SingleDraw.of(by_name["ssukf"]),
         "mekf": ekf(mekf, linear, form=form),
-        "usque": Halved(**vars(ukf(Motion(f, half, space=space), seen, kappa=1.0, form=form))),
+        "usque": Halved(**vars(ukf(Motion(f, half, space=space), sensor, kappa=1.0, form=form))),
     }
 
 
@@ -394,8 +393,8 @@ SIDES = {
     "ma": ("", "v"),
     "additive": ("", ""),
 }
-"""Filter -> noises that augment the prediction and the update (w: process, v: measurement); the
-others are added."""
+"""Filter -> noises that augment the prediction and the update (w: process, v: measurement); other
+noises are additive."""
 
 
 def augmentations(
@@ -441,8 +440,8 @@ JUDGED = {group.name: group.unit for group in GROUPS}
 def trial(
     config: Config, rngs: Sequence[np.random.Generator], *, drawn: bool = True, **options: Any
 ) -> Trial:
-    """One run for each generator. Initial errors are ``drawn`` from the prior, or those of the
-    paper; ``options``: see `filters`."""
+    """A trial with one run for each generator. Initial errors are ``drawn`` from the prior, or
+    equal the paper's; ``options``: see `filters`."""
     sim = simulate(config, rngs)
     return Trial(
         GROUPS,

@@ -1,5 +1,5 @@
-"""The study of [Wu2012]: the runs, and the numbers that decide what the paper states, what is wrong
-in it, and what we found."""
+"""The study of [Wu2012]: the runs, and the numbers that decide the paper's statements, its errors,
+and our findings."""
 
 from __future__ import annotations
 
@@ -114,8 +114,7 @@ FORMS = ("local", "switched", "unswitched")
 TIMED = (*SIDES, "mekf")
 SPREADS = {"c = 15": 15.0, "c = 7": 7.0, "c = 0.15": 0.15, "the paper's scaling": None}
 PRINTED_SPREAD = 15.0 - 6.0 + STANDARD.alpha**2 * (6.0 + STANDARD.kappa)
-"""``c = L + lambda`` with the printed ``lambda = alpha^2 (n + kappa) - n``; L is correct instead of
-n."""
+"""``c = L + lambda`` with the printed ``lambda = alpha^2 (n + kappa) - n``; n should be L."""
 AVERAGED_DEG = (1.0, 10.0, 30.0, 60.0, 20.0 / 3600.0)
 FIELD_DEG = (10.0, 30.0, 60.0)
 FIELD = ("mekf", "mekf transported", "usque", "usque transported", "ssukf", "aukf")
@@ -134,8 +133,8 @@ COARSE = replace(
 turn."""
 ABOUT = 8.0
 HEADS = {"one head": (0.0,), "90° apart": (45.0, -45.0)}
-"""Chosen: noise about a head's line of sight over that across it; directions of the heads, degrees
-from x to y."""
+"""Chosen: ratio of the noise about a head's line of sight to the noise across it; directions of the
+heads, degrees from x to y."""
 RATES_DEG_PER_S = (float(np.linalg.norm(STANDARD.rate_deg_per_s)), 1.0)
 ROOTS = ("whole", "block")
 VECTOR = replace(
@@ -171,19 +170,19 @@ def isotropic(mean: Array, degrees: float) -> Gaussian:
 def starts(
     degrees: Sequence[float], names: Sequence[str], axis: Array | None, config: Config, rngs: Rngs
 ) -> dict[str, Array]:
-    """Filters from priors with the given standard deviations. The true error is that of the paper,
-    or has that size about an ``axis``."""
+    """Filters from priors with the given standard deviations. The true error equals the paper's, or
+    has this size about an ``axis``."""
     sim = simulate(config, rngs)
-    found = {}
+    priors = {}
     for d in degrees:
         error = (
             None if axis is None else np.concatenate([np.radians(d) * axis, sim.truth[0, 0, 4:]])
         )
-        found[f"{d:g}"] = isotropic(
+        priors[f"{d:g}"] = isotropic(
             sim.prior.mean if error is None else scenario.displaced(sim.truth[0], error), d
         )
     return evaluate_from_priors(
-        Trial(GROUPS, filters(config), sim.prior, sim.epochs, scenario.compare), found, names
+        Trial(GROUPS, filters(config), sim.prior, sim.epochs, scenario.compare), priors, names
     )
 
 
@@ -233,9 +232,9 @@ def identities(config: Config, rngs: Rngs) -> dict[str, Array]:
         return {"gain": info.gain() * np.linalg.norm(info.sqrt_S, axis=-1)[..., None, :] / std}
 
     for label, c in SPREADS.items():
-        known = filters(config, c=c, form="square root")
+        by_name = filters(config, c=c, form="square root")
         a, b = (
-            run(known[name], sim.prior, sim.epochs(), keep="cov", also=gains)
+            run(by_name[name], sim.prior, sim.epochs(), keep="cov", also=gains)
             for name in ("aukf", "ssukf")
         )
         scale = a.std[..., :, None] * a.std[..., None, :]
@@ -253,7 +252,7 @@ def identities(config: Config, rngs: Rngs) -> dict[str, Array]:
 
 # -- the total attitude in modified Rodrigues parameters: the paper's words, literally -------------
 def to_tangent(q: Array) -> Array:
-    """Matrix ``(..., 6, 6)`` from small deviations of total parameters and drift to those of
+    """Matrix ``(..., 6, 6)`` from small deviations of total parameters and drift to deviations of
     rotation vector and drift."""
     return block(
         [[4.0 * attitude.transport(q[..., :3] / (1.0 + q[..., 3:]), 1.0, 1.0), 0], [0, np.eye(3)]]
@@ -264,8 +263,8 @@ def total_attitude() -> Space:
     """Space of attitudes with differences of their modified Rodrigues parameters as tangents.
 
     The sign of the quaternion decides between its two sets of parameters. A model that returns
-    `positive` quaternions switches to the shadow set in time. The covariance follows by itself,
-    because every other point is given the sign of the center.
+    `positive` quaternions switches to the shadow set in time. The covariance then needs no
+    transformation, because all other points get the sign of the center.
     """
 
     def parameters(q: Array) -> Array:
@@ -283,7 +282,7 @@ def total_attitude() -> Space:
 
 
 def total_filter(config: Config, *, switched: bool = True, form: str = "covariance") -> Sequential:
-    """SSUKF on the total attitude. Without the switch to the shadow set (``switched``) it reaches
+    """SSUKF with the total attitude as its state. Unless ``switched`` to the shadow set, it reaches
     the singularity."""
     local = filters(config, form=form)["ssukf"]
     sky = total_attitude()
@@ -303,9 +302,9 @@ def forms(
     config: Config,
     rngs: Rngs,
 ) -> dict[str, Array]:
-    """The SSUKF in `FORMS`, local and on the total attitude with and without the switch, from drawn
-    initial errors: errors, NEES, NIS, the difference of the quaternion's norm from 1, and the
-    condition number of the attitude's covariance in its parameters."""
+    """The SSUKF in `FORMS` (local; total attitude with and without the switch) from drawn initial
+    errors: errors, NEES, NIS, the deviation of the quaternion's norm from 1, and the condition
+    number of the attitude's covariance in its parameters."""
     sim = made(config, rngs)
     out = {"times": config.times}
     for name in names:
@@ -328,12 +327,12 @@ def forms(
                 f"{name}/nis": track.nis,
                 f"{name}/error": error / UNITS,
             }
-        known = np.where(np.isfinite(root), root, 0.0)[
+        attitude_root = np.where(np.isfinite(root), root, 0.0)[
             ..., :3, :3
         ]  # a failed run has no condition number
         out |= {
             f"{name}/norm": np.abs(np.linalg.norm(q, axis=-1) - 1.0),
-            f"{name}/condition": np.linalg.cond(known) ** 2,
+            f"{name}/condition": np.linalg.cond(attitude_root) ** 2,
         }
     return out
 
@@ -371,8 +370,8 @@ def vector(config: Config, rngs: Rngs, **options: Any) -> dict[str, Array]:
     rate = config.orbit_rate_rad_per_s
 
     def h(x: Array, epoch: Epoch, *noise: Array) -> Array:
-        seen = attitude.rotate(x[..., :4], field(rate * epoch.t))
-        return seen + noise[-1] if noise else seen
+        direction = attitude.rotate(x[..., :4], field(rate * epoch.t))
+        return direction + noise[-1] if noise else direction
 
     def slope(x: Array, epoch: Epoch) -> Array:
         return np.concatenate([attitude.cross(h(x, epoch)), np.zeros((*x.shape[:-1], 3, 3))], -1)
@@ -382,16 +381,16 @@ def vector(config: Config, rngs: Rngs, **options: Any) -> dict[str, Array]:
     noise = attitude.log(
         attitude.multiply(sim.stars, attitude.inverse(sim.truth[..., :4]))
     )  # noise of the star sensor
-    seen = np.array([h(epoch.truth, epoch) for epoch in sim.epochs()]) + noise
+    measured = np.array([h(epoch.truth, epoch) for epoch in sim.epochs()]) + noise
     error = errors(sim.drawn.mean, sim.truth[0])
-    sim = sim._replace(stars=seen)
+    sim = sim._replace(stars=measured)
     priors = {
         f"{d:g}": isotropic(scenario.displaced(sim.truth[0], error * [d, d, d, 1.0, 1.0, 1.0]), d)
         for d in FIELD_DEG
     }
-    known = plain | {f"{name} transported": filter for name, filter in moved.items()}
+    by_name = plain | {f"{name} transported": filter for name, filter in moved.items()}
     return evaluate_from_priors(
-        Trial(GROUPS, known, sim.prior, sim.epochs, scenario.compare), priors, FIELD
+        Trial(GROUPS, by_name, sim.prior, sim.epochs, scenario.compare), priors, FIELD
     )
 
 
@@ -430,11 +429,11 @@ def multiplied(_config: Any, rngs: Rngs, runs: int = 6000, steps: int = 60) -> d
         ),
         Sensor(h, sqrt_R=lambda x, _: x[..., :1, None] * V),
     )
-    known = scenario.augmentations(*beside, W, V, **options) | {"ekf": ekf(*beside)}
+    by_name = scenario.augmentations(*beside, W, V, **options) | {"ekf": ekf(*beside)}
     truth = [e.truth for e in epochs]
     return {
         name: np.square(run(k, prior, epochs, keep="mean").mean - truth)[..., 0].mean(0)
-        for name, k in known.items()
+        for name, k in by_name.items()
     }
 
 
@@ -446,7 +445,7 @@ def heads(config: Config, rngs: Rngs) -> dict[str, Array]:
     mekf = filters(config)["mekf"]
     noise = normals(rngs, *[(len(config.times), 3)] * 2)
     sights = {
-        name: np.array([[np.cos(one), np.sin(one), 0.0] for one in np.radians(each)])
+        name: np.array([[np.cos(angle), np.sin(angle), 0.0] for angle in np.radians(each)])
         for name, each in HEADS.items()
     }
     roots = {
@@ -456,14 +455,14 @@ def heads(config: Config, rngs: Rngs) -> dict[str, Array]:
 
     def epochs(name: str) -> Iterator[Epoch]:
         for k, epoch in enumerate(sim.epochs()):
-            seen = [
+            rotations = [
                 attitude.exp(each[k] @ root) for each, root in zip(noise, roots[name], strict=False)
             ]
             yield epoch._replace(
-                z=tuple(attitude.multiply(one, sim.truth[k, :, :4]) for one in seen)
+                z=tuple(attitude.multiply(rotation, sim.truth[k, :, :4]) for rotation in rotations)
             )
 
-    known = {
+    by_name = {
         name: ekf(
             mekf.motion,
             *(replace(mekf.sensors[0], sqrt_R=root) for root in each),
@@ -472,20 +471,20 @@ def heads(config: Config, rngs: Rngs) -> dict[str, Array]:
         for name, each in roots.items()
     }
     return evaluate_filters(
-        Trial(GROUPS, known, sim.drawn, epochs, scenario.compare), tuple(HEADS), 8
+        Trial(GROUPS, by_name, sim.drawn, epochs, scenario.compare), tuple(HEADS), 8
     )
 
 
 # -- results without runs, or with one -------------------------------------------------------------
 def averages(config: Config) -> dict[str, Array]:
     """Means of the quaternions of the SSUKF's 25 and 19 points at the standard deviations of
-    `AVERAGED_DEG`, each ``(5,)``, the worse of the two.
+    `AVERAGED_DEG`; each result ``(5,)`` is the worse of the two.
 
-    norm: difference of the componentwise mean's norm from 1. turned: its distance (deg) from the
-    mean of Rodrigues parameters, the median over 100 random choices of signs. aligned: the same
-    (rad) with unchanged signs, or of the mean of rotation vectors if that is larger. eigen:
-    distance (rad) of the eigenvector mean, which ignores signs [Markley2007]. four: condition
-    number of the components' covariance.
+    norm: deviation of the componentwise mean's norm from 1. turned: distance (deg) of this mean
+    from the mean of Rodrigues parameters, the median over 100 random choices of signs. aligned: the
+    distance (rad) with unchanged signs, or the distance of the mean of rotation vectors if that is
+    larger. eigen: distance (rad) of the eigenvector mean, which ignores signs [Markley2007]. four:
+    condition number of the components' covariance.
     """
     rng = np.random.default_rng(0)
     rows = []
@@ -519,8 +518,8 @@ def averages(config: Config) -> dict[str, Array]:
 
 
 def by_components(config: Config, rngs: Rngs) -> dict[str, Array]:
-    """The SSUKF, and the same with normalized componentwise means of quaternions: with equal signs
-    (aligned), with random signs (signs), and with random signs and the wider points of c = 15
+    """The SSUKF, and the SSUKF with normalized componentwise means of quaternions: with equal signs
+    (aligned), with random signs (signs), and with random signs and more distant points, c = 15
     (wide)."""
     sim = simulate(config, rngs)
     rng = np.random.default_rng(0)
@@ -546,10 +545,10 @@ def by_components(config: Config, rngs: Rngs) -> dict[str, Array]:
             plain, motion=other(plain.motion, "f"), sensors=(other(plain.sensors[0], "h"),)
         )
 
-    known = {"rodrigues": filters(config)["ssukf"], "aligned": filter(np.array)}
-    known |= {"signs": filter(changed), "wide": filter(changed, 15.0)}
+    by_name = {"rodrigues": filters(config)["ssukf"], "aligned": filter(np.array)}
+    by_name |= {"signs": filter(changed), "wide": filter(changed, 15.0)}
     return evaluate_filters(
-        Trial(GROUPS, known, sim.prior, sim.epochs, scenario.compare), tuple(known)
+        Trial(GROUPS, by_name, sim.prior, sim.epochs, scenario.compare), tuple(by_name)
     )
 
 
@@ -558,14 +557,14 @@ def counted(function: Callable[..., Any], *shapes: tuple[int, ...]) -> Array:
     """Operations ``(2,)`` of a function of arrays with these shapes: each counted once, and with
     divisions, roots and tangents counted 20 times."""
     tape = Tape(rolled=False)
-    given = [TracedArray(shape[::-1]).T for shape in shapes]
-    for x in given:
+    inputs = [TracedArray(shape[::-1]).T for shape in shapes]
+    for x in inputs:
         for at in np.ndindex(*x.shape):
             x[at] = tape.input()
-    found = function(*given)
+    outputs = function(*inputs)
     results = [
         x
-        for y in (found if isinstance(found, tuple) else (found,))
+        for y in (outputs if isinstance(outputs, tuple) else (outputs,))
         for x in y.flat
         if isinstance(x, Recorded)
     ]
@@ -577,8 +576,8 @@ def counted(function: Callable[..., Any], *shapes: tuple[int, ...]) -> Array:
 
 def operations(config: Config, _rngs: Rngs) -> dict[str, Array]:
     """`counted` for an iteration, by filter, predictions per update, and factored covariance: the
-    whole augmented one (whole), or the state's alone (block). Sums that add Q and R are not
-    counted. Also operations of ways to propagate an attitude, see `propagations`."""
+    whole augmented covariance (whole), or only the state's (block). Additions of Q and R are not
+    counted. It also has the operations of methods to propagate an attitude, see `propagations`."""
     f = scenario.dynamics(config.gyro)
     space = scenario.state_space()
     sky = attitude.attitude()
@@ -690,15 +689,15 @@ def propagations(dt: float) -> dict[str, Array]:
 
 def facts(config: Config, _: Rngs) -> dict[str, Array]:
     """exact: posterior standard deviations ``(T, 2)`` of angle (arcsec) and drift (deg/h) on the
-    axis with the widest prior. limits ``(3, 2)``: their steady values if the drift has a time
-    constant of 10 h; if 0.5 deg / sqrt(h) and 0.02 deg/h in an hour are meant; and as we read the
-    paper."""
+    axis with the largest prior σ. limits ``(3, 2)``: their steady values for three interpretations
+    of the paper: a drift with a time constant of 10 h; 0.5 deg / sqrt(h) and 0.02 deg/h in an hour;
+    and ours."""
     c = config
     dt = config.step_s
     unit = UNITS[[0, 3]]
     limits = []
     drift = config.drift_deg_per_h * DEG_PER_H
-    # without this scale the solver loses the drift, which is small beside the angle
+    # Without this scale the solver loses the drift, which is much smaller than the angle.
     scale = np.array([1.0, 0.01]) * c.sigma_n
     H = np.eye(1, 2)
     slow = Gyro(c.gyro.sigma_v, drift * float(np.sqrt(2.0 / 36000.0)), 36000.0)
@@ -721,25 +720,25 @@ def facts(config: Config, _: Rngs) -> dict[str, Array]:
 
 
 def costs(_config: Config, _rngs: Rngs) -> dict[str, Array]:
-    """Evaluations of f and h ``(2,)`` from star sample to star sample, by filter and rates, counted
-    in a run with numpy."""
+    """Evaluations of f and h ``(2,)`` per star sample, by filter and rates, counted in a run with
+    numpy."""
     out = dict[str, Array]()
-    seen = Counter[str]()
-    token = WATCH.set(lambda model, values: seen.update({model: len(values)}))
+    calls = Counter[str]()
+    token = WATCH.set(lambda model, values: calls.update({model: len(values)}))
     for c, stars in ((STANDARD, 20), (FULL_RATE, 1)):
         sim = simulate(replace(c, duration_s=stars / c.star_hz), [np.random.default_rng(0)])
-        known = filters(c)
+        by_name = filters(c)
         for name in TIMED:
-            seen.clear()
-            run(known[name], sim.prior, sim.epochs(), keep="nothing", engine="numpy")
-            out[f"{name}, {c.updates}:1"] = np.array([seen["f"], seen["h"]]) / stars
+            calls.clear()
+            run(by_name[name], sim.prior, sim.epochs(), keep="nothing", engine="numpy")
+            out[f"{name}, {c.updates}:1"] = np.array([calls["f"], calls["h"]]) / stars
     WATCH.reset(token)
     return out
 
 
 def parts(effort: float = 1.0, duration_s: float | None = None) -> dict[str, Part]:
-    """All that is computed. ``duration_s``: of the runs of the paper's scenario; by default shorter
-    at an effort below `BRIEF`."""
+    """All parts of the study. duration_s: duration of the runs of the paper's scenario; by default
+    it is shorter below an effort of `BRIEF`."""
     brief = effort < BRIEF
     runs_s = heads_s = duration_s or STANDARD.duration_s
     if brief and duration_s is None:
@@ -779,8 +778,8 @@ def parts(effort: float = 1.0, duration_s: float | None = None) -> dict[str, Par
 NEES = chi_square_band(6, 200)
 NIS = chi_square_band(3, 200)
 REGULAR = float(np.finfo(float).eps ** -0.5)
-"""95 % ranges of 200 runs; up to the condition number REGULAR a covariance has a root that keeps
-half of the digits."""
+"""95 % ranges for 200 runs; and the largest condition number of a covariance whose root has half of
+the digits."""
 COUNTS = [(roots, dear) for dear in (0, 1) for roots in ROOTS]
 """Which covariance is factored, and whether divisions and roots are counted 20 times."""
 AUKF = ("runs", "aukf")
@@ -818,7 +817,8 @@ def fewer(per: int, roots: str, dear: int, *, bar: bool = True) -> Decided:
 
 
 def cheaper(way: int, beside: str) -> Decided:
-    """Operations of a step with quaternions over those of the cheapest accurate integration.
+    """Ratio of the operations of a step with quaternions to the operations of the cheapest accurate
+    integration.
 
     At the paper's rate its error per second is at most 1/1000 of the star sensor's noise, or of the
     steady drift error; nan if no method is as accurate.
@@ -841,7 +841,7 @@ def cheaper(way: int, beside: str) -> Decided:
 
 
 def weak_axis(name: str, accept: Any) -> Decided:
-    """RMSE of the worst axis over that of the best axis, with heads as in `HEADS`."""
+    """RMSE ratio of the worst to the best axis, with heads as in `HEADS`."""
 
     def worst(squares: Array) -> float:
         return float(np.sqrt(squares.mean(0).max() / squares.mean(0).min()))
@@ -852,7 +852,7 @@ def weak_axis(name: str, accept: Any) -> Decided:
 
 
 def multiplying(label: str, other: str, most: float | None = None) -> Decided:
-    """RMSE of the AUKF over that of another filter, with multiplicative noise."""
+    """RMSE ratio of the AUKF to another filter, with multiplicative noise."""
     return lambda r: estimate(
         label, quotient, [r.get("multiplied", name) for name in ("aukf", other)], (None, most)
     )
@@ -861,8 +861,8 @@ def multiplying(label: str, other: str, most: float | None = None) -> Decided:
 def sooner(
     filter: tuple[str, str], axis: int, level: float, label: str, accept: Any, **more: Any
 ) -> Decided:
-    """Time when an angle settles below a level (arcsec). The first three minutes suffice: at their
-    end it is below all levels."""
+    """Time at which an angle settles below a level (arcsec). The first three minutes suffice, since
+    the angle is then below all levels."""
     return settling(
         label,
         filter,
@@ -887,8 +887,8 @@ def sound(part: str, form: str) -> list[Decided]:
 
 
 def unswitched(r: Results) -> Number:
-    """Largest attitude error past 360 deg without the switch over that with it; a failed run counts
-    as half a turn."""
+    """Ratio of the largest attitude errors beyond 360 deg without and with the switch; a failed run
+    counts as half a turn."""
     sizes = (
         np.linalg.norm(r.error("crossing", form, "attitude")[36:], axis=-1)
         for form in ("unswitched", "switched")
@@ -898,7 +898,7 @@ def unswitched(r: Results) -> Number:
 
 
 def at_the_bound(r: Results) -> list[Number]:
-    """RMSE of the SSUKF's attitude over the exact standard deviation."""
+    """Ratio of the SSUKF's attitude RMSE to the exact standard deviation."""
     over = {
         k: r.squares("drawn", "local", "attitude", k).mean(-1)
         / r.value("facts", "exact", k, 0) ** 2

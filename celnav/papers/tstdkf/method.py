@@ -9,8 +9,9 @@ Differencing (Eqs. 21-56) handles correlated AR(1) noises of measurement and pro
 The predictable part of the noise is subtracted from each measurement, ``Z' = z_k - F (z_k-1 -
 h(x_k-1))``, with the last *estimate* instead of the state. The remaining correlation of process and
 measurement noise enters the prediction, ``x + Omega (Z' - h(x))``. The filter also propagates the
-correlations of its estimate with V and Q. It is exact for ``F = L = 0`` and any J. For ``F > 0`` it
-neglects the error of the last estimate, and becomes more overconfident as ``F`` approaches 1.
+correlations of its estimate with V and Q. The method is exact for ``F = L = 0`` and any J. For
+``F > 0`` it neglects the error of the last estimate: the closer F is to 1, the more overconfident
+it is.
 
 Strong tracking (Eqs. 57-61) averages the squared residuals over the last ``tau`` measurements and
 compares the average with the predicted variance. Component i of the residual boosts component i of
@@ -97,11 +98,11 @@ class Differenced:
         """State with the model's prediction for the interval, and the transition matrix."""
         n = state.belief.mean.shape[-1]
         q = self.noise.L.shape[-1]
-        found = check_return("move", self.move(state.belief.mean, epoch), "state, Phi, G")
+        moved = check_return("move", self.move(state.belief.mean, epoch), "state, Phi, G")
         shapes = (..., n), (..., n, n), (..., n, q)
         x, Phi, G = (
             numbers("move", unmasked("move", a), shape)
-            for a, shape in zip(found, shapes, strict=True)
+            for a, shape in zip(moved, shapes, strict=True)
         )
         return state._replace(moved=(x, Phi, G)), Phi
 
@@ -119,8 +120,8 @@ class Differenced:
         together(prior=x.shape[:-1], z=z.shape[:-1])
         if is_concretely_true(np.isnan(z).any()):
             raise ValueError(
-                "z: expected a complete measurement at every epoch, because the next one is "
-                "differenced with it; got nan"
+                "z: expected a complete measurement at every epoch, because the next measurement "
+                "is differenced with it, got nan"
             )
         if first:  # there is no earlier measurement: V has its stationary covariance
             F = np.zeros_like(F)
@@ -149,20 +150,20 @@ class Differenced:
         nothing = np.zeros(q + m)
         moved = Covariance(side_by_side([x + into, nothing]), cov)
         sensor = (nothing[:m], side_by_side([H, np.zeros((m, q + m))]))
-        seen = joint(
+        measured = joint(
             LINEAR,
             moved,
             (sensor, KEEP),
             z=y - matvec(H, into),
             measurement_noise=cholesky(Xi),
         )
-        both, info, _ = condition(Covariance, seen, EUCLIDEAN)
-        assert seen.innovation is not None
+        both, info, _ = condition(Covariance, measured, EUCLIDEAN)
+        assert measured.innovation is not None
         assert info.sqrt_S is not None
         assert info.gain is not None
 
-        # Only x is updated; Q and V get their stationary covariances again. V = F V + xi, and xi is
-        # the measurement minus H x.
+        # Only x is updated; Q and V are reset to their stationary covariances. V = F V + xi, where
+        # xi is the measurement minus H x.
         belief = Covariance(both.mean[..., :n], both[1][..., :n, :n])
         cross = both[1][..., :n, n:]
         cross = side_by_side([cross[..., :q], cross[..., q:] @ F - belief.cov @ H.mT])
@@ -171,7 +172,7 @@ class Differenced:
         return (
             after,
             Stage(
-                seen.innovation,
+                measured.innovation,
                 info.sqrt_S,
                 info.gain()[..., :n, :],
                 H,
@@ -222,16 +223,16 @@ class StrongTracking:
         count = 1.0 if memory is None else memory.length + 1.0
         before = np.zeros_like(square) if memory is None else memory.squares
         squares = before + (square - before) / np.minimum(count, tau)
-        found = least + rho * (squares / seen.total.diagonal(0, -2, -1))
-        factors = np.minimum(np.maximum(np.where(np.isfinite(found), found, 1.0), 1.0), LARGEST)
+        raw = least + rho * (squares / seen.total.diagonal(0, -2, -1))
+        factors = np.minimum(np.maximum(np.where(np.isfinite(raw), raw, 1.0), 1.0), LARGEST)
         return Window(count, squares, factors), factors
 
 
 def strong_tracking(
     rho: ArrayLike, tau: ArrayLike, *, proportional: ArrayLike = False
 ) -> StrongTracking:
-    """A boost for `celnav.filters.two_stage.two_stage`: factors ``1 + rho (ratio - 1)``, where the
-    ratio is that of averaged squared residuals to predicted variances.
+    """A boost for `celnav.filters.two_stage.two_stage`: factors ``1 + rho (ratio - 1)``, with the
+    ratio of averaged squared residuals to predicted variances.
 
     rho: ``(..., m)``, not negative; 0 switches a component off. tau: ``(..., 1)``, length of the
     window in measurements. proportional: whether the factors are ``rho ratio`` instead. This form
@@ -245,7 +246,7 @@ def strong_tracking(
     if (length < 1.0).any():
         raise ValueError(f"tau: expected numbers of at least 1, got {tau!r}")
     if weights.ndim == 0 or (weights < 0.0).any():
-        raise ValueError(f"rho: expected numbers (..., m) that are not negative, got {rho!r}")
+        raise ValueError(f"rho: expected numbers (..., m) of at least 0, got {rho!r}")
     form = finite("proportional", proportional)
     together(rho=weights.shape, tau=length.shape, proportional=form.shape)
     rows = weights, np.atleast_1d(length), np.where(form > 0.0, 0.0, 1.0 - weights)

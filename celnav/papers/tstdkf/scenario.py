@@ -1,5 +1,5 @@
-"""[Xu2023]: a satellite of the Earth times three pulsars; the noise is colored, and the Earth's
-ephemeris has an error.
+"""[Xu2023]: an Earth satellite measures pulse delays of three pulsars; the noise is colored, and
+the Earth's ephemeris has an error.
 
 Our copy of the paper lacks the display equations. We infer Eq. 2, delay of a pulse
 (`celnav.models.pulsar.Timing`); 3-4, orbit (`celnav.models.orbit`); 17, 69, 70, ephemeris error
@@ -192,7 +192,7 @@ class Config(Timed):
     )
 
     def check(self) -> None:
-        """Three pulsars, a length of some steps."""
+        """Check that there are three pulsars, and some steps."""
         if len(self.pulsars) != 3:
             raise ValueError(f"pulsars: expected 3 names, got {', '.join(self.pulsars) or 'none'}")
         steps("days", self.days * DAY_S / self.step_s)
@@ -277,7 +277,7 @@ PULLING = ("sun", "moon")
 
 
 def stacked(cases: Cases, of: Callable[[Config], Any]) -> Array:
-    """A parameter of one configuration as it is; of several configurations ``(cases, 1, ...)``,
+    """A parameter of one configuration; for several configurations, an array ``(cases, 1, ...)``,
     which broadcasts over the runs."""
     return (
         np.asarray(of(cases))
@@ -297,9 +297,9 @@ def noises(cases: Cases) -> Noise:
 
 
 def sky(config: Config) -> tuple[Array, Array, Array | None]:
-    """Positions of the central body and the Sun at each epoch by DE421, ``(T, 3)`` km, as the
+    """Positions of the central body and of the Sun from DE421 at each epoch, ``(T, 3)`` km, as the
     filters assume them. If Sun and Moon attract the satellite, also their positions relative to the
-    center at the nodes of the step before each epoch, ``(T, 2, N, 3)`` km."""
+    center, ``(T, 2, N, 3)`` km, at the nodes of the step that ends at each epoch."""
     earth, sun = (de421().state(body, config.dates).position for body in (config.center, "sun"))
     if not config.pulled:
         return earth, sun, None
@@ -315,7 +315,7 @@ def sky(config: Config) -> tuple[Array, Array, Array | None]:
 
 
 def pull(bodies: Array | None) -> Extra | None:
-    """Acceleration by Sun and Moon, which are at ``(2, N, 3)`` km during a step."""
+    """Acceleration due to Sun and Moon, whose positions during a step are ``(2, N, 3)`` km."""
     if bodies is None:
         return None
     both = [(at[:, None], GM[body]) for body, at in zip(PULLING, bodies, strict=True)]
@@ -360,17 +360,17 @@ class Scenario(NamedTuple):
         return self.step_s * np.arange(len(self.truth))
 
     def some(self, runs: slice) -> Scenario:
-        """A part of the runs, of all cases."""
+        """Some of the runs, for all cases."""
         return self._part(slice(None), runs)
 
     def of(self, cases: list[int]) -> Scenario:
-        """The cases with these numbers."""
+        """The cases with these indices."""
         return self._part(cases, slice(None))
 
     def _part(self, *at: Any) -> Scenario:
         mean = self.prior.mean
         cov = self.prior.cov
-        if cov.ndim > 2:  # each run has its own
+        if cov.ndim > 2:  # one covariance per run
             cov = np.broadcast_to(cov, (*mean.shape, mean.shape[-1]))[at]
         truth, bias, z = (part[:, *at] for part in (self.truth, self.bias, self.z))
         return self._replace(truth=truth, bias=bias, z=z, prior=Gaussian(mean[at], cov))
@@ -419,8 +419,7 @@ def simulate(cases: Cases, rngs: Rngs) -> Scenario:
     bias = np.stack(
         [np.broadcast_to(error, (len(V), len(rngs), 3)) for error in errors], 1
     ).reshape(V.shape)
-    # The disturbance is mapped by G of the nominal orbit. The G of a run differs from it by 1e-4 of
-    # its size.
+    # G of the nominal orbit maps the disturbance; a run's own G differs by a relative 1e-4.
     pushes = Q[1:]
     pushes += matvec(noise.J, V[1:])
     pushes = (pushes.reshape(len(pushes), -1, 6) @ nominal(c).G.mT).reshape(pushes.shape)
@@ -459,8 +458,8 @@ def pushed(config: Config, pushes: Array, bodies: Array | None) -> Array:
     start = np.broadcast_to(config.orbit, pushes.shape[1:])
 
     def f(x: Array, epoch: Epoch) -> Array:
-        push, seen = epoch.u
-        return np.asanyarray(advance(x, epoch.dt, gravity, pull(seen)) + push)
+        push, attracting = epoch.u
+        return np.asanyarray(advance(x, epoch.dt, gravity, pull(attracting)) + push)
 
     when = epochs(config.times, u=(pushes, bodies))
     return carried(f, Gaussian(start, np.zeros((6, 6))), when)
@@ -528,15 +527,15 @@ class Orbiting:
         self._last: tuple[Any, Any, Any] = (None, None, None)
 
     def move(self, mean: Array, epoch: Epoch) -> Flow:
-        """Next state, its Jacobian and noise input, from one integration; the last is cached."""
+        """Next state, Jacobian and noise input from one integration; the last result is cached."""
         x = mean[..., :6]
         if x.dtype.hasobject:  # recorded: the recorder merges equal computations
             return self._flow(x, epoch)
-        known, at, found = self._last
-        if at is not epoch or not np.array_equal(known, x):
-            found = self._flow(x, epoch)
-            self._last = x.copy(), epoch, found
-        return found  # type: ignore[no-any-return]
+        last_x, at, result = self._last
+        if at is not epoch or not np.array_equal(last_x, x):
+            result = self._flow(x, epoch)
+            self._last = x.copy(), epoch, result
+        return result  # type: ignore[no-any-return]
 
     def _flow(self, x: Array, epoch: Epoch) -> Flow:
         return flow(x, epoch.dt, self.gravity, pull(epoch.u[2] if self.pulled else None))
@@ -568,15 +567,15 @@ LINEAR = Models(  # of errors about the nominal orbit; epoch.u is (Phi, G, Gamma
 def filters(
     cases: Cases, seen: Models | None = None, noise: Noise | None = None, *, on: ArrayLike = 1.0
 ) -> dict[str, Any]:
-    """The filters by name. ``seen``, ``noise``: models and noises that replace those of the cases.
-    ``on``: factor that multiplies rho.
+    """The filters by name. seen, noise: models and noises that replace the models and noises of the
+    cases. on: factor that multiplies rho.
 
-    ekf: ignores the bias. tkf: estimates it in a second stage; its first stage is ekf. Both have
-    the covariances of the driving noise, the paper's choice (inferred). ekf-fair, tkf-fair: the
-    same with the stationary covariances of the noises. tdkf, tstdkf: two stages on differenced
-    measurements, without and with strong tracking. aug9: ekf with the bias appended as a random
-    walk. aug: all noises and the bias as states, exact. The state is ``(r, v)`` of ekf, ``(r, v, V,
-    Q, b)`` of aug, and ``(r, v, b)`` of the others.
+    ekf ignores the bias. tkf estimates it in a second stage; its first stage is ekf. Both assume
+    the covariances of the driving noise, the paper's choice (inferred). ekf-fair and tkf-fair
+    assume the stationary covariances of the noises. tdkf and tstdkf have two stages on differenced
+    measurements, without and with strong tracking. aug9 is ekf with the bias appended as a random
+    walk. aug has all noises and the bias as states, and is exact. The state is ``(r, v)`` for ekf,
+    ``(r, v, V, Q, b)`` for aug, and ``(r, v, b)`` for the others.
     """
     seen = seen or models(one_of(cases))
     n = noise or noises(cases)
@@ -598,8 +597,8 @@ def filters(
     }
 
 
-# Matrices that may differ between runs are arguments of a `partial`, where the compiled engine
-# finds them.
+# Matrices that may differ between runs are arguments of a `partial`, so that the compiled engine
+# can detect them.
 def kalman(seen: Models, Q: Array, R: Array) -> Sequential:
     """An EKF that treats all noise as white, with covariances Q ``(..., 6, 6)`` of the rates and R
     ``(..., m, m)``."""
@@ -671,7 +670,8 @@ class Appended:
 def appended(
     seen: Models, cov: Array, color: Array, into: Array, drives: Array, form: str, **R: Array
 ) -> Appended:
-    """An EKF of the orbit and ``s (..., q)``: noises, the timings' first, if q > 3; the bias last.
+    """An EKF of the orbit and ``s (..., q)``: the noises if q > 3 (of the timings first), then the
+    bias.
 
     ``s' = color s + w``, initially N(0, cov); the noise of the orbit is ``into s + w``. drives:
     ``(..., 6 + q, r)``, square root of the covariance of w. R: see `ekf`.
@@ -712,19 +712,19 @@ def _measured_with(seen: Models, slope: Any, x: Array, epoch: Epoch) -> Array:
     return np.asanyarray(seen.measure(x, epoch) + matvec(slope(x, epoch)[..., 6:], x[..., 6:]))
 
 
-# -- how they are judged ---------------------------------------------------------------------------
+# -- evaluation ------------------------------------------------------------------------------------
 GROUPS = (Group("position", "km", slice(0, 3)), Group("velocity", "m/s", slice(3, 6), 1e3))
 JUDGED = {group.name: group.unit for group in GROUPS}
 
 
 def trial(config: Config, rngs: Rngs) -> Trial:
-    """One run for each generator, for missions, campaigns and the study.
+    """A trial with one run for each generator, for missions, campaigns and the study.
 
-    The orbit is judged, because all filters estimate it. There is a bound if the initial errors and
-    a constant ephemeris error are drawn from their priors, as the exact filter assumes.
+    The orbit is evaluated, because all filters estimate it. There is a bound if the initial errors
+    and a constant ephemeris error are drawn from their priors, as the exact filter assumes.
     """
     sim = simulate(config, rngs)
-    known = filters(config)
+    by_name = filters(config)
     reference = "aug" if config.initial == "drawn" and config.trend == "constant" else ""
 
     def compare(truth: Array, belief: Belief) -> tuple[Array, Array]:
@@ -732,7 +732,7 @@ def trial(config: Config, rngs: Rngs) -> Trial:
 
     return Trial(
         GROUPS,
-        known,
+        by_name,
         sim.prior,
         lambda _name: sim.epochs(),
         compare,

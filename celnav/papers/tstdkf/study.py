@@ -91,7 +91,7 @@ LENGTHS = (
     Group("velocity", "m/s", slice(1, 2)),
     Group("bias", "km", slice(2, 3)),
 )
-"""Norms of the errors of position, velocity and ephemeris; nothing else of them is stored."""
+"""Norms of the errors of position, velocity and ephemeris; only the norms are stored."""
 PER_UNIT = (1.0, 1e3, 1.0)
 """Factors from km and km/s to these units."""
 EXACT_PART = np.r_[0:6, -3:0]
@@ -139,7 +139,7 @@ MARS: dict[str, Any] = {
     "center": "mars",
     "elements": (3396.0 + 7136.635 - 6378.137, *TABLE_5.elements[1:]),
 }
-"""A satellite of Mars, at the same height as that of the Earth."""
+"""A satellite of Mars, at the height of the Earth satellite."""
 DE423 = {"Mars": ("de423/mars",)}
 DE440 = {"DE440": ("de440/earth", "de440/sun"), "shifted": ("de440/earth",)}
 """Ephemeris errors, see `reference`. DE440: without the distance between the two barycenters;
@@ -164,8 +164,8 @@ SWEEP = FORMS | {
     f"{form}, ρ = {rho:g}": (*FORM[form], rho, rho, rho, TAU) for form in "CB" for rho in RHOS
 }
 SWEEP |= {f"{form}, τ = {tau:g}": (*FORM[form], *TABLE_5.rho, tau) for form in "CB" for tau in TAUS}
-"""Fading factors by name: whether from the innovations of the first stage (form A), whether
-proportional to squared residuals (A and B), ρ by axis, τ."""
+"""Fading factors by name: whether they use the innovations of the first stage (form A), whether
+they are proportional to squared residuals (A and B), ρ by axis, τ."""
 NINE = {**{f"aug9 {walk:g}": (walk, 0) for walk in WALKS}, "fair": (1e-4, 1)}
 """Nine-state filters by name: σ of the bias's steps (km), and which of `Noise.whites` they
 assume."""
@@ -175,10 +175,9 @@ LABELS = {
     "sweep": SWEEP,
     "nine": NINE,
 }
-"""Filters that run side by side within one filter. EKF is the first stage of TKF, and runs
-alone."""
+"""Filters that run in one batch, as one filter. EKF is the first stage of TKF, and runs alone."""
 MOST_NUMBERS = 1 << 26
-"""Largest count of numbers that machine code holds in memory at a time: half a gigabyte."""
+"""Largest count of numbers that compiled code has in memory at a time: half a gigabyte."""
 
 
 def run_filters(
@@ -221,8 +220,8 @@ def run_filters(
 def followed(
     filter: Any, sim: s.Scenario, every: int, judged: bool, labels: Sequence[str]
 ) -> Found:
-    """Results of `run_filters` for one filter, arrays ``(K, filters, cases, runs, ...)``. It runs
-    as many runs at a time as fit in memory."""
+    """Results of `run_filters` for one filter, arrays ``(K, filters, cases, runs, ...)``. It
+    processes as many runs at a time as fit in memory."""
     *cases, count = sim.truth.shape[1:-1]
     n = filter.start(sim.prior).belief.mean.shape[-1]
     row = 3 * n * (n + 1) if judged else n + 9
@@ -235,14 +234,14 @@ def followed(
         with repeated(len(starts)):
             track = run(filter, some.prior, some.measured(), keep="cov" if judged else "mean")
         pieces.append(errors(track, some, every, judged, labels))
-        del track  # frees its memory before the next one
+        del track  # frees its memory before the next track
     first = pieces[0].pop("first")
     out = {key: np.concatenate([piece[key] for piece in pieces], 3) for key in pieces[0]}
     return out | {"first": first}
 
 
 def errors(track: Any, sim: s.Scenario, every: int, judged: bool, labels: Sequence[str]) -> Found:
-    """The results of one track with a part of the runs."""
+    """The results of one track, which has some of the runs."""
     K = (len(sim.truth) - 1) // every
     T = K * every
     last = slice(every - 1, T, every)
@@ -275,8 +274,8 @@ def apart(
     taken: Changes | None = None,
     judged: bool = False,
 ) -> Found:
-    """Run different configurations side by side; ``taken``: the configurations that the filters
-    assume, where they differ from the true ones."""
+    """Run different configurations in one batch; ``taken``: the configurations that the filters
+    assume, if they differ from the true configurations."""
     cases, believed = (
         [replace(config, **by.get(name, own)) for name, own in changes.items()]
         for by in (changes, taken or {})
@@ -291,13 +290,13 @@ def five(config: Config, rngs: Rngs) -> Found:
     cases = [replace(config, **changes) for changes in FIVE.values()]
     sim = simulate(cases, rngs)
     first = sim.of([0])
-    known = filters(cases, on=BESIDE)
-    one = filters(cases[:1])
+    by_name = filters(cases, on=BESIDE)
+    of_first = filters(cases[:1])
     names = list(FIVE)
     return (
-        run_filters(names, sim, known, ["tkf", "tstdkf"])
-        | run_filters(["fair"], first, {"tkf": one["tkf-fair"]}, ["tkf"])
-        | run_filters(names[:1], first, one, ["aug"], judged=True)
+        run_filters(names, sim, by_name, ["tkf", "tstdkf"])
+        | run_filters(["fair"], first, {"tkf": of_first["tkf-fair"]}, ["tkf"])
+        | run_filters(names[:1], first, of_first, ["aug"], judged=True)
         | run_filters(names[1:], sim.of([1, 2, 3, 4]), filters(cases[1:]), ["aug"])
     )
 
@@ -324,25 +323,27 @@ def forces(config: Config, rngs: Rngs) -> Found:
 # -- filters on errors linearized about the nominal orbit: all runs share the covariances ----------
 @dataclass(frozen=True, eq=False)
 class Boosts:
-    """Fading factors of several forms at once, along a first axis.
+    """Fading factors of several forms together, along a first axis.
 
-    own: ``(..., 1, 1)``, whether they come from the innovations of the first stage.
+    own: ``(..., 1, 1)``, whether they use the innovations of the first stage.
     """
 
     own: Array
     boost: StrongTracking
 
     def __call__(self, memory: Any, seen: Boost) -> tuple[Any, Array]:
-        own = self.own > 0.0
-        residual = np.where(own[..., 0, :], seen.innovation, seen.residual)
-        total = np.where(own, seen.own, seen.total)
+        from_first = self.own > 0.0
+        residual = np.where(from_first[..., 0, :], seen.innovation, seen.residual)
+        total = np.where(from_first, seen.own, seen.total)
         return self.boost(memory, seen._replace(residual=residual, total=total))
 
 
 def boosts(table: Mapping[str, tuple[float, ...]]) -> Boosts:
     """All fading factors of a table, such as `SWEEP`."""
-    own, form, rho, tau = np.split(np.array(list(table.values()))[:, None, None, :], [1, 2, 5], -1)
-    return Boosts(own[..., None], strong_tracking(rho, tau, proportional=form))
+    from_first, form, rho, tau = np.split(
+        np.array(list(table.values()))[:, None, None, :], [1, 2, 5], -1
+    )
+    return Boosts(from_first[..., None], strong_tracking(rho, tau, proportional=form))
 
 
 def linear(
@@ -350,19 +351,19 @@ def linear(
 ) -> Found:
     """`run_filters` with trends of the ephemeris error about the nominal orbit: the paper's trends,
     a step, or a constant error of 1 km in several directions."""
-    known = filters(config, s.LINEAR, on=BESIDE)
+    by_name = filters(config, s.LINEAR, on=BESIDE)
     walks, whose = np.array(list(NINE.values())).T[..., None, None, None, None]
-    known |= {
-        name: replace(known["tdkf"], boost=boosts(table))
+    by_name |= {
+        name: replace(by_name["tdkf"], boost=boosts(table))
         for name, table in (("tdkf", FORMS), ("sweep", SWEEP))
     }
     Q, R = (
         np.where(whose > 0.0, fair, driving)
         for driving, fair in zip(*config.noise.whites, strict=True)
     )
-    known["nine"] = s.nine_states(s.LINEAR, Q, R, known["tdkf"].bias, walks * np.eye(3))
+    by_name["nine"] = s.nine_states(s.LINEAR, Q, R, by_name["tdkf"].bias, walks * np.eye(3))
     cases = [replace(config, trend=trend) for trend in names]
-    return run_filters(names, s.linearized(cases, rngs), known, of, every=every)
+    return run_filters(names, s.linearized(cases, rngs), by_name, of, every=every)
 
 
 Tracks = Mapping[str, tuple[Array, Array]]
@@ -389,15 +390,15 @@ def displaced(
     sim = s.linearized([silent], rngs)
     bias, pull = (np.stack(part, 1) for part in zip(*cases.values(), strict=True))
     moved = response(config, pull)
-    seen = np.zeros_like(bias)
+    delays = np.zeros_like(bias)
     Gamma = sim.inputs[2]
     assert Gamma is not None
-    seen[1:] = (moved[1:, :, :3] + bias[1:]) @ Gamma.mT
+    delays[1:] = (moved[1:, :, :3] + bias[1:]) @ Gamma.mT
     shape = (len(cases), len(rngs))
     sim = sim._replace(
         truth=sim.truth + moved[:, :, None],
         bias=np.broadcast_to(bias[:, :, None], (len(bias), *shape, 3)),
-        z=sim.z + seen[:, :, None],
+        z=sim.z + delays[:, :, None],
         prior=Gaussian(np.broadcast_to(config.deviation, (*shape, 6)), sim.prior.cov),
     )
     return run_filters(list(cases), sim, filters(config, s.LINEAR, on=BESIDE), of, every=12)
@@ -421,34 +422,35 @@ def bodies(config: Config) -> Tracks:
         ours, theirs = (sum(accelerations(config, e).values()) for e in (errors, {}))
         return np.asarray(ours - theirs)
 
-    own = {"earth": error.pop("earth")}
-    rate = np.gradient(own["earth"], config.step_s, axis=0)
+    earth_error = {"earth": error.pop("earth")}
+    rate = np.gradient(earth_error["earth"], config.step_s, axis=0)
     late = timing.delay(place, sun + error["sun"]) - timing.delay(place, sun)
     alike = np.linalg.solve(timing.gradient(place, sun), late[..., None])[..., 0]
     return {
         "none": (still + 0.0 * place, still + 0.0 * place),
-        "position": (own["earth"], pulled(own)),
+        "position": (earth_error["earth"], pulled(earth_error)),
         "velocity": (0.5 * config.step_s * rate, 0.0 * place),
         "others": (alike, pulled(error)),
     }
 
 
 def reference(names: Mapping[str, Sequence[str]], config: Config) -> Tracks:
-    """Differences of ephemerides from DE421 by name: the first difference minus the others."""
+    """Differences of ephemerides from DE421 by name: the first listed difference minus the
+    others."""
     each = {name: [difference(one, config) for one in of] for name, of in names.items()}
     return {name: (d - sum(less), 0.0 * d) for name, (d, *less) in each.items()}
 
 
 def operations(config: Config, _rngs: Rngs) -> Found:
     """Arithmetic operations of one step of one run about the nominal orbit, by filter."""
-    known = filters(config, s.LINEAR)
+    by_name = filters(config, s.LINEAR)
     sim = s.linearized([config], [np.random.default_rng(0)])
     names = ("ekf", "tkf", "aug9", "tstdkf")
-    return counted({name: known[name] for name in names}, sim.prior, sim.epochs())
+    return counted({name: by_name[name] for name in names}, sim.prior, sim.epochs())
 
 
 def nominal_covariances(cases: Sequence[Config], name: str) -> Array:
-    """Covariances ``(T, cases, 9, 9)`` of orbit and bias along the nominal orbit. For aug this is
+    """Covariances ``(T, cases, 9, 9)`` of orbit and bias along the nominal orbit. For aug they are
     the posterior Cramer-Rao bound."""
     sim = s.linearized([cases[0]], [np.random.default_rng(0)])
     prior = Gaussian(np.zeros((len(cases), 1, 6)), np.diag(cases[0].deviation ** 2))
@@ -463,11 +465,11 @@ def covariances(config: Config, _: Rngs) -> Found:
     -------
     ``<setting>/aug``: of aug in each setting; ``told/aug``: of aug with a known ephemeris error;
     ``1/tstdkf``. trace: by AR(1) coefficient, without a bias, trace of the position's covariance of
-    TDKF over the smallest possible trace. condition: condition number of aug9's covariance, scaled
+    TDKF, divided by the smallest possible trace. condition: of aug9's covariance, scaled
     to unit variances.
     """
     flown = {**FIVE, "told": {"bias_prior_km": 1e-9, "walk_km": 0.0}}
-    known = nominal_covariances([replace(config, **changes) for changes in flown.values()], "aug")
+    bounds = nominal_covariances([replace(config, **changes) for changes in flown.values()], "aug")
     short = replace(config, days=config.days / 3.0, bias_prior_km=1e-9, walk_km=0.0)
     cases = [replace(short, setting=Setting(F, 0.0, 0.0)) for F in COLORS]
     said, least = (
@@ -481,16 +483,16 @@ def covariances(config: Config, _: Rngs) -> Found:
         "trace": said / least,
         "condition": np.linalg.cond(nine / (std * std.mT)),
     }
-    return out | {f"{i}/aug": known[:, k] for k, i in enumerate(flown)}
+    return out | {f"{i}/aug": bounds[:, k] for k, i in enumerate(flown)}
 
 
 def alike(config: Config, rngs: Rngs) -> Found:
-    """All noise white: largest differences between TKF and TDKF, of first stages and of both
+    """Largest differences between TKF and TDKF if all noise is white, for first stages and both
     stages: of means in standard deviations, and of covariances relative to the variances."""
     c = replace(config, setting=SETTINGS[5])
     sim = simulate(c, rngs)
-    known = filters(c)
-    tkf, tdkf = (steps(known[name], sim.prior, sim.epochs()) for name in ("tkf", "tdkf"))
+    by_name = filters(c)
+    tkf, tdkf = (steps(by_name[name], sim.prior, sim.epochs()) for name in ("tkf", "tdkf"))
     worst = np.zeros(4)
     for (_, one, _), (_, two, _) in zip(tkf, tdkf, strict=True):
         apart = []
@@ -503,8 +505,8 @@ def alike(config: Config, rngs: Rngs) -> Found:
 
 # -- parts without Monte Carlo ---------------------------------------------------------------------
 def accelerations(config: Config, errors: Mapping[str, Array] | None = None) -> Found:
-    """Acceleration ``(T, 3)`` km/s^2 of the satellite on its nominal orbit by each body, relative
-    to the acceleration of the Earth. errors: ``(T, 3)`` km, of the positions of some bodies."""
+    """Acceleration ``(T, 3)`` km/s^2 of the satellite on its nominal orbit due to each body, minus
+    the acceleration of the Earth. errors: ``(T, 3)`` km, position errors of some bodies."""
     place = s.nominal(config).state[:, :3]
     wrong = errors or {}
     at = {b: de421().state(b, config.dates).position + wrong.get(b, 0.0) for b in BODIES}
@@ -576,8 +578,8 @@ def ephemerides() -> tuple[Tdb, Found]:
             f"{apart:.3g} km"
         )
     pairs = [(name, body) for name in ("de405", "de406", "de423") for body in ("earth", "sun")]
-    found = {f"{name}/{body}": stored[f"{name}-de421/{body}"] for name, body in pairs}
-    return dates, found | {name.replace("-de421", ""): d for name, d in more.items()}
+    differences = {f"{name}/{body}": stored[f"{name}-de421/{body}"] for name, body in pairs}
+    return dates, differences | {name.replace("-de421", ""): d for name, d in more.items()}
 
 
 def difference(name: str, config: Config) -> Array:
@@ -590,22 +592,22 @@ def difference(name: str, config: Config) -> Array:
 
 
 def sky_facts(config: Config, _: Rngs) -> Found:
-    """The `ephemerides`; the Earth's ``speed`` (km/s); the largest values over a year, for each
-    pulsar, of the error of the Shapiro term (``shapiro``, km) and of the parallax terms that count
-    distances from the Sun (``solar``, km)."""
+    """The `ephemerides`; the Earth's ``speed`` (km/s); and for each pulsar the largest values over
+    a year of the error of the Shapiro term (``shapiro``, km) and of the parallax terms that depend
+    on the distance from the Sun (``solar``, km)."""
     dates = from_utc(config.start_utc).after(np.arange(0.0, s.YEAR_S, 10800.0))
     (earth, velocity), (sun, _still) = (de421().state(body, dates) for body in ("earth", "sun"))
     timing = config.timing
     n = config.timing.directions
     solar = ((-sun @ n.T) * (earth @ n.T) + (sun * earth).sum(1)[:, None]) / timing.distances
     wrong = timing.shapiro(earth, sun) - timing.shapiro_exact(earth, sun)
-    found = {
+    facts = {
         "speed": np.linalg.norm(velocity[:1], axis=1),
         "shapiro": np.abs(wrong).max(0),
         "solar": np.abs(solar).max(0),
     }
     return (
-        ephemerides()[1] | found | {"norm": np.linalg.norm(ephemerides()[1]["de405/earth"], axis=1)}
+        ephemerides()[1] | facts | {"norm": np.linalg.norm(ephemerides()[1]["de405/earth"], axis=1)}
     )
 
 
@@ -705,7 +707,7 @@ over = partial(numbers.over, at="all")
 def together(
     label: str, a: str, b: str, accept: Bounds = (None, None), group: str = "bias"
 ) -> Decided:
-    """As `yearly`, with the squares of the three trends added."""
+    """`yearly` for the sum of the squares over the three trends."""
 
     def number(r: Results) -> Number:
         sums = [
@@ -831,7 +833,7 @@ def of_hours(
 
 
 def below_both(*errors: Array) -> Any:
-    """Fraction of hours (12 epochs) in which the RMSE of the last is below that of two others."""
+    """Fraction of hours (12 epochs) in which the last RMSE is below both others."""
     *others, ours = (np.square(e[:, ::12]).mean(0) for e in errors)
     return (ours < np.minimum(*others)).mean()
 
@@ -839,8 +841,7 @@ def below_both(*errors: Array) -> Any:
 def yearly(
     label: str, a: str, b: str, accept: Bounds = (None, None), group: str = "bias", **more: Any
 ) -> list[Decided]:
-    """For each of the three trends, after the first month: RMSE of filter ``a`` over that of
-    ``b``."""
+    """RMSE ratio of filter ``a`` to ``b`` for each of the three trends, after the first month."""
     return [
         over(f"{label}, {t}", "year", f"{t}/{a}", f"{t}/{b}", accept, group, at="later", **more)
         for t in TRENDS
@@ -871,7 +872,7 @@ def following(a: str, b: str, accept: Bounds = (None, None)) -> Decided:
 
 
 def before_step(a: str, b: str, accept: Bounds = (None, None), group: str = "bias") -> Decided:
-    """RMSE in the five days before the step, of filter ``a`` over that of ``b``."""
+    """RMSE ratio of filter ``a`` to ``b`` in the five days before the step."""
     label = f"{group} RMSE before the step, {a} over {b}"
     return over(label, "sweep", f"step/{a}", f"step/{b}", accept, group, at="steady")
 
@@ -879,7 +880,8 @@ def before_step(a: str, b: str, accept: Bounds = (None, None), group: str = "bia
 def factors(
     a: tuple[str, str], b: tuple[str, str], accept: Bounds = (None, None), at: When = "all"
 ) -> Decided:
-    """Ratio of largest to smallest RMSE over the settings, of one filter and group over another."""
+    """Ratio of largest to smallest RMSE over the settings, for ``a`` relative to ``b`` (each a
+    filter and a group)."""
 
     def factor(*samples: Array) -> float:
         x = [rms(sample) for sample in samples]
@@ -891,13 +893,13 @@ def factors(
 
 
 def below(a: Array, b: Array) -> float:
-    """Percent by which the RMSE of the first is below that of the second."""
+    """Percent by which the first RMSE is below the second."""
     return 100.0 - 100.0 * quotient(a, b)
 
 
 def percentages(group: str, halfway: tuple[float, float]) -> Callable[[Results], Tiers]:
-    """Reductions in setting 1: of many linearized runs, against the printed ones (of 50 runs) and
-    against half of the effect; and of 50 nonlinear runs."""
+    """Reductions in setting 1: from many linearized runs, compared with the printed reductions
+    (from 50 runs) and with half of the effect; and from 50 nonlinear runs."""
 
     def gain(label: str, part: str, case: str, f: str, **more: Any) -> Decided:
         flown = [(f"{case}/tstdkf", group), (f"{case}/{f}", group)]
@@ -912,7 +914,7 @@ def percentages(group: str, halfway: tuple[float, float]) -> Callable[[Results],
 
 
 def lead(group: str, f: str) -> Decided:
-    """Percentage points by which the gain of TSTDKF in setting 1 exceeds that of other settings."""
+    """Percentage points by which TSTDKF's gain in setting 1 exceeds its gain in other settings."""
 
     def exceeds(*x: Array) -> float:
         first, *others = map(below, x[:5], x[5:])
@@ -924,8 +926,8 @@ def lead(group: str, f: str) -> Decided:
 
 
 def at_bound(r: Results) -> list[Number]:
-    """Position RMSE of the exact filter over the RMSE that its covariance predicts on the nominal
-    orbit. The prior of the bias is wider than the true bias, so the ratio is below 1."""
+    """Ratio of the exact filter's position RMSE to the RMSE that its covariance predicts on the
+    nominal orbit. It is below 1, because the prior σ of the bias is larger than the true bias."""
     numbers = []
     for i in SETTINGS:
         size = r.get("covariances", f"{i}/aug")[:, :3, :3].trace(axis1=1, axis2=2).mean()
@@ -948,14 +950,14 @@ CONSTANT = [together("bias RMSE, constant bias over form C", "tkf", "C", (1.0, N
 
 
 def displacing(a: str, b: str, setting: int, accept: Bounds = (None, None)) -> Decided:
-    """Position RMSE of the EKF with error ``a`` of `bodies` over that with ``b``."""
+    """Ratio of the EKF's position RMSE with error ``a`` of `bodies` to its RMSE with ``b``."""
     label = f"EKF position RMSE, error {a} over {b}, setting {setting}"
     part = f"bodies, {setting}"
     return over(label, part, f"{a}/ekf", f"{b}/ekf", accept, at="late")
 
 
 def in_order(part: str, case: str, accept: Bounds) -> list[Decided]:
-    """Position RMSE of TSTDKF over TKF and of TKF over EKF."""
+    """Position RMSE ratios of TSTDKF to TKF and of TKF to EKF."""
     pairs = (("tstdkf", "tkf"), ("tkf", "ekf"))
     return [
         over(f"{case}, {a.upper()} over {b.upper()}", part, f"{case}/{a}", f"{case}/{b}", accept)

@@ -1,4 +1,4 @@
-"""Positions of a satellite in a file, one per line, and axes along its orbit. Units: m, s;
+"""Files with positions of a satellite, one per line, and axes along its orbit. Units: m, s;
 Earth-fixed axes.
 """
 
@@ -44,9 +44,9 @@ def read(path: str | Path) -> Positions:
             with gzip.open(path) as file:
                 content = file.read(MOST_BYTES + 1)
         except (EOFError, zlib.error, gzip.BadGzipFile) as error:
-            raise InputError(f"{path}: expected a whole gzipped file ({error})") from None
+            raise InputError(f"{path}: expected a whole gzipped file, got {error}") from None
     if len(content) > MOST_BYTES:
-        raise InputError(f"{path}: expected at most {MOST_BYTES:,} bytes when unpacked")
+        raise InputError(f"{path}: expected at most {MOST_BYTES:,} bytes when unpacked, got more")
     rows: list[list[float]] = []
     for number, line in enumerate(content.decode("latin-1").splitlines(), 1):
         try:
@@ -90,8 +90,8 @@ def aligned(log: Positions, other: Positions) -> Array:
 
 
 def axes(truth: Array) -> Array:
-    """Rotations ``(T, 3, 3)`` from Earth-fixed axes to radial, along and across the track; nan next
-    to a gap.
+    """Rotations ``(T, 3, 3)`` from Earth-fixed axes to axes radial, along and across the track; nan
+    next to a gap.
     """
     velocity = np.gradient(truth, STEP_S, axis=0) + np.cross([0.0, 0.0, earth.ROTATION_RATE], truth)
     up, across = (

@@ -1,5 +1,5 @@
-"""Models of GRACE-A and its fixes, with settings found on 2 and 3 August 2008. Units: m, s;
-Earth-fixed axes.
+"""Models of GRACE-A and its fixes, with settings from 2 and 3 August 2008. Units: m, s; Earth-fixed
+axes.
 """
 
 from __future__ import annotations
@@ -48,13 +48,13 @@ __all__ = [
 
 POLE = (0.24 * np.pi / 648000.0, 0.47 * np.pi / 648000.0)
 TT_GPS_S, GPS_UTC_S, UT1_UTC_S = 51.184, 14.0, -0.458
-"""Differences of time scales; `POLE` is the motion of the pole, x and y, rad."""
+"""Differences of time scales, s; `POLE` is the polar motion, x and y, rad."""
 
 
 # -- models ----------------------------------------------------------------------------------------
 class Around(NamedTuple):
-    """Quantities by epoch on Earth-fixed axes ``(T, 3)``: rotation rate of the axes (rad/s), Sun
-    and Moon from the Earth's center (m).
+    """Quantities by epoch on Earth-fixed axes, ``(T, 3)``: rotation rate of the axes (rad/s), and
+    geocentric positions of Sun and Moon (m).
     """
 
     spin: Array
@@ -71,7 +71,7 @@ def orientation(times: Array) -> tuple[Array, Array]:
 
 
 def around(times: Array) -> Around:
-    """Rotation of the axes, Sun and Moon at GPS seconds."""
+    """`Around` at GPS seconds ``(T,)``."""
     fixed, tt = orientation(np.append(times, times[-1] + STEP_S))
     date, kernel = ephemeris.from_tt(*tt[:-1].T), ephemeris.de421()
     center, *bodies = (kernel.state(body, date).position for body in ("earth", "sun", "moon"))
@@ -105,8 +105,8 @@ def step(x: Array, epoch: Any, field: gravity.Gravity) -> Array:
 
 
 class Setting(NamedTuple):
-    """Standard deviation (m) of a fix's errors; their correlation over a step; velocity (m/s) that
-    unmodeled forces add in a step, per axis.
+    """Standard deviation (m) of a fix's errors, their correlation over a step, and standard
+    deviation (m/s) of the velocity change by unmodeled forces in a step, per axis.
     """
 
     sigma: float
@@ -119,7 +119,7 @@ Settings = Setting | Array
 
 
 def motion(field: gravity.Gravity, q: Any) -> Motion:
-    """Gravity up to a degree, and white accelerations that add ``q`` m/s in a step."""
+    """Motion under gravity and white accelerations, with a σ of ``q`` m/s per step."""
     white = np.array([[STEP_S**2 / 3.0, STEP_S / 2.0], [STEP_S / 2.0, 1.0]])
     return Motion(
         partial(step, field=field), np.square(q)[..., None, None] * np.kron(white, np.eye(3))
@@ -143,16 +143,15 @@ def prior(log: Positions) -> Gaussian:
 
 # -- settings, from 2 and 3 August -----------------------------------------------------------------
 DEGREE, TRAINED = 16, 8500
-"""Degree of gravity; number of epochs of each day in a likelihood."""
+"""Degree of the gravity field; number of epochs of each day that a likelihood uses."""
 SCREEN, SCREENED_M = Setting(4.0, 0.95, 1e-4), 6.0
-"""Setting of a filter that finds outlying fixes, and its limit of an innovation (m). The screened
+"""Setting of a filter that detects outlying fixes, and its limit for innovations (m). The screened
 likelihood omits fixes with a larger innovation.
 """
 
 
 DOF = 4.0
-"""Degrees of freedom of Student's t: the default of `celnav.filters.adaptive.student_t`, not chosen
-by these data.
+"""Degrees of freedom of Student's t: the default of `celnav.filters.adaptive.student_t`, not a fit.
 """
 SETTINGS = {
     "robust": Setting(1.877, 0.9773, 2.545e-4),
@@ -164,16 +163,15 @@ SETTINGS = {
 }
 """Settings of the filters.
 
-robust: largest likelihood of all fixes, with Student's t of `DOF` for the increments of their
-errors.
+robust: maximum likelihood of all fixes, with Student's t of `DOF` for the increments of errors.
 colored: as robust, with the variance of that distribution.
-screened: largest Gaussian likelihood without fixes that are off by `SCREENED_M`.
-normal: largest Gaussian likelihood of all fixes; a few fixes dominate it.
+screened: maximum Gaussian likelihood without fixes that are off by `SCREENED_M`.
+normal: maximum Gaussian likelihood of all fixes; a few fixes dominate it.
 by correlation: standard deviation of the residuals, and the lag at which their correlation is 1/e.
-white: as colored, without its correlation.
-white, inflated: R is (1 + phi) / (1 - phi) times as large, for a correct mean of many fixes.
+white: as colored, without correlation.
+white, inflated: R times (1 + phi) / (1 - phi), which is correct for the mean of many fixes.
 white, by NIS: R gives a correct NIS.
-white, by likelihood: R and Q with the largest likelihood of white Gaussian errors.
+white, by likelihood: R and Q maximize the likelihood of white Gaussian errors.
 """
 _scale, _phi, _q = SETTINGS["robust"]
 _sigma = _scale * float(np.sqrt(DOF / (DOF - 2.0)))
@@ -183,7 +181,7 @@ SETTINGS["white, inflated"] = Setting(_sigma * float(np.sqrt((1.0 + _phi) / (1.0
 
 
 class Training(NamedTuple):
-    """Two days of fixes as two runs, relative to a trajectory within meters of the satellite.
+    """Two days of fixes as two runs, relative to a trajectory that is accurate to some meters.
 
     times: s ``(T,)``. z: fixes minus the trajectory ``(T, 2, 3)``.
     u: transition of the state minus the trajectory over each interval; matrices ``(T - 1, 2, 6,
@@ -198,7 +196,7 @@ class Training(NamedTuple):
     far: Array
 
     def screened(self) -> Training:
-        """The same without outlying fixes."""
+        """The `Training` without outlying fixes."""
         return self._replace(z=np.where(self.far, np.nan, self.z))
 
 
@@ -206,8 +204,8 @@ def training(paths: Sequence[Path], field: gravity.Gravity, count: int) -> Train
     """The first ``count`` epochs of two days, relative to the trajectory of a filter with the
     setting `SCREEN`.
 
-    Over meters the motion is linear to 1e-11 m/s^2. It is therefore linearized once, and not in
-    each run of a search.
+    Within meters of the trajectory the motion is linear to 1e-11 m/s^2. So it is linearized once,
+    not in each run of a search.
     """
     logs = [read(path) for path in paths]
     each = [prior(log) for log in logs]
@@ -223,7 +221,7 @@ def training(paths: Sequence[Path], field: gravity.Gravity, count: int) -> Train
     track = run(colored(M, S, Phi), both, times, z, u, keep="mean")
     aside = np.repeat([10.0, 1e-2], 3)
     points = np.concatenate([np.diag(aside), -np.diag(aside), np.zeros((1, 6))])
-    # Pieces of 200 epochs, because all epochs together need gigabytes.
+    # Pieces of 200 epochs, because all epochs together would need gigabytes.
     pieces = [slice(k, min(k + 200, count - 1)) for k in range(0, count - 1, 200)]
     moved = np.concatenate(
         [
@@ -247,7 +245,7 @@ def training(paths: Sequence[Path], field: gravity.Gravity, count: int) -> Train
 
 
 def linear(believed: tuple[Motion, Sensor, Array]) -> tuple[Motion, Sensor, Array]:
-    """The same model for a state minus the trajectory of a `Training`."""
+    """The model for the state minus the trajectory of a `Training`."""
     M, S, Phi = believed
     return Motion(lambda x, epoch: matvec(epoch.u[0], x) + epoch.u[1], sqrt_Q=M.noise), S, Phi
 
@@ -310,15 +308,15 @@ def weighing(dof: float) -> list[Any]:
 
 @dataclass(frozen=True, eq=False)
 class Weighed:
-    """A filter with the hooks of `weighing`. Its likelihood is that of Student's t."""
+    """A filter with the hooks of `weighing`; its likelihood is Student's t."""
 
     filter: Any
 
     def start(self, prior: Gaussian) -> Any:
-        """As in the filter."""
+        """State of the filter before the first epoch."""
         return self.filter.start(prior)
 
     def step(self, state: Any, epoch: Epoch) -> tuple[Any, tuple[Info, ...]]:
-        """As in the filter, with the density from its first hook."""
+        """Step of the filter, with the density from its first hook in the information."""
         state, (info,) = self.filter.step(state, epoch)
         return state, (info if state.memory is None else info._replace(mixture=state.memory[0]),)

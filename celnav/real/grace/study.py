@@ -5,11 +5,11 @@ GRACE-A, 1 to 3 August 2008. All settings are chosen with the fixes of 2 and 3 A
 of 3 to 6 cm exist.
 
 This is a second analysis. In the first, all filters had a gate of 5 σ, and settings came from a
-likelihood without outlying fixes. Bursts of errors made the gate reject the fixes for long times,
-so the first findings were artifacts of the gate. We had therefore seen the truth, and knew of the
-bursts, when we wrote this study. The settings still use only 2 and 3 August. The accepted ranges
-are those of the first analysis; the ranges of new rows were written before the rows were computed.
-Units: m, s; errors are radial, along and across the track.
+likelihood without outlying fixes. Bursts of errors made the gate reject fixes for a long time, so
+the first findings were artifacts of the gate. We had therefore seen the truth and the bursts when
+we wrote this study. The settings still use only 2 and 3 August. Accepted ranges are unchanged from
+the first analysis; the ranges of new rows were written before the rows were computed. Units: m, s;
+errors are radial, along and across the track.
 """
 
 from __future__ import annotations
@@ -92,23 +92,23 @@ NAMES = (*WHITE, *COLORED, *HOOKED, "without z_0", "augmented")
 
 
 def flights(field: gravity.Gravity, names: Sequence[str]) -> dict[tuple[str, ...], Filter]:
-    """Filters by the names that run together as one batch; for white noise the coefficient is 0.
-    "augmented" runs alone.
+    """Filters, by the names that share one batch. For white noise the coefficient is 0. "augmented"
+    runs alone.
     """
-    own = tuple(name for name in names if name != "augmented")
+    batch = tuple(name for name in names if name != "augmented")
     hooks = [
-        of_runs(hook, np.array([one == name for one in own]))
+        of_runs(hook, np.array([one == name for one in batch]))
         for name, hook in HOOKED.items()
-        if name in own
+        if name in batch
     ]
-    sigma, phi, q = np.transpose([SETTINGS[name] for name in own])
+    sigma, phi, q = np.transpose([SETTINGS[name] for name in batch])
     increments = (np.square(sigma) * (1.0 - np.square(phi)))[:, None, None] * np.eye(3)
     first = np.where(
-        [name == "without z_0" for name in own], 1e6, sigma
+        [name == "without z_0" for name in batch], 1e6, sigma
     )  # m: a first fix without information
     M, S, Phi = believed(field, np.stack([first, phi, q]))
     out: dict[tuple[str, ...], Filter] = {
-        own: colored(M, S, Phi, increments=increments, hooks=hooks)
+        batch: colored(M, S, Phi, increments=increments, hooks=hooks)
     }
     if "augmented" in names:
         out["augmented",] = augmented(*believed(field, np.transpose([SETTINGS["augmented"]])))
@@ -116,7 +116,7 @@ def flights(field: gravity.Gravity, names: Sequence[str]) -> dict[tuple[str, ...
 
 
 def of_runs(hook: Hook, here: Array) -> Hook:
-    """A hook that applies another hook to some runs only, ``here (runs,)``."""
+    """A hook that applies another hook to the runs in the mask ``here (runs,)`` only."""
 
     def some(memory: Any, joint: Joint, epoch: Any) -> tuple[Any, Joint]:
         memory, done = hook(memory, joint, epoch)
@@ -138,11 +138,11 @@ class Files(NamedTuple):
 
 
 def run_filters(names: Sequence[str], degree: int, files: Files, _rngs: Rngs) -> dict[str, Array]:
-    """Run filters over 1 August with gravity up to a degree; errors of the fixes.
+    """Run filters over 1 August with gravity up to a degree, and compute errors of the fixes.
 
     Returns
     -------
-    times ``(T,)`` s; errors of the fixes ``fixes (T, 3)`` m, radial, along and across. Of each
+    times ``(T,)`` s; errors of the fixes ``fixes (T, 3)`` m, radial, along and across. For each
     filter ``<name>/error`` and ``<name>/std (T, 1, 3)`` on these axes, ``<name>/cov (T, 1, 3, 3)``;
     ``<name>/nees``, ``<name>/nis (T, 1)``, of three components, nan where there is none;
     ``<name>/white (T, 3)``, whitened innovations; ``<name>/rejected (1,)``, the fraction of
@@ -187,13 +187,13 @@ SEARCHED = {
 
 
 def judged(files: Files, _rngs: Rngs) -> dict[str, Array]:
-    """Log-likelihoods of 2 and 3 August: with the settings that were found, then with each
-    parameter a factor of 1.2 smaller and larger.
+    """Log-likelihoods of 2 and 3 August: with the optimal settings, then with each parameter
+    divided and multiplied by 1.2.
 
     Returns
     -------
     ``<name> (7,)`` for each of `SEARCHED`, ``(5,)`` for the white filter: log-likelihoods. nis
-    ``(1,)``: NIS over its degrees of freedom, of the white filter with R set by NIS.
+    ``(1,)``: NIS per degree of freedom for the white filter with R set by NIS.
     """
     field, factors = gravity.read(files.field, DEGREE), np.ones((7, 3))
     data = training(files.fixes[1:], field, TRAINED)
@@ -279,7 +279,7 @@ def mean(a: Array) -> float:
 
 
 def claims(name: str, accept: Bounds) -> Decided:
-    """RMSE of a filter over its predicted σ."""
+    """Ratio of a filter's RMSE to its predicted σ."""
     label = f"RMSE over predicted σ, {name}"
     return over_day(
         label, ratio, lambda r: [column(r, BEST, name, what) for what in ("error", "std")], accept
@@ -294,7 +294,7 @@ def honest(name: str, accept: Bounds = (None, None), part: str = BEST) -> Decide
 
 
 def typical(name: str, accept: Bounds) -> Decided:
-    """Median NEES over the median of a consistent filter."""
+    """Ratio of the median NEES to the median for a consistent filter."""
     return over_day(
         f"median NEES over that of a consistent filter, {name}",
         lambda a: float(np.median(a)) / (CHI_SQUARE_MEDIAN / 3.0),
@@ -304,7 +304,7 @@ def typical(name: str, accept: Bounds) -> Decided:
 
 
 def inside(name: str) -> Decided:
-    """Fraction of the components, in all directions, within the predicted 95 % intervals."""
+    """Fraction of the errors, over all components, within the predicted 95 % intervals."""
 
     def columns(r: Results) -> list[Array]:
         error, std = (r.get(BEST, f"{name}/{what}")[:, 0] for what in ("error", "std"))
@@ -314,7 +314,7 @@ def inside(name: str) -> Decided:
 
 
 def against(a: str, b: str, accept: Bounds = (None, None), part: str = BEST) -> Decided:
-    """RMSE of filter ``a`` over that of ``b``, or of the fixes, with the best gravity."""
+    """RMSE ratio of filter ``a`` to ``b`` (or to the fixes), with the best gravity field."""
     label = f"RMSE, {a} over {b}"
     return over_day(
         label, ratio, lambda r: [column(r, part, a, "error"), column(r, BEST, b, "error")], accept
@@ -349,7 +349,7 @@ def autocorrelation(lag: int, accept: Bounds = (None, None)) -> Decided:
 
 
 HONEST = (0.5, 2.0)
-"""Accepted NEES over its dimension."""
+"""Accepted range of NEES divided by the dimension."""
 finding = partial(
     Row,
     "finding",
