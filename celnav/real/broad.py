@@ -441,7 +441,7 @@ def beside(r: Results) -> Figure:
             "x",
             {"xlim": (0.5, 60.0)},
         ),
-        size=(8.0, 5.0),
+        height=4.6,
     )
 
 
@@ -459,7 +459,7 @@ def over_time(r: Results) -> Figure:
             for what in ("error", "std")
         )
         bounds = [
-            curve(t, sign * 2.0 * std, Line("predicted ±2 σ", colors.SIGMA, ":"))
+            curve(t, sign * 2.0 * std, Line("predicted ±2 σ", colors.SIGMA, "--"))
             for sign in (1.0, -1.0)
         ]
         return [curve(t, error, LINES["mekf"]), *bounds]
@@ -476,7 +476,6 @@ def over_time(r: Results) -> Figure:
             ]
             for axis, name in ((2, "the vertical"), (0, "east"))
         ],
-        size=(8.0, 5.0),
         sharex="col",
     )
 
@@ -498,9 +497,7 @@ def consistent(r: Results) -> Figure:
             "RMS error over predicted σ",
         )
 
-    return panels(
-        [panel("heading", slice(2, 3)), panel("inclination", slice(0, 2))], size=(12.0, 4.5)
-    )
+    return panels(panel("heading", slice(2, 3)), panel("inclination", slice(0, 2)), height=3.0)
 
 
 def table(r: Results) -> Rows:

@@ -463,7 +463,7 @@ def outage_bars(r: Results) -> Figure:
         for name in ("fixes", "wheels")
     }
     panel = Panel("", [bars(starts, heights)], "start of the outage", "drift after 15 s (m)")
-    return panels(panel, size=(8.0, 4.0))
+    return panels(panel, height=3.0)
 
 
 def table(r: Results) -> Rows:

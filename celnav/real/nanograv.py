@@ -48,7 +48,7 @@ from celnav.real.arrivals import (
     weekly,
 )
 from celnav.show import colors
-from celnav.show.draw import Line, Panel, bars, curve, level, panels
+from celnav.show.draw import MARKERS, STYLES, Line, Panel, bars, curve, level, panels
 from celnav.show.figures import Rows
 from celnav.show.plots import Curve, Plot
 from celnav.show.showcase import SceneView, Showcase, write
@@ -534,13 +534,13 @@ STUDY = Study(
 # -- figures, table, recording ---------------------------------------------------------------------
 AXES, SHADES = ("x", "y", "z"), (colors.COMPARISON, colors.ESTIMATE, colors.TRUTH)
 LINES = {
-    "ekf": Line("EKF", colors.OPEN_LOOP),
-    "tkf": Line("TKF", colors.COMPARISON),
-    "tdkf": Line("TDKF", colors.FAINT, "--", 0.9),
+    "ekf": Line("EKF", colors.OPEN_LOOP, STYLES[2]),
+    "tkf": Line("TKF", colors.COMPARISON, STYLES[4]),
+    "tdkf": Line("TDKF", colors.FAINT, STYLES[1]),
     "tstdkf": Line("TSTDKF", colors.ESTIMATE),
-    "aug": Line("augmented", colors.REFERENCE),
-    "drift": Line("Sun's error grows linearly", colors.MEASUREMENT, width=1.9),
-    "clocks": Line("the same, with arrival times", colors.TRUTH, width=1.9),
+    "aug": Line("augmented", colors.PAPER, STYLES[3]),
+    "drift": Line("Sun's error grows linearly", colors.MEASUREMENT, width=2.5),
+    "clocks": Line("the same, with arrival times", colors.TRUTH, STYLES[5], 1.9),
 }
 
 
@@ -551,9 +551,9 @@ def weeks(r: Results) -> Figure:
         r.get("fixes", "all/error")[:, 0],
         r.get("fixes", "all/std")[:, 0],
     )
-    dots: Any = {"linestyle": "", "marker": ".", "markersize": 4}
+    dots: Any = {"linestyle": "", "marker": ".", "markersize": 3}
     above = [
-        curve(t, error[:, i], label=name, color=c, **dots)
+        curve(t, error[:, i], label=name, color=c, **dots | {"marker": MARKERS[i]})
         for i, (name, c) in enumerate(zip(AXES, SHADES, strict=True))
     ]
     below = [
@@ -564,7 +564,7 @@ def weeks(r: Results) -> Figure:
     return panels(
         Panel("Weekly fixes of the Earth minus DE440", above, "year", "error (km)", more=more),
         Panel("Norm of the error, and predicted σ", below, "year", "km", "y"),
-        size=(8.0, 5.6),
+        height=2.6,
         sharex=True,
     )
 
@@ -586,14 +586,14 @@ def hidden(r: Results) -> Figure:
     return panels(
         [
             Panel(
-                "An oscillation after timing models are fitted",
+                "Oscillation after the fit",
                 swing,
                 "period (years)",
                 "visible fraction (-)",
                 "xy",
             ),
             Panel(
-                "Error of the Earth's position, 2017 to 2020",
+                "Error of the Earth, 2017 to 2020",
                 [error],
                 "",
                 "RMS error (km)",
@@ -601,28 +601,28 @@ def hidden(r: Results) -> Figure:
                 {"ylim": (0.05, 500.0)},
             ),
         ],
-        size=(10.0, 3.6),
+        height=2.6,
     )
 
 
 def flights(r: Results) -> Figure:
     """Errors of the filters for each ephemeris."""
-    row = []
+    rows = []
     for part in FLIGHTS:
         t = r.times(part) / DAY_S / YEAR
         lengths = {
             name: np.linalg.norm(r.get(part, f"{name}/error")[:, 0], axis=1) for name in LINES
         }
-        row.append(
+        rows.append(
             Panel(
                 f"Earth by {part}",
                 [curve(t, lengths[name], LINES[name]) for name in LINES],
-                "years",
+                "time (years)",
                 "error (km)",
                 "y",
             )
         )
-    return panels(row, size=(11.0, 4.0), sharey=True)
+    return panels(*rows, height=2.0, sharex=True)
 
 
 def table(r: Results) -> Rows:

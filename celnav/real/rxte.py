@@ -30,7 +30,7 @@ from celnav.models.pulsar import LIGHT_KM_S
 from celnav.papers import citation
 from celnav.real.photons import read
 from celnav.show import colors
-from celnav.show.draw import Line, Panel, curve, level, panels
+from celnav.show.draw import MARKERS, Line, Panel, curve, level, panels
 from celnav.show.figures import Rows
 from celnav.show.plots import Curve, Plot
 from celnav.show.showcase import SceneView, Showcase, write
@@ -331,12 +331,14 @@ def pulse(r: Results) -> Figure:
     steps = np.append(counts, counts[0]) / counts.mean()
     light = [
         curve(phase[::2], steps, label="photons", color=colors.SIGMA, drawstyle="steps-post"),
-        curve(phase, r.get("folded", "light"), label="light curve", color=LOOKS["orbit"]),
+        curve(phase, r.get("folded", "light"), Line("light curve", LOOKS["orbit"], "--")),
     ]
     sums = {k: r.get("folded", k) for k in PLACES}
     tests = [
-        curve(ORDERS, power(x.sum(0)), Line(f"{k}: H = {h_test(x):.0f}", LOOKS[k]), marker=".")
-        for k, x in sums.items()
+        curve(
+            ORDERS, power(x.sum(0)), Line(f"{k}: H = {h_test(x):.0f}", LOOKS[k]), marker=MARKERS[i]
+        )
+        for i, (k, x) in enumerate(sums.items())
     ]
     return panels(
         [
@@ -348,7 +350,7 @@ def pulse(r: Results) -> Figure:
             ),
             Panel("The H-test", tests, "harmonics m", "Z² − 4 m + 4"),
         ],
-        size=(10.0, 3.8),
+        height=2.6,
     )
 
 
@@ -357,7 +359,7 @@ def scaled(r: Results) -> Figure:
     h = power(r.get("folded", "scales").sum(0)).max(-1)
     marks = [
         level(0.0, label="Earth's center", color=LOOKS["Earth's center"], upright=True),
-        level(1.0, label="orbit", color=LOOKS["orbit"], upright=True),
+        level(1.0, label="orbit", color=LOOKS["orbit"], style="--", upright=True),
     ]
     return panels(
         Panel(
@@ -366,7 +368,7 @@ def scaled(r: Results) -> Figure:
             "fraction of the orbit (-)",
             "H",
         ),
-        size=(6.0, 3.6),
+        height=2.6,
     )
 
 
@@ -389,7 +391,7 @@ def sighted(r: Results) -> Figure:
     ]
     return panels(
         Panel("RXTE toward PSR B1509-58", items, "time (min)", "1000 km from the Earth's center"),
-        size=(7.5, 4.0),
+        height=3.0,
     )
 
 

@@ -252,35 +252,31 @@ def drawn(results: Mapping[str, Array], lines: Mapping[str, Line], sigma: float)
     two = {name: lines[name] for name in ("ls", "aukf")}
     dots = dict[str, Any](linestyle="", marker=".", ms=3, label=None)
     return panels(
-        [
-            Panel(
-                "position from the header's",
-                [
-                    curve(results[name][:, 0], results[name][:, 1], line, **dots)
-                    for name, line in two.items()
-                ],
-                "east (m)",
-                "north (m)",
-                more={"aspect": "equal"},
-            ),
-            Panel(
-                f"3-D RMS of LS {rms(results, 'ls'):.2f} m",
-                [curve(hours, results[name][:, 2], line) for name, line in two.items()],
-                "hours",
-                "up (m)",
-            ),
-            Panel(
-                f"with {sigma:g} m added to the ranges",
-                [
-                    curve(
-                        hours[shown], np.linalg.norm(results[f"burst/{name}"][shown], axis=-1), line
-                    )
-                    for name, line in styles.items()
-                ],
-                "hours",
-                "distance (m)",
-                "y",
-            ),
-        ],
-        size=(10.0, 3.6),
+        Panel(
+            "position from the header's",
+            [
+                curve(results[name][:, 0], results[name][:, 1], line, **dots)
+                for name, line in two.items()
+            ],
+            "east (m)",
+            "north (m)",
+            more={"aspect": "equal"},
+        ),
+        Panel(
+            f"3-D RMS of LS {rms(results, 'ls'):.2f} m",
+            [curve(hours, results[name][:, 2], line) for name, line in two.items()],
+            "hours",
+            "up (m)",
+        ),
+        Panel(
+            f"with {sigma:g} m added to the ranges",
+            [
+                curve(hours[shown], np.linalg.norm(results[f"burst/{name}"][shown], axis=-1), line)
+                for name, line in styles.items()
+            ],
+            "hours",
+            "distance (m)",
+            "y",
+        ),
+        height=2.1,
     )

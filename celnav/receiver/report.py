@@ -24,6 +24,7 @@ from celnav.receiver.tracks import DOUBTS, civil, table
 from celnav.receiver.trust import SOUND_M, guarded
 from celnav.show import colors
 from celnav.show.draw import (
+    WIDTH,
     Panel,
     components,
     curve,
@@ -505,14 +506,14 @@ def _track(result: Positioned) -> Figure:
                 "position (m)",
             ),
         ],
-        size=(10.0, 4.4),
+        height=3.4,
         width_ratios=(2, 3),
     )
 
 
 def _sky(result: Positioned) -> Figure:
     log = result.log
-    fig, axes = figure(10.0, 4.2, 1, 2, width_ratios=(2, 3))
+    fig, axes = figure(WIDTH, 3.4, 1, 2)
     axes[0].remove()
     polar: Any = fig.add_subplot(1, 2, 1, projection="polar")
     polar.set_theta_zero_location("N")
@@ -529,7 +530,7 @@ def _sky(result: Positioned) -> Figure:
             look = dict[str, Any](linewidth=1.0, marker=".", markersize=1.5, markevery=lone)
             polar.plot(log.azimuth[:, s], zenith_deg, color=KIND_COLORS[kind], label=label, **look)
             last = int(np.flatnonzero(there)[-1]) - 1
-            polar.annotate(log.names[s], (log.azimuth[last, s], zenith_deg[last]), fontsize=6)
+            polar.annotate(log.names[s], (log.azimuth[last, s], zenith_deg[last]))
     polar.set_rlim(0.0, 90.0)
     polar.set_title("sky: zenith in the middle, north up")
     fig.legend(*polar.get_legend_handles_labels(), loc="outside lower left", ncols=4)

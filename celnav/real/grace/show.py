@@ -15,6 +15,7 @@ from celnav.real.grace.settings import DEGREE, SETTINGS, orientation
 from celnav.real.grace.study import BEST, DEGREES, NAMES, REVOLUTION, column
 from celnav.show import colors, scenes, showcase
 from celnav.show.draw import (
+    STYLES,
     Line,
     Panel,
     band,
@@ -38,18 +39,18 @@ if TYPE_CHECKING:
 __all__ = ["FIGURES", "RECORDINGS", "TABLES", "record"]
 
 LINES = {
-    "white": Line("errors modeled as white", colors.COMPARISON),
+    "white": Line("errors modeled as white", colors.COMPARISON, STYLES[1]),
     "colored": Line("correlation modeled", colors.ESTIMATE),
-    "robust": Line("the same, with Student's t", colors.REFERENCE),
-    "white, gated": Line("white, with a gate", colors.PAPER),
+    "robust": Line("the same, with Student's t", colors.FAINT, STYLES[3]),
+    "white, gated": Line("white, with a gate", colors.PAPER, STYLES[2]),
     "white, inflated": Line("white, R inflated", colors.MEASUREMENT),
     "white, by NIS": Line("white, R by NIS", colors.OPEN_LOOP),
     "white, by likelihood": Line("white, R and Q by likelihood", colors.SIGMA),
     "screened": Line("colored, Gaussian, no outliers", colors.BOUND),
     "normal": Line("colored, Gaussian, all fixes", colors.BODY),
     "by correlation": Line("colored, by correlation", colors.OPEN_LOOP),
-    "augmented": Line("noise in the state", colors.FAINT),
-    "without z_0": Line("without the first fix", colors.FAINT, "--"),
+    "augmented": Line("noise in the state", colors.REFERENCE),
+    "without z_0": Line("without the first fix", colors.REFERENCE, "--"),
 }
 BAND = 1.96
 
@@ -84,7 +85,7 @@ def day(r: Results) -> Figure:
         ]
 
     return panels(
-        *map(panel, ("white", "colored", "robust")), size=(9.0, 7.0), sharex="col", legend=False
+        *map(panel, ("white", "colored", "robust")), height=1.8, sharex="col", legend=False
     )
 
 
@@ -114,7 +115,7 @@ def bursts(r: Results) -> Figure:
         "the day": (0.0, float(hours[-1])),
         "around the largest error of a fix": (worst - 0.45, worst + 0.65),
     }
-    row = [
+    rows = [
         Panel(
             title,
             drawn,
@@ -125,7 +126,7 @@ def bursts(r: Results) -> Figure:
         )
         for title, span in each.items()
     ]
-    return panels(row, size=(10.5, 4.2), sharey=True)
+    return panels(*rows, height=2.6)
 
 
 def autocorrelations(r: Results) -> Figure:
@@ -141,10 +142,12 @@ def autocorrelations(r: Results) -> Figure:
 
     modeled = SETTINGS["colored"].phi ** lags
     found = [
-        curve(minutes * lags, of_lags(r.get(BEST, "fixes")[:, i], lags), Line(name, shade))
+        curve(
+            minutes * lags, of_lags(r.get(BEST, "fixes")[:, i], lags), Line(name, shade, STYLES[i])
+        )
         for i, (name, shade) in enumerate(SHADES.items())
     ]
-    found += [curve(minutes * lags, modeled, Line("model of the filter", colors.ESTIMATE, "--"))]
+    found += [curve(minutes * lags, modeled, Line("model of the filter", "black", STYLES[3], 1.5))]
     near = np.arange(1, 31)
     left = [
         curve(STEP_S * near, of_lags(r.get(BEST, f"{name}/white"), near), LINES[name], marker=".")
@@ -155,7 +158,7 @@ def autocorrelations(r: Results) -> Figure:
             Panel("errors of the fixes", found, "lag (min)", "correlation (-)", "x"),
             Panel("whitened innovations", [*left, level(0.0)], "lag (s)", "correlation (-)"),
         ],
-        size=(9.0, 3.4),
+        height=2.6,
     )
 
 
@@ -185,8 +188,9 @@ def sizes(r: Results) -> Figure:
 
     known = [level(rmse(r, BEST, "fixes"), label="fixes", color="black", upright=True)]
     return panels(
-        [panel(f"gravity to degree {DEGREE}", names), panel("by degree of gravity", degrees, "x")],
-        size=(10.5, 3.6),
+        panel(f"gravity to degree {DEGREE}", names),
+        panel("by degree of gravity", degrees, "x"),
+        height=3.2,
     )
 
 
