@@ -168,7 +168,7 @@ def test_the_text_says_what_colors_mean(path):
         "orange: OWN",
         "purple: THIRD",
         "stars",
-        "yellow: Cramér–Rao",
+        "khaki: Cramér–Rao",
         "| steps | 60 |",
     ):
         assert words in text
