@@ -35,6 +35,7 @@ NAMES = {
     PAPER: "vermilion",
     BOUND: "khaki",
     SIGMA: "gray",
+    FAINT: "slate",
     STAR: "pale yellow",
     BODY: "light gray",
     NEGATIVE: "white",

@@ -586,5 +586,5 @@ treats the burst as motion.**
 
 A receiver circles with {0.acceleration_g:g} g at {0.speed_m_per_s:g} m/s. Group parity scales R \
 by the part of the residual that no position explains.
-It needs no window. Satellites: GEO red, IGSO orange, MEO blue.
+It needs no window. Satellites: GEO vermilion, IGSO orange, MEO blue.
 """

@@ -310,7 +310,7 @@ NOTES = """# GRACE-A, 1 August 2008: real GPS fixes and true positions
 
 **Errors of fixes are correlated in time. The blue filter treats them as white and leaves the band
 that it predicts. The orange one models their correlation and leaves its band only in a few bursts.
-The olive one gives surprising fixes less weight, including the steps that end a burst.**
+The slate one gives surprising fixes less weight, including the steps that end a burst.**
 
 The fixes come every 10 s and use no model of the orbit. The true positions come from carrier phases
 and have errors of 3 to 6 cm.
