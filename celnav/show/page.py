@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from celnav.lazy import requires_extra
-from celnav.show import claims
+from celnav.show import claims, squares
 
 
 @cache
@@ -26,8 +26,9 @@ def _templates() -> Any:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    for name in ("cells", "columns", "counted", "notes", "numbers", "style"):
+    for name in ("accepted", "cells", "columns", "counted", "notes", "ours", "outcome", "printed"):
         templates.filters[name] = getattr(claims, name)
+    templates.filters |= {"mark": squares.mark, "style": claims.style}
     return templates
 
 

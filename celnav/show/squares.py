@@ -15,7 +15,7 @@ from celnav.show.claims import tally
 SIDE, STEP, LEFT = 18, 22, 92  # px: a square, from square to square, the names on the left
 SIGNS = {
     "reproduced": ("#00795a", "✓"),
-    "reproduced with fitted parameters": ("#4d8f2f", "✓*"),
+    "reproduced with fitted parameters": ("#3f7d23", "✓*"),
     "level only": ("#8a6d00", "≈"),
     "in part": ("#b35c00", "½"),
     "not reproduced": ("#b02a1a", "✗"),
@@ -27,6 +27,11 @@ STYLE = """<style>
 .squares .sign{fill:#fff;text-anchor:middle;font-size:11px}
 @media(prefers-color-scheme:dark){.squares .name{fill:#ddd}}
 </style>"""
+
+
+def mark(verdict: str) -> tuple[str, str]:
+    """Color and sign of a verdict on a statement."""
+    return SIGNS.get(verdict, OTHER)
 
 
 def squares(
@@ -42,9 +47,8 @@ def squares(
     for study, rows in claims.items():
         parts.append(_text(4, y + 14, study, "name"))
         for i, row in enumerate(rows):
-            color, sign = SIGNS.get(row["verdict"], OTHER)
             title = escape(f"{row['verdict']}: {row.get('statement', row['id'])}")
-            square = _square(LEFT + STEP * i, y, color, sign)
+            square = _square(LEFT + STEP * i, y, *mark(row["verdict"]))
             address = escape(link(study, row["id"]))
             parts.append(f'<a href="{address}"><title>{title}</title>{square}</a>')
         y += STEP + 4
@@ -55,7 +59,7 @@ def squares(
         text = f"{count} {verdict}"
         if x + 30 + 7 * len(text) > width:
             x, y = LEFT, y + STEP
-        parts += [_square(x, y, *SIGNS.get(verdict, OTHER)), _text(x + 24, y + 14, text, "name")]
+        parts += [_square(x, y, *mark(verdict)), _text(x + 24, y + 14, text, "name")]
         x += 40 + 7 * len(text)
     label = ", ".join(f"{count} {verdict}" for verdict, count in counts.items())
     size = f'width="{width}" height="{y + STEP + 4}" viewBox="0 0 {width} {y + STEP + 4}"'
