@@ -104,13 +104,12 @@ def _rounded(x: float, number: WrittenClaim) -> str:
     ends = [] if ci is None or None in ci else ci
     if all(float(end).is_integer() for end in (value, *ends)):
         return f"{x:.0f}"
-    largest = _decade(max(map(abs, (value, *ends))))
     lengths = [abs(value - bound) for bound in number["accept"] if bound is not None]
     lengths += [(ends[1] - ends[0]) / 3.0] if ends else []
-    places = [2 - largest, *(-_decade(length) for length in lengths if length > 0.0)]
+    places = [2 - _decade(abs(x) or 1.0), *(-_decade(length) for length in lengths if length > 0.0)]
     if printed(number):
         places.append(len(printed(number).partition(".")[2]))
-    shown = min(max(places), 5 - largest)
+    shown = min(max(places), 5 - _decade(abs(x) or 1.0))
     return f"{round(x, shown):.{max(shown, 0)}f}"
 
 
@@ -132,7 +131,9 @@ def accepted(number: WrittenClaim) -> str:
     if low is not None and low == high:
         text = f"{low:.15g}"
     if (among := number["agreement"]) and None not in among:
-        text += f"; the printed value from {among[0]:.4g} to {among[1]:.4g}"
+        text += (
+            f"; the printed value from {_rounded(among[0], number)} to {_rounded(among[1], number)}"
+        )
     return text.removeprefix("; ")
 
 

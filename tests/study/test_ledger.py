@@ -183,7 +183,7 @@ def test_the_number_that_decides_is_the_one_that_keeps_the_best_tier_from_holdin
         ("in part", True),
     ]
     assert claims.ours(told["numbers"][1]) == "0.500 [0.400, 0.600]"
-    assert claims.accepted(told["numbers"][1]) == "0 to 1; the printed value from 0.4 to 0.6"
+    assert claims.accepted(told["numbers"][1]) == "0 to 1; the printed value from 0.400 to 0.600"
     shown = [claims.outcome(number) for number in told["numbers"]]
     assert shown == ["met", "not met", "met", "met"]
     page = table([told])
@@ -215,7 +215,11 @@ def test_what_the_paper_prints_is_not_rounded_and_stands_beside_the_same_quantit
         (Number("x", 0.9996, (None, 1.0)), "0.9996"),
         (Number("x", 1390.0), "1390"),
         (Number("x", 8.12496e-16), "8.12e-16"),
-        (Number("x", 0.0, ci=(0.0, 0.31)), "0.000 [0.000, 0.310]"),
+        (Number("x", 0.0, ci=(0.0, 0.31)), "0.00 [0.00, 0.310]"),
+        (
+            Number("x", 0.0312, ci=(3.93e-8, 958.3)),
+            "0.0312 [3.93e-08, 958], few runs or a heavy tail",
+        ),
         (Number("x", np.nan), ""),
     ],
 )
