@@ -15,7 +15,7 @@ import nbformat
 from celnav.commands.index import summary, verdicts
 from celnav.files import data
 from celnav.papers import PAPERS, load
-from celnav.show.squares import squares
+from docs.squares import squares
 
 HERE = Path(__file__).parent
 FIELD = re.compile(r"(\w+)\s*=\s*\{((?:[^{}]|\{[^{}]*\})*)\}")

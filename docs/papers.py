@@ -16,7 +16,7 @@ import nbformat
 
 from celnav.papers import PAPERS, load
 from celnav.show import viewer
-from celnav.show.squares import mark
+from celnav.show.claims import mark
 from docs.pages import notebook_of
 
 NOTEBOOKS = Path(__file__).resolve().parents[1] / "notebooks"

@@ -20,7 +20,7 @@ from celnav.campaign.missions import study
 from celnav.campaign.page import write
 from celnav.commands.index import _notebook, index, verdicts
 from celnav.files import Outputs
-from celnav.show.claims import dumps, written
+from celnav.show.claims import OTHER, SIGNS, dumps, written
 from celnav.show.draw import figure as empty
 from celnav.show.drawing import render
 from celnav.study.ledger import Number, Row
@@ -192,6 +192,12 @@ def test_verdicts_and_small_print_have_contrast(page, side, ground):
         assert (light + 0.05) / (dark + 0.05) >= 4.5, name
 
 
+def test_signs_have_contrast():
+    """White on each color, on the page and in the picture of the README."""
+    for color, _ in (*SIGNS.values(), OTHER):
+        assert 1.05 / (luminance(color) + 0.05) >= 4.5, color
+
+
 def luminance(color):
     """Relative luminance of #rgb or #rrggbb."""
     digits = color[1:] if len(color) == 7 else "".join(2 * digit for digit in color[1:])
@@ -253,6 +259,21 @@ def test_a_browser_finds_every_image_of_a_campaign(tmp_path):
     assert images == loaded == 2
     assert needed <= 500
     assert said == []
+
+
+def test_notebooks_are_those_of_the_site_if_it_is_there(folder, page, tmp_path):
+    """Else the files of the checkout."""
+    assert re.search(r'href="[^"]*notebooks/01_csrukf.ipynb">01_csrukf.ipynb</a>', page)
+    assert "The site" not in page
+    out = tmp_path / "out"
+    shutil.copytree(folder, out)
+    for name in ("index.html", "notebooks/index.html", "notebooks/01_csrukf.html"):
+        (out / "site" / name).parent.mkdir(parents=True, exist_ok=True)
+        (out / "site" / name).touch()
+    links = re.findall(r'href="([^"#]*\.(?:html|ipynb))"', index(out))
+    assert links[:2] == ["site/index.html", "site/notebooks/index.html"]
+    assert "site/notebooks/01_csrukf.html" in links
+    assert any(link.endswith("notebooks/05_aukf.ipynb") for link in links)  # not on the site
 
 
 def test_the_link_to_a_study_of_any_folder_leads_there(tmp_path):

@@ -71,7 +71,7 @@ belief: symmetric
 extended_pose: extended_pose
 inertial: Strapdown
 montecarlo: Draws Draws.close blocks effort generators renewed run_of steps
-claims: accepted answer Ledger cells columns counted decisive dumps ledger markdown notes ours outcome plain printed
+claims: accepted answer Ledger cells columns counted decisive dumps ledger mark markdown notes ours outcome plain printed
     read_claims style tally written
 gyro: Gyro.drift
 ledger: Claim Row Row.judged estimate order read_ledger read_printed
@@ -87,7 +87,6 @@ study: Results Results.at Results.claims Results.error Results.first Results.get
     evaluate_from_priors monte_carlo
 page: macro render
 picture: command end picture
-squares: mark squares
 viewer: address as_script is_current page script_name viewer
 progress: Progress Progress.add Progress.close Progress.runs
 estimates: Estimate Estimate.error Estimate.sigma estimates_of

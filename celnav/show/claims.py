@@ -25,6 +25,20 @@ FEW = (
 )
 _GOOD = {BETWEEN[0], *(WORDS[kind][0] for kind in ("statement", "finding", "check"))}
 _BAD = {words[1] for words in WORDS.values()}
+SIGNS = {
+    "reproduced": ("#00795a", "✓"),
+    "reproduced with fitted parameters": ("#3f7d23", "✓*"),
+    "level only": ("#8a6d00", "≈"),
+    "in part": ("#b35c00", "½"),
+    "not reproduced": ("#b02a1a", "✗"),
+}
+"""Colors, on which white has a contrast of at least 4.5, and signs."""
+OTHER = "#6b6b6b", "?"
+
+
+def mark(verdict: str) -> tuple[str, str]:
+    """Color and sign of a verdict on a statement."""
+    return SIGNS.get(verdict, OTHER)
 
 
 def style(verdict: str) -> str:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from celnav.lazy import requires_extra
-from celnav.show import claims, squares
+from celnav.show import claims
 
 
 @cache
@@ -26,9 +26,8 @@ def _templates() -> Any:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    for name in ("accepted", "cells", "columns", "counted", "notes", "ours", "outcome", "printed"):
-        templates.filters[name] = getattr(claims, name)
-    templates.filters |= {"mark": squares.mark, "style": claims.style}
+    names = "accepted cells columns counted mark notes ours outcome printed style"
+    templates.filters |= {name: getattr(claims, name) for name in names.split()}
     return templates
 
 

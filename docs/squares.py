@@ -10,28 +10,14 @@ from collections.abc import Callable, Mapping, Sequence
 from html import escape
 from typing import Any
 
-from celnav.show.claims import tally
+from celnav.show.claims import mark, tally
 
 SIDE, STEP, LEFT = 18, 22, 92  # px: a square, from square to square, the names on the left
-SIGNS = {
-    "reproduced": ("#00795a", "✓"),
-    "reproduced with fitted parameters": ("#3f7d23", "✓*"),
-    "level only": ("#8a6d00", "≈"),
-    "in part": ("#b35c00", "½"),
-    "not reproduced": ("#b02a1a", "✗"),
-}
-"""Colors, on which white has a contrast of at least 4.5, and signs."""
-OTHER = "#6b6b6b", "?"
 STYLE = """<style>
 .squares text{font:12px system-ui,sans-serif;fill:#222}.squares a{text-decoration:none}
 .squares .sign{fill:#fff;text-anchor:middle;font-size:11px}
 @media(prefers-color-scheme:dark){.squares .name{fill:#ddd}}
 </style>"""
-
-
-def mark(verdict: str) -> tuple[str, str]:
-    """Color and sign of a verdict on a statement."""
-    return SIGNS.get(verdict, OTHER)
 
 
 def squares(
