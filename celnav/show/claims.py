@@ -209,7 +209,9 @@ class Ledger:
     def _repr_html_(self) -> str:
         from celnav.show.page import macro
 
-        return macro("paragraphs", self._head) + macro("ledger", self._claims, anchor="#say-")
+        style = f"<style>{macro('cards_style')}</style>"
+        table = macro("ledger", self._claims, anchor="#say-")
+        return macro("paragraphs", self._head) + style + table
 
 
 def ledger(claims: Sequence[WrittenClaim]) -> str:
