@@ -119,7 +119,8 @@ def write_pages(source: Path, results: Path | None = None) -> None:
             (folder / f"{stem}.png").write_bytes(png)
         # The title is the page's: "**Title** (`id`: authors (year)). ..." begins with the id.
         section = re.sub(r"\*\*[^*]*\*\* \((.*?)\)\. ", r"\1. ", section, count=1)
-        said, rows = with_signs(section).split("\nNumbers and figures are in ")
+        section = with_signs(section).replace("\n*We find:*", "\n\n**We find:**")
+        said, rows = section.split("\nNumbers and figures are in ")
         links, table = rows.split("\n", 1)
         links = links.replace("](", "](../").replace("the errata", "[the errata](../errata.md)")
         (source / "papers" / f"{paper}.md").write_text(

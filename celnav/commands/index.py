@@ -244,7 +244,7 @@ def _notebook(out: Path, name: str, module: Any) -> dict[str, str]:
         path = NOTEBOOKS / "07_real_data.ipynb" if name in papers.REAL else Path(module.file)
     page = f"{SITE}/notebooks/{path.stem}.html"
     if path.parent == NOTEBOOKS and (out / page).is_file():
-        return {"name": "Notebook", "href": page}
+        return {"name": path.stem, "href": page}
     return {"name": path.name, "href": _address(path, out) if path.exists() else ""}
 
 
