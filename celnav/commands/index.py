@@ -146,21 +146,13 @@ def cited(citation: str) -> str:
 
 def verdicts(studies: Mapping[str, Claims]) -> str:
     """A table in Markdown of how many statements of each paper have which verdict."""
-    head, *rows = _counts(studies)
-    lines = ["---", *["---:"] * (len(head) - 1)]
-    return markdown([head, lines, *([f"`{name}`", *numbers] for name, *numbers in rows)])
-
-
-def _counts(studies: Mapping[str, Claims]) -> list[list[str]]:
-    """A head, and for each paper how many statements have which verdict."""
     counts = {name: tally(_of_kind(claims, "statement")) for name, claims in studies.items()}
     shown = [verdict for verdict in VERDICTS if any(verdict in count for count in counts.values())]
-    rows = [["paper", "statements", *shown]]
+    rows = [["paper", "statements", *shown], ["---", *["---:"] * (len(shown) + 1)]]
     for name, count in counts.items():
-        rows.append(
-            [name, str(sum(count.values())), *(str(count.get(verdict, "")) for verdict in shown)]
-        )
-    return rows
+        numbers = [str(count.get(verdict, "")) for verdict in shown]
+        rows.append([f"`{name}`", str(sum(count.values())), *numbers])
+    return markdown(rows)
 
 
 def deciding(claims: Claims) -> list[Mapping[str, Any]]:
