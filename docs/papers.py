@@ -35,7 +35,7 @@ def stems(source: str) -> list[str]:
     return found
 
 
-def stored(paper: str) -> dict[str, bytes]:
+def notebook_figures(paper: str) -> dict[str, bytes]:
     """The figures (PNG) that the executed notebook of a paper holds, by stem."""
     figures = dict[str, bytes]()
     for cell in nbformat.read(NOTEBOOKS / notebook_of(paper), as_version=4).cells:
@@ -50,13 +50,13 @@ def stored(paper: str) -> dict[str, bytes]:
     return dict(sorted(figures.items()))
 
 
-def reproduced(paper: str, results: Path) -> dict[str, bytes]:
+def result_figures(paper: str, results: Path) -> dict[str, bytes]:
     """The figures (PNG) of a paper in a folder of ``celnav reproduce``, by stem."""
     paths = sorted((results / paper / "figures").glob("*.png"))
     return {path.stem: path.read_bytes() for path in paths}
 
 
-def figure(paper: str, stem: str) -> str:
+def figure_html(paper: str, stem: str) -> str:
     """A figure with its caption, as HTML of a page of a paper; a click enlarges it."""
     caption = escape(load(paper).FIGURES.get(stem, (stem,))[0])
     file = f"../{FOLDER}/{paper}/{stem}.png"
@@ -75,7 +75,7 @@ def recordings(paper: str, results: Path | None) -> dict[str, Path]:
     return {address: path for address, path in scripts.items() if path.is_file()}
 
 
-def pictures(paper: str, figures: dict[str, bytes], results: Path | None) -> str:
+def pictures_html(paper: str, figures: dict[str, bytes], results: Path | None) -> str:
     """The figure that decides, links to the recordings, and the other figures behind a fold."""
     decides = load(paper).STUDY.figure
     links = [
@@ -83,8 +83,8 @@ def pictures(paper: str, figures: dict[str, bytes], results: Path | None) -> str
         f"({path.stat().st_size / 1e6:.1f} MB)"
         for address, path in recordings(paper, results).items()
     ]
-    others = [figure(paper, stem) for stem in figures if stem != decides]
-    parts = [figure(paper, decides)] if decides in figures else []
+    others = [figure_html(paper, stem) for stem in figures if stem != decides]
+    parts = [figure_html(paper, decides)] if decides in figures else []
     if links:
         parts.append(f"<p>Recordings, in the browser: {', '.join(links)}.</p>")
     if others:
@@ -112,7 +112,7 @@ def write_pages(source: Path, results: Path | None = None) -> None:
     head, *parts = re.split(r"^## (\w+)\n", path.read_text(encoding="utf-8"), flags=re.MULTILINE)
     (source / "papers").mkdir()
     for paper, section in zip(parts[::2], parts[1::2], strict=True):
-        figures = (results and reproduced(paper, results)) or stored(paper)
+        figures = (results and result_figures(paper, results)) or notebook_figures(paper)
         folder = source / FOLDER / paper
         folder.mkdir(parents=True)
         for stem, png in figures.items():
@@ -124,7 +124,7 @@ def write_pages(source: Path, results: Path | None = None) -> None:
         links, table = rows.split("\n", 1)
         links = links.replace("](", "](../").replace("the errata", "[the errata](../errata.md)")
         (source / "papers" / f"{paper}.md").write_text(
-            f"# {load(paper).TITLE}\n\n{said}\n{pictures(paper, figures, results)}\n"
+            f"# {load(paper).TITLE}\n\n{said}\n{pictures_html(paper, figures, results)}\n"
             f"Numbers are in {links}\n\n:::{{container}} verdicts\n{table}\n:::\n",
             encoding="utf-8",
         )

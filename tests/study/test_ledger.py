@@ -278,7 +278,9 @@ def test_with_a_part_of_the_runs_a_ledger_says_so_first():
     few = claim(Number("x", 0.5, (0.0, 1.0))).row.judged(None, full=False)
     for shown in (str(Ledger([few], "finding")), Ledger([few], "finding")._repr_markdown_()):
         assert shown.startswith("Only a part of the runs was done")
-    assert Ledger([few], "finding")._repr_html_().startswith("<p>Only a part of the runs")
+    html = Ledger([few], "finding")._repr_html_()
+    assert html.startswith("<p>Only a part of the runs")
+    assert ".cards.cards" in html  # the style of its table, which a notebook does not have
     assert str(Ledger([claim(Number("x", 0.5, (0.0, 1.0)))], "finding")).startswith("shown")
     said = str(Ledger([few], "finding", [Sentence("So it is.", {"one": "shown"})]))
     assert said.splitlines()[1] == "We find: So it is."
