@@ -140,10 +140,12 @@ def write_pages(source: Path, results: Path | None = None) -> None:
 
 
 def copy_recordings(results: Path, out: Path) -> None:
-    """Copy the viewer and the recordings of the papers to the top of the site."""
-    for paper in PAPERS:
-        for path in recordings(paper, results).values():
+    """Copy the recordings of the papers, and their viewer, to the top of the site."""
+    scripts = {paper: recordings(paper, results).values() for paper in PAPERS}
+    for paper, paths in scripts.items():
+        for path in paths:
             (out / paper).mkdir(exist_ok=True)
             shutil.copy(path, out / paper)
-            for name in (viewer.PAGE, viewer.SCRIPT):
-                shutil.copy(results / name, out)
+    if any(scripts.values()):
+        for name in (viewer.PAGE, viewer.SCRIPT):
+            shutil.copy(results / name, out)
