@@ -195,9 +195,7 @@ def _shown(out: Path, name: str, claims: Claims) -> dict[str, Any]:
         "decides": module.STUDY.figure,
         "tables": [_table(path, module) for path in sorted((folder / "tables").glob("*.csv"))],
         "recordings": [
-            {"file": file, "live": _live(out, f"{name}/{file}"), "size": _size(folder / file)}
-            for file in module.RECORDINGS
-            if file in files
+            _recording(out, f"{name}/{file}") for file in module.RECORDINGS if file in files
         ],
         "files": files,
         "runs": _runs(record),
@@ -205,8 +203,18 @@ def _shown(out: Path, name: str, claims: Claims) -> dict[str, Any]:
     }
 
 
-def _size(path: Path) -> str:
-    return f"{path.stat().st_size / 1e6:.1f} MB"
+def _recording(out: Path, recording: str) -> dict[str, str]:
+    """Name and size of a recording, its address in the browser, and its picture beside it if
+    ``celnav view --picture`` has drawn one.
+    """
+    picture = Path(recording).with_suffix(".png")
+    return {
+        "name": picture.stem,
+        "file": quote(recording),
+        "size": f"{(out / recording).stat().st_size / 1e6:.1f} MB",
+        "live": _live(out, recording),
+        "picture": quote(picture.as_posix()) if (out / picture).is_file() else "",
+    }
 
 
 def _runs(record: Mapping[str, Any]) -> str:
