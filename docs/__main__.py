@@ -1,4 +1,5 @@
-"""Build the site: ``python -m docs [OUT]``. It needs no net, and a warning is an error.
+"""Build the site: ``python -m docs [OUT] [--results DIR]``. It needs no net, and a warning is an
+error. DIR is a folder of ``celnav reproduce``: the site then has all its figures, and its recordings.
 
 The pages of this folder and the notebooks, as they were executed, are gathered in a folder of their
 own, so that Sphinx finds them side by side and leaves nothing behind here.
@@ -6,6 +7,7 @@ own, so that Sphinx finds them side by side and leaves nothing behind here.
 
 from __future__ import annotations
 
+import argparse
 import io
 import json
 import re
@@ -18,7 +20,9 @@ from pathlib import Path
 from sphinx.cmd.build import main
 
 import celnav
+from celnav.papers import PAPERS
 from docs.pages import errata, sources
+from docs.papers import copy_recordings, write_pages
 
 HERE = Path(__file__).resolve().parent
 
@@ -86,14 +90,15 @@ def run_programs(path: Path) -> None:
             exec(compile("\n".join(programs), str(path), "exec"), {})
 
 
-def build(out: Path) -> int:
-    """Write the site to a folder; the exit status of Sphinx."""
+def build(out: Path, results: Path | None = None) -> int:
+    """Write the site to a folder; the exit status of Sphinx. results: of ``celnav reproduce``."""
     with tempfile.TemporaryDirectory() as temporary:
         source = Path(temporary) / "source"
         shutil.copytree(HERE, source, ignore=shutil.ignore_patterns("__pycache__"))
         for path in source.rglob("*.md"):
             page = drawn(path.read_text(encoding="utf-8"))
             path.write_text(linked(page), encoding="utf-8")
+        write_pages(source, results)
         for path in sorted((HERE.parent / "notebooks").glob("*.ipynb")):
             (source / "notebooks" / path.name).write_text(
                 within(path.read_text(encoding="utf-8")), encoding="utf-8"
@@ -102,7 +107,7 @@ def build(out: Path) -> int:
         (source / "errata.md").write_text(errata(), encoding="utf-8")
         (source / "conventions.txt").write_text(conventions(celnav.__doc__ or ""), encoding="utf-8")
         run_programs(source / "index.md")
-        return main(
+        status = main(
             [
                 "-b",
                 "html",
@@ -115,11 +120,20 @@ def build(out: Path) -> int:
                 str(out),
             ]
         )
+    if results is not None and status == 0:
+        copy_recordings(results, out)
+    return status
 
 
 if __name__ == "__main__":
-    out = Path(sys.argv[1] if len(sys.argv) > 1 else "out/site")
-    status = build(out)
+    parser = argparse.ArgumentParser("python -m docs", description="Build the site.")
+    parser.add_argument("out", nargs="?", type=Path, default="out/site", help="its folder")
+    parser.add_argument("--results", type=Path, metavar="DIR", help="a folder of celnav reproduce")
+    options = parser.parse_args()
+    out, results = options.out, options.results
+    if results is not None and not any((results / paper).is_dir() for paper in PAPERS):
+        parser.error(f"--results: expected a folder of celnav reproduce, got {results}")
+    status = build(out, results)
     print(
         f"{out / 'index.html'}" if status == 0 else "the site has faults, above",
         file=sys.stdout if status == 0 else sys.stderr,

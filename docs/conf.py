@@ -134,15 +134,23 @@ def plain_signature(
     return re.sub(r"space=\(<ufunc 'add'>.*?\(\)\)", "space=EUCLIDEAN", arguments), result
 
 
+def mathml(formula: str, display: str) -> str:
+    """A formula, in which the signs := and =: are one operator each, and names are no operators."""
+    text = convert(formula.replace(*TRANSPOSE), display=display)
+    text = text.replace("<mo>&#x0003D;</mo><mi>:</mi>", "<mo>=:</mo>")
+    text = text.replace("<mi>:</mi><mo>&#x0003D;</mo>", "<mo>:=</mo>")
+    return re.sub(r"<mo>([a-z]{2,})</mo>", r"<mi>\1</mi>", text)
+
+
 def inline(translator: Any, node: Any) -> None:
     """A formula within a line."""
-    translator.body.append(convert(node.astext().replace(*TRANSPOSE)))
+    translator.body.append(mathml(node.astext(), "inline"))
     raise SkipNode
 
 
 def display(translator: Any, node: Any) -> None:
     """A formula of its own."""
-    translator.body.append(convert(node.astext().replace(*TRANSPOSE), display="block"))
+    translator.body.append(mathml(node.astext(), "block"))
     raise SkipNode
 
 

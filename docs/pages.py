@@ -15,7 +15,7 @@ import nbformat
 from celnav.commands.index import summary, verdicts
 from celnav.files import data
 from celnav.papers import PAPERS, load
-from celnav.show.squares import squares
+from docs.squares import squares
 
 HERE = Path(__file__).parent
 FIELD = re.compile(r"(\w+)\s*=\s*\{((?:[^{}]|\{[^{}]*\})*)\}")
@@ -95,16 +95,21 @@ def errata() -> str:
                 made.append(
                     f"### {head}\n\n"
                     + "\n".join(
-                        f"- {row.says}" + f" *({row.place})*" * bool(row.place) for row in those
+                        f"- {labeled(row.says)}" + f" *({row.place})*" * bool(row.place)
+                        for row in those
                     )
                 )
     return "\n\n".join(made) + "\n"
 
 
+def labeled(erratum: str) -> str:
+    """What is printed and what is correct, each on a line of its own behind its name in bold."""
+    erratum = re.sub(r"\b(Printed|Correct): ", r"**\1:** ", erratum)
+    return re.sub(r" (?=\*\*(?:Printed|Correct):)", "<br>", erratum)
+
+
 # -- verdicts --------------------------------------------------------------------------------------
-ROW = re.compile(
-    r'<tr id="([^"]*)"[^>]*>.*?<td class="\w+">(?:<a [^>]*>)?([^<]*)(?:</a>)?</td></tr>'
-)
+ROW = re.compile(r'<tr id="([^"]*)" data-verdict="([^"]*)"')
 
 
 def notebook_of(paper: str) -> str:
@@ -117,7 +122,7 @@ def judged(paper: str) -> list[dict[str, Any]]:
     cells = nbformat.read(HERE.parent / "notebooks" / notebook_of(paper), as_version=4).cells
     outputs = [output for cell in cells if cell.cell_type == "code" for output in cell.outputs]
     pages = [output.data.get("text/html", "") for output in outputs if "data" in output]
-    ledger = next(page for page in pages if "<th>verdict</th>" in page)
+    ledger = next(page for page in pages if ROW.search(page))
     rows = {row.id: row for row in load(paper).STUDY.rows}
     return [
         {

@@ -402,7 +402,7 @@ def test_verdicts_are_markdown_in_a_pipe(tmp_path, capsys, paper):
     text = capsys.readouterr().out
     assert "\x1b" not in text
     head, line, *_ = text.splitlines()
-    assert head.startswith("| place |" if paper else "| paper | statements |")
+    assert head.startswith("| Verdict |" if paper else "| paper | statements |")
     assert re.fullmatch(r"[| :-]+", line)
     assert any(line.startswith("**") for line in text.splitlines())
 

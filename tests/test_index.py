@@ -6,6 +6,7 @@ import json
 import re
 import shutil
 import subprocess
+from html.parser import HTMLParser
 from itertools import pairwise
 from types import SimpleNamespace
 from urllib.parse import unquote
@@ -19,7 +20,7 @@ from celnav.campaign.missions import study
 from celnav.campaign.page import write
 from celnav.commands.index import _notebook, index, verdicts
 from celnav.files import Outputs
-from celnav.show.claims import dumps, written
+from celnav.show.claims import OTHER, SIGNS, dumps, written
 from celnav.show.draw import figure as empty
 from celnav.show.drawing import render
 from celnav.study.ledger import Number, Row
@@ -77,7 +78,9 @@ def folder(tmp_path_factory):
         outputs.text("checks.json", dumps(claim for claim in claims if claim.kind == "check"))
         outputs.text(
             "timings.json",
-            json.dumps({"about": {"numpy": "2.2"}, "effort": 1.0, "cpu_s": 12.3, "timings": {}}),
+            json.dumps(
+                {"about": {"numpy": "2.2"}, "effort": 1.0, "seed": 7, "cpu_s": 12.3, "timings": {}}
+            ),
         )
         for number in (1, 10):
             fig, ax = empty(4.0, 3.0)
@@ -94,23 +97,24 @@ def page(folder):
 
 def test_it_opens_with_sentences_and_has_every_row_and_needs_nothing_else(page):
     head = page[: page.index("<main>")]
-    assert "judges 6 of their statements" in head
-    assert head.count("<rect ") == 6 + 3  # squares and their legend
+    assert "of 2 papers and judges 6 statements" in head
+    assert "Effort 1, seed 7." in head
+    assert head.count('class="sign"') == 6 + 3  # squares and their legend
     assert page.index('id="found"') < page.index("<section")
     assert page.index("The paper: ") < page.index("We find:</b>")
-    assert page.count("<img ") == 4
+    assert page.count("<img ") == 6  # four in all, and two behind their rows
     assert page.count("3 statements: 1 reproduced, 1 not reproduced, 1 undecided") == 4
     assert page.count("2 not as expected.") == 2
-    assert page.count("1 checks: 1 holds") == 2
+    assert page.count("Checks: 1<") == 2
     for text in (
-        "1 &lt; 0", "&lt;2&gt;", "The criterion: because", "Accepted range revised: 2026-01-01: wider", "<li>v: 0.5 (≤ 1): met",
-        "u: 1 (told only)", "2 [1.9, 2.1]", "The paper prints 1 &amp; 2.", "numpy 2.2; effort 1, 12 s of CPU time",
+        "1 &lt; 0", "&lt;2&gt;", "The criterion: because", "Accepted range revised: 2026-01-01: wider", "2.00 [1.90, 2.10]",
+        "The paper prints 1 &amp; 2.", "numpy 2.2; 12 s of CPU time", "2 numbers<", "1 number and a figure<",
     ):  # fmt: skip
         assert text in page, text
     for paper in ("csrukf", "aukf"):
         assert f'href="#{paper}"' in page
         assert f'id="{paper}"' in page
-        assert f'href="{paper}/figures/figure_01.svg">figure' in page
+        assert page.count(f'href="{paper}/figures/figure_01.svg"') == 2
     assert not re.search(r'(src|href)="(https?:)?//', page)
 
 
@@ -131,6 +135,55 @@ def test_headings_are_in_order_and_the_page_has_its_landmarks(page):
         assert len(re.findall(rf"<{landmark}[ >]", page)) == 1
 
 
+class Shown(HTMLParser):
+    """What of a page is shown before anything is unfolded: texts, and tables and pictures."""
+
+    def __init__(self, page):
+        super().__init__()
+        self.folded, self.summary, self.words, self.tags = 0, 0, [], []
+        self.feed(page[page.index("<body") :])
+
+    def handle_starttag(self, tag, attributes):
+        self.folded += tag == "details"
+        self.summary += tag in ("summary", "script")
+        if not self.folded:
+            self.tags.append(tag)
+        assert tag != "details" or "open" not in dict(attributes)
+
+    def handle_endtag(self, tag):
+        self.folded -= tag == "details"
+        self.summary -= tag in ("summary", "script")
+
+    def handle_data(self, data):
+        if not self.folded and not self.summary:
+            self.words += data.split()
+
+
+def test_a_page_is_short_since_all_but_its_heads_is_folded(page):
+    """Eight screens with five papers: their answers and one figure each, and the first screen."""
+    shown = Shown(page)
+    assert shown.tags.count("table") == 1  # the counts
+    assert shown.tags.count("img") == 0  # these papers have no figure that decides
+    assert shown.tags.count("section") == 2
+    sections = page.split("<section")[1:]
+    for paper, text in zip(("csrukf", "aukf"), sections, strict=True):
+        (answer,) = re.findall("<b>We find:</b>(.*)</p>", text)
+        (said,) = re.findall("<p[^>]*>The paper:(.*)</p>", text)
+        assert len(Shown(f"<body>{text}").words) < len((answer + said).split()) + 40, paper
+    assert len(shown.words) < 40 * len(sections) + 600
+
+
+def test_text_is_large_enough(page):
+    """13 px at least on a screen, and 9 px on paper, where a px is larger."""
+    css = page[page.index("<style>") : page.index("</style>")]
+    screen, paper = css.split("@media print{")
+    units = {"px": 1.0, "rem": 16.0}
+    for text, least in ((screen, 13.0), (paper, 9.0)):
+        sizes = re.findall(r"font(?:-size)?:(?:[^;}]*? )?([\d.]+)(px|rem)", text)
+        assert len(sizes) >= 2
+        assert min(float(size) * units[unit] for size, unit in sizes) >= least
+
+
 @pytest.mark.parametrize(("side", "ground"), [(0, "#ffffff"), (1, "#121212")])
 def test_verdicts_and_small_print_have_contrast(page, side, ground):
     """At least 4.5, in light and in dark mode [WCAG 2.2]."""
@@ -139,6 +192,12 @@ def test_verdicts_and_small_print_have_contrast(page, side, ground):
     for name, pair in pairs.items():
         light, dark = sorted(map(luminance, (pair.split(",")[side], ground)), reverse=True)
         assert (light + 0.05) / (dark + 0.05) >= 4.5, name
+
+
+def test_signs_have_contrast():
+    """White on each color, on the page and in the picture of the README."""
+    for color, _ in (*SIGNS.values(), OTHER):
+        assert 1.05 / (luminance(color) + 0.05) >= 4.5, color
 
 
 def luminance(color):
@@ -160,8 +219,8 @@ def luminance(color):
     ],
 )
 def test_only_what_holds_is_green(page, verdict, style):
-    assert re.search(rf'<td class="{style}">{verdict}', page)
-    assert not re.search(rf'<td class="(?!{style})[a-z]+">{verdict}', page)
+    assert re.search(rf'<td role="cell" class="{style}">{verdict}', page)
+    assert not re.search(rf'<td role="cell" class="(?!{style})[a-z]+">{verdict}', page)
 
 
 def test_verdicts_of_statements_are_counted():
@@ -181,7 +240,7 @@ def test_nothing_reproduced_is_said(tmp_path):
 @pytest.mark.parametrize("width", [390, 1200])
 def test_a_browser_finds_every_image_no_error_and_nothing_beside_the_screen(page, folder, width):
     images, loaded, needed, scheme, said = seen(page, folder, width)
-    assert images == loaded == 4
+    assert images == loaded == 6
     assert needed <= max(width, 500)  # the least that a headless window has
     assert "dark" in scheme
     assert said == []
@@ -202,6 +261,21 @@ def test_a_browser_finds_every_image_of_a_campaign(tmp_path):
     assert images == loaded == 2
     assert needed <= 500
     assert said == []
+
+
+def test_notebooks_are_those_of_the_site_if_it_is_there(folder, page, tmp_path):
+    """Else the files of the checkout."""
+    assert re.search(r'href="[^"]*notebooks/01_csrukf.ipynb">01_csrukf.ipynb</a>', page)
+    assert "The site" not in page
+    out = tmp_path / "out"
+    shutil.copytree(folder, out)
+    for name in ("index.html", "notebooks/index.html", "notebooks/01_csrukf.html"):
+        (out / "site" / name).parent.mkdir(parents=True, exist_ok=True)
+        (out / "site" / name).touch()
+    links = re.findall(r'href="([^"#]*\.(?:html|ipynb))"', index(out))
+    assert links[:2] == ["site/index.html", "site/notebooks/index.html"]
+    assert "site/notebooks/01_csrukf.html" in links
+    assert any(link.endswith("notebooks/05_aukf.ipynb") for link in links)  # not on the site
 
 
 def test_the_link_to_a_study_of_any_folder_leads_there(tmp_path):

@@ -12,7 +12,7 @@ import celnav
 from celnav.filters.track import Track
 from celnav.papers import PAPERS, load
 from docs.conf import SMALL, parameters, written
-from docs.pages import errata, sources
+from docs.pages import errata, labeled, sources
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -54,7 +54,10 @@ def test_every_source_is_on_the_page_of_sources():
 def test_errata_are_those_of_the_ledgers():
     page = errata()
     for paper in PAPERS:
-        assert all(row.says in page for row in load(paper).STUDY.rows if row.kind == "erratum")
+        rows = [row for row in load(paper).STUDY.rows if row.kind == "erratum"]
+        assert all(labeled(row.says) in page for row in rows)
+    assert labeled("Printed: a. Correct: b.") == "**Printed:** a.<br>**Correct:** b."
+    assert labeled("Table 2 is wrong.") == "Table 2 is wrong."
 
 
 def test_what_is_in_the_pages_is_in_the_house():

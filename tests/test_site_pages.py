@@ -15,8 +15,11 @@ import numpy as np
 import pytest
 
 import celnav
+from celnav.papers import PAPERS, load
 
 pytest.importorskip("sphinx")
+from docs import conf, papers
+
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 NODE = shutil.which("node")
@@ -99,6 +102,80 @@ def test_the_front_page_draws_what_its_program_draws(site):
     assert (site / figure).stat().st_size > 10_000
     assert "howto/inertial.html" in text
     assert "glossary.html" in text
+
+
+# -- the pages of papers ---------------------------------------------------------------------------
+def test_the_page_of_a_paper_shows_the_figure_that_decides_and_folds_the_others(site):
+    for paper in PAPERS:
+        text = (site / "papers" / f"{paper}.html").read_text(encoding="utf-8")
+        shown, folded = text.split("<details><summary>")
+        decides = f"_static/papers/{paper}/{load(paper).STUDY.figure}.png"
+        assert re.findall(r'<img [^>]*src="\.\./([^"]*)"', shown) == [decides]
+        count, rest = folded.split(" other figures</summary>", 1)
+        assert rest[: rest.index("</details>")].count("<img ") == int(count) >= 6
+        assert text.count('class="sign"') == sum(
+            row.kind == "statement" for row in load(paper).STUDY.rows
+        )
+        assert "viewer.html" not in text  # no recordings are given
+
+
+def test_each_square_leads_to_its_row(site, pages):
+    links = [link for link in pages[site / "verdicts.html"].links if link.startswith("papers/")]
+    rows = [link.partition("#")[2] for link in links]
+    counts = {
+        paper: sum(row.kind == "statement" for row in load(paper).STUDY.rows) for paper in PAPERS
+    }
+    for paper, count in counts.items():
+        assert sum(row.startswith(f"{paper}-") for row in rows) == count
+
+
+@pytest.mark.parametrize(
+    ("source", "found"),
+    [
+        ('FIGURES["figure_02b"][1](results)', ["figure_02b"]),
+        ("display(*figures(8, 5))", ["figure_08", "figure_05"]),
+        ('for number in (1, 2):\n    FIGURES[f"figure_{number:02d}"]', ["figure_01", "figure_02"]),
+        ("plt.plot(x)", []),
+    ],
+)
+def test_the_figures_of_a_cell_are_those_that_it_draws(source, found):
+    assert papers.stems(source) == found
+
+
+def test_results_give_their_figures_and_recordings(tmp_path):
+    """Of each paper that was reproduced; a recording has a link if the viewer is there."""
+    results, source, out = (tmp_path / name for name in ("results", "source", "out"))
+    for name in ("csrukf/figures/figure_08.png", "csrukf/csrukf_P_I.rrd.js", "viewer.html"):
+        (results / name).parent.mkdir(parents=True, exist_ok=True)
+        (results / name).write_bytes(b"a" * 2_000_000)
+    source.mkdir()
+    for viewed in (False, True):
+        if viewed:
+            (results / "viewer.js").write_text("")
+        shutil.rmtree(source)
+        source.mkdir()
+        shutil.copy(DOCS / "verdicts.md", source)
+        papers.write_pages(source, results)
+        page = (source / "papers" / "csrukf.md").read_text(encoding="utf-8")
+        assert page.count("<img ") == 1
+        link = '<a href="../viewer.html?csrukf/csrukf_P_I">▶ csrukf_P_I</a> (2.0 MB)'
+        assert (link in page) == viewed
+    assert (source / "_static/papers/csrukf/figure_08.png").stat().st_size == 2_000_000
+    assert (source / "papers" / "ssukf.md").read_text(encoding="utf-8").count("<img ") > 6
+    out.mkdir()
+    papers.copy_recordings(results, out)
+    assert sorted(path.name for path in out.rglob("*.*")) == [
+        "csrukf_P_I.rrd.js",
+        "viewer.html",
+        "viewer.js",
+    ]
+
+
+def test_an_operator_of_two_signs_is_one():
+    text = conf.mathml(r"\operatorname{cov}(v) =: R, a := b, H^{\mathsf T}", "block")
+    for part in ("<mo>=:</mo>", "<mo>:=</mo>", "<mi>cov</mi>", "&#x022A4;"):
+        assert part in text
+    assert "sans-serif" not in text
 
 
 def luminance(color):

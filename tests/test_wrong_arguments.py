@@ -75,7 +75,8 @@ belief: symmetric
 extended_pose: extended_pose
 inertial: Strapdown
 montecarlo: Draws Draws.close blocks effort generators renewed run_of steps
-claims: answer Ledger cells columns counted dumps ledger markdown notes numbers plain read_claims style tally written
+claims: accepted answer Ledger cells columns counted decisive dumps ledger mark markdown notes ours outcome plain printed
+    read_claims style tally written
 gyro: Gyro.drift
 ledger: Claim Row Row.judged estimate order read_ledger read_printed
 operations: counted step_operations
@@ -91,7 +92,6 @@ study: Results Results.at Results.claims Results.error Results.first Results.get
 page: aligned_left macro render
 notebook: Folded Table parameters
 picture: command end picture
-squares: squares
 viewer: address as_script is_current page script_name viewer
 progress: Progress Progress.add Progress.close Progress.runs
 estimates: Estimate Estimate.error Estimate.sigma estimates_of

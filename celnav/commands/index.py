@@ -22,54 +22,42 @@ from celnav.commands.arguments import load
 from celnav.files import InputError, read_json
 from celnav.show import viewer
 from celnav.show.claims import answer, markdown, read_claims, tally
-from celnav.show.squares import squares
 from celnav.study.ledger import KINDS, VERDICTS, Sentence
 
 Claims = Sequence[Mapping[str, Any]]
 USER = "study.json"
-"""File with the data of a user's study for the page, because the study's file
-may no longer exist.
-"""
+"""File with the data of a user's study for the page; the study's own file may no longer exist."""
+SITE = "site"
+"""Folder of the site beside the page, where ``python -m docs`` writes it."""
+NOTEBOOKS = Path(celnav.__file__).resolve().parents[1] / "notebooks"
 
 
 def index(out: Path) -> str:
     """The page for all papers and studies under ``out``."""
     from celnav.show.page import render
 
-    ledgers = reproduced(out)
-    every = {name: _shown(out, name, claims) for name, claims in ledgers.items()}
-    real = [study for name, study in every.items() if name in papers.REAL]
+    every = {name: _shown(out, name, claims) for name, claims in reproduced(out).items()}
     studies = [study for name, study in every.items() if name not in papers.REAL]
-    statements = {name: _of_kind(claims, "statement") for name, claims in ledgers.items()}
-    statements = {name: claims for name, claims in statements.items() if claims}
     return render(
         "index.html",
         title="celnav: what holds",
-        opening=_opening(studies, statements),
-        squares=squares(statements, lambda study, id: f"#{study}-{id}") if statements else "",
-        counts=_counts(statements) if statements else [],
         studies=studies,
-        real=real,
-        papers=any(name in papers.PAPERS for name in every),
+        real=[study for name, study in every.items() if name in papers.REAL],
+        papers={*every} - {*papers.REAL} <= {*papers.PAPERS},
         partial=partial(out, every),
+        runs=dict.fromkeys(study["runs"] for study in every.values()),
         tally=tally(claim for study in studies for claim in study["claims"]["statement"]),
         absent={name: holds for name, holds in papers.REAL.items() if name not in every},
+        elsewhere=_elsewhere(out),
     )
 
 
-def _opening(studies: Sequence[Mapping[str, Any]], statements: Mapping[str, Claims]) -> str:
-    """Two sentences that describe the page."""
-    count = sum(map(len, statements.values()))
-    if not count:
-        return (
-            "Each study below runs filters and says what we find, by numbers with 95 % intervals."
-        )
-    whose = "papers" if all(study["id"] in papers.PAPERS for study in studies) else "studies"
-    return (
-        f"celnav runs the filters of {len(statements)} {whose} and judges {count} of their "
-        "statements by numbers with 95 % intervals. Each square is a statement: a click shows its "
-        "row."
-    )
+def _elsewhere(out: Path) -> dict[str, str]:
+    """Name and address of the site, if it lies in ``out/site``, and of the notebooks."""
+    site = {"The site": "site/index.html", "Notebooks": "site/notebooks/index.html"}
+    if (out / SITE / "index.html").is_file():
+        return site
+    return {"Notebooks": _address(NOTEBOOKS, out)} if NOTEBOOKS.is_dir() else {}
 
 
 def reproduced(out: Path) -> dict[str, list[dict[str, Any]]]:
@@ -158,21 +146,13 @@ def cited(citation: str) -> str:
 
 def verdicts(studies: Mapping[str, Claims]) -> str:
     """A table in Markdown with the number of statements of each paper for each verdict."""
-    head, *rows = _counts(studies)
-    lines = ["---", *["---:"] * (len(head) - 1)]
-    return markdown([head, lines, *([f"`{name}`", *numbers] for name, *numbers in rows)])
-
-
-def _counts(studies: Mapping[str, Claims]) -> list[list[str]]:
-    """Table rows: a head, and for each paper the number of statements for each verdict."""
     counts = {name: tally(_of_kind(claims, "statement")) for name, claims in studies.items()}
     shown = [verdict for verdict in VERDICTS if any(verdict in count for count in counts.values())]
-    rows = [["paper", "statements", *shown]]
+    rows = [["paper", "statements", *shown], ["---", *["---:"] * (len(shown) + 1)]]
     for name, count in counts.items():
-        rows.append(
-            [name, str(sum(count.values())), *(str(count.get(verdict, "")) for verdict in shown)]
-        )
-    return rows
+        numbers = [str(count.get(verdict, "")) for verdict in shown]
+        rows.append([f"`{name}`", str(sum(count.values())), *numbers])
+    return markdown(rows)
 
 
 def deciding(claims: Claims) -> list[Mapping[str, Any]]:
@@ -189,6 +169,7 @@ def _of_kind(claims: Claims, kind: str) -> list[Mapping[str, Any]]:
 def _shown(out: Path, name: str, claims: Claims) -> dict[str, Any]:
     """The data of a study for the page."""
     module, folder = study_of(out, name), out / name
+    record = _record(folder)
     by_kind = {kind: _of_kind(claims, kind) for kind in KINDS}
     deciding = "statement" if name in papers.PAPERS or by_kind["statement"] else "finding"
     files = [
@@ -209,18 +190,39 @@ def _shown(out: Path, name: str, claims: Claims) -> dict[str, Any]:
         "claims": by_kind,
         "kind": deciding,
         "odd": sum(claim["surprise"] for claim in claims),
-        "figures": [
-            _figure(path, name, module) for path in sorted((folder / "figures").glob("*.png"))
-        ],
+        "figures": {
+            path.stem: _figure(path, name, module)
+            for path in sorted((folder / "figures").glob("*.png"))
+        },
+        "decides": module.STUDY.figure,
         "tables": [_table(path, module) for path in sorted((folder / "tables").glob("*.csv"))],
         "recordings": [
-            {"file": file, "live": _live(out, f"{name}/{file}")}
-            for file in module.RECORDINGS
-            if file in files
+            _recording(out, f"{name}/{file}") for file in module.RECORDINGS if file in files
         ],
         "files": files,
-        "about": _record(folder)[1],
+        "runs": _runs(record),
+        "about": f"{record['versions']}; {record['cpu_s']:.0f} s of CPU time" if record else "",
     }
+
+
+def _recording(out: Path, recording: str) -> dict[str, str]:
+    """Name and size of a recording, its address in the browser, and its picture beside it if
+    ``celnav view --picture`` has drawn one.
+    """
+    picture = Path(recording).with_suffix(".png")
+    return {
+        "name": picture.stem,
+        "file": quote(recording),
+        "size": f"{(out / recording).stat().st_size / 1e6:.1f} MB",
+        "live": _live(out, recording),
+        "picture": quote(picture.as_posix()) if (out / picture).is_file() else "",
+    }
+
+
+def _runs(record: Mapping[str, Any]) -> str:
+    """Which runs were done, in words."""
+    seed = record.get("seed")
+    return f"Effort {record.get('effort', 1.0):g}" + ("." if seed is None else f", seed {seed}.")
 
 
 def _live(out: Path, recording: str) -> str:
@@ -235,40 +237,43 @@ def _live(out: Path, recording: str) -> str:
 
 
 def _notebook(out: Path, name: str, module: Any) -> dict[str, str]:
-    """Name and address of a paper's notebook, if the repository has it, or of a user's file."""
-    notebooks = Path(celnav.__file__).resolve().parents[1] / "notebooks"
+    """Name and address of a paper's notebook, on the site or in the checkout, or of a user's file;
+    the address is "" if there is none.
+    """
     if name in papers.PAPERS:
-        path = notebooks / f"{list(papers.PAPERS).index(name) + 1:02d}_{name}.ipynb"
+        path = NOTEBOOKS / f"{list(papers.PAPERS).index(name) + 1:02d}_{name}.ipynb"
     else:
-        path = notebooks / "07_real_data.ipynb" if name in papers.REAL else Path(module.file)
-    if not path.exists():
-        return {
-            "name": f"notebooks/{path.name}" if path.parent == notebooks else path.name,
-            "href": "",
-        }
+        path = NOTEBOOKS / "07_real_data.ipynb" if name in papers.REAL else Path(module.file)
+    page = f"{SITE}/notebooks/{path.stem}.html"
+    if path.parent == NOTEBOOKS and (out / page).is_file():
+        return {"name": path.stem, "href": page}
+    return {"name": path.name, "href": _address(path, out) if path.exists() else ""}
+
+
+def _address(path: Path, out: Path) -> str:
+    """The address of a file on a page in ``out``."""
     try:
-        href = quote(Path(os.path.relpath(path, out.resolve())).as_posix())
+        return quote(Path(os.path.relpath(path, out.resolve())).as_posix())
     except ValueError:  # on another drive of Windows
-        href = path.resolve().as_uri()
-    return {"name": path.name, "href": href}
+        return path.resolve().as_uri()
 
 
-def _record(folder: Path) -> tuple[float, str]:
-    """The effort with which a study was reproduced, and a line with versions and time."""
+def _record(folder: Path) -> dict[str, Any]:
+    """What ``timings.json`` of a study says of its runs and versions; empty without one."""
     try:
         record = read_json(folder / "timings.json")
         versions = ", ".join(f"{name} {version}" for name, version in record["about"].items())
-        about = f"{versions}; effort {record['effort']:g}, {record['cpu_s']:.0f} s of CPU time"
-        return float(record["effort"]), about
+        numbers = {"effort": float(record["effort"]), "cpu_s": float(record["cpu_s"])}
+        return numbers | {"versions": versions, "seed": record.get("seed")}
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        return 1.0, "no record of versions"
+        return {}
 
 
 def partial(out: Path, names: Iterable[str]) -> list[str]:
     """A line for each effort below 1, with the studies reproduced with this effort."""
     by_effort = dict[float, list[str]]()
     for name in names:
-        by_effort.setdefault(_record(out / name)[0], []).append(name)
+        by_effort.setdefault(_record(out / name).get("effort", 1.0), []).append(name)
     return [
         f"{', '.join(some)}: only {effort:.3g} of the runs: intervals are wide, "
         "and what they do not decide is undecided"
@@ -283,9 +288,8 @@ def _table(path: Path, module: Any) -> dict[str, Any]:
     return {"caption": module.TABLES.get(path.stem, (path.stem,))[0], "head": head, "rows": rows}
 
 
-def _figure(path: Path, name: str, module: Any) -> dict[str, Any]:
+def _figure(path: Path, name: str, module: Any) -> dict[str, str]:
     return {
         "caption": module.FIGURES.get(path.stem, (path.stem.replace("_", " "),))[0],
         "file": f"{name}/figures/{path.stem}",
-        "decides": path.stem == module.STUDY.figure,
     }

@@ -225,7 +225,8 @@ def _write(task: Task, results: Results, progress: Progress) -> list[Claim]:
     about = {"celnav": celnav.__version__, "python": platform.python_version()}
     about |= {package: metadata.version(package) for package in ("numpy", "scipy", "matplotlib")}
     about["machine"] = f"{platform.system()} {platform.machine()}, {cores()} cores"
-    record = {"about": about, "effort": results.effort, "cpu_s": sum(timings.values())}
+    record = {"about": about, "effort": results.effort, "seed": results.seed}
+    record["cpu_s"] = sum(timings.values())
     outputs.text("timings.json", json.dumps(record | {"timings": timings}, indent=1) + "\n")
     for kind in ("statement", "finding", "check"):
         count = Counter(claim.verdict for claim in claims if claim.kind == kind)

@@ -73,9 +73,9 @@ def _counts(studies: Mapping[str, Claims]) -> Table:
 def _ledger(claims: Claims) -> Table:
     """A table with a row for each claim of a study."""
     rows = deciding(claims)
-    shown = [name for name in columns(rows) if name not in ("place", "verdict")]
+    shown = [name for name in columns(rows) if name not in ("Verdict", "Accepted range")]
     said = [[marked(row["verdict"]), *map(cells(row).get, shown)] for row in rows]
-    return _table(["verdict", *shown], said)
+    return _table(["Verdict", *shown], said)
 
 
 def _table(head: Sequence[str], rows: Iterable[Iterable[Any]]) -> Table:

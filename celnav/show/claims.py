@@ -16,7 +16,7 @@ from celnav.study.ledger import BETWEEN, KINDS, OPEN, VERDICTS, WORDS, Claim, Se
 
 WrittenClaim = Mapping[str, Any]
 """A claim in the form that `written` returns."""
-COLUMNS = ("place", "what is said", "printed", "ours", "verdict")
+COLUMNS = ("Verdict", "Statement", "Quantity", "Printed", "Ours", "Accepted range")
 WIDE = 10.0
 """Ratio of an interval's ends above which a note says "few runs or a heavy tail"."""
 FEW = (
@@ -25,6 +25,20 @@ FEW = (
 )
 _GOOD = {BETWEEN[0], *(WORDS[kind][0] for kind in ("statement", "finding", "check"))}
 _BAD = {words[1] for words in WORDS.values()}
+SIGNS = {
+    "reproduced": ("#00795a", "✓"),
+    "reproduced with fitted parameters": ("#3f7d23", "✓*"),
+    "level only": ("#8a6d00", "≈"),
+    "in part": ("#b35c00", "½"),
+    "not reproduced": ("#b02a1a", "✗"),
+}
+"""Colors, on which white has a contrast of at least 4.5, and signs."""
+OTHER = "#6b6b6b", "?"
+
+
+def mark(verdict: str) -> tuple[str, str]:
+    """Color and sign of a verdict on a statement."""
+    return SIGNS.get(verdict, OTHER)
 
 
 def style(verdict: str) -> str:
@@ -38,18 +52,30 @@ def style(verdict: str) -> str:
     return "error" if verdict == WORDS["erratum"][0] else "part"
 
 
+def decisive(claim: WrittenClaim) -> WrittenClaim | None:
+    """The number that decides a claim: the first that prevents the best verdict, else the first."""
+    numbers = claim["numbers"]
+    return next((n for n in numbers if not n["holds"]), numbers[0] if numbers else None)
+
+
 def cells(claim: WrittenClaim) -> dict[str, str]:
-    """The cell of each of `COLUMNS`; "printed" is the paper's value of the number "ours"."""
-    printed = claim["printed_value"]
-    shown = "" if printed is None else str(printed)
-    values = claim["place"], claim["statement"], shown, _ours(claim), claim["verdict"]
-    return dict(zip(COLUMNS, values, strict=True))
+    """The cell of each of `COLUMNS`; all numbers are of the one quantity that decides."""
+    number = decisive(claim)
+    texts = [claim["verdict"], claim["statement"], "", "", "", ""]
+    if number is not None:
+        texts[2:] = number["label"], printed(number), ours(number), accepted(number)
+    return dict(zip(COLUMNS, texts, strict=True))
 
 
 def columns(claims: Sequence[WrittenClaim]) -> list[str]:
     """Those of `COLUMNS` in which at least one claim has an entry."""
     every = [cells(claim) for claim in claims]
     return [name for name in COLUMNS if not every or any(row[name] for row in every)]
+
+
+def printed(number: WrittenClaim) -> str:
+    """The paper's value of the same quantity, verbatim; empty if it prints none."""
+    return "" if number["printed"] is None else str(number["printed"])
 
 
 def _printed(value: Any) -> str:
@@ -68,25 +94,61 @@ def _flat(value: Any) -> Iterable[Any]:
         yield value
 
 
-def _ours(number: WrittenClaim) -> str:
-    """A number with its interval, with as many digits as the paper prints of it."""
+def ours(number: WrittenClaim) -> str:
+    """A number with its 95 % interval: "0.71 [0.56, 0.87]"."""
     value, ci = number["value"], number["ci"]
     if value is None:
         return ""
-    printed = str(number.get("printed_value", number.get("printed")))
-    digits = max(4, sum(map(str.isdigit, printed.lstrip("0."))))
-    if ci is None or None in ci:
-        return f"{value:.{digits}g}"
+    shown = [_rounded(x, number) for x in (value, *(ci or ())) if x is not None]
+    if len(shown) < 3 or len(set(shown)) == 1:
+        return shown[0]
     heavy = ", few runs or a heavy tail" if 0.0 < WIDE * ci[0] < ci[1] else ""
-    return f"{value:.{digits}g} [{ci[0]:.3g}, {ci[1]:.3g}]{heavy}"
+    return f"{shown[0]} [{shown[1]}, {shown[2]}]{heavy}"
 
 
-def _accepted(number: WrittenClaim) -> str:
-    """The accepted range of a number, in words."""
+def _rounded(x: float, number: WrittenClaim) -> str:
+    """A value of a number without an exponent, unless it is tiny.
+
+    It has three digits. It has up to six if the paper prints more, or if fewer do not show the
+    width of the interval or on which side of a bound the value lies.
+    """
+    if 0.0 < abs(x) < 1e-4:
+        return f"{x:.3g}"
+    value, ci = number["value"], number["ci"]
+    ends = [] if ci is None or None in ci else ci
+    if all(float(end).is_integer() for end in (value, *ends)):
+        return f"{x:.0f}"
+    lengths = [abs(value - bound) for bound in number["accept"] if bound is not None]
+    lengths += [(ends[1] - ends[0]) / 3.0] if ends else []
+    places = [2 - _decade(abs(x) or 1.0), *(-_decade(length) for length in lengths if length > 0.0)]
+    if printed(number):
+        places.append(len(printed(number).partition(".")[2]))
+    shown = min(max(places), 5 - _decade(abs(x) or 1.0))
+    return f"{round(x, shown):.{max(shown, 0)}f}"
+
+
+def _decade(x: float) -> int:
+    """The place of the first digit: 0 for 5.2, -1 for 0.52."""
+    return int(np.floor(np.log10(x)))
+
+
+def accepted(number: WrittenClaim) -> str:
+    """The accepted range of a number, and where the printed value has to lie; empty for a number
+    that decides nothing.
+    """
     low, high = number["accept"]
-    if low is None:
-        return "any" if high is None else f"≤ {high:g}"
-    return f"≥ {low:g}" if high is None else f"{low:g} … {high:g}"
+    strictly = "<" if high == number["value"] and number["holds"] is False else "≤"
+    text = "" if high is None else f"{strictly} {high:.15g}"
+    if low is not None:
+        strictly = ">" if low == number["value"] and number["holds"] is False else "≥"
+        text = f"{strictly} {low:.15g}" if high is None else f"{low:.15g} to {high:.15g}"
+    if low is not None and low == high:
+        text = f"{low:.15g}"
+    if (among := number["agreement"]) and None not in among:
+        text += (
+            f"; the printed value from {_rounded(among[0], number)} to {_rounded(among[1], number)}"
+        )
+    return text.removeprefix("; ")
 
 
 def tally(claims: Iterable[WrittenClaim]) -> dict[str, int]:
@@ -101,33 +163,23 @@ def counted(claims: Iterable[WrittenClaim]) -> str:
 
 
 def notes(claim: WrittenClaim) -> list[str]:
-    """Sentences below a claim: what we find, what else the paper prints, what was revised."""
-    printed = _printed(claim["printed"])
+    """Sentences below a claim: what we find, what the paper prints, the criterion, and when it was
+    revised.
+    """
     texts = [claim["note"]]
-    if printed != cells(claim)["printed"]:
-        texts.append(printed and f"The paper prints {printed}.")
+    values = _printed(claim["printed"])
+    if values != cells(claim)["Printed"]:
+        texts.append(values and f"The paper prints {values}.")
+    texts.append(claim["why"] and f"The criterion: {claim['why']}")
     texts.append(claim["revised"] and f"Accepted range revised: {claim['revised']}")
     return [text for text in texts if text]
 
 
-def numbers(claim: WrittenClaim) -> list[str]:
-    """A line for each number: its accepted range, its verdict if there are several, and the
-    outcome.
-    """
-    several = len({number["tier"] for number in claim["numbers"]}) > 1
-    return [_number(number, several) for number in claim["numbers"]]
-
-
-def _number(number: WrittenClaim, several: bool) -> str:
-    about = f"for {number['tier']}, " * several + f"{number['label']}: {_ours(number)}"
+def outcome(number: WrittenClaim) -> str:
+    """Whether a number meets its criterion; empty for a number that decides nothing."""
     if number["accept"] == [None, None] and number["printed"] is None:
-        return f"{about} (told only)"
-    asked = _accepted(number)
-    if (among := number["agreement"]) and None not in among:
-        within = f"[{among[0]:.4g}, {among[1]:.4g}]"
-        asked = f"{asked}; printed {number['printed']}, agrees within {within}"
-    outcome = {True: "met", False: "not met", None: "undecided"}[number["holds"]]
-    return f"{about} ({asked}): {outcome}"
+        return ""
+    return {True: "met", False: "not met", None: "undecided"}[number["holds"]]
 
 
 class Ledger:
@@ -148,17 +200,18 @@ class Ledger:
             self._head.append(f"We find: {answer(found, map(written, claims))}")
 
     def __str__(self) -> str:
-        lines = [f"{c['verdict']:24} {_ours(c):26}  {c['statement']}" for c in self._claims]
+        lines = [f"{c['verdict']:24} {cells(c)['Ours']:26}  {c['statement']}" for c in self._claims]
         return "\n".join([*self._head, *lines])
 
     def _repr_markdown_(self) -> str:
         return "\n\n".join([*self._head, ledger(self._claims)])
 
     def _repr_html_(self) -> str:
-        from celnav.show.page import aligned_left, macro
+        from celnav.show.page import macro
 
+        style = f"<style>{macro('cards_style')}</style>"
         table = macro("ledger", self._claims, anchor="#say-")
-        return macro("paragraphs", self._head) + aligned_left(table)
+        return macro("paragraphs", self._head) + style + table
 
 
 def ledger(claims: Sequence[WrittenClaim]) -> str:
@@ -209,7 +262,9 @@ def written(claim: Claim) -> dict[str, Any]:
     """
     row, first = claim.row, claim.decisive
     numbers = [
-        plain(number) | {"tier": tier, "agreement": plain(number.agreement), "holds": holds}
+        plain(number)
+        | {"printed": plain(number.printed, 17), "agreement": plain(number.agreement)}
+        | {"tier": tier, "holds": holds}
         for tier, number, holds in claim.outcomes
     ]
     return {

@@ -26,8 +26,8 @@ def _templates() -> Any:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    for name in ("cells", "columns", "counted", "notes", "numbers", "style"):
-        templates.filters[name] = getattr(claims, name)
+    names = "accepted cells columns counted mark notes ours outcome printed style"
+    templates.filters |= {name: getattr(claims, name) for name in names.split()}
     return templates
 
 

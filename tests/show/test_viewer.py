@@ -127,11 +127,21 @@ def test_reproduce_writes_it_and_the_page_links_it(package, tmp_path):
     assert (out / viewer.SCRIPT).stat().st_mtime_ns == before  # made once
 
     def live():
-        return {found["file"]: found["live"] for found in _shown(out, "csrukf", [])["recordings"]}
+        return {found["name"]: found["live"] for found in _shown(out, "csrukf", [])["recordings"]}
 
-    assert live() == {"csrukf_P_08.rrd": viewer.address("csrukf/csrukf_P_08.rrd")}
+    assert live() == {"csrukf_P_08": viewer.address("csrukf/csrukf_P_08.rrd")}
     outputs.bytes("csrukf_P_08.rrd", b"a later one, reproduced with --no-viewer")
-    assert live() == {"csrukf_P_08.rrd": ""}
+    assert live() == {"csrukf_P_08": ""}
+
+
+def test_without_the_viewer_a_recording_is_its_picture_or_the_file(tmp_path):
+    outputs = Outputs(tmp_path / "csrukf")
+    outputs.bytes("csrukf_P_08.rrd", b"a" * 1_200_000)
+    for kind in ("claims", "checks"):
+        outputs.text(f"{kind}.json", "[]\n")
+    assert 'href="csrukf/csrukf_P_08.rrd">csrukf_P_08 (1.2 MB)</a>' in index(tmp_path)
+    outputs.bytes("csrukf_P_08.png", b"")
+    assert 'href="csrukf/csrukf_P_08.png">csrukf_P_08 (picture)</a>' in index(tmp_path)
 
 
 def test_a_viewer_that_is_half_written_is_written_again(package, tmp_path, monkeypatch):

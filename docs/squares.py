@@ -10,18 +10,9 @@ from collections.abc import Callable, Mapping, Sequence
 from html import escape
 from typing import Any
 
-from celnav.show.claims import tally
+from celnav.show.claims import mark, tally
 
 SIDE, STEP, LEFT = 18, 22, 92  # px: a square, from square to square, the names on the left
-SIGNS = {
-    "reproduced": ("#00795a", "✓"),
-    "reproduced with fitted parameters": ("#4d8f2f", "✓*"),
-    "level only": ("#8a6d00", "≈"),
-    "in part": ("#b35c00", "½"),
-    "not reproduced": ("#b02a1a", "✗"),
-}
-"""Colors, on which white has a contrast of at least 4.5, and signs."""
-OTHER = "#6b6b6b", "?"
 STYLE = """<style>
 .squares text{font:12px system-ui,sans-serif;fill:#222}.squares a{text-decoration:none}
 .squares .sign{fill:#fff;text-anchor:middle;font-size:11px}
@@ -42,9 +33,8 @@ def squares(
     for study, rows in claims.items():
         parts.append(_text(4, y + 14, study, "name"))
         for i, row in enumerate(rows):
-            color, sign = SIGNS.get(row["verdict"], OTHER)
             title = escape(f"{row['verdict']}: {row.get('statement', row['id'])}")
-            square = _square(LEFT + STEP * i, y, color, sign)
+            square = _square(LEFT + STEP * i, y, *mark(row["verdict"]))
             address = escape(link(study, row["id"]))
             parts.append(f'<a href="{address}"><title>{title}</title>{square}</a>')
         y += STEP + 4
@@ -55,7 +45,7 @@ def squares(
         text = f"{count} {verdict}"
         if x + 30 + 7 * len(text) > width:
             x, y = LEFT, y + STEP
-        parts += [_square(x, y, *SIGNS.get(verdict, OTHER)), _text(x + 24, y + 14, text, "name")]
+        parts += [_square(x, y, *mark(verdict)), _text(x + 24, y + 14, text, "name")]
         x += 40 + 7 * len(text)
     label = ", ".join(f"{count} {verdict}" for verdict, count in counts.items())
     size = f'width="{width}" height="{y + STEP + 4}" viewBox="0 0 {width} {y + STEP + 4}"'
