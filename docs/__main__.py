@@ -22,14 +22,15 @@ from sphinx.cmd.build import main
 import celnav
 from celnav.papers import PAPERS
 from docs.pages import errata, sources
-from docs.papers import copy_recordings, write_pages
+from docs.papers import copy_recordings, recording_picture, write_pages
 
 HERE = Path(__file__).resolve().parent
 
 
-def within(notebook: str) -> str:
+def within(notebook: str, static: Path, results: Path | None) -> str:
     """A notebook with its links to anchors that its own outputs make as HTML, of which Sphinx knows
-    nothing. Anchors of headings, which Jupyter spells with capitals, are in lower case here.
+    nothing. Anchors of headings, which Jupyter spells with capitals, are in lower case here. The
+    picture of a recording is written to ``static``.
     """
     content = json.loads(notebook)
     cells = [cell for cell in content["cells"] if cell["cell_type"] == "markdown"]
@@ -44,7 +45,10 @@ def within(notebook: str) -> str:
         return f'<a href="#{anchor}">{found[1]}</a>'
 
     for cell in cells:
-        cell["source"] = re.sub(r"\[([^\]]*)\]\(#([^)]*)\)", link, "".join(cell["source"]))
+        source = "".join(cell["source"])
+        if pictures := cell.pop("attachments", None):
+            source = recording_picture(source, pictures, static, results)
+        cell["source"] = re.sub(r"\[([^\]]*)\]\(#([^)]*)\)", link, source)
     return json.dumps(content)
 
 
@@ -101,7 +105,8 @@ def build(out: Path, results: Path | None = None) -> int:
         write_pages(source, results)
         for path in sorted((HERE.parent / "notebooks").glob("*.ipynb")):
             (source / "notebooks" / path.name).write_text(
-                within(path.read_text(encoding="utf-8")), encoding="utf-8"
+                within(path.read_text(encoding="utf-8"), source / "_static", results),
+                encoding="utf-8",
             )
         (source / "sources.md").write_text(sources(), encoding="utf-8")
         (source / "errata.md").write_text(errata(), encoding="utf-8")

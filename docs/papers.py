@@ -30,7 +30,7 @@ def stems(source: str) -> list[str]:
     (['figure_01'], ['figure_08', 'figure_05'])
     """
     found = re.findall(r'"(figure_\d+\w*)"', source)
-    for numbers in re.findall(r"(?:figures|for number in )\(([\d, ]+)\)", source):
+    for numbers in re.findall(r"(?:figures?|for number in )\(([\d, ]+)\)", source):
         found += [f"figure_{int(number):02d}" for number in re.findall(r"\d+", numbers)]
     return found
 
@@ -73,6 +73,24 @@ def recordings(paper: str, results: Path | None) -> dict[str, Path]:
         for name in load(paper).RECORDINGS
     }
     return {address: path for address, path in scripts.items() if path.is_file()}
+
+
+def recording_picture(
+    source: str, pictures: dict[str, dict[str, str]], static: Path, results: Path | None
+) -> str:
+    """The text of a notebook's cell whose attached picture opens a recording, with the picture in
+    ``static`` and a link to the viewer of the site, if the results have it.
+    """
+
+    def image(found: re.Match[str]) -> str:
+        alt, name, address = found.groups()
+        (static / name).write_bytes(b64decode(pictures[name]["image/png"]))
+        picture = f'<img alt="{escape(alt)}" src="../_static/{name}">'
+        paper = address.partition("?")[2].partition("/")[0]
+        known = paper in PAPERS and address in recordings(paper, results)
+        return f'<a href="../{address}">{picture}</a>' if known else picture
+
+    return re.sub(r"\[!\[([^\]]*)\]\(attachment:([^)]*)\)\]\(\.\./out/([^)]*)\)", image, source)
 
 
 def pictures_html(paper: str, figures: dict[str, bytes], results: Path | None) -> str:

@@ -7,6 +7,7 @@ import re
 import shutil
 import subprocess
 import sys
+from base64 import b64encode
 from html.parser import HTMLParser
 from pathlib import Path
 from xml.etree import ElementTree
@@ -21,6 +22,7 @@ pytest.importorskip("sphinx")
 from docs import conf, papers
 
 ROOT = Path(__file__).parents[1]
+RECORDING = "csrukf/csrukf_P_I"
 DOCS = ROOT / "docs"
 NODE = shutil.which("node")
 PAGES = [path for path in sorted(DOCS.rglob("*.md")) if path.name != "index.md"]
@@ -134,6 +136,7 @@ def test_each_square_leads_to_its_row(site, pages):
     [
         ('FIGURES["figure_02b"][1](results)', ["figure_02b"]),
         ("display(*figures(8, 5))", ["figure_08", "figure_05"]),
+        ("figure(7)", ["figure_07"]),
         ('for number in (1, 2):\n    FIGURES[f"figure_{number:02d}"]', ["figure_01", "figure_02"]),
         ("plt.plot(x)", []),
     ],
@@ -169,6 +172,20 @@ def test_results_give_their_figures_and_recordings(tmp_path):
         "viewer.html",
         "viewer.js",
     ]
+
+
+def test_the_picture_of_a_recording_opens_it_if_the_site_has_it(tmp_path):
+    pictures = {"a.png": {"image/png": b64encode(b"png").decode()}}
+    name = f"../out/viewer.html?{RECORDING}"
+    cell = f"## The recording\n\n[![Blue](attachment:a.png)]({name})\n\nA click."
+    alone = papers.recording_picture(cell, pictures, tmp_path, None)
+    assert alone == '## The recording\n\n<img alt="Blue" src="../_static/a.png">\n\nA click.'
+    assert (tmp_path / "a.png").read_bytes() == b"png"
+    for file in ("viewer.js", f"{RECORDING}.rrd.js"):
+        (tmp_path / file).parent.mkdir(exist_ok=True)
+        (tmp_path / file).write_text("")
+    both = papers.recording_picture(cell, pictures, tmp_path, tmp_path)
+    assert f'<a href="../viewer.html?{RECORDING}"><img ' in both
 
 
 def test_an_operator_of_two_signs_is_one():

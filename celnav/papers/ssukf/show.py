@@ -228,8 +228,8 @@ def table(results: Results) -> Rows:
 FIGURES = {
     **{
         f"figure_{i + 1:02d}": (
-            f"Fig. {i + 1}: error of {axis}. (a) One run, as in the paper; AUKF and SSUKF coincide. "
-            "(b) RMSE over time. (c) RMSE over counted operations.",
+            f"Fig. {i + 1}: error of {axis}. (a) One run, as in the paper; AUKF and SSUKF "
+            "coincide. (b) RMSE over time. (c) RMSE over counted operations.",
             partial(angle, i),
         )
         for i, axis in enumerate(AXES)
