@@ -90,7 +90,7 @@ def geometry(r: Results) -> Figure:
         for name, ray in zip(names, [*edges, *6000.0 * stars], strict=True):
             line(reach * ray, name, 1.2 * ray, colors.COMPARISON, "--")
         for i, (arc, angle) in enumerate(zip(arcs, degrees, strict=True), 1):
-            line(arc, f"$A_{i}$ = {angle:.0f}°", 1.8 * arc[5], colors.PAPER)
+            line(arc, f"$A_{i}$ = {angle:.0f}°", 2.1 * arc[5], colors.PAPER)
         ax.set_aspect("equal")
         ax.set_axis_off()
         ax.view_init(65, 0)
