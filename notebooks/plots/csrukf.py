@@ -7,6 +7,7 @@ import numpy as np
 from celnav.papers.csrukf.show import BOUND, CSRUKF, OPEN, SRUKF
 from celnav.show import colors
 from celnav.show.draw import Line, Panel, curve, level, panels
+from celnav.show.notebook import Table
 
 NOISE = Line("colored noise V", colors.COMPARISON)
 WHITE = Line("differenced noise V*", colors.ESTIMATE, "--")
@@ -122,3 +123,15 @@ def growth(tables):
         ticks = {"xticks": range(3), "xticklabels": ["0", "0.8 I", "I"]}
         drawn.append(Panel(name, items, "Φ (-)", "3-D position RMSE (km)", "y", ticks))
     return panels(drawn, height=2.4, sharey=True)
+
+
+def numbers(tables):
+    """Tables 1 to 3 with printed RMSE, ours and their ratio: km and m/s."""
+    found, rows = parted(tables), []
+    for (title, phi, name, source), ours in found.items():
+        if source == "ours":
+            paper = found[title, phi, name, "paper"]
+            head = f"{title[-1]} {phi}".strip(), name
+            for label, values in (("printed", paper), ("ours", ours), ("ratio", ours / paper)):
+                rows.append([*head, label, *(f"{value:.3g}" for value in values)])
+    return Table(["table", "filter", "", "x", "y", "z", "v_x", "v_y", "v_z"], rows)
