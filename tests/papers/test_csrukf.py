@@ -17,6 +17,7 @@ from celnav.filters.run import run
 from celnav.models import orbit
 from celnav.papers import csrukf
 from celnav.papers.csrukf import scenario, study
+from celnav.papers.csrukf.method import FORMS
 from celnav.study.ledger import Row
 from celnav.study.montecarlo import generator
 from celnav.study.study import Part
@@ -50,19 +51,54 @@ def claims(results):
 
 def test_every_figure_draws_what_its_axes_say(results):
     assert list(csrukf.FIGURES) == [f"figure_{i:02d}" for i in range(1, 20)]
-    for stem, (caption, draw) in csrukf.FIGURES.items():
+    for number, (caption, draw) in enumerate(csrukf.FIGURES.values(), 1):
         fig = draw(results)
-        labels = [label for ax in fig.axes for label in (ax.get_xlabel(), ax.get_ylabel()) if label]
-        assert any("(" in label for label in labels), (stem, labels)
+        beyond = " (not in the paper)" if number > 13 else ""
+        assert fig.get_suptitle().startswith(f"Figure {number}{beyond}: ")
+        axes = [ax for ax in fig.axes if ax.axison]
+        labels = [label for ax in axes for label in (ax.get_xlabel(), ax.get_ylabel()) if label]
+        assert number == 1 or all("(" in label for label in labels), (number, labels)
         assert caption.endswith(".")
-        assert not faults(fig), stem
+        assert not faults(fig), number
 
 
 def test_figure_2_draws_the_errors_of_the_first_run(results):
-    line = csrukf.FIGURES["figure_02"][1](results).axes[0].lines[0]
-    np.testing.assert_array_equal(
-        line.get_ydata(), np.abs(results.error("0", "srukf", "position")[:, 0, 0])
-    )
+    many, minute = csrukf.FIGURES["figure_02"][1](results).axes
+
+    def error(filter):
+        return np.abs(results.error("0", filter, "position")[:, 0, 0])
+
+    np.testing.assert_array_equal(many.lines[0].get_ydata(), error("csrukf"))
+    for line, filter in zip(minute.lines, ("srukf", "csrukf", "lagged"), strict=True):
+        np.testing.assert_array_equal(line.get_ydata(), error(filter)[-61:])
+    # As printed, an estimate has used the next sample: it is of the epoch before.
+    assert [line.get_xdata()[-1] for line in minute.lines] == [600.0, 600.0, 599.0]
+
+
+def test_figure_5_has_the_printed_rmse_with_both_signs(results):
+    many, _ = csrukf.FIGURES["figure_05"][1](results).axes
+    printed = [line.get_ydata()[0] for line in many.lines if line.get_linestyle() == "--"]
+    values = [row[3] for row in (study.TABLE_1["SRUKF"], study.TABLE_1["CSRUKF"])]
+    assert sorted(printed) == sorted([*values, *np.negative(values)])
+
+
+def test_figure_19_has_a_row_for_each_form(results):
+    for ax, precision in zip(
+        csrukf.FIGURES["figure_19"][1](results).axes[:2], ("double", "single"), strict=True
+    ):
+        lost, apart = (
+            np.stack(
+                [
+                    results.get("forms/ratios", f"{form}, {precision}/{what}").mean(1)
+                    for form in FORMS
+                ]
+            )
+            for what in ("lost", "apart")
+        )
+        np.testing.assert_array_equal(np.ma.filled(ax.collections[0].get_array(), np.nan), apart)
+        assert len(ax.lines[0].get_xdata()) == (lost > 0.0).sum() > 0
+        names = [label.get_text() for label in ax.get_yticklabels()]
+        assert names == list(FORMS.values())
 
 
 def test_tables_hold_the_papers_numbers_verbatim(results):

@@ -30,8 +30,8 @@ from celnav.show.draw import (
     Line,
     Panel,
     curve,
-    figure,
     level,
+    look,
     panels,
 )
 from celnav.show.estimates import estimates_of
@@ -48,17 +48,15 @@ if TYPE_CHECKING:
 
 __all__ = ["FIGURES", "RECORDINGS", "TABLES", "record"]
 
-SRUKF = Line("SRUKF", colors.COMPARISON)
+SRUKF = Line("SRUKF", colors.COMPARISON, (0, (8, 2)))
 CSRUKF = Line("CSRUKF", colors.ESTIMATE)
-OPEN = Line("open loop", colors.OPEN_LOOP, "--")
+OPEN = Line("open loop", colors.OPEN_LOOP, "-.")
 LINES = {"srukf": SRUKF, "csrukf": CSRUKF}
-WHITE = {
-    "srukf": SRUKF._replace(width=2.2),
-    "csrukf": CSRUKF._replace(style="--"),
-    "lagged": Line("CSRUKF as printed (uses the next sample)", colors.TRUTH, width=0.7),
-}
+BOUND = Line("CSRUKF with the first sample", colors.REFERENCE, ":")
 AXES = ("x", "y", "z", "v_x", "v_y", "v_z")
 TIME = "time (s)"
+RATIO = "σ of the prior over σ of a measurement (-)"
+SPAN = {"xlim": (0.0, 600.0)}
 QUANTITIES = [f"absolute position error ${a}$ (km)" for a in AXES[:3]] + [
     f"velocity error ${a}$ (m/s)" for a in AXES[3:]
 ]
@@ -68,57 +66,39 @@ COLUMNS = ("x_km", "y_km", "z_km", "vx_m_per_s", "vy_m_per_s", "vz_m_per_s")
 # -- figures ---------------------------------------------------------------------------------------
 def geometry(r: Results) -> Figure:
     """Two stars, the Earth's limb, and the three angles."""
-    fig, ax = figure(6.0, 5.2, subplot_kw={"projection": "3d"})
     c = r.parts["0"].config
     path = c.nominal()[:, :3]
-    stars = sightings.star_directions(c.separation)
     here = path[0]
+    stars = sightings.star_directions(c.separation)
+    edges = sightings.limb(here, np.cross(here, [0.0, 0.0, 1.0])) - here
     u, v = np.mgrid[0 : 2 * np.pi : 25j, 0 : np.pi : 13j]
     globe = EARTH.radius_km * np.stack([np.cos(u) * np.sin(v), np.sin(u) * np.sin(v), np.cos(v)])
-    ax.plot_wireframe(*globe, color=colors.MEASUREMENT, linewidth=0.4, alpha=0.6)
-    ax.plot(*path.T, color=colors.TRUTH, label="orbit, 600 s")
-    ax.plot(
-        *np.stack([np.zeros(3), 1.5 * here]).T,
-        color=colors.SIGMA,
-        linestyle="--",
-        linewidth=1,
-        label="position vector",
-    )
-    edges = np.array(sightings.limb(here, np.cross(here, [0.0, 0.0, 1.0])))
-    for i, limb in enumerate(edges):
-        ax.plot(
-            *np.stack([here, limb]).T,
-            color=colors.ESTIMATE,
-            label=None if i else "sight lines to the limb",
-        )
-    rays = [*stars, *(edges - here), here]
-    s = np.linspace(0.0, 1.0, 31)[:, None]
-    A = np.degrees(sightings.angles(here, stars))
-    for i, (a, b) in enumerate(((0, 4), (1, 4), (2, 3))):  # the angles as arcs
-        arc = (1.0 - s) * rays[a] / np.linalg.norm(rays[a]) + s * rays[b] / np.linalg.norm(rays[b])
-        where = (here + (2500.0 - 600.0 * i) * arc / np.linalg.norm(arc, axis=1, keepdims=True)).T
-        ax.plot(
-            *where,
-            color=(colors.PAPER, colors.OPEN_LOOP, colors.REFERENCE)[i],
-            linewidth=1.4,
-            label=f"$A_{i + 1}$ = {A[i]:.2f}°",
-        )
-    for i, star in enumerate(stars):
-        ax.quiver(*here, *(5000.0 * star), color=colors.COMPARISON, arrow_length_ratio=0.1)
-        ax.text(*(here + 5600.0 * star), f"star {i + 1}", fontsize=8)
-    ax.set(
-        xlabel="x (km)",
-        ylabel="y (km)",
-        zlabel="z (km)",
-        title="Figure 1: the measured angles",
-        aspect="equal",
-    )
-    ax.view_init(45, 100)
-    ax.legend(loc="upper left", fontsize=7)
-    fig.set_layout_engine(
-        "constrained", rect=(0.0, 0.05, 1.0, 0.95)
-    )  # the layout ignores axis labels in 3-D
-    return fig
+    star_1, star_2, limb_1, limb_2, up = scenes.unit(np.array([*stars, *edges, here]))
+    arcs = 2500.0 * scenes.arc(np.array([star_1, star_2, limb_1]), np.array([up, up, limb_2]))
+    degrees = np.degrees(sightings.angles(here, stars))
+
+    def draw(ax: Any) -> None:
+        def line(points: Any, text: str, end: Any, color: str, style: str = "-") -> None:
+            """Points, and a label that is centered at ``end``, relative to the satellite."""
+            ax.plot(*(here + points).T, color=color, linestyle=style, linewidth=1.6)
+            ax.text(*(here + end), text, color=color, ha="center", va="center")
+
+        reach, names = np.array([[0.0], [1.0]]), ("limb", "limb", "star 1", "star 2")
+        ax.plot_surface(*globe, color="white", edgecolor=colors.BODY, linewidth=0.4, shade=False)
+        line(path - here, "orbit, 600 s", 1.3 * (path[-1] - here), colors.TRUTH)
+        line((1.6 * reach - 1.0) * here, "position vector", 0.8 * here, colors.SIGMA, ":")
+        for name, ray in zip(names, [*edges, *6000.0 * stars], strict=True):
+            line(reach * ray, name, 1.2 * ray, colors.COMPARISON, "--")
+        for i, (arc, angle) in enumerate(zip(arcs, degrees, strict=True), 1):
+            line(arc, f"$A_{i}$ = {angle:.0f}°", 2.1 * arc[5], colors.PAPER)
+        ax.set_aspect("equal")
+        ax.set_axis_off()
+        ax.view_init(65, 0)
+        ax.set_box_aspect(None, zoom=1.7)
+
+    look = {"projection": "3d", "computed_zorder": False}
+    title = "Figure 1: the three measured angles"
+    return panels(Panel("", [draw]), title=title, height=3.8, subplot_kw=look)
 
 
 def component(
@@ -136,53 +116,71 @@ def component(
 
 
 def printed(table: dict[str, list[float]], i: int) -> Item:
-    """The printed RMSE of a component, for both filters."""
-    return level(
-        *(row[i] for row in table.values()),
-        label="printed RMSE of both filters",
-        color=colors.PAPER,
-        style="--",
-    )
+    """The printed RMSE of a component, for both filters; of velocities with both signs."""
+    levels = [sign * row[i] for row in table.values() for sign in (1.0, -1.0)[: 1 + i // 3]]
+    return level(*levels, label="printed RMSE", color=colors.PAPER, style="--")
 
 
 def white(i: int, r: Results) -> Figure:
-    """Error of a component under white noise."""
-    title = f"Figure {i + 2}: ${AXES[i]}$, $\\Phi = 0$"
-    items = [*component(r, "0", i, WHITE, "csrukf"), printed(TABLE_1, i)]
-    top = {"ylim": (0.0 if i < 3 else -0.15, 0.2 if i < 3 else 0.15)}
-    return panels(Panel(title, items, TIME, QUANTITIES[i], more=top), size=(7.0, 3.6))
+    """Error of a component under white noise: of all runs, and in detail of the first."""
+    many = component(r, "0", i, {"csrukf": CSRUKF}, "csrukf", runs=(1, 4)[i // 3], spread=True)
+    minute = []
+    for name, line in {
+        "srukf": SRUKF._replace(style="-", width=3.0),
+        "csrukf": CSRUKF,
+        "lagged": Line("as printed", colors.PAPER, "-."),
+    }.items():
+        t = r.times("0") - (name == "lagged")  # whose estimate is of the epoch before
+        error = r.error("0", name, BOTH[i // 3])[:, 0, i % 3]
+        error = np.abs(error) if i < 3 else error
+        minute.append(curve(t[-61:], error[-61:], line, label=f"{line.label}, run 1"))
+    limits = (0.0, 0.2) if i < 3 else None
+    panel = partial(Panel, x=TIME, y=QUANTITIES[i])
+    return panels(
+        [
+            panel("CSRUKF, all runs", [*many, printed(TABLE_1, i)], more={**SPAN, "ylim": limits}),
+            panel("Run 1, last minute", minute, more={"xlim": (540.0, 600.0)}),
+        ],
+        title=f"Figure {i + 2}: error of ${AXES[i]}$ in white noise ($\\Phi = 0$)",
+        height=2.5,
+    )
 
 
 def walk(i: int, r: Results) -> Figure:
     """Error of a component under random-walk noise."""
-    four = component(r, "I", i, LINES, "srukf", runs=4, spread=True)
+    both = component(r, "I", i, LINES, "srukf", runs=4, spread=True)
     loop = component(r, "I", i, {"openloop": OPEN})
-    right = [*component(r, "I", i, {"csrukf": CSRUKF}, "csrukf", runs=4, spread=True), *loop]
-    left = Panel(
-        f"Figure {i + 8}: ${AXES[i]}$, $\\Phi = I$",
-        [*four, printed(TABLE_2, i)],
-        TIME,
-        QUANTITIES[i],
+    one = component(r, "I", i, {"csrukf": CSRUKF}, "csrukf", runs=4, spread=True)
+    titles = {"SRUKF and CSRUKF": [*both, printed(TABLE_2, i)], "CSRUKF and open loop": one + loop}
+    return panels(
+        [Panel(title, items, TIME, QUANTITIES[i], more=SPAN) for title, items in titles.items()],
+        title=f"Figure {i + 8}: error of ${AXES[i]}$ under a random walk ($\\Phi = I$)",
+        height=2.5,
     )
-    return panels([left, Panel("CSRUKF and open loop", right, TIME)], size=(7.0, 3.8))
 
 
 def consistent(r: Results) -> Figure:
-    """NEES and NIS averaged over the runs, with their 95 % ranges."""
-    nees = [
-        Panel(
-            f"$\\Phi = {n}$",
-            [consistency(r, n, LINES, "nees", 6)],
-            y="mean NEES (-)" * (n == "0"),
-            log="y",
+    """NEES of both filters, that of CSRUKF in detail, and NIS, with their 95 % ranges."""
+    rows = [
+        [
+            Panel(
+                f"$\\Phi = {n}$",
+                [consistency(r, n, lines, what, dof)],
+                TIME,
+                f"mean {what.upper()} (-)",
+                log,
+                SPAN,
+            )
+            for n in PHIS
+        ]
+        for what, dof, lines, log in (
+            ("nees", 6, LINES, "y"),
+            ("nees", 6, {"csrukf": CSRUKF}, ""),
+            ("nis", 3, LINES, "y"),
         )
-        for n in PHIS
     ]
-    nis = [
-        Panel("", [consistency(r, n, LINES, "nis", 3)], TIME, "mean NIS (-)" * (n == "0"), log="y")
-        for n in PHIS
-    ]
-    return panels(nees, nis, size=(7.0, 4.8), sharex=True)
+    title = "Figure 14 (not in the paper): consistency; second row: the CSRUKF in detail"
+    return panels(*rows, title=title, height=1.8, sharex=True, sharey="row")
 
 
 def length(std: Array) -> Array:
@@ -194,133 +192,108 @@ def against_theory(r: Results) -> Figure:
     """RMSE of the runs and exact linear theory."""
     row = []
     for name, phi in PHIS.items():
-        items = [rmse(r, name, filter, line, "position") for filter, line in LINES.items()]
-        for filter, line in LINES.items():
+        items = list[Item]()
+        for (filter, line), marker in zip(LINES.items(), "os", strict=True):
+            items.append(rmse(r, name, filter, line, "position"))
             std = length(r.get("theory", f"P/{filter}")[:, SWEEP.index(phi)])
+            theory = Line(f"{line.label}, theory", line.color, "none")
             items.append(
-                curve(
-                    r.times(name),
-                    std,
-                    color=line.color,
-                    linestyle=":",
-                    label=f"{line.label}, theory",
-                )
+                curve(r.times(name), std, theory, marker=marker, markevery=60, fillstyle="none")
             )
-        row.append(
-            Panel(f"$\\Phi = {name}$", items, TIME, "3-D position RMSE (km)" * (name == "0"), "y")
-        )
-    return panels(row, size=(7.0, 3.2))
+        row.append(Panel(f"$\\Phi = {name}$", items, TIME, "3-D position RMSE (km)", "y", SPAN))
+    title = "Figure 15 (not in the paper): the runs follow linear theory"
+    return panels(row, title=title, height=2.8, sharey=True)
 
 
 def over_phi(r: Results) -> Figure:
     """Final position error over Phi by linear theory, for the fitted prior and a poor one, by the
     quantity that is held fixed."""
-    lines = {
-        "srukf": (SRUKF, "o"),
-        "csrukf": (CSRUKF, "s"),
-        "csrukf+z0": (Line("CSRUKF with the first sample", colors.TRUTH), "^"),
-    }
-    rows: list[list[Panel]] = []
-    for held, phis in {"": SWEEP, **dict.fromkeys(HELD, COLORS)}.items():
-        rows.append([])
-        ticks = {"xticks": range(len(phis)), "xticklabels": [f"{phi:g}" for phi in phis]}
-        for preset, title in (("P", "prior 0.15 km, 0.035 m/s"), ("D", "prior 10 km, 10 m/s")):
-            found = {
-                name: length(r.get("theory", f"{held}/{preset}/{name}".lstrip("/"))[-1])
-                for name in lines
-            }
-            items = [
-                curve(range(len(phis)), y, lines[name][0], marker=lines[name][1], markersize=4)
-                for name, y in found.items()
-            ]
-            y = f"fixed {held or 'increments'}\nfinal 3-D position error (km)" * (not rows[-1])
-            rows[-1].append(
-                Panel("" if held else title, items, "φ of $\\Phi = \\varphi I$ (-)", y, "y", ticks)
+    rows = []
+    for held in ("", *HELD):
+        ticks = [f"{phi:g}".replace("0.", ".") for phi in (COLORS if held else SWEEP)]
+        row = []
+        for preset, prior in (("P", "0.15 km, 0.035 m/s"), ("D", "10 km, 10 m/s")):
+            items = []
+            for name, line, marker in (
+                ("srukf", SRUKF, "o"),
+                ("csrukf", CSRUKF, "s"),
+                ("csrukf+z0", BOUND, "^"),
+            ):
+                std = length(r.get("theory", f"{held}/{preset}/{name}".lstrip("/"))[-1])
+                items.append(curve(ticks, std, line, marker=marker, markersize=4))
+            title = f"Fixed {held or 'increments'}\nprior {prior}"
+            row.append(
+                Panel(title, items, "φ of $\\Phi = \\varphi I$ (-)", "final error (km)", "y")
             )
-    return panels(*rows, size=(7.0, 7.5))
+        rows.append(row)
+    return panels(
+        *rows, title="Figure 16 (not in the paper): final error over φ by linear theory", height=2.1
+    )
 
 
 def long_arcs(r: Results) -> Figure:
     """Long arcs from a poor prior: SRUKF and the bound."""
-    items = []
-    for i, (name, style) in enumerate((("I", "-"), ("0.8 I", "--"))):
-        for key, color, label in (
-            ("srukf", SRUKF.color, "SRUKF"),
-            ("csrukf+z0", CSRUKF.color, "bound"),
-        ):
+    row = []
+    for i, name in enumerate(("I", "0.8 I")):
+        items = []
+        for key, line in (("srukf", SRUKF), ("csrukf+z0", BOUND._replace(label="bound"))):
             std = length(r.get("theory", f"long/{key}")[1:, i])
-            items.append(
-                curve(
-                    np.arange(1, len(std) + 1),
-                    std,
-                    Line(f"{label}, $\\Phi = {name}$", color, style),
-                )
-            )
-    return panels(
-        Panel(
-            "prior of 100 km and 100 m/s, first sample used",
-            items,
-            TIME,
-            "3-D position error (km)",
-            "xy",
-        ),
-        size=(5.5, 3.6),
-    )
+            items.append(curve(np.arange(1, len(std) + 1), std, line))
+        row.append(Panel(f"$\\Phi = {name}$", items, TIME, "3-D position error (km)", "xy"))
+    title = "Figure 17 (not in the paper): long arcs from a prior of 100 km and 100 m/s"
+    return panels(row, title=title, height=2.6, sharey=True)
 
 
 def assumed(r: Results) -> Figure:
     """Error and consistency of a filter with a wrong coefficient."""
-    phis = (0.8, 0.9, 0.95, 0.99, 1.0)
-    error = list[Item]()
-    nees = [level(6.0, label="consistent: 6")]
-    flown = {
-        "I": (SRUKF.color, ("phi 0.95", "phi 0.99", "csrukf")),
-        "0.8": (CSRUKF.color, ("csrukf", "phi 0.9", "phi 1")),
+    cases = {
+        "I": (look(1), (2, 3, 4), ("phi 0.95", "phi 0.99", "csrukf")),
+        "0.8": (look(0), (0, 1, 4), ("csrukf", "phi 0.9", "phi 1")),
     }
-    for part, (color, names) in flown.items():
-        place = [phis.index(PHIS[part] if name == "csrukf" else float(name[4:])) for name in names]
-        final = [np.sqrt(r.squares(part, name, "position").sum(-1).mean()) for name in names]
-        mean = [r.nees(part, name, slice(1, None)).mean() for name in names]
-        true = names.index("csrukf")
-        for items, values in ((error, final), (nees, mean)):
-            look: Any = {"color": color, "marker": "o"}
+    ticks = {"xticks": range(5), "xticklabels": [0.8, 0.9, 0.95, 0.99, 1]}
+    row = list[Panel]()
+    for y in ("final position RMSE (km)", "time-mean NEES (-)"):
+        items = [level(6.0, label="consistent: 6")] if row else []
+        for part, (style, place, names) in cases.items():
+            values = [
+                r.nees(part, name, slice(1, None)).mean()
+                if row
+                else np.sqrt(r.squares(part, name, "position").sum(-1).mean())
+                for name in names
+            ]
+            true = {"markevery": [names.index("csrukf")], "markersize": 9, "fillstyle": "none"}
             label = f"true φ = {PHIS[part]:g}"
             items += [
-                curve(place, values, **look, label=label),
-                curve(place[true], values[true], **look, markersize=9, fillstyle="none"),
+                curve(place, values, **style, label=label),
+                curve(place, values, **style | true),
             ]
-    x = "assumed φ (circle: true φ)"
-    more = {"xticks": range(5), "xticklabels": [f"{phi:g}" for phi in phis]}
-    row = ((error, "final 3-D position RMSE (km)"), (nees, "time-mean NEES (-)"))
-    return panels([Panel("", items, x, y, "y", more) for items, y in row], size=(7.0, 3.3))
+        row.append(Panel("", items, "assumed φ (large: true φ)", y, "y", ticks))
+    return panels(row, title="Figure 18 (not in the paper): a wrong coefficient", height=2.6)
+
+
+def rounding(r: Results, precision: str, ax: Any) -> None:
+    """Draw the rounding error of each form over the precision of the measurement, and failures."""
+    lost, apart = (
+        np.stack([r.get("forms/ratios", f"{f}, {precision}/{what}").mean(1) for f in FORMS])
+        for what in ("lost", "apart")
+    )
+    look: Any = {"norm": "log", "vmin": 1e-14, "vmax": 1e6}
+    shades = ax.pcolormesh(10.0**RATIOS, list(FORMS.values()), apart, **look)
+    ax.figure.colorbar(shades, ax=ax, label="rounding error (σ)")
+    form, ratio = np.nonzero(lost)
+    ax.plot(10.0 ** RATIOS[ratio], form, "x", color=colors.PAPER, label="a run fails")
+    ax.invert_yaxis()
+    ax.grid(visible=False)
 
 
 def forms(r: Results) -> Figure:
-    """Share of failed runs for each form of the covariance, and the rounding error of the others,
-    by the precision of the measurement."""
-    lines = {  # several coincide, so the lower ones are wider
-        "plain": Line(FORMS["plain"], colors.COMPARISON, width=4.0),
-        "symmetrized": Line(FORMS["symmetrized"], colors.TRUTH, width=2.2),
-        "Joseph": Line(FORMS["Joseph"], colors.OPEN_LOOP, width=4.0),
-        "downdated": Line(FORMS["downdated"], colors.PAPER, "--", 1.1),
-        "array": Line(FORMS["array"], colors.ESTIMATE, width=1.1),
-    }
-    rows = list[list[Panel]]()
-    for what, y, log in (
-        ("lost", "share of failed runs (-)", "x"),
-        ("apart", "largest rounding error (σ)", "xy"),
-    ):
-        rows.append([])
-        for precision in ("double", "single"):
-            items = []
-            for form, line in lines.items():
-                values = r.get("forms/ratios", f"{form}, {precision}/{what}").mean(1)
-                values = np.where((values > 0.0) | (log == "x"), values, np.nan)
-                items.append(curve(10.0**RATIOS, values, line))
-            title = f"{precision} precision" * (what == "lost")
-            x = "σ of the prior over σ of a measurement"
-            rows[-1].append(Panel(title, items, x, y * (precision == "double"), log))
-    return panels(*rows, size=(7.0, 5.0), sharex="col")
+    """Rounding error of five forms of the covariance in two precisions."""
+    rows = [
+        Panel(title, [partial(rounding, r, title[:6].lower())], RATIO, log="x")
+        for title in ("Double precision (reference: one QR)", "Single precision (same reference)")
+    ]
+    title = "Figure 19 (not in the paper): rounding error of five forms of the covariance"
+    return panels(*rows, title=title)
 
 
 FIGURES = {
@@ -329,22 +302,28 @@ FIGURES = {
         geometry,
     ),
     **{
-        f"figure_{i + 2:02d}": (
-            f"Fig. {i + 2}: error of {AXES[i]} in white noise. Both filters estimate the same.",
-            partial(white, i),
+        f"figure_{first + i:02d}": (
+            f"Fig. {first + i}: error of {AXES[i]} {text}",
+            partial(draw, i),
         )
-        for i in range(6)
-    },
-    **{
-        f"figure_{i + 8:02d}": (
-            f"Fig. {i + 8}: error of {AXES[i]} under a random walk. SRUKF follows the noise, "
-            "CSRUKF follows the open loop.",
-            partial(walk, i),
+        for first, draw, text in (
+            (
+                2,
+                white,
+                "in white noise. Left: all runs. Right: both filters estimate the same; as "
+                "printed, the CSRUKF has used the next sample.",
+            ),
+            (
+                8,
+                walk,
+                "under a random walk. SRUKF follows the noise, CSRUKF follows the open loop.",
+            ),
         )
         for i in range(6)
     },
     "figure_14": (
-        "Beyond the paper: NEES and NIS averaged over the runs, with their 95 % ranges.",
+        "Beyond the paper: NEES and NIS averaged over the runs, with their 95 % ranges. The second "
+        "row has the NEES of CSRUKF alone.",
         consistent,
     ),
     "figure_15": (
@@ -353,12 +332,12 @@ FIGURES = {
         against_theory,
     ),
     "figure_16": (
-        "Beyond the paper: final position error over Φ by linear theory, for the fitted prior and "
-        "a poor one.",
+        "Beyond the paper: final 3-D position error over Φ by linear theory, for the fitted prior "
+        "and a poor one, with three quantities held fixed.",
         over_phi,
     ),
     "figure_17": (
-        "Beyond the paper: SRUKF and the bound on long arcs from a poor prior.",
+        "Beyond the paper: SRUKF and the bound of all measurements on long arcs from a poor prior.",
         long_arcs,
     ),
     "figure_18": (
@@ -366,8 +345,8 @@ FIGURES = {
         assumed,
     ),
     "figure_19": (
-        "Beyond the paper: five forms of the covariance in two precisions, over 20 steps from a "
-        "prior of 10 km.",
+        "Beyond the paper: largest rounding error of five forms of the covariance in two "
+        "precisions, over 20 steps from a prior of 10 km, and where runs fail.",
         forms,
     ),
 }
