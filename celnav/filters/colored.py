@@ -7,6 +7,8 @@ steps of [Sun2015]. `augmented` carries V in the state and is the exact referenc
 rule and both forms. ``Phi`` may be a full matrix, differ from run to run, or be a function of the
 epoch.
 
+If only a range of time constants is known, `bounding` gives a noise that bounds all of them.
+
 A missing sample costs `colored` two differences: the one that ends with the sample and the one that
 begins with it.
 """
@@ -14,7 +16,7 @@ begins with it.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, dataclass, replace
 from functools import cached_property, partial
 from typing import Any, NamedTuple
 
@@ -81,8 +83,9 @@ Coloring = ArrayLike | Callable[[Any], Array]
 def colored(
     motion: Motion,
     sensor: Sensor,
-    Phi: Coloring,
+    Phi: Coloring | None = None,
     *,
+    tau: ArrayLike | None = None,
     increments: Any = None,
     first: bool = True,
     rule: Any = UNSCENTED,
@@ -97,6 +100,10 @@ def colored(
     Phi: ``(..., m, m)``, or a function of the epoch: the transition matrix of the noise from one
         measurement to the next; its spectral radius is at most 1. If R or h is a matrix, a number
         is that multiple of the identity.
+    tau: in the place of Phi, the range ``(lo, hi)`` s of an unknown time constant. The noise is a
+        stationary Gauss-Markov process with covariance R, or with a smaller one. The predicted
+        covariance of a linear filter is then an upper bound for every time constant in the range
+        [Langel2021].
     increments: covariance ``(..., m, m)`` of ``V' - Phi V``, or a function ``(mean, epoch)`` of it;
         None: stationary noise, ``R - Phi R Phi'``. If V is not stationary (``Phi = I`` is a random
         walk), R is the covariance of its first sample.
@@ -109,7 +116,9 @@ def colored(
     not fit.
 
     >>> filter = celnav.colored(motion, celnav.Sensor(H, R), 0.9 * np.eye(3))
+    >>> filter = celnav.colored(motion, celnav.Sensor(H, R), tau=(5.0, 80.0))
     """
+    sensor, Phi, increments = _noise_model(sensor, Phi, tau, increments)
     plain = sigma_point(motion, sensor, rule=rule, **options)
     if type(plain) is not Sequential:
         raise ValueError(
@@ -144,6 +153,49 @@ def decorrelated(motion: Motion, sensor: Sensor, Phi: Coloring, **options: Any) 
             "sensor: expected a measurement matrix (m, n), got a function; `colored` accepts one"
         )
     return Decorrelated(**vars(colored(motion, sensor, Phi, **options)))
+
+
+def _noise_model(
+    sensor: Sensor, Phi: Coloring | None, tau: ArrayLike | None, increments: Any
+) -> tuple[Sensor, Coloring, Any]:
+    """The sensor with the covariance of the first sample, Phi, and the increments."""
+    if tau is None:
+        if Phi is None:
+            raise ValueError(
+                "Phi: expected the transition matrix of the noise, or tau; got neither"
+            )
+        return sensor, Phi, increments
+    for name, value in (("Phi", Phi), ("increments", increments)):
+        if value is not None:
+            raise ValueError(f"tau: expected without {name}, which follows from tau; got both")
+    return bounding(sensor, tau)
+
+
+def bounding(sensor: Sensor, tau: ArrayLike) -> tuple[Sensor, Coloring, Any]:
+    """The Gauss-Markov noise that bounds the noise of every time constant in ``tau = (lo, hi)``:
+    the sensor with the covariance of its first sample, Phi and the increments [Langel2021].
+
+    With ``r = sqrt(hi / lo)`` the bound has the time constant ``sqrt(lo hi)``, the stationary
+    covariance ``r R``, and the covariance ``2 R / (1 + 1 / r)`` of the first sample. At any times,
+    its covariance minus the covariance of the noise is positive semidefinite.
+    """
+    instance("sensor", sensor, Sensor, "celnav.Sensor(h, R)")
+    low, high = finite("tau", tau, (2,))
+    if not 0.0 < low <= high:
+        raise ValueError(f"tau: expected (lo, hi) with 0 < lo <= hi, got ({low:g}, {high:g})")
+    if sensor.m is None:
+        raise ValueError("R: expected a constant covariance (m, m) with tau, got another form")
+    ratio, middle, V = np.sqrt(high / low), np.sqrt(low * high), np.asanyarray(sensor.noise)
+
+    def Phi(epoch: Any) -> Array:
+        return np.asanyarray(np.exp(-epoch.dt / middle))
+
+    def increments(_: Array, epoch: Any) -> Array:
+        left = -np.expm1(-2.0 * epoch.dt / middle)  # 1 - Phi^2
+        return np.asanyarray(ratio * left * (V @ V.mT))
+
+    first = replace(sensor, R=None, sqrt_R=np.sqrt(2.0 / (1.0 + 1.0 / ratio)) * V)
+    return first, Phi, increments
 
 
 def coloring(Phi: Coloring, m: int | None = None) -> Array | Callable[[Any], Array]:
@@ -482,8 +534,9 @@ class Augmented(Sequential):
 def augmented(
     motion: Motion,
     sensor: Sensor,
-    Phi: Coloring,
+    Phi: Coloring | None = None,
     *,
+    tau: ArrayLike | None = None,
     increments: Any = None,
     rule: Any = UNSCENTED,
     **options: Any,
@@ -504,6 +557,7 @@ def augmented(
         raise ValueError(
             "motion: expected a model of vector states, with no noise through the points"
         )
+    sensor, Phi, increments = _noise_model(sensor, Phi, tau, increments)
     if sensor.m is None:
         got = "a function" if callable(sensor.noise) else "a number"
         raise ValueError(f"R: expected a constant covariance (m, m) of the noise, got {got}")
