@@ -36,6 +36,9 @@ with requires_extra("a recording", "record"):
     from rerun.error_utils import strict_mode
 
 
+__all__ = ["Recorder", "recording"]
+
+
 def rgba(color: str, alpha: float = 1.0, name: str = "color") -> list[int]:
     """``#RRGGBB`` as four integers; ValueError for anything else."""
     if not isinstance(color, str) or not re.fullmatch("#[0-9a-fA-F]{6}", color):
@@ -92,6 +95,8 @@ class Recorder:
     """An open recording over ``times (T,)`` s; every method logs the whole run of one entity.
     Lengths are in the unit of the view. Radii and line widths are in points of the screen at any
     zoom.
+
+    >>> out.curve("error/x", error, "#E69F00", "UKF"); out.bounds("error/x", std, "UKF")
     """
 
     def __init__(
@@ -464,6 +469,9 @@ def recording(
     ValueError: if ``times`` are not finite, increasing seconds, or ``path`` is a file that celnav
         did not make.
     OSError: naming ``path``, if it cannot be written.
+
+    >>> layout = celnav.show.views.plot("error", "error, m")
+    >>> with celnav.show.recording.recording("a.rrd", times, name="a", layout=layout) as out: ...
     """
     t = numbers("times", times)
     if t.ndim != 1 or len(t) < 2 or not np.isfinite(t).all() or not (np.diff(t) > 0.0).all():

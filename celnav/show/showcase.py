@@ -451,7 +451,7 @@ def _layout(showcase: Showcase, rows: Mapping[str, Mapping[str, Plot]], size: fl
         labels = {c.label for p in rows[row].values() if p.legend for c in p.curves.values()}
         shares[row] = 1.0 if labels <= named else WITH_LEGEND
         named |= labels
-    lanes = [0.3 + 0.22 * len(showcase.lanes)] * bool(showcase.lanes)
+    lanes = [0.42 + 0.22 * len(showcase.lanes)] * bool(showcase.lanes)
     unit_px = WINDOW_PX / sum([*shares.values(), *lanes, bool(below)])
 
     def plot(row: str, name: str, alone: bool) -> Any:

@@ -27,6 +27,8 @@ DATE = "date"
 """Name of the timeline of dates, where the date of the start is known."""
 _SPACE = [13, 16, 24]
 
+__all__ = ["plot", "space", "states"]
+
 text, bar_chart = rrb.TextDocumentView, rrb.BarChartView
 """Views of a text and of bars below ``origin``."""
 rows, columns, tabs = rrb.Vertical, rrb.Horizontal, partial(rrb.Tabs, active_tab=0)
@@ -54,6 +56,8 @@ def space(
     """A view of the space below ``origin`` from ``eye (3,)`` towards ``target (3,)``.
 
     ``growing``: entities whose past is visible, and how much of it, s (``inf``: all).
+
+    >>> celnav.show.views.space("world", "orbit, km", eye=[2e4, 0.0, 1e4])
     """
 
     def past(seconds: float) -> Any:
@@ -93,6 +97,8 @@ def plot(
     """A plot of the curves below ``origin`` over the whole run.
 
     ``limits``: of the y axis. ``legend``: its corner, such as "LeftBottom"; "": no legend.
+
+    >>> celnav.show.views.plot("error/x", "error x, m", limits=(-1.0, 1.0), legend="LeftTop")
     """
     corners = [side + end for side in ("Left", "Right") for end in ("Top", "Bottom")]
     corner = choice("legend", legend, ["", *corners]) or corners[0]
@@ -107,7 +113,12 @@ def plot(
 
 
 def states(origin: str, name: str) -> Any:
-    """Colored lanes of the states below ``origin`` over the whole run, see `Recorder.states`."""
+    """Colored lanes of the states below ``origin`` over the whole run.
+
+    `celnav.show.recording.Recorder.states` logs them.
+
+    >>> celnav.show.views.states("states", "measurements")
+    """
     return rrb.StateTimelineView(**_named(origin, name), time_view=_whole_run())
 
 
