@@ -378,7 +378,7 @@ def showcase(results: Results, part: str) -> Showcase:
             colors.SIGMA: "inertial system",
             colors.NEGATIVE: "points with negative weight",
         },
-        start=60.0,
+        start=240.0,
         bars={"degree of observability by state": results.get("observability", "every")[0, 0]},
         parameters=vars(c),
         facts={
