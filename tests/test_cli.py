@@ -519,7 +519,8 @@ def test_view_takes_the_first_recording_of_the_paper_and_names_with_or_without_t
 ):
     """The order is the paper's, not the alphabet's."""
     shown = []
-    monkeypatch.setattr("celnav.show.picture.end", lambda path: 10.0)
+    recorded = SimpleNamespace(start=6.0, end=10.0)
+    monkeypatch.setattr("celnav.show.reading.read", lambda path: recorded)
     monkeypatch.setattr(
         "celnav.show.picture.picture", lambda path, target, at: shown.append((path.name, at))
     )
@@ -531,7 +532,7 @@ def test_view_takes_the_first_recording_of_the_paper_and_names_with_or_without_t
     assert cli.main(["view", "tiny", *picture]) == 0
     for name in ("a", "a.rrd"):
         assert cli.main(["view", "tiny", *picture, "--recording", name, "--at", "3"]) == 0
-    assert shown == [("b.rrd", 10.0), ("a.rrd", 3.0), ("a.rrd", 3.0)]
+    assert shown == [("b.rrd", 6.0), ("a.rrd", 3.0), ("a.rrd", 3.0)]
     capsys.readouterr()
     assert cli.main(["view", "tiny", *picture, "--recording", "c"]) == 2
     assert (

@@ -36,6 +36,8 @@ WITHOUT = {  # records that are given, not made; what they are part of has the e
     "study.study.Study",
     "study.study.Results",
     "study.ledger.Claim",
+    "show.reading.Recorded",
+    "show.reading.Entity",
 }
 GIVEN = ("de440.bsp", "EGM2008.gfc", "csrukf", "finding(")  # files and studies of others
 PLAIN = {"analysis", "filters", "gaussian", "models", "study"}

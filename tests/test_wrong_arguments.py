@@ -91,15 +91,18 @@ study: Results Results.at Results.claims Results.error Results.first Results.get
     evaluate_from_priors monte_carlo
 page: aligned_left macro render
 notebook: Folded Table parameters
-picture: command end picture
-viewer: address as_script is_current page script_name viewer
+picture: command picture
+viewer: address as_script is_current is_script_of page script_name viewer
 progress: Progress Progress.add Progress.close Progress.runs
-estimates: Estimate Estimate.error Estimate.sigma estimates_of
-plots: draw
+estimates: Estimate Estimate.error Estimate.sigma estimates_of measurement_states
+plots: draw legend_place
 diagnose: Diagnosis.biased Diagnosis.white autocorrelation first_order forgotten_wraps grid_index
 diagnosis_text: consistency laid_out page
 diagnosis: figure size
 history: figure
+reading: Entity Recorded read
+recording: new_file open_stream
+streaming: live
 report: Report.figure component_names errors
 scenes: arc behind beside constellation flight sigma_points sightings track turning unit
 showcase: Showcase record write
@@ -244,6 +247,10 @@ CALLS = {
     "recording.recording": (record, dict(path="@", times=TIMES, name="a", layout=LAYOUT, properties={}, counter="k")),
     "recording.Recorder.text": dict(entity="a", markdown="text"),
     "recording.Recorder.curve": dict(entity="a", values=TIMES, color="#112233", name="a", width=1.0),
+    "recording.Recorder.curves": dict(
+        entity="a", values=np.ones((5, 2)), color="#112233", names=["a", "b"], widths=[1.0] * 2, shown=[True] * 2
+    ),
+    "recording.Recorder.states": dict(entity="a", names=["used"] * 5, colors={"used": "#112233"}),
     "recording.Recorder.bounds": dict(entity="a", sigma=TIMES, name="a", center=0.0, color="#112233"),
     "recording.Recorder.level": dict(entity="a", value=1.0, name="a", color="#112233"),
     "recording.Recorder.trail": dict(entity="a", points=np.ones((5, 3)), color="#112233", radius=1.0),
@@ -258,10 +265,10 @@ CALLS = {
     ),
     "recording.Recorder.globe": dict(entity="a", radius=1.0),
     "recording.Recorder.bars": dict(entity="a", values=TIMES, color="#112233"),
-    "recording.Recorder.event": dict(entity="a", seconds=1.0, message="a"),
     "recording.Recorder.exact": dict(entity="a", a=TIMES),
     "views.space": dict(origin="a", name="a", eye=[1.0, 0.0, 0.0], target=[0.0, 0.0, 0.0], up=[0.0, 0.0, 1.0], growing={"a": 1.0}),
-    "views.plot": dict(origin="a", name="a", times=TIMES, limits=(0.0, 1.0), legend=0.1),
+    "views.states": dict(origin="a", name="a"),
+    "views.plot": dict(origin="a", name="a", limits=(0.0, 1.0), legend="LeftTop"),
     "draw.figure": dict(width=3.0, height=2.0, rows=1, columns=2),
     "constellation.geostationary": dict(number=1, elapsed_s=60.0),
     "constellation.synthetic": dict(toe=345600.0),
@@ -335,7 +342,7 @@ CALLS = {
     "earth.turning_flight": dict(times=TIMES, **FLIGHT),
 }  # fmt: skip
 
-GAPS = """curve.values bounds.sigma bounds.center trail.points strips.strips arrow.origins arrow.vectors
+GAPS = """curves.values curve.values bounds.sigma bounds.center trail.points strips.strips arrow.origins arrow.vectors
 pose.origins pose.quaternions points.points ellipsoids.centers ellipsoids.covariance exact.a"""
 MEANT = {
     "simulate.simulate times": "dates",
@@ -400,7 +407,7 @@ MEANT = {
     "recording.Recorder.strips labels": "empty",
     "recording.Recorder.bars values": "empty, nan, infinite",
     "recording.Recorder.path strips": "empty, nan, infinite",
-    "recording.Recorder.level value": "nan, infinite",
+    "recording.Recorder.level value": "empty, several",
     **{f"recording.Recorder.{place.replace('.', ' ')}": "nan, infinite" for place in GAPS.split()},
     "sightings.jacobian A": "nan",
     "sightings.position A": "nan",
@@ -713,7 +720,7 @@ def test_what_only_looks_wrong_is_accepted():
         [0.0, 0.0]
     ]
     assert BODY.propagate(np.r_[Q4, 0.0, 0.0, 0.1], -1.0, 1).shape == (2, 7)
-    assert views.plot("a", "a", range(3), limits=[0, 1]) is not None
+    assert views.plot("a", "a", limits=[0, 1]) is not None
 
 
 def public():

@@ -147,7 +147,7 @@ def _rms(shown: Showcase, outcome: CampaignResult) -> dict[str, Plot]:
         if scored.bound is not None:
             bound = spread(np.sqrt(scored.bound[:, i]))
             curves["bound"] = Curve(bound, colors.BOUND, "bound", width=1.0)
-        title = f"log10 rms of {study.runs} runs: {group.name}, {group.unit}"
+        title = f"RMS of {study.runs} runs: {group.name}, {group.unit}{showcase.LOG}"
         plots[group.name] = Plot(title, curves, log=True)
     return plots
 

@@ -232,7 +232,7 @@ def _live(out: Path, recording: str) -> str:
     script = out / viewer.script_name(recording)
     if not ((out / viewer.SCRIPT).is_file() and script.is_file()):
         return ""
-    current = script.read_bytes() == viewer.as_script((out / recording).read_bytes())
+    current = viewer.is_script_of(script.read_bytes(), (out / recording).read_bytes())
     return viewer.address(recording) if current else ""
 
 

@@ -32,6 +32,7 @@ from celnav.show import viewer
 from celnav.show.claims import dumps
 from celnav.show.draw import picture_names, pictures
 from celnav.show.progress import Progress
+from celnav.show.reading import read
 from celnav.study.ledger import Claim
 from celnav.study.store import RESULTS, resumed
 from celnav.study.study import Results, Unit
@@ -258,7 +259,8 @@ def write_viewer(top: Outputs, tasks: Mapping[str, Task]) -> None:
         outputs = task.outputs
         for name in task.module.RECORDINGS:
             if (path := outputs.directory / name).is_file():
-                outputs.bytes(viewer.script_name(name), viewer.as_script(path.read_bytes()))
+                script = viewer.as_script(path.read_bytes(), read(path).start)
+                outputs.bytes(viewer.script_name(name), script)
 
 
 def _arrays(data: Mapping[str, Mapping[str, Array]]) -> dict[str, Array]:

@@ -39,14 +39,15 @@ def _picture(path: Path, target: Path, at: float | None) -> int:
     """Write a PNG, which needs no display; returns the exit status."""
     if target.suffix.lower() != ".png":
         raise UsageError(f"--picture: expected the name of a .png file, got {str(target)!r}")
-    from celnav.show.picture import end, picture
+    from celnav.show.picture import picture
+    from celnav.show.reading import read
 
-    last = end(path)
-    if at is not None and not 0.0 <= at <= last:
+    recorded = read(path)
+    if at is not None and not 0.0 <= at <= recorded.end:
         raise UsageError(
-            f"--at: expected a time of the recording, from 0 to {last:g} s, got {at:g}"
+            f"--at: expected a time of the recording, from 0 to {recorded.end:g} s, got {at:g}"
         )
-    picture(path, target, last if at is None else at)
+    picture(path, target, recorded.start if at is None else at)
     print(f"wrote {target}")
     return 0
 

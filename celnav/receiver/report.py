@@ -576,14 +576,15 @@ def record_positioned(result: Positioned, path: Any) -> None:
     scatter = views.space("track", "east, north, up, m", eye=eye, target=middle, growing=growing)
     sky = views.space("sky", "sky over the receiver", eye=(0.0, -2.2, 1.6), growing={})
     left = views.rows(scatter, views.tabs(sky, views.text(origin="info", name="about")))
-    plots = [views.plot(name, f"{name}, m", times) for name in ("east", "north", "up")]
+    plots = [views.plot(name, f"{name}, m") for name in ("east", "north", "up")]
     layout = views.columns(
         left,
-        views.rows(*plots, views.plot("sats", "satellites and PDOP", times)),
+        views.rows(*plots, views.plot("sats", "satellites and PDOP")),
         column_shares=(1, 1),
     )
     facts = {"filter": result.filter, "first": civil(log.times[0]), "epochs": len(times)}
-    with recording.recording(path, times, name="position", layout=layout, properties=facts) as out:
+    about: Any = {"name": "position", "properties": facts, "start_date": civil(log.times[0])}
+    with recording.recording(path, times, layout=layout, **about) as out:
         out.text("info", "```\n" + summary(result) + "\n```")
         out.points("track/alone", alone, colors.MEASUREMENT, radius=1.2)
         out.points("track/filter", local, colors.ESTIMATE, radius=1.6)

@@ -24,6 +24,14 @@ BODY = "#BBBBBB"
 """Bodies of the sky: Earth, Moon."""
 NEGATIVE = "#FFFFFF"
 """Sigma points with a negative weight."""
+STATES = {
+    "used": TRUTH,
+    "used in part": BOUND,
+    "rejected": PAPER,
+    "missing": SIGMA,
+    "failed": "#C1121F",
+}
+"""What became of a measurement."""
 
 NAMES = {
     TRUTH: "green",

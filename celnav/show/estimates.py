@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +23,7 @@ class Estimate:
     errors: means minus truth ``(T, runs, n)``; the first run is the one that is shown in full.
     cov: covariance ``(T, n, n)`` of that run, or only the variances ``(T, n)``; None: unknown.
     nees, nis: ``(T,)`` of that run, nan where there is none; None: unknown.
+    states: what became of its measurements ``(T,)``, see `measurement_states`; None: not shown.
     """
 
     label: str
@@ -31,6 +32,7 @@ class Estimate:
     cov: Array | None = None
     nees: Array | None = None
     nis: Array | None = None
+    states: Sequence[str] | None = None
 
     def error(self, group: Group) -> Array:
         """Errors of all runs in a group, ``(T, runs, k)`` in its unit; k is 0 if the filter does
@@ -46,6 +48,19 @@ class Estimate:
         return np.asarray(
             np.sqrt(np.where(variance >= 0.0, variance, np.nan)) * np.asarray(group.scale)
         )
+
+
+def measurement_states(innovation: Array, used: Array) -> Array:
+    """What became of the measurements of a run: "missing", "used", "used in part" or "rejected".
+
+    innovation, used: ``(T, m)`` of a track. Returns ``(T,)`` texts.
+
+    >>> celnav.show.estimates.measurement_states(track.innovation, track.used)
+    """
+    measured = np.isfinite(innovation)
+    some, every = used.any(-1), (used | ~measured).all(-1)
+    names = ["missing", "used", "used in part"]
+    return np.select([~measured.any(-1), some & every, some], names, "rejected")
 
 
 def estimates_of(

@@ -17,12 +17,11 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from celnav.files import InputError, replacing
+from celnav.files import replacing
 from celnav.lazy import requires_extra
 from celnav.show.views import TIMELINE
 
 with requires_extra("a picture of a recording", "record"):
-    import rerun as rr
     from PIL import Image
     from rerun.experimental import ViewerClient
 
@@ -43,27 +42,6 @@ LEAST_BYTES = 20_000
 """Least size of a picture that shows more than an empty window."""
 BAR = 31 / 900
 """Part of the window for the viewer's own bar: its menu and facts about the machine."""
-
-
-def end(recording: str | Path) -> float:
-    """Last time in a recording, seconds since its start; 0 if it has no times.
-
-    Raises
-    ------
-    ValueError: naming the file, if it cannot be read.
-    """
-    last = 0.0
-    try:
-        for chunk in rr.chunk.RrdReader(str(recording)).stream().to_chunks():
-            if TIMELINE in chunk.timeline_names and chunk.num_rows:
-                last = max(
-                    last, *chunk.to_record_batch().column(TIMELINE).cast("int64").to_pylist()
-                )
-    except (RuntimeError, ValueError) as error:
-        raise InputError(
-            f"{recording}: expected a recording ({' '.join(str(error).split())[:200]})"
-        ) from None
-    return 1e-9 * last
 
 
 def picture(recording: str | Path, path: str | Path, at: float, width: int = 1600) -> None:

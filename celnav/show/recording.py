@@ -28,13 +28,15 @@ from celnav.gaussian.checks import finite, instance, number, numbers, sequence
 from celnav.gaussian.linalg import Array
 from celnav.lazy import requires_extra
 from celnav.show import colors
-from celnav.show.views import TIMELINE, blueprint
+from celnav.show.reading import APPLICATION, SHAPE, START, STUDY
+from celnav.show.views import DATE, TIMELINE, blueprint
 
 with requires_extra("a recording", "record"):
     import rerun as rr
     from rerun.error_utils import strict_mode
 
-APPLICATION = "celnav"
+
+__all__ = ["Recorder", "recording"]
 
 
 def rgba(color: str, alpha: float = 1.0, name: str = "color") -> list[int]:
@@ -93,17 +95,33 @@ class Recorder:
     """An open recording over ``times (T,)`` s; every method logs the whole run of one entity.
     Lengths are in the unit of the view. Radii and line widths are in points of the screen at any
     zoom.
+
+    >>> out.curve("error/x", error, "#E69F00", "UKF"); out.bounds("error/x", std, "UKF")
     """
 
-    def __init__(self, stream: rr.RecordingStream, times: Array, counter: str = "") -> None:
+    def __init__(
+        self,
+        stream: rr.RecordingStream,
+        times: Array,
+        counter: str = "",
+        start_date: np.datetime64 | None = None,
+    ) -> None:
         self.stream = stream
         self.times = times
-        self._index = [rr.TimeColumn(TIMELINE, duration=times)]
-        if counter:
-            self._index.append(rr.TimeColumn(counter, sequence=np.arange(len(times))))
+        self._counter = counter
+        self._start_date = start_date
 
-    def _send(self, entity: str, columns: Any) -> None:
-        self.stream.send_columns(_text("entity", entity), self._index, columns)
+    def _send(self, entity: str, columns: Any, rows: Any = slice(None)) -> None:
+        """Log columns at some rows of the times, on every timeline."""
+        times = self.times[rows]
+        index = [rr.TimeColumn(TIMELINE, duration=times)]
+        if self._start_date is not None:
+            since = np.rint(1e9 * times).astype("timedelta64[ns]")
+            index.append(rr.TimeColumn(DATE, timestamp=self._start_date + since))
+        if self._counter:
+            steps = np.arange(len(self.times))[rows]
+            index.append(rr.TimeColumn(self._counter, sequence=steps))
+        self.stream.send_columns(_text("entity", entity), index, columns)
 
     def _style(self, entity: str, style: Any) -> None:
         self.stream.log(_text("entity", entity), style, static=True)
@@ -153,22 +171,50 @@ class Recorder:
         *,
         width: float = 1.5,
         shown: bool = True,
-        log: bool = False,
     ) -> None:
         """Log a curve ``(T,)`` in a plot, with gaps at nan.
 
-        Unless ``shown``, it is hidden until clicked in the legend. ``log``: draw decimal
-        logarithms, since plots have no logarithmic axis.
+        Unless ``shown``, it is hidden until clicked in the legend.
         """
-        scalars = self._array(entity, "values", values, ())
-        if log:
-            scalars = np.log10(scalars, out=np.full(scalars.shape, np.nan), where=scalars > 0.0)
-        about: Any = {"colors": rgba(color), "names": _text("name", name)}
-        width = number("width", width, 0.0)
-        self._style(entity, rr.SeriesLines(**about, widths=width, visible_series=shown))
+        y = self._array(entity, "values", values, ())
+        names, widths = [_text("name", name)], [number("width", width, 0.0)]
+        self.curves(entity, y[:, None], color, names, widths=widths, shown=[shown])
+
+    def curves(
+        self,
+        entity: str,
+        values: ArrayLike,
+        color: str,
+        names: Sequence[str],
+        *,
+        widths: Sequence[float],
+        shown: Sequence[bool],
+        rows: Any = slice(None),
+    ) -> None:
+        """Log k curves ``(T, k)`` of a color as one entity, with gaps where one of them is nan.
+
+        The legend joins curves of the same name. ``rows``: of the times, where not at all.
+        """
+        texts = [_text("names", name) for name in sequence("names", names, '["x"]', 1)]
+        k, count = len(texts), len(self.times[rows])
+        visible = [
+            instance("shown", seen, bool | np.bool_, "True or False")
+            for seen in sequence("shown", shown, "[True]")
+        ]
+        if len(visible) != k:
+            raise ValueError(f"shown: expected {k}, got {len(visible)}")
+        y = numbers(f"{_text('entity', entity)} values", values, (count, k))
+        style = rr.SeriesLines(
+            colors=[rgba(color)] * k,
+            names=texts,
+            widths=finite("widths", widths, (k,)),
+            visible_series=visible,
+        )
+        self._style(entity, style)
         # Gaps are empty rows, since two files with a nan never compare equal.
-        there = np.isfinite(scalars)
-        self._send(entity, rr.Scalars.columns(scalars=scalars[there]).partition(there.astype(int)))
+        there = np.isfinite(y).all(1)
+        columns = rr.Scalars.columns(scalars=y[there].ravel())
+        self._send(entity, columns.partition(k * there.astype(int)), rows)
 
     def bounds(
         self,
@@ -180,32 +226,45 @@ class Recorder:
         shown: bool = True,
         color: str = colors.SIGMA,
     ) -> None:
-        """Log curves ``entity/+3s`` and ``entity/-3s``: ``center`` ± three standard deviations
-        ``(T,)``.
-        """
+        """Log ``entity/3s``, two curves: ``center`` ± three standard deviations ``(T,)``."""
         deviation, middle = self._array(entity, "sigma", sigma, ()), numbers("center", center)
         middle = self._array(
             entity, "center", middle if middle.ndim else np.full(len(self.times), middle), ()
         )
-        for sign, factor in (("+", 3.0), ("-", -3.0)):
-            curve = middle + factor * deviation
-            self.curve(
-                f"{entity}/{sign}3s",
-                curve,
-                color,
-                f"±3σ {_text('name', name)}",
-                width=1.0,
-                shown=shown,
-            )
+        both = np.stack([middle - 3.0 * deviation, middle + 3.0 * deviation], 1)
+        names = [f"{_text('name', name)} ±3σ"] * 2
+        self.curves(f"{entity}/3s", both, color, names, widths=[1.0] * 2, shown=[shown] * 2)
 
-    def level(self, entity: str, value: float, name: str, color: str = colors.SIGMA) -> None:
-        """A horizontal line in a plot."""
-        ends = self.times[[0, -1]]
-        self._style(
-            entity, rr.SeriesLines(colors=rgba(color), widths=1.0, names=_text("name", name))
+    def level(self, entity: str, value: ArrayLike, name: str, color: str = colors.SIGMA) -> None:
+        """A horizontal line in a plot, or k of them ``(k,)``, such as the ends of a band."""
+        values = np.atleast_1d(finite("value", value))
+        k = len(values)
+        about: Any = {"widths": [1.0] * k, "shown": [True] * k, "rows": [0, -1]}
+        names = [_text("name", name)] * k
+        self.curves(entity, np.stack([values, values]), color, names, **about)
+
+    def states(
+        self, entity: str, names: Sequence[str], colors: Mapping[str, str] = colors.STATES
+    ) -> None:
+        """Log which of several states holds at each time: used, rejected or missing measurements,
+        or the model of an IMM. `celnav.show.views.states` shows each entity as a colored lane.
+
+        names: ``(T,)`` texts; "" where no state holds. colors: ``#RRGGBB`` by state.
+
+        >>> out.states("states/radar", ["used", "used", "rejected"])
+        """
+        held = np.array([_text("names", name) for name in sequence("names", names, '["used"]')])
+        if held.shape != self.times.shape:
+            raise ValueError(f"names: expected {len(self.times)} texts, got {len(held)}")
+        shades = instance("colors", colors, Mapping, 'a table, such as {"used": "#009E73"}')
+        if unknown := sorted({*held.tolist()} - {*shades, ""}):
+            raise ValueError(f"colors: expected a color of each state, got none of {unknown}")
+        style = rr.StateConfiguration(
+            values=list(shades), labels=list(shades), colors=_colors(list(shades.values()))
         )
-        scalars = rr.Scalars.columns(scalars=[float(numbers("value", value, ()))] * 2)
-        self.stream.send_columns(entity, [rr.TimeColumn(TIMELINE, duration=ends)], scalars)
+        self._style(entity, style)
+        rows = np.flatnonzero(np.concatenate([[True], held[1:] != held[:-1]]))
+        self._send(entity, rr.StateChange.columns(state=held[rows]), rows)
 
     def trail(self, entity: str, points: ArrayLike, color: str, *, radius: float = 1.0) -> None:
         """Log a line through ``points (T, 3)`` that grows by a segment per step. The view must list
@@ -355,26 +414,23 @@ class Recorder:
         """Bars ``(k,)`` that stay for the whole run."""
         self._style(entity, rr.BarChart(numbers("values", values, (None,)), color=rgba(color)))
 
-    def event(self, entity: str, seconds: float, message: str) -> None:
-        """A line in a log, at a time."""
-        columns = rr.TextLog.columns(text=[_text("message", message)])
-        at = rr.TimeColumn(TIMELINE, duration=np.array([number("seconds", seconds)]))
-        self.stream.send_columns(_text("entity", entity), [at], columns)
-
     def exact(self, entity: str, **values: ArrayLike) -> None:
-        """Arrays ``(T, ...)`` in double precision, flattened row by row, for reading back."""
+        """Arrays ``(T, ...)`` in double precision, which `celnav.show.read` gives back."""
         columns: list[Any] = []
+        shapes: dict[str, Any] = {}
         for name, value in values.items():
             rows = numbers(f"{entity} {name}", value)
             if rows.shape[:1] != self.times.shape:
                 raise ValueError(
                     f"{entity} {name}: expected {len(self.times)} rows, got shape {rows.shape}"
                 )
+            shapes[f"{name}{SHAPE}"] = rows.shape
             rows = rows.reshape(len(rows), -1)
             columns += rr.AnyValues.columns(**{name: rows.ravel()}).partition(
                 np.full(len(rows), rows.shape[1])
             )
         self._send(entity, columns)
+        self._style(entity, rr.AnyValues(**shapes))
 
 
 def _sphere(latitude: ArrayLike, longitude: ArrayLike) -> Array:
@@ -392,6 +448,8 @@ def recording(
     layout: Any,
     properties: Mapping[str, Any] = {},
     counter: str = "",
+    start: float | None = None,
+    start_date: str | None = None,
 ) -> Iterator[Recorder]:
     """The recorder of a file, which is written when the block ends, or not at all.
 
@@ -400,49 +458,84 @@ def recording(
     path: of the file. An earlier recording of celnav is replaced; any other file is left alone.
     times: ``(T,)`` s, increasing.
     name: title in the viewer, and id. layout: a view or container of `celnav.show.views`.
-    properties: facts about the whole recording. counter: name of a second timeline that counts the
-        rows; none if empty.
+    properties: facts about the whole recording. counter: name of a timeline that counts the rows;
+        none if empty.
+    start: time s at which pictures and the viewer in the browser show the recording; None: the end.
+    start_date: date and time of ``t = 0``, such as ``"2015-10-17T04:00:00"``; with it the recording
+        has a second timeline of dates, "date".
 
     Raises
     ------
     ValueError: if ``times`` are not finite, increasing seconds, or ``path`` is a file that celnav
         did not make.
     OSError: naming ``path``, if it cannot be written.
+
+    >>> layout = celnav.show.views.plot("error", "error, m")
+    >>> with celnav.show.recording.recording("a.rrd", times, name="a", layout=layout) as out: ...
     """
     t = numbers("times", times)
     if t.ndim != 1 or len(t) < 2 or not np.isfinite(t).all() or not (np.diff(t) > 0.0).all():
         raise ValueError(
             f"times: expected two or more finite, increasing seconds, got shape {t.shape}"
         )
-    target = Path(instance("path", path, str | os.PathLike, "a path, such as 'flight.rrd'"))
-    _text("name", name)
+    target = new_file(path)
     _text("counter", counter)
     instance("properties", properties, Mapping, "a table, such as {'seed': 0}")
-    if target.suffix != ".rrd":
-        raise ValueError(f"path: expected the name of an .rrd file, got {str(target)!r}")
-    _check_ours(target)
-    with contextlib.ExitStack() as stack:
-        stack.callback(rr.set_strict_mode, strict_mode())
-        rr.set_strict_mode(True)  # or a wrong call is only a warning and its data are missing
-        # Batches that end by a clock would make the file depend on the load of the machine.
-        stream = rr.RecordingStream(
-            _slug(f"{APPLICATION} {name}"),
-            recording_id=_slug(name),
-            send_properties=False,
-            batcher_config=rr.ChunkBatcherConfig.NEVER(),
-        )
-        stack.callback(stream.disconnect)
+    shown = number("start", t[-1] if start is None else start, t[0], t[-1])
+    date = None if start_date is None else _date(start_date)
+    # Batches that end by a clock would make the file depend on the load of the machine.
+    with open_stream(name, rr.ChunkBatcherConfig.NEVER()) as stream:
         # Not to a file: its writer works in the background, reports no full disk, and then waits
         # for ever.
         memory = stream.memory_recording()
-        stream.set_log_time_enabled(False)
         with stream:
-            stream.send_blueprint(blueprint(layout, t), make_active=False, make_default=True)
+            # Without make_active the viewer in a browser makes a layout of its own.
+            stream.send_blueprint(blueprint(layout, t), make_active=True, make_default=True)
             stream.send_recording_name(name)
-            if properties:
-                stream.send_property("study", rr.AnyValues(**properties))
-            yield Recorder(stream, t, counter)
+            stream.send_property(STUDY, rr.AnyValues(**{**properties, START: shown}))
+            yield Recorder(stream, t, counter, date)
         write_bytes(target, memory.drain_as_bytes())
+
+
+@contextlib.contextmanager
+def open_stream(name: str, batches: Any) -> Iterator[rr.RecordingStream]:
+    """A stream of rerun that raises errors, logs no wall clock and is closed at the end."""
+    with contextlib.ExitStack() as stack:
+        stack.callback(rr.set_strict_mode, strict_mode())
+        rr.set_strict_mode(True)  # or a wrong call is only a warning and its data are missing
+        stream = rr.RecordingStream(
+            _slug(f"{APPLICATION} {_text('name', name)}"),
+            recording_id=_slug(name),
+            send_properties=False,
+            batcher_config=batches,
+        )
+        stack.callback(stream.disconnect)
+        stream.set_log_time_enabled(False)
+        yield stream
+
+
+def new_file(path: str | os.PathLike[str]) -> Path:
+    """The path of a recording to write, which is new or an earlier one of celnav.
+
+    Raises
+    ------
+    ValueError: if it is not an ``.rrd`` file, or is a file that celnav did not make.
+    OSError: naming it, if there can be no such file.
+    """
+    target = Path(instance("path", path, str | os.PathLike, "a path, such as 'flight.rrd'"))
+    if target.suffix != ".rrd":
+        raise ValueError(f"path: expected the name of an .rrd file, got {str(target)!r}")
+    _check_ours(target)
+    return target
+
+
+def _date(start_date: str) -> np.datetime64:
+    try:
+        return np.datetime64(_text("start_date", start_date), "ns")
+    except ValueError:
+        raise ValueError(
+            f"start_date: expected a date, such as '2015-10-17T04:00:00', got {start_date!r}"
+        ) from None
 
 
 def _slug(name: str) -> str:

@@ -8,7 +8,7 @@ studies. rerun is imported when a showcase is recorded, not before.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -19,22 +19,28 @@ from celnav.gaussian.checks import finite, numbers
 from celnav.gaussian.linalg import Array
 from celnav.show import colors
 from celnav.show.estimates import Estimate
-from celnav.show.plots import Curve, Plot, draw
+from celnav.show.plots import Curve, Plot, draw, legend_place
 from celnav.study.trial import Group
 
 if TYPE_CHECKING:
     from celnav.files import Outputs
     from celnav.show.recording import Recorder
 
+WINDOW_PX, FRAME_PX = 800.0, 45.0
+"""Height of the plots in a window of the usual size, and the part of a plot around its axes."""
+WITH_LEGEND = 1.6
+"""Height of a plot with a legend, whose colors hold for the others too."""
 ENSEMBLE = 20
 """Further runs that are drawn as points."""
+LOG = " (powers of ten)"
+"""End of the title of a plot whose axis has decimal logarithms."""
 FAR = 20.0
 """Errors that exceed their view by this factor are left out; initial errors may be so large."""
 
 
 class SceneView(NamedTuple):
-    """A view of a study's entities below ``origin``, see `celnav.show.views.space`. The whole past
-    of the ``growing`` entities is visible.
+    """A view of a study's entities below ``origin``, see `celnav.show.views.space`. The past of the
+    ``growing`` entities is visible.
     """
 
     origin: str
@@ -53,6 +59,7 @@ class Showcase:
     ----------
     name: title of the recording in the viewer. notes: Markdown. times: ``(T,)`` s.
     estimates: by name, the study's own first. Initially the bounds of the first two are visible.
+    hidden: names of estimates whose errors are hidden until clicked in the legend.
     groups: of the error's components. truth: the states ``(T, m)``, to be read back.
     truths: ``(T, k)`` by name of a group, in its unit. A group with a truth is drawn as estimates,
         others as errors.
@@ -62,9 +69,13 @@ class Showcase:
         components of a measurement.
     bound: lower bound of the RMSE, ``(T,)`` by name of the group, in its unit.
     scene: draws the content of the ``spaces``. plots: further plots by name, in rows by name.
-    bars: values ``(k,)`` by title. events: times (s), and what happens then.
+    bars: values ``(k,)`` by title.
     legend: meaning of further colors. parameters: of the study; only numbers and texts are shown.
-    facts: about the recording. counter: name of a second timeline, of steps.
+    states: which of several states holds, ``(T,)`` texts by title, beside those of the estimates;
+        "" where none holds. shades: colors of states that `celnav.show.colors.STATES` lacks.
+    facts: about the recording. counter: name of a timeline of steps.
+    start: time (s) at which the recording is shown first, where something is to be seen; None: the
+        end. start_date: date and time of ``t = 0``. trail_s: length of trails.
     """
 
     name: str
@@ -82,17 +93,28 @@ class Showcase:
     spaces: Sequence[SceneView] = ()
     plots: Mapping[str, Mapping[str, Plot]] = field(default_factory=dict)
     bars: Mapping[str, Array] = field(default_factory=dict)
-    events: Sequence[tuple[float, str]] = ()
     legend: Mapping[str, str] = field(default_factory=dict)
     parameters: Mapping[str, Any] = field(default_factory=dict)
     facts: Mapping[str, Any] = field(default_factory=dict)
     counter: str = ""
     truths: Mapping[str, Array] = field(default_factory=dict)
+    hidden: Collection[str] = ()
+    states: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    shades: Mapping[str, str] = field(default_factory=dict)
+    start: float | None = None
+    start_date: str | None = None
+    trail_s: float = np.inf
 
     @property
     def main(self) -> list[str]:
         """Names of the estimates whose bounds are visible initially."""
         return list(self.estimates)[:2]
+
+    @property
+    def lanes(self) -> dict[str, Sequence[str]]:
+        """States by title: those of the estimates, and the others."""
+        own = {e.label: e.states for e in self.estimates.values() if e.states is not None}
+        return {**own, **self.states}
 
 
 def write(showcases: Mapping[str, Showcase], outputs: Outputs) -> list[str]:
@@ -116,8 +138,16 @@ def record(showcase: Showcase, path: str | os.PathLike[str]) -> None:
 
     _check(showcase)
     rows = {**_errors(showcase), **showcase.plots, **_statistics(showcase)}
+    for row, plots in rows.items():
+        for name, plot in plots.items():
+            for key, c in plot.curves.items():
+                entity, shape = _entity("plots", row, name, key), (len(showcase.times),)
+                numbers(f"{entity} values", c.values, shape)
+                if c.sigma is not None:
+                    numbers(f"{entity} sigma", c.sigma, shape)
     mapped, size = _mapped(showcase)
     about: Any = {"name": showcase.name, "properties": showcase.facts, "counter": showcase.counter}
+    about |= {"start": showcase.start, "start_date": showcase.start_date}
     with recording(path, showcase.times, layout=_layout(showcase, rows, size), **about) as out:
         out.text("info", f"{showcase.notes}\n\n{_legend(showcase)}")
         if showcase.scene is not None:
@@ -129,8 +159,10 @@ def record(showcase: Showcase, path: str | os.PathLike[str]) -> None:
                 draw(out, _entity("plots", row, name), plot)
         for title, values in showcase.bars.items():
             out.bars(_entity("bars", title), values, colors.ESTIMATE)
-        for seconds, message in showcase.events:
-            out.event("events", seconds, message)
+        shades = {**colors.STATES, **showcase.shades}
+        for title, names in showcase.lanes.items():
+            held = {name: shade for name, shade in shades.items() if name in set(names)}
+            out.states(_entity("states", title), names, held)
         if showcase.truth is not None:
             out.exact("state/truth", mean=showcase.truth)
         for key, e in showcase.estimates.items():
@@ -176,7 +208,10 @@ def _legend(showcase: Showcase) -> str:
         "ellipsoid. Points: other runs."
     )
     lines += [errors] * (showcase.axes is not None)
-    lines.append("SceneView bar: play. Tabs: other axes. Double-click in a plot: all of its range.")
+    lines.append(
+        "Bar below: play. Tabs: other axes. Click in a legend: hide. Double-click in a plot: "
+        "all of its range. Powers of ten: -1 on the axis is 0.1, 2 is 100."
+    )
     rows = [
         f"| {name} | {text} |"
         for name, value in showcase.parameters.items()
@@ -263,7 +298,7 @@ def _errors(showcase: Showcase) -> dict[str, dict[str, Plot]]:
             for key, both in errors.items()
         }
         sizes = {key: _curve(showcase, key, *both) for key, both in lengths.items()}
-        row["size"] = Plot(f"log10 |{group.name} error|, {group.unit}", sizes, log=True)
+        row["size"] = Plot(f"|{group.name} error|, {group.unit}{LOG}", sizes, log=True)
     return rows
 
 
@@ -282,6 +317,7 @@ def _curve(
         center,
         shown=key in showcase.main,
         width=max(1.2, 3.2 - below),
+        visible=key not in showcase.hidden,
     )
 
 
@@ -298,7 +334,7 @@ def _statistics(showcase: Showcase) -> dict[str, dict[str, Plot]]:
         }
         low, high = (limit / dimension for limit in chi_square_band(dimension, 1))
         if curves:
-            title = f"log10 {name.upper()} / {dimension}"
+            title = f"{name.upper()} / {dimension}{LOG}"
             rows["consistency"][name] = Plot(
                 title, curves, log=True, band=(low, high), legend=False
             )
@@ -316,7 +352,7 @@ def _statistics(showcase: Showcase) -> dict[str, dict[str, Plot]]:
             )
         if rmse:
             rows["rmse"][group.name] = Plot(
-                f"log10 RMSE of {group.name}, {group.unit}", rmse, log=True, legend=False
+                f"RMSE of {group.name}, {group.unit}{LOG}", rmse, log=True, legend=False
             )
     return {row: plots for row, plots in rows.items() if plots}
 
@@ -381,14 +417,13 @@ def _layout(showcase: Showcase, rows: Mapping[str, Mapping[str, Plot]], size: fl
     times = showcase.times
     about = [views.text(origin="info", name="about")]
     about += [views.bar_chart(origin=_entity("bars", title), name=title) for title in showcase.bars]
-    about += [views.log(origin="events", name="events")] if showcase.events else []
     left: list[Any] = [views.tabs(*about)]
     if showcase.axes is not None:
         growing = {
             f"error/measured/{what}": 0.05 * float(times[-1] - times[0])
             for what in ("points", "trail")
         }
-        growing |= {f"error/{key}/trail": np.inf for key in showcase.estimates}
+        growing |= {f"error/{key}/trail": showcase.trail_s for key in showcase.estimates}
         eye = size * np.array([1.7, -1.5, 1.1])
         left = [
             views.columns(
@@ -401,31 +436,44 @@ def _layout(showcase: Showcase, rows: Mapping[str, Mapping[str, Plot]], size: fl
         ]
     if showcase.spaces:
         scenes = [
-            views.space(**scene._asdict() | {"growing": dict.fromkeys(scene.growing, np.inf)})
+            views.space(
+                **scene._asdict() | {"growing": dict.fromkeys(scene.growing, showcase.trail_s)}
+            )
             for scene in showcase.spaces
         ]
         left = [views.tabs(*scenes), *left]
-    # Without a scene all plots of a row fit side by side; their legends then need a larger share.
-    arranged, legend = (views.tabs, 0.24) if showcase.spaces else (views.columns, 0.42)
-    right = {
-        row: [
-            views.plot(
-                _entity("plots", row, name),
-                p.title,
-                times,
-                limits=p.limits,
-                legend=legend * p.legend,
-            )
-            for name, p in plots.items()
-        ]
-        for row, plots in rows.items()
-    }
-    below = [views.tabs(*right.pop(row)) for row in ("consistency", "rmse") if row in right]
+    # Without a scene all plots of a row fit side by side.
+    arranged = views.tabs if showcase.spaces else views.columns
+    below = [row for row in ("consistency", "rmse") if row in rows]
+    above = [row for row in rows if row not in below]
+    named, shares = set[str](), dict[str, float]()
+    for row in above:
+        labels = {c.label for p in rows[row].values() if p.legend for c in p.curves.values()}
+        shares[row] = 1.0 if labels <= named else WITH_LEGEND
+        named |= labels
+    lanes = [0.42 + 0.22 * len(showcase.lanes)] * bool(showcase.lanes)
+    unit_px = WINDOW_PX / sum([*shares.values(), *lanes, bool(below)])
+
+    def plot(row: str, name: str, alone: bool) -> Any:
+        p, height = rows[row][name], unit_px * shares.get(row, 1.0) - FRAME_PX
+        corner, limits = "", p.limits
+        if p.legend and shares.get(row) == WITH_LEGEND and alone:
+            corner, limits = legend_place(p, times, height)
+        return views.plot(_entity("plots", row, name), p.title, limits=limits, legend=corner)
+
     drawn = [
-        *(arranged(*plots) for plots in right.values()),
-        *([views.columns(*below)] if below else []),
+        arranged(
+            *(plot(row, name, bool(showcase.spaces) or not i) for i, name in enumerate(rows[row]))
+        )
+        for row in above
     ]
-    shares = (11, 10) if showcase.spaces else (1, 4)
+    drawn += [views.states("states", "states")] * len(lanes)
+    if below:
+        tabs = [views.tabs(*(plot(row, name, False) for name in rows[row])) for row in below]
+        drawn.append(views.columns(*tabs))
+    heights = [*shares.values(), *lanes, *[1.0] * bool(below)]
     return views.columns(
-        views.rows(*left, row_shares=(5, 4)[: len(left)]), views.rows(*drawn), column_shares=shares
+        views.rows(*left, row_shares=(5, 4)[: len(left)]),
+        views.rows(*drawn, row_shares=heights),
+        column_shares=(11, 10) if showcase.spaces else (1, 4),
     )

@@ -72,9 +72,14 @@ def script_name(recording: str) -> str:
     return f"{recording}.js"
 
 
-def as_script(recording: bytes) -> bytes:
-    """The script of a recording, the bytes of an ``.rrd`` file."""
-    return f'celnavRecording("{_text(recording)}");\n'.encode()
+def as_script(recording: bytes, start: float) -> bytes:
+    """The script of a recording, the bytes of an ``.rrd`` file, which opens at ``start`` s."""
+    return f'celnavRecording("{_text(recording)}", {start!r});\n'.encode()
+
+
+def is_script_of(script: bytes, recording: bytes) -> bool:
+    """Whether a script is that of a recording."""
+    return _text(recording).encode() in script
 
 
 def address(recording: str) -> str:

@@ -867,7 +867,7 @@ def test_a_recording_of_the_burst_is_written_and_none_of_an_absent_receiver(resu
         "/track/aukf/ellipsoid",
         "/error/group/estimate",
         "/plots/consistency/nis/ekf",
-        "/events",
+        "/states/noise",
     } <= drawn
     assert "/error/ls/ellipsoid" not in drawn  # it has no covariance
     assert not (tmp_path / "aukf_real.rrd").exists()

@@ -283,7 +283,7 @@ def test_a_recording_holds_what_the_filters_gave(result, tmp_path):
     drift = chunks["/plots/drift/y/ssukf"].to_record_batch().column("Scalars:scalars").to_pylist()
     truth = simulate(result.parts["runs"].config, [generator(0, 0, 0)]).truth[:, 0, 5] / DEG_PER_H
     np.testing.assert_allclose(
-        np.ravel(drift),
+        np.array(drift)[:, 0],
         truth + result.error("runs", "ssukf", "drift")[:, 0, 1],
         rtol=1e-9,
         atol=1e-12,

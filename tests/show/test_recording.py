@@ -16,6 +16,7 @@ import rerun as rr
 from machine import children
 from PIL import Image
 
+import celnav
 from celnav import cli
 from celnav.show import colors, recording, views
 
@@ -45,7 +46,7 @@ def read(path, entity, component):
 
 
 def write(path, draw, *, name="a test", times=TIMES, layout=None):
-    view = views.plot("/plots", "plots", times) if layout is None else layout
+    view = views.plot("/plots", "plots") if layout is None else layout
     with recording.recording(path, times, name=name, layout=view, properties={"seed": 3}) as out:
         draw(out)
     return path
@@ -95,12 +96,12 @@ def test_bounds_are_seen_unless_they_are_to_be_hidden(options, seen):
     log = Log()
     recording.Recorder(log, TIMES).bounds("plots/a", TIMES, "speed", color="#112233", **options)
     style = {
-        "visible_series": [seen],
-        "names": ["±3σ speed"],
-        "widths": [1.0],
-        "colors": [0x112233FF],
+        "visible_series": [seen] * 2,
+        "names": ["speed ±3σ"] * 2,
+        "widths": [1.0] * 2,
+        "colors": [0x112233FF] * 2,
     }
-    assert log.found == {"plots/a/+3s": style, "plots/a/-3s": style}
+    assert log.found == {"plots/a/3s": style}
 
 
 def test_a_globe_has_circles_every_fifteen_degrees():
@@ -166,6 +167,7 @@ def test_columns_come_back(tmp_path):
         out.curve("plots/curve", curve, colors.TRUTH, "curve")
         out.bounds("plots/curve", np.abs(curve), "curve", center=1.0)
         out.level("plots/level", 2.0, "level")
+        out.level("plots/band", [0.5, 1.5], "band")
         out.globe("world/earth", 3.0)
         out.text("info", "# text")
         out.exact("state", mean=line, covariance=P)
@@ -195,8 +197,11 @@ def test_columns_come_back(tmp_path):
     _, scalars = read(path, "/plots/curve", "Scalars:scalars")
     assert [k for k in range(20) if not len(scalars[k])] == [0, 9]
     np.testing.assert_array_equal([scalars[k][0] for k in (1, 8, 19)], curve[[1, 8, 19]])
-    _, lower = read(path, "/plots/curve/-3s", "Scalars:scalars")
-    np.testing.assert_array_equal(lower[1][0], 1.0 - 3.0 * abs(curve[1]))
+    _, bounds = read(path, "/plots/curve/3s", "Scalars:scalars")
+    half = 3.0 * abs(curve[1])
+    np.testing.assert_array_equal(bounds[1], [1.0 - half, 1.0 + half])
+    _, band = read(path, "/plots/band", "Scalars:scalars")
+    np.testing.assert_array_equal(band, [[0.5, 1.5]] * 2)
     t, level = read(path, "/plots/level", "Scalars:scalars")
     np.testing.assert_allclose(t, TIMES[[0, -1]])
     np.testing.assert_array_equal(level, [[2.0], [2.0]])
@@ -218,7 +223,7 @@ def test_the_file_is_verified_says_the_same_twice_and_holds_its_layout(tmp_path)
         "/world", "world", eye=(5.0, 0.0, 0.0), growing={"world/p": 3.0, "world/q": np.inf}
     )
     layout = views.columns(
-        space, views.rows(views.tabs(views.plot("/plots", "p", TIMES)), views.text(origin="/i"))
+        space, views.rows(views.tabs(views.plot("/plots", "p")), views.text(origin="/i"))
     )
     first, second = (write(tmp_path / f"{i}.rrd", draw, layout=layout) for i in range(2))
     assert verify(first) == 0
@@ -351,6 +356,65 @@ def test_filters_and_models_work_without_rerun():
     done = python("import sys; sys.modules['rerun'] = None; import celnav.show.recording")
     assert "rerun" in done.stderr
     assert done.returncode == 1
+
+
+def test_states_are_lanes_that_change(tmp_path):
+    """Only changes are logged; "" ends a lane, and each state has its color."""
+    names = np.array(["used"] * 5 + ["rejected"] * 2 + [""] * 3 + ["used"] * 10)
+    path = write(tmp_path / "a.rrd", lambda out: out.states("states/z", names))
+    t, held = read(path, "/states/z", "StateChange:state")
+    np.testing.assert_allclose(t, TIMES[[0, 5, 7, 10]])
+    assert [row.tolist() for row in held] == [["used"], ["rejected"], [""], ["used"]]
+    log = Log()
+    recording.Recorder(log, TIMES).states("z", names, {"used": "#112233", "rejected": "#445566"})
+    assert log.found["z"] == {
+        "values": ["used", "rejected"],
+        "labels": ["used", "rejected"],
+        "colors": [0x112233FF, 0x445566FF],
+    }
+
+
+@pytest.mark.parametrize(
+    ("names", "message"),
+    [
+        (["used"] * 3, "names: expected 20 texts, got 3"),
+        (["lost"] * 20, r"colors: expected a color of each state, got none of \['lost'\]"),
+        ([1] * 20, "names: expected a text"),
+    ],
+)
+def test_states_that_do_not_fit_are_named(tmp_path, names, message):
+    with pytest.raises(ValueError, match=message):
+        write(tmp_path / "a.rrd", lambda out: out.states("states/z", names))
+
+
+def test_dates_are_a_timeline_if_the_start_is_known(tmp_path):
+    start = "2015-10-17T04:00:00"
+    about = {"name": "a", "layout": views.plot("/plots", "plots"), "start_date": start}
+    with recording.recording(tmp_path / "a.rrd", TIMES, start=2.5, **about) as out:
+        out.curve("plots/a", TIMES, colors.TRUTH, "a")
+    for chunk in rr.chunk.RrdReader(tmp_path / "a.rrd").stream().to_chunks():
+        if not chunk.is_static:
+            batch = chunk.to_record_batch()
+            seconds, dates = (batch.column(name).cast("int64").to_numpy() for name in ("t", "date"))
+            assert (dates - seconds == np.datetime64(start, "ns").astype("int64")).all()
+    found = celnav.show.read(tmp_path / "a.rrd")
+    assert (found.start, found.start_date) == (2.5, np.datetime64(start))
+
+
+@pytest.mark.parametrize(
+    ("about", "message"),
+    [
+        ({"start": 99.0}, r"start: expected a number of at least 0 and of at most 9\.5, got 99"),
+        ({"start_date": "noon"}, "start_date: expected a date, such as '2015-10-17T0"),
+    ],
+)
+def test_bad_starts(tmp_path, about, message):
+    layout = views.text(origin="/info")
+    with (
+        pytest.raises(ValueError, match=message),
+        recording.recording(tmp_path / "a.rrd", TIMES, name="a", layout=layout, **about),
+    ):
+        pass
 
 
 @pytest.mark.skipif(

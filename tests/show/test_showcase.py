@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 import rerun as rr
 
+import celnav
 from celnav.analysis.metrics import chi_square_band
 from celnav.models.orbit import EARTH, from_elements, propagate
 from celnav.models.sightings import star_directions
 from celnav.show import colors, scenes
-from celnav.show.estimates import Estimate
-from celnav.show.plots import Curve, Plot
+from celnav.show.estimates import Estimate, measurement_states
+from celnav.show.plots import Curve, Plot, legend_place
 from celnav.show.showcase import Showcase, record
 from celnav.study.trial import Group
 
@@ -78,7 +79,6 @@ def showcase(steps=60, seed=0):
             }
         },
         bars={"some bars": np.ones(3)},
-        events=[(2.0, "it begins")],
         legend={colors.STAR: "stars"},
         parameters={"steps": steps},
         facts={"seed": seed},
@@ -128,9 +128,10 @@ def rows(content, entity, component):
 
 
 def scalars(content, entity):
-    return np.array(
-        [row[0] if len(row) else np.nan for row in rows(content, entity, "Scalars:scalars")]
-    )
+    """Curves ``(T, k)``: a curve, and its bounds."""
+    found = rows(content, entity, "Scalars:scalars")
+    k = max(map(len, found))
+    return np.array([row if len(row) else np.full(k, np.nan) for row in found])
 
 
 def test_the_file_is_whole_and_holds_a_layout(path):
@@ -209,41 +210,86 @@ def test_plots(case, content):
         e = case.estimates[key]
         for i, axis in enumerate("xyz"):
             for quantity, j in (("position", i), ("velocity", i + 3)):
-                entity, unit = f"/plots/{quantity}/{axis}/{key}", SCALES[quantity]
-                np.testing.assert_allclose(
-                    scalars(content, entity), unit * e.errors[:, 0, j], rtol=1e-12
-                )
-                for sign, end in ((1.0, "\\+3s"), (-1.0, "-3s")):
-                    expected = sign * 3.0 * unit * np.sqrt(e.cov[:, j, j])
-                    np.testing.assert_allclose(
-                        scalars(content, f"{entity}/{end}"), expected, rtol=1e-12
-                    )
+                unit, sigma = SCALES[quantity], np.sqrt(e.cov[:, j, j])
+                expected = unit * np.stack([e.errors[:, 0, j], -3.0 * sigma, 3.0 * sigma], 1)
+                found = scalars(content, f"/plots/{quantity}/{axis}/{key}")
+                np.testing.assert_allclose(found, expected, rtol=1e-12)
         size = np.linalg.norm(e.errors[:, 0, :3], axis=1)
-        np.testing.assert_allclose(10.0 ** scalars(content, f"/plots/position/size/{key}"), size)
         reach = 3.0 * np.sqrt(np.trace(e.cov[:, :3, :3], axis1=1, axis2=2))
-        np.testing.assert_allclose(
-            10.0 ** scalars(content, f"/plots/position/size/{key}/3s"), reach
-        )
-        np.testing.assert_allclose(
-            10.0 ** scalars(content, f"/plots/consistency/nees/{key}"), e.nees / 6.0
-        )
-        np.testing.assert_allclose(
-            10.0 ** scalars(content, f"/plots/consistency/nis/{key}"), e.nis / 3.0
-        )
+        found = scalars(content, f"/plots/position/size/{key}")
+        np.testing.assert_allclose(10.0**found, np.stack([size, reach], 1))
+        for name, values in (("nees", e.nees / 6.0), ("nis", e.nis / 3.0)):
+            found = scalars(content, f"/plots/consistency/{name}/{key}")[:, 0]
+            np.testing.assert_allclose(10.0**found, values)
         rmse = np.sqrt(np.square(1e3 * e.errors[..., 3:]).sum(-1).mean(1))
-        np.testing.assert_allclose(10.0 ** scalars(content, f"/plots/rmse/velocity/{key}"), rmse)
-    np.testing.assert_allclose(
-        10.0 ** scalars(content, "/plots/rmse/position/bound"), case.bound["position"]
-    )
+        found = scalars(content, f"/plots/rmse/velocity/{key}")[:, 0]
+        np.testing.assert_allclose(10.0**found, rmse)
+    bound = scalars(content, "/plots/rmse/position/bound")[:, 0]
+    np.testing.assert_allclose(10.0**bound, case.bound["position"])
     for name, dof in (("nees", 6), ("nis", 3)):
-        ends = [
-            10.0 ** scalars(content, f"/plots/consistency/{name}/band/{end}")[0]
-            for end in ("low", "high")
-        ]
-        np.testing.assert_allclose(ends, np.array(chi_square_band(dof, 1)) / dof)
-    V = case.plots["colored noise"]["x"].curves["truth"]
-    np.testing.assert_array_equal(scalars(content, "/plots/colored_noise/x/truth"), V.values)
-    np.testing.assert_allclose(scalars(content, "/plots/colored_noise/x/truth/-3s"), V.values - 3.0)
+        ends = 10.0 ** scalars(content, f"/plots/consistency/{name}/band")
+        np.testing.assert_allclose(ends, [np.array(chi_square_band(dof, 1)) / dof] * 2)
+    V = case.plots["colored noise"]["x"].curves["truth"].values
+    found = scalars(content, "/plots/colored_noise/x/truth")
+    np.testing.assert_allclose(found, np.stack([V, V - 3.0, V + 3.0], 1))
+
+
+def test_a_curve_with_other_gaps_than_its_bounds_is_drawn_where_it_is(case, tmp_path):
+    cov = case.estimates["own"].cov.copy()
+    cov[:5] = np.nan
+    record(changed(case, "own", cov=cov), tmp_path / "a.rrd")
+    found = celnav.show.read(tmp_path / "a.rrd")
+    curve, bounds = (found[f"plots/position/x/own{end}"]["scalars"] for end in ("", "/3s"))
+    np.testing.assert_allclose(curve, case.estimates["own"].errors[:, 0, 0])
+    assert np.isnan(bounds[:5]).all()
+    assert np.isfinite(bounds[5:]).all()
+
+
+def test_states_of_estimates_and_others_are_lanes(case, tmp_path):
+    nothing = np.full((61, 1), np.nan)
+    innovation, used = np.hstack([case.measured, nothing]), np.ones((61, 4), bool)
+    innovation[20:25], innovation[3] = np.nan, 1.0
+    used[30:33], used[40, 0] = False, False
+    held = measurement_states(innovation, used)
+    expected = np.array(["used"] * 61, "U12")
+    expected[20:25], expected[30:33], expected[40] = "missing", "rejected", "used in part"
+    np.testing.assert_array_equal(held, expected)
+    model = ["turn"] * 30 + ["straight"] * 31
+    shades = {"turn": colors.ESTIMATE, "straight": colors.COMPARISON}
+    more = {"states": {"model": model}, "shades": shades}
+    record(dataclasses.replace(changed(case, "own", states=held), **more), tmp_path / "a.rrd")
+    found = celnav.show.read(tmp_path / "a.rrd")
+    lane = found["states/OWN"]
+    np.testing.assert_array_equal(lane.times, [0.0, 20.0, 25.0, 30.0, 33.0, 40.0, 41.0])
+    assert lane["state"].tolist() == expected[lane.times.astype(int)].tolist()
+    assert found["states/model"]["state"].tolist() == ["turn", "straight"]
+
+
+@pytest.mark.parametrize(
+    ("values", "corner"),
+    [
+        (np.linspace(0.0, 1.0, 50), "LeftTop"),
+        (np.linspace(1.0, 0.0, 50), "RightTop"),
+        (np.where(np.arange(50) < 10, np.arange(50) % 2, 1), "RightBottom"),
+        (np.where(np.arange(50) > 40, np.arange(50) % 2, 1), "LeftBottom"),
+    ],
+)
+def test_a_legend_has_the_corner_that_is_free(values, corner):
+    times = np.arange(50.0)
+    found, (low, high) = legend_place(
+        Plot("a", {"a": Curve(1.0 * values, colors.TRUTH, "a")}), times, 200.0
+    )
+    assert found == corner
+    assert (low, high) == (values.min(), values.max())
+
+
+def test_limits_leave_a_legend_free_where_no_corner_is():
+    """Two bounds over the whole run: the legend of 47.5 of 190 rows is above them."""
+    times, band = np.arange(50.0), np.full(50, 1.0)
+    curves = {k: Curve(0.0 * times, colors.TRUTH, k, band / 3.0) for k in "ab"}
+    corner, (low, high) = legend_place(Plot("a", curves, limits=(-1.0, 1.0)), times, 190.0)
+    assert (corner, low) == ("RightTop", -1.0)
+    np.testing.assert_allclose((high - 1.0) / (high - low), 2.5 * 19.0 / 190.0)
 
 
 def test_a_group_about_its_truth_shows_the_states(case, tmp_path):
@@ -282,7 +328,7 @@ def test_variances_alone_have_bounds_and_no_ellipsoids(case, tmp_path):
         for c in chunks(tmp_path / "a.rrd")
         for name in c.to_record_batch().schema.names
     }
-    assert ("/plots/position/x/own/-3s", "Scalars:scalars") in found
+    assert len(celnav.show.read(tmp_path / "a.rrd")["plots/position/x/own"]["scalars"][0]) == 3
     assert ("/state/own", "variance") in found
     assert not any(entity == "/error/own/ellipsoid" for entity, _ in found)
 

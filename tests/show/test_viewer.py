@@ -11,6 +11,7 @@ import subprocess
 from base64 import b64decode
 from urllib.parse import unquote
 
+import numpy as np
 import pytest
 
 from celnav import papers
@@ -18,7 +19,7 @@ from celnav.commands import reproduce
 from celnav.commands.index import _shown, index
 from celnav.files import Outputs
 from celnav.lazy import MissingError
-from celnav.show import viewer
+from celnav.show import recording, viewer, views
 
 MODULE = """async function fetch_viewer_wasm(base_url) {
   //!<INLINE-MARKER-OPEN>
@@ -64,9 +65,12 @@ def test_the_viewer_is_one_script_that_fetches_nothing(package):
 
 def test_a_recording_is_a_script_with_its_bytes():
     recording = bytes(range(256)) * 3
-    script = viewer.as_script(recording)
+    script = viewer.as_script(recording, 65.0)
     assert quoted(script) == [recording]
     assert script.startswith(b'celnavRecording("')
+    assert script.endswith(b'", 65.0);\n')
+    assert viewer.is_script_of(script, recording)
+    assert not viewer.is_script_of(script, recording[1:])
 
 
 @pytest.mark.parametrize(
@@ -111,8 +115,13 @@ def test_without_its_package(monkeypatch):
 def test_reproduce_writes_it_and_the_page_links_it(package, tmp_path):
     """An existing recording becomes a script; a missing recording has no link."""
     out, outputs = tmp_path / "out", Outputs(tmp_path / "out" / "csrukf")
-    recording = bytes(range(256)) * 3
-    outputs.bytes("csrukf_P_08.rrd", recording)
+    times, layout = np.arange(3.0), views.text(origin="info")
+    with (
+        outputs.path_for("csrukf_P_08.rrd") as path,
+        recording.recording(path, times, name="a", layout=layout, start=1.5) as written,
+    ):
+        written.text("info", "a text")
+    content = (outputs.directory / "csrukf_P_08.rrd").read_bytes()
     for kind in ("claims", "checks"):
         outputs.text(f"{kind}.json", "[]\n")
     outputs.bytes("figures/csrukf_figure_08.png", b"")
@@ -120,7 +129,9 @@ def test_reproduce_writes_it_and_the_page_links_it(package, tmp_path):
     task = reproduce.Task("csrukf", papers.load("csrukf"), None, outputs)
     reproduce.write_viewer(Outputs(out), {"csrukf": task})
     assert viewer.is_current(out)
-    assert quoted((out / "csrukf" / "csrukf_P_08.rrd.js").read_bytes()) == [recording]
+    script = (out / "csrukf" / "csrukf_P_08.rrd.js").read_bytes()
+    assert quoted(script) == [content]
+    assert script.endswith(b", 1.5);\n")
     assert not (out / "csrukf" / "csrukf_P_0.rrd.js").exists()
     before = (out / viewer.SCRIPT).stat().st_mtime_ns
     reproduce.write_viewer(Outputs(out), {"csrukf": task})

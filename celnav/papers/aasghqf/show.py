@@ -378,6 +378,7 @@ def showcase(results: Results, part: str) -> Showcase:
             colors.SIGMA: "inertial system",
             colors.NEGATIVE: "points with negative weight",
         },
+        start=0.5 * results.times(part)[-1],
         bars={"degree of observability by state": results.get("observability", "every")[0, 0]},
         parameters=vars(c),
         facts={

@@ -477,7 +477,7 @@ RECORDINGS = ["aukf_burst.rrd", "aukf_real.rrd"]
 NAMES = {
     "aukf": ("AUKF", colors.ESTIMATE),
     "ekf": ("EKF (and UKF)", colors.COMPARISON),
-    "group": ("group parity", colors.TRUTH),
+    "group": ("group parity", colors.OPEN_LOOP),
     "ls": ("least squares, each epoch", colors.MEASUREMENT),
 }
 SHOWN = 8
@@ -520,8 +520,8 @@ def _burst(results: Results) -> Showcase:
     shades = [KIND_COLORS[kind] for kind in kinds(names)]
     adapt = {
         half: Plot(
-            f"log10 A of the {half}",
-            {a[2]: Curve(*a) for a in zip(A, shades, names, strict=True)},
+            f"factor A of the {half} (powers of ten)",
+            {name: Curve(*a) for name, *a in zip(names, A, shades, kinds(names), strict=True)},
             log=True,
         )
         for half, A in zip(HALVES, factor.T.reshape(2, S, -1), strict=True)
@@ -572,7 +572,10 @@ def _burst(results: Results) -> Showcase:
             ),
         ),
         plots={"adaptation": adapt},
-        events=[(start, f"burst starts: {c.burst_sigma:g} m on all ranges"), (end, "burst ends")],
+        states={"noise": ["burst" if start <= t < end else "nominal" for t in c.times]},
+        shades={"nominal": colors.SIGMA, "burst": colors.PAPER},
+        hidden=["ls"],
+        start=0.5 * (start + end),
         parameters=vars(c),
         facts={"paper": "aukf", "preset": "burst", "seed": results.seed, "runs": SHOWN},
     )

@@ -401,7 +401,7 @@ def record(results: Results, outputs: Outputs) -> list[str]:
 def _case(results: Results, case: str) -> showcase.Showcase:
     c = results.parts[case].config
     number = results.parts[case].number
-    phi = case.rpartition("/")[2]
+    preset, phi = case.split("/") if "/" in case else ("P", case)
     sim = simulate(c, [generator(results.seed, number, 0)])
     found, truth, z = estimates_of(
         results, case, {"csrukf": CSRUKF, "srukf": SRUKF, "openloop": OPEN}
@@ -414,7 +414,7 @@ def _case(results: Results, case: str) -> showcase.Showcase:
         std = np.asarray(track.std)[:, 0, 6 + i]
         augmented = Curve(mean, colors.REFERENCE, "augmented filter", std, mean)
         noise[axis] = Plot(
-            f"colored noise V {axis}, km",
+            f"{'white' if phi == '0' else 'colored'} noise V {axis}, km",
             {"truth": Curve(V[:, i], colors.TRUTH, "true V"), "augmented": augmented},
         )
 
@@ -430,13 +430,11 @@ def _case(results: Results, case: str) -> showcase.Showcase:
                 radius=1.2,
             )
 
-    bound = length(
-        results.get("theory", f"{'D' if '/' in case else 'P'}/csrukf")[:, SWEEP.index(PHIS[phi])]
-    )
+    bound = length(results.get("theory", f"{preset}/csrukf")[:, SWEEP.index(PHIS[phi])])
     growing = ["world/z", *(f"world/{key}/trail" for key in ("truth", *found))]
     return showcase.Showcase(
         f"csrukf: {case}",
-        f"# Sun, Zhuang & Xu (2015), Φ = {phi}\n\n**{CASES[case]}**\n{NOTES}",
+        f"# Sun, Zhuang & Xu (2015), Φ = {phi}, preset {preset}\n\n**{CASES[case]}**\n{NOTES}",
         results.times(case),
         found,
         results.study.groups,

@@ -12,7 +12,7 @@ from celnav.gaussian import attitude
 from celnav.gaussian.linalg import Array
 from celnav.gaussian.spaces import wrap
 from celnav.papers.ssukf.scenario import ARCSEC, DEG_PER_H, GROUPS, RADIUS_KM, STANDARD, path
-from celnav.papers.ssukf.study import AXES, FIELD, FIELD_DEG, ROOTS, STUDY, TIMED, points
+from celnav.papers.ssukf.study import AXES, FIELD, FIELD_DEG, ROOTS, TIMED, points
 from celnav.show import colors, scenes, showcase
 from celnav.show.draw import STYLES, Item, Line, Panel, curve, level, panels
 from celnav.show.estimates import estimates_of
@@ -281,9 +281,10 @@ SPACES = (
         up=(0.0, 0.0, -1.0),
     ),
 )
-NOTES = f"""# Wu et al. (2012): state-switching UKF for attitude
+NOTES = """# Wu et al. (2012): state-switching UKF for attitude
 
-{STUDY.says}
+**The state-switching UKF (SSUKF), the augmented UKF and the MEKF give the same estimates: their \
+curves coincide.**
 
 A satellite turns freely at a height of 800 km. Gyros and a star sensor give its attitude. Red, \
 green and blue axes: roll, pitch and yaw.

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from celnav.analysis.metrics import rms
+from celnav.gaussian.belief import nees
 from celnav.models.ephemeris import de421, from_utc
 from celnav.models.pulsar import AREA_CM2, BACKGROUND, LIGHT_KM_S, pulsars
 from celnav.papers.tstdkf import scenario as s
@@ -612,6 +613,9 @@ SPACES = (
 )
 MONTH = f"""# Xu et al. (2023): two stages and strong tracking for X-ray pulsars
 
+**EKF and TKF treat the noise as white, with the covariances of its driving noise. Their errors \
+are the largest. TSTDKF models the noise and stays close to the exact filter (AUG).**
+
 A satellite times three pulsars. The Earth's ephemeris is wrong by some hundred meters (the bias). \
 The noise is colored and correlated.
 Lines: the last orbit, and its estimates with errors enlarged {EXAGGERATION:g} times. \
@@ -621,9 +625,9 @@ for each pulsar.
 """
 ONE_YEAR = """# A year of three trends
 
-The two-stage filter (TKF) models the ephemeris error as constant and does not follow it. TSTDKF \
+**The two-stage filter (TKF) models the ephemeris error as constant and does not follow it. TSTDKF \
 follows it in part in form B, and hardly
-in form C. The exact filter (AUG) models it as a random walk and follows it best.
+in form C. The exact filter (AUG) models it as a random walk and follows it best.**
 """
 
 
@@ -648,13 +652,10 @@ def month(results: Results) -> Showcase:
     tracks = {"TRUTH": (colors.TRUTH, truth[:, :3])}
     for key, n in SHOWN.items():
         error = results.get("month", f"1/{key}/first")[..., :n] - truth[:, None, :n]
-        color = LINES[key].color
-        found[key] = Estimate(
-            key.upper(),
-            color,
-            error[rows],
-            known[f"1/{key}"][rows] if f"1/{key}" in known else None,
-        )
+        color = colors.MEASUREMENT if key == "aug" else LINES[key].color
+        cov = known[f"1/{key}"][rows] if f"1/{key}" in known else None
+        own = None if cov is None else nees(error[rows, 0], np.linalg.cholesky(cov))
+        found[key] = Estimate(key.upper(), color, error[rows], cov, own)
         tracks[key.upper()] = color, truth[:, :3] + EXAGGERATION * error[:, 0, :3]
 
     def scene(out: Recorder) -> None:
@@ -670,7 +671,7 @@ def month(results: Results) -> Showcase:
             "world/sat/aug",
             place,
             EXAGGERATION**2 * known["1/aug"][rows, :3, :3],
-            LINES["aug"].color,
+            found["aug"].color,
             alpha=0.1,
         )
         for body, color in (("sun", colors.STAR), ("moon", colors.BODY)):
@@ -722,6 +723,8 @@ def month(results: Results) -> Showcase:
         parameters=vars(c),
         counter="step",
         facts={"paper": "tstdkf", "seed": results.seed, "exaggeration": EXAGGERATION},
+        start_date=c.start_utc,
+        trail_s=DAY_S,
     )
 
 
@@ -744,5 +747,12 @@ def year(results: Results) -> Showcase:
             )
     legend = {LINES[f].color: LINES[f].label for f in TRACKED}
     return Showcase(
-        "tstdkf year", ONE_YEAR, t, plots=plots, legend=legend, facts=facts, counter="step"
+        "tstdkf year",
+        ONE_YEAR,
+        t,
+        plots=plots,
+        legend=legend,
+        facts=facts,
+        counter="step",
+        start_date=results.parts["year"].config.start_utc,
     )
