@@ -244,35 +244,31 @@ def drawn(found: Mapping[str, Array], lines: Mapping[str, Line], sigma: float) -
     two = {name: lines[name] for name in ("ls", "aukf")}
     dots = dict[str, Any](linestyle="", marker=".", ms=3, label=None)
     return panels(
-        [
-            Panel(
-                "position from the header's",
-                [
-                    curve(found[name][:, 0], found[name][:, 1], line, **dots)
-                    for name, line in two.items()
-                ],
-                "east (m)",
-                "north (m)",
-                more={"aspect": "equal"},
-            ),
-            Panel(
-                f"3-D RMS of LS {rms(found, 'ls'):.2f} m",
-                [curve(hours, found[name][:, 2], line) for name, line in two.items()],
-                "hours",
-                "up (m)",
-            ),
-            Panel(
-                f"with {sigma:g} m added to the ranges",
-                [
-                    curve(
-                        hours[shown], np.linalg.norm(found[f"burst/{name}"][shown], axis=-1), line
-                    )
-                    for name, line in known.items()
-                ],
-                "hours",
-                "distance (m)",
-                "y",
-            ),
-        ],
-        size=(10.0, 3.6),
+        Panel(
+            "position from the header's",
+            [
+                curve(found[name][:, 0], found[name][:, 1], line, **dots)
+                for name, line in two.items()
+            ],
+            "east (m)",
+            "north (m)",
+            more={"aspect": "equal"},
+        ),
+        Panel(
+            f"height; the RMS error of LS is {rms(found, 'ls'):.2f} m",
+            [curve(hours, found[name][:, 2], line) for name, line in two.items()],
+            "time (h)",
+            "up (m)",
+        ),
+        Panel(
+            f"{sigma:g} m of noise added to the ranges",
+            [
+                curve(hours[shown], np.linalg.norm(found[f"burst/{name}"][shown], axis=-1), line)
+                for name, line in known.items()
+            ],
+            "time (h)",
+            "distance (m)",
+            "y",
+        ),
+        title="Figure 14 (not in the paper): half a day of a real receiver",
     )
