@@ -1,5 +1,5 @@
-"""Half a day of a station: filters on its log, with and without an added noise burst, and the
-broadcast orbits.
+"""Half a day of a station: filters on its log, with and without an added noise burst, and a
+comparison of broadcast orbits.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ if TYPE_CHECKING:
 
 HALF_DAY_S = 43200.0
 EPOCHS, AFTER = 40, 10
-"""Epochs of the added noise burst, and epochs after it that are judged too."""
+"""Number of epochs in the added noise burst, and of epochs after it that are evaluated too."""
 CONSECUTIVE_S = (1800.0, 5400.0)
-"""Least and largest interval between the reference times of consecutive sets. Their positions are
-compared half-way.
+"""Least and largest interval between the reference times of consecutive sets, s. Their positions
+are compared in the middle.
 """
 
 
@@ -77,15 +77,15 @@ def _read(files: Files) -> tuple[Observations, Navigation, Array]:
 
 
 def _prepared(half: Observations, navigation: Navigation, mask_deg: float) -> Log:
-    """The log for filters that have to cope with a burst by themselves. No measurement is excluded,
-    the noise has the assumed size, and no step of the clock counts as a reset.
+    """The log for filters that must handle a burst without other help. No measurement is excluded,
+    the noise has the assumed size, and no clock step is treated as a reset.
     """
     log = prepare(half, navigation, mask_deg=mask_deg, sigma=GIVEN, false_alarm=0.0)
     return replace(log, clock=None)
 
 
 def positioned(files: Files, filter: str, mask_deg: float) -> Positioned:
-    """The receiver's track by a filter.
+    """The receiver's track from a filter.
 
     Raises
     ------
@@ -102,17 +102,19 @@ def _positioned(log: Log, filter: str, reference: Array) -> Positioned:
 def run_filters(
     files: Files, rngs: Rngs, names: Sequence[str], sigma: float, mask_deg: float
 ) -> dict[str, Array]:
-    """Errors of filters on the half day, without and with a burst: noise of ``sigma`` m on all
-    ranges for `EPOCHS` in its middle.
+    """Errors of filters on the half day, without and with a burst: for `EPOCHS` epochs in the
+    middle, all ranges have added noise of ``sigma`` m.
 
     Returns
     -------
-    times: ``(T,)`` s of BDT. during: ``(T,)``, the burst and `AFTER` epochs more.
-    ``<filter>`` and ``burst/<filter>``, also for ls: east, north, up ``(T, 3)`` m from the header's
-        position to that of the filter. nis: ``(1,)``, of the first filter, per degree of freedom.
-    consecutive: distances (m) between positions of geostationary satellites by consecutive sets.
-    others: distances (m) between their positions by the formula of other satellites and by their
-        own formula, half an hour after the reference time.
+    times: ``(T,)`` s of BDT. during: ``(T,)`` bool, the burst and `AFTER` further epochs.
+    ``<filter>`` and ``burst/<filter>``, also for ls: east, north, up ``(T, 3)`` m of the filter's
+    position from the header's position. nis: ``(1,)``, NIS of the first filter per degree of
+    freedom.
+    consecutive: distances (m) between positions of geostationary satellites from consecutive sets.
+    others: distances (m) between positions of geostationary satellites from the formula for other
+        satellites and from the formula for geostationary satellites, half an hour after the
+        reference time.
 
     Raises
     ------
@@ -125,23 +127,23 @@ def run_filters(
         * rngs[0].standard_normal(half.code.shape)
         * ((k >= first) & (k < first + EPOCHS))[:, None]
     )
-    for label, part in (("", half), ("burst/", replace(half, code=half.code + noise))):
-        log = _prepared(part, navigation, mask_deg)
+    for label, observations in (("", half), ("burst/", replace(half, code=half.code + noise))):
+        log = _prepared(observations, navigation, mask_deg)
         tracks = {name: _positioned(log, name, reference) for name in ("ls", *names)}
         out |= {label + name: track.local(track.mean) for name, track in tracks.items()}
         if not label:
             during = half.times[(k >= first) & (k < first + EPOCHS + AFTER)]
             nis = np.array([tracks[names[0]].nis])
             out |= {"times": log.times, "during": np.isin(log.times, during), "nis": nis}
-    own = navigation.sets.chosen(navigation.sets.geostationary & (navigation.sets.health == 0.0))
-    own = own.chosen(np.lexsort((own.toe, own.number)))
-    apart = np.where(np.diff(own.number) == 0.0, np.diff(own.toe), 0.0)
+    sets = navigation.sets.chosen(navigation.sets.geostationary & (navigation.sets.health == 0.0))
+    sets = sets.chosen(np.lexsort((sets.toe, sets.number)))
+    apart = np.where(np.diff(sets.number) == 0.0, np.diff(sets.toe), 0.0)
     k = np.flatnonzero((apart >= CONSECUTIVE_S[0]) & (apart <= CONSECUTIVE_S[1]))
     before, after = (
-        satellites(own.chosen(rows), 0.5 * (own.toe[k] + own.toe[k + 1])).position
+        satellites(sets.chosen(rows), 0.5 * (sets.toe[k] + sets.toe[k + 1])).position
         for rows in (k, k + 1)
     )
-    misplaced = as_others(own, own.toe + 1800.0) - satellites(own, own.toe + 1800.0).position
+    misplaced = as_others(sets, sets.toe + 1800.0) - satellites(sets, sets.toe + 1800.0).position
     out |= {
         "consecutive": np.linalg.norm(after - before, axis=-1),
         "others": np.linalg.norm(misplaced, axis=-1),
@@ -150,22 +152,23 @@ def run_filters(
 
 
 def as_others(broadcast: Broadcast, t: Array | float) -> Array:
-    """Positions ``(S, 3)`` m of geostationary satellites by the formula of other satellites: the
+    """Positions ``(S, 3)`` m of geostationary satellites from the formula for other satellites: the
     Earth's rotation enters the node, and no plane is tilted.
     """
     return satellites(replace(broadcast, number=np.full(len(broadcast), 19.0)), t).position
 
 
 def formulas(times: Sequence[float], _rngs: Rngs = ()) -> dict[str, Array]:
-    """Distances ``(..., 5)`` m of the synthetic geostationary satellites, by several formulas, from
-    their two-body orbits.
+    """Distances ``(..., 5)`` m between positions of the synthetic geostationary satellites from
+    several formulas and their two-body orbits.
 
-    others: by the formula of other satellites, at ``times`` (s) from half an hour after the
-        reference time. minute, half hour: by that formula and one more rotation, so long after the
-        reference time. right: with the node held in space, half an hour after the reference time.
+    others: the formula for other satellites, at ``times`` (s) counted from half an hour after the
+        reference time. minute, half hour: the same formula with one more rotation, one minute and
+        half an hour after the reference time. right: the node fixed in inertial space, half an hour
+        after the reference time.
     """
-    own = synthetic()
-    own = own.chosen(own.geostationary)
+    sets = synthetic()
+    sets = sets.chosen(sets.geostationary)
 
     def off(t: float, position: Array) -> Array:
         exact = [
@@ -175,23 +178,25 @@ def formulas(times: Sequence[float], _rngs: Rngs = ()) -> dict[str, Array]:
         return np.asarray(np.linalg.norm(position - exact, axis=-1))
 
     def rotated(t: float) -> Array:
-        return off(t, turned(tilted(as_others(own, TOE_S + t), -TILT), ROTATION_RATE * np.array(t)))
+        return off(
+            t, turned(tilted(as_others(sets, TOE_S + t), -TILT), ROTATION_RATE * np.array(t))
+        )
 
     along = np.add(1800.0, times).tolist()
     return {
-        "others": np.stack([off(t, as_others(own, TOE_S + t)) for t in along]),
+        "others": np.stack([off(t, as_others(sets, TOE_S + t)) for t in along]),
         "minute": rotated(60.0),
         "half hour": rotated(1800.0),
-        "right": off(1800.0, satellites(own, TOE_S + 1800.0).position),
+        "right": off(1800.0, satellites(sets, TOE_S + 1800.0).position),
     }
 
 
-def rms(found: Mapping[str, Array], key: str) -> float:
-    """Root mean square distance (m) from the header's position. With the burst only the epochs in
-    it and shortly after it count.
+def rms(results: Mapping[str, Array], key: str) -> float:
+    """Root mean square distance (m) from the header's position; with the burst only over the epochs
+    in it and shortly after it.
     """
-    chosen = found["during"] if key.startswith("burst") else slice(None)
-    return float(np.sqrt(np.nanmean(np.square(found[key][chosen]).sum(-1))))
+    chosen = results["during"] if key.startswith("burst") else slice(None)
+    return float(np.sqrt(np.nanmean(np.square(results[key][chosen]).sum(-1))))
 
 
 JUDGED: dict[str, tuple[str, tuple[float | None, float | None]]] = {
@@ -212,23 +217,23 @@ JUDGED: dict[str, tuple[str, tuple[float | None, float | None]]] = {
         (1e3, None),
     ),
 }
-"""Quantities that are judged from the results of `run_filters`: label and accepted range."""
+"""Quantities from the results of `run_filters` that claims refer to: label and accepted range."""
 
 
-def judged(found: Mapping[str, Array]) -> dict[str, Array]:
+def judged(results: Mapping[str, Array]) -> dict[str, Array]:
     """Values ``(1,)`` of `JUDGED`; nan where the log has no such satellites."""
-    ls = rms(found, "ls")
-    values = {name: rms(found, name) / ls for name in ("ekf", "ukf", "aukf", "group")} | {
+    ls = rms(results, "ls")
+    values = {name: rms(results, name) / ls for name in ("ekf", "ukf", "aukf", "group")} | {
         "ls": ls,
-        "nis": float(found["nis"][0]),
+        "nis": float(results["nis"][0]),
     }
     values |= {
-        "burst": rms(found, "burst/aukf") / rms(found, "burst/ukf"),
-        "same": np.abs(found["ekf"] - found["ukf"]).max(),
+        "burst": rms(results, "burst/aukf") / rms(results, "burst/ukf"),
+        "same": np.abs(results["ekf"] - results["ukf"]).max(),
     }
     values |= {
-        "consecutive": found["consecutive"].max(initial=-np.inf),
-        "formula": 1e-3 * found["others"].min(initial=np.inf),
+        "consecutive": results["consecutive"].max(initial=-np.inf),
+        "formula": 1e-3 * results["others"].min(initial=np.inf),
     }
     return {
         f"judged/{name}": np.array([value if np.isfinite(value) else np.nan])
@@ -236,18 +241,21 @@ def judged(found: Mapping[str, Array]) -> dict[str, Array]:
     }
 
 
-def drawn(found: Mapping[str, Array], lines: Mapping[str, Line], sigma: float) -> Figure:
+def drawn(results: Mapping[str, Array], lines: Mapping[str, Line], sigma: float) -> Figure:
     """Figure of the half day and of the burst; ``lines``: how each filter is drawn."""
-    hours, late = (found["times"] - found["times"][0]) / 3600.0, np.flatnonzero(found["during"])
+    hours, late = (
+        (results["times"] - results["times"][0]) / 3600.0,
+        np.flatnonzero(results["during"]),
+    )
     shown = slice(max(late[0] - 10, 0), late[-1] + 20)
-    known = {name: line for name, line in lines.items() if name in found}
+    styles = {name: line for name, line in lines.items() if name in results}
     two = {name: lines[name] for name in ("ls", "aukf")}
     dots = dict[str, Any](linestyle="", marker=".", ms=3, label=None)
     return panels(
         Panel(
             "position from the header's",
             [
-                curve(found[name][:, 0], found[name][:, 1], line, **dots)
+                curve(results[name][:, 0], results[name][:, 1], line, **dots)
                 for name, line in two.items()
             ],
             "east (m)",
@@ -255,20 +263,21 @@ def drawn(found: Mapping[str, Array], lines: Mapping[str, Line], sigma: float) -
             more={"aspect": "equal"},
         ),
         Panel(
-            f"height; the RMS error of LS is {rms(found, 'ls'):.2f} m",
-            [curve(hours, found[name][:, 2], line) for name, line in two.items()],
-            "time (h)",
+            f"3-D RMS of LS {rms(results, 'ls'):.2f} m",
+            [curve(hours, results[name][:, 2], line) for name, line in two.items()],
+            "hours",
             "up (m)",
         ),
         Panel(
-            f"{sigma:g} m of noise added to the ranges",
+            f"with {sigma:g} m added to the ranges",
             [
-                curve(hours[shown], np.linalg.norm(found[f"burst/{name}"][shown], axis=-1), line)
-                for name, line in known.items()
+                curve(hours[shown], np.linalg.norm(results[f"burst/{name}"][shown], axis=-1), line)
+                for name, line in styles.items()
             ],
-            "time (h)",
+            "hours",
             "distance (m)",
             "y",
         ),
+        height=2.1,
         title="Figure 14 (not in the paper): half a day of a real receiver",
     )
