@@ -279,5 +279,4 @@ def drawn(results: Mapping[str, Array], lines: Mapping[str, Line], sigma: float)
             "y",
         ),
         height=2.1,
-        title="Figure 14 (not in the paper): half a day of a real receiver",
     )

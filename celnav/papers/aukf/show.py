@@ -75,6 +75,7 @@ LINES = {
     "huber": Line("Huber", colors.FAINT, STYLES[5]),
     "gate": Line("innovation gate", colors.SIGMA),
 }
+CIRCLE = np.linspace(0.0, 2.0 * np.pi, 181)
 BLOCKS = (
     "antenna, radio\nfrequency, intermediate\nfrequency, carrier\nand code\nwipe-off, "
     "navigation\nmessage, positioning"
@@ -101,13 +102,15 @@ def receiver(_: Results) -> Figure:
         ax.text(3.24, 0.43, "baseband, once for each satellite")
         ax.text(4.84, -0.95, "expected delay and Doppler", ha="center")
 
-    panel = Panel("", [item], more={"xlim": (-0.02, 6.4), "ylim": (-1.0, 0.6)})
-    return panels(panel, height=1.75, title="Figure 1: the receiver")
+    return panels(
+        Panel("", [item], more={"xlim": (-0.02, 6.4), "ylim": (-1.0, 0.6)}),
+        height=1.75,
+        title="Figure 1: the receiver",
+    )
 
 
 def planes(r: Results) -> Figure:
     """Orbital planes and the equator, and the uncertainty of node and position by inclination."""
-    circle = np.linspace(0.0, 2.0 * np.pi, 181)
 
     def ellipse(around: Any, degrees: float, line: Line) -> Item:
         i = np.radians(degrees)
@@ -120,8 +123,8 @@ def planes(r: Results) -> Figure:
             f"{title} inclination, {i:g}°",
             [
                 lambda ax: ax.set_axis_off(),
-                ellipse(circle, 0.0, Line("equator", colors.SIGMA, "--")),
-                ellipse(circle, i, Line("orbit", colors.COMPARISON)),
+                ellipse(CIRCLE, 0.0, Line("equator", colors.SIGMA, "--")),
+                ellipse(CIRCLE, i, Line("orbit", colors.COMPARISON)),
                 ellipse(normal / np.sin(np.radians(i)) + [0.0, np.pi], 0.0, nodes),
             ],
             more={"aspect": "equal"},
@@ -174,16 +177,17 @@ def polar(r: Results) -> Figure:
         angle, radius = np.degrees(np.arctan2(y, x)), np.hypot(x, y)
         left.append(curve(angle, radius, line, marker=marker, ms=8.0))
         right.append(curve(x, y, line, marker=marker, ms=8.0))
-    angle = np.linspace(0.0, 2.0 * np.pi, 121)
     for kind, color, style in (
         ("linearized", colors.OPEN_LOOP, "-."),
         ("exact", colors.TRUTH, "-"),
         ("unscented", colors.COMPARISON, "--"),
     ):
         mean, std = r.get("polar", kind)[..., None]
-        x, y = mean + std * [np.cos(angle), np.sin(angle)]
-        line = Line(f"{kind}: mean y = {mean[1, 0]:.4f}", color, style, 1.8)
-        right += [curve(*mean, marker="x", color=color), curve(x, y, line)]
+        x, y = mean + std * [np.cos(CIRCLE), np.sin(CIRCLE)]
+        right += [
+            curve(*mean, marker="x", color=color),
+            curve(x, y, Line(f"{kind}: mean y = {mean[1, 0]:.4f}", color, style, 1.8)),
+        ]
     shown = [
         Panel("r = 1 ± 0.02, θ = 90° ± 15°", left, "θ (deg)", "r (-)", "", {"xlim": (150, 30)}),
         Panel("images, means and 1σ ellipses", right, "x (-)", "y (-)"),
@@ -241,9 +245,9 @@ def factors(r: Results) -> Figure:
     for i, half in enumerate(HALVES):
         A = np.median(r.get(part, f"aukf/{half}"), 1)
         shown.append(curve(r.times(part), A, Line(half, SERIES[i], STYLES[i])))
-    panel = Panel("", shown, "time (s)", "factor (-)", "y", {"xmargin": 0.0})
     return panels(
-        panel, title="Figure 10 (not in the paper): factor by which the AUKF multiplies R"
+        Panel("", shown, "time (s)", "factor (-)", "y", {"xmargin": 0.0}),
+        title="Figure 10 (not in the paper): factor by which the AUKF multiplies R",
     )
 
 
@@ -293,9 +297,8 @@ def densities(r: Results) -> Figure:
         )
         return Panel(rate, [*curves, turn], "process noise (m²/s³)", "position RMSE (m)", "xy")
 
-    shown = [panel(rate, qs) for rate, qs in DENSITIES.items()]
     return panels(
-        shown,
+        [panel(rate, qs) for rate, qs in DENSITIES.items()],
         title="Figure 12 (not in the paper): process noise that a filter assumes, without a burst",
         sharey=True,
     )
@@ -368,6 +371,15 @@ def outliers(r: Results) -> Figure:
     )
 
 
+def receiver_day(r: Results) -> Figure | None:
+    """Half a day of a real receiver, without and with an added burst; None without its files."""
+    if "real" not in r.data:
+        return None
+    fig = day.drawn(r.data["real"], LINES, STANDARD.burst_sigma)
+    fig.suptitle("Figure 14 (not in the paper): half a day of a real receiver")
+    return fig
+
+
 # -- tables ----------------------------------------------------------------------------------------
 def table_1(r: Results) -> Rows:
     """RMSE by axis; the printed numbers are lost."""
@@ -431,9 +443,7 @@ FIGURES = {
     "figure_13": ("Beyond the paper: median error over time from four initial errors.", starts),
     "figure_14": (
         "Beyond the paper: half a day of a real receiver, without and with an added burst.",
-        lambda r: (
-            day.drawn(r.data["real"], LINES, STANDARD.burst_sigma) if "real" in r.data else None
-        ),
+        receiver_day,
     ),
     "figure_15": ("Beyond the paper: RMSE over the length of the window.", sizes),
     "figure_16": (
