@@ -25,7 +25,7 @@ class Picture:
 
     def __init__(self, figure) -> None:
         image, small = Image.open(io.BytesIO(figure._repr_png_())).convert("RGB"), io.BytesIO()
-        image.quantize(48, dither=Image.Dither.NONE).save(small, "PNG", optimize=True)
+        image.quantize(32, dither=Image.Dither.NONE).save(small, "PNG", optimize=True)
         data = base64.b64encode(small.getvalue()).decode()
         self._address, self._title = f"data:image/png;base64,{data}", figure.get_suptitle()
 
@@ -107,7 +107,7 @@ def idea(sim, channel=0):
         ),
     ]
     title = "Innovations that are too large raise the noise that the filter assumes"
-    return panels(*rows, height=1.5, title=title, sharex=True)
+    return panels(*rows, height=1.4, title=title, sharex=True)
 
 
 def compared(cases):
