@@ -55,7 +55,9 @@ def idea(sim, channel=0):
         sigma = np.sqrt(np.square(first.sqrt_S).sum(-1))
         return {"e": first.innovation[..., channel], "sigma": sigma[..., channel]}
 
-    tracks = {name: celnav.run(known[name], sim.prior, sim.epochs(), also=innovation) for name in ("ukf", "aukf")}
+    tracks = {}
+    for name in ("ukf", "aukf"):
+        tracks[name] = celnav.run(known[name], sim.prior, sim.epochs(), also=innovation)
     t, (start, end) = c.times, c.burst_s
     shown = (t >= start - 5.0) & (t <= end + 10.0)
     t = t[shown]
@@ -63,7 +65,8 @@ def idea(sim, channel=0):
     values = {name: track.extra for name, track in tracks.items()}
     e = values["aukf"]["e"][shown, 0]
     sigma = {name: 2.0 * extra["sigma"][shown, 0] for name, extra in values.items()}
-    size = {name: np.linalg.norm((track.mean - sim.truth)[shown, 0, :3], axis=-1) for name, track in tracks.items()}
+    errors = {name: (track.mean - sim.truth)[shown, 0, :3] for name, track in tracks.items()}
+    size = {name: np.linalg.norm(error, axis=-1) for name, error in errors.items()}
 
     def adapted(ax):
         wide = sigma["aukf"]
@@ -118,7 +121,8 @@ def compared(cases):
 
     def pair(name, times, factors, rmse):
         more = {"xlim": (10.0, times[-1])}
-        left, right = ([curve(times, values[key], lines[key]) for key in lines if key in values] for values in (factors, rmse))
+        left = [curve(times, values, lines[key]) for key, values in factors.items()]
+        right = [curve(times, rmse[key], line) for key, line in lines.items()]
         return [
             Panel(f"{name}: factor", left, "time (s)", "factor (-)", "y", more),
             Panel("position RMSE", right, "time (s)", "RMSE (m)", "y", more),

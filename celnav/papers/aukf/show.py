@@ -234,7 +234,7 @@ def struck(i: int, r: Results) -> Figure:
 
 
 def factors(r: Results) -> Figure:
-    """The factors by which the AUKF multiplies R: means over the satellites, medians of the runs."""
+    """Factors by which the AUKF multiplies R: means over the satellites, medians of the runs."""
     right = 1.0 + (STANDARD.burst_sigma / STANDARD.sigma_range_m) ** 2
     part = "ranges, 10 Hz"
     start, end = r.parts[part].config.burst_s
