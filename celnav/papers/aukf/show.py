@@ -36,15 +36,16 @@ from celnav.receiver.geodesy import ELLIPSOID
 from celnav.receiver.report import KIND_COLORS, kinds, record_positioned
 from celnav.show import colors, scenes, showcase
 from celnav.show.draw import (
+    SERIES,
+    STYLES,
     Item,
     Line,
     Panel,
     curve,
-    figure,
+    grid,
     interval,
     level,
     panels,
-    quantiles,
 )
 from celnav.show.estimates import Estimate
 from celnav.show.figures import Rows, errors
@@ -63,327 +64,320 @@ if TYPE_CHECKING:
 __all__ = ["FIGURES", "RECORDINGS", "TABLES", "record"]
 
 LINES = {
-    "ls": Line("LS", colors.MEASUREMENT),
-    "ekf": Line("EKF", colors.SIGMA, width=2.4),
-    "ukf": Line("UKF", colors.COMPARISON, width=0.9),
+    "ls": Line("LS", colors.MEASUREMENT, ":"),
+    "ekf": Line("EKF", colors.SIGMA, width=2.6),
+    "ukf": Line("UKF", colors.COMPARISON, "--"),
     "aukf": Line("AUKF", colors.ESTIMATE),
-    "group": Line("group parity", colors.TRUTH, "--"),
-    "channel": Line("channel parity", colors.OPEN_LOOP),
-    "sage-husa": Line("Sage–Husa", "#332288"),
-    "student": Line("Student", "#8C564B"),
-    "huber": Line("Huber", colors.PAPER),
-    "gate": Line("gate", colors.FAINT, ":"),
+    "group": Line("group parity", colors.OPEN_LOOP, "-."),
+    "channel": Line("channel parity", colors.REFERENCE, ":"),
+    "sage-husa": Line("Sage–Husa", colors.SIGMA),
+    "student": Line("Student's t", colors.SIGMA),
+    "huber": Line("Huber", colors.FAINT, STYLES[5]),
+    "gate": Line("innovation gate", colors.SIGMA),
 }
+CIRCLE = np.linspace(0.0, 2.0 * np.pi, 181)
+BLOCKS = (
+    "antenna, radio\nfrequency, intermediate\nfrequency, carrier\nand code\nwipe-off, "
+    "navigation\nmessage, positioning"
+)
+RATIO = "the AUKF's RMSE is {:.2f} of the UKF's"
 
 
 # -- figures ---------------------------------------------------------------------------------------
 def receiver(_: Results) -> Figure:
-    """A receiver, from the antenna to a position."""
-    fig, ax = figure(9.0, 2.0)
-    arrow: dict[str, Any] = {"arrowstyle": "->", "color": colors.SIGMA}
-    look: dict[str, Any] = {"ha": "center", "va": "center"}
-    blocks = (
-        "antenna, radio\nfrequency, intermediate\nfrequency, carrier and code\nwipe-off, "
-        "navigation\nmessage, positioning"
+    """A receiver, from the antenna to a position; lengths in inches."""
+    arrow = dict[str, Any](arrowstyle="-|>", shrinkA=0, shrinkB=0)
+
+    def item(ax: Any) -> None:
+        ax.set_axis_off()
+        ax.barh(0.0, 2.1, 0.75, left=3.24, color=colors.BOUND, alpha=0.3)
+        for i, text in enumerate(BLOCKS.split(", ")):
+            left = 1.1 * i
+            ax.barh(0.0, 0.88, 0.6, left=left, color="white", ec=colors.COMPARISON)
+            ax.text(left + 0.44, 0.0, text, ha="center", va="center")
+            if i:
+                ax.annotate("", (left, 0.0), (left - 0.22, 0.0), arrowprops=arrow)
+        arrow["connectionstyle"] = "bar,fraction=-0.2"
+        ax.annotate("", (3.74, -0.3), (5.94, -0.3), arrowprops=arrow)
+        ax.text(3.24, 0.43, "baseband, once for each satellite")
+        ax.text(4.84, -0.95, "expected delay and Doppler", ha="center")
+
+    return panels(
+        Panel("", [item], more={"xlim": (-0.02, 6.4), "ylim": (-1.0, 0.6)}),
+        height=1.75,
+        title="Figure 1: the receiver",
     )
-    for i, text in enumerate(blocks.split(", ")):
-        ax.text(
-            i,
-            0.0,
-            text,
-            fontsize=7,
-            bbox={"boxstyle": "round,pad=0.8", "fc": "none", "ec": colors.COMPARISON},
-            **look,
-        )
-        if i:
-            ax.annotate("", (i - 0.38, 0.0), (i - 0.62, 0.0), arrowprops=arrow)
-    ax.annotate(
-        "", (3.0, -0.4), (5.0, -0.4), arrowprops={**arrow, "connectionstyle": "bar,fraction=-0.08"}
-    )
-    ax.text(4.0, -0.8, "expected delay and Doppler", color=colors.FAINT, **look)
-    ax.text(
-        2.5,
-        0.7,
-        "baseband: the third and fourth blocks run once for each satellite",
-        color=colors.FAINT,
-        **look,
-    )
-    ax.set(xlim=(-0.5, 5.5), ylim=(-0.9, 0.8), xticks=[], yticks=[], title="Figure 1: the receiver")
-    ax.set_axis_off()
-    return fig
 
 
 def planes(r: Results) -> Figure:
-    """Orbital planes and the equator, and the uncertainty of the node by inclination."""
-    angle = np.linspace(0.0, 2.0 * np.pi, 181)
-    dots = dict[str, Any](linestyle="", color=colors.PAPER)
+    """Orbital planes and the equator, and the uncertainty of node and position by inclination."""
 
-    def orbit(degrees: float, line: Line) -> Item:
+    def ellipse(around: Any, degrees: float, line: Line) -> Item:
         i = np.radians(degrees)
-        return curve(np.cos(angle), np.sin(angle) * (0.35 * np.cos(i) + 0.9 * np.sin(i)), line)
+        return curve(np.cos(around), np.sin(around) * (0.35 * np.cos(i) + 0.9 * np.sin(i)), line)
 
-    equator = orbit(0.0, Line("equator", colors.SIGMA))
-    nodes = curve([-1.0, 1.0], [0.0, 0.0], marker="o", label="nodes", **dots)
-    bare: dict[str, Any] = {"ylim": (-1.1, 1.1), "aspect": "equal", "xticks": [], "yticks": []}
+    nodes = Line("nodes, if the normal is off by up to 2°", colors.ESTIMATE, width=5.0)
+    normal = np.radians(2.0) * np.linspace(-1.0, 1.0, 21)[:, None]
+    above = [
+        Panel(
+            f"{title} inclination, {i:g}°",
+            [
+                lambda ax: ax.set_axis_off(),
+                ellipse(CIRCLE, 0.0, Line("equator", colors.SIGMA, "--")),
+                ellipse(CIRCLE, i, Line("orbit", colors.COMPARISON)),
+                ellipse(normal / np.sin(np.radians(i)) + [0.0, np.pi], 0.0, nodes),
+            ],
+            more={"aspect": "equal"},
+        )
+        for title, i in (("large", 55.0), ("small", 5.0))
+    ]
     dense = np.geomspace(min(TILTS_DEG), max(TILTS_DEG), 60)
-    formula = curve(
-        dense,
-        np.degrees(NORMAL_ERROR / np.sin(np.radians(dense))),
-        Line("δn / sin i", colors.COMPARISON, "--"),
-    )
-    simulated = curve(TILTS_DEG, r.get("nodes", "node"), marker="s", label="simulated", **dots)
+    below = [
+        Panel(
+            f"σ of the {words}",
+            [
+                curve(
+                    dense,
+                    np.degrees(NORMAL_ERROR / divisor),
+                    Line(f"formula, δn = {NORMAL_ERROR:g} rad", colors.COMPARISON, "--"),
+                ),
+                curve(
+                    TILTS_DEG,
+                    r.get("nodes", name),
+                    Line("simulated", colors.PAPER, ""),
+                    marker="s",
+                ),
+            ],
+            "inclination i (deg)",
+            "σ (deg)",
+            "xy",
+        )
+        for name, words, divisor in (
+            ("node", "node: δn / sin i", np.sin(np.radians(dense))),
+            ("place", "position: δn", dense**0.0),
+        )
+    ]
     return panels(
-        [
-            *(
-                Panel(
-                    f"({title} inclination, {i:g}°",
-                    [equator, orbit(i, Line("orbit", colors.COMPARISON)), nodes],
-                    more=bare,
-                )
-                for title, i in (("a) large", 55.0), ("b) small", 5.0))
-            ),
-            Panel(
-                f"error of the normal δn = {NORMAL_ERROR:g} rad",
-                [formula, simulated],
-                "inclination (deg)",
-                "σ of the node (deg)",
-                "xy",
-            ),
-        ],
-        size=(9.0, 3.2),
+        above,
+        below,
+        title="Figure 2: a small inclination leaves the node uncertain, not the position",
+        sharey="row",
     )
 
 
 def polar(r: Results) -> Figure:
     """The unscented transform from polar to Cartesian coordinates: sigma points, their images, and
     the resulting means and standard deviations."""
-    angle = np.linspace(0.0, 2.0 * np.pi, 121)
-    ellipses = list[Item]()
-    methods = (
-        ("linearized", colors.OPEN_LOOP, "-"),
+    left, right = list[Item](), list[Item]()
+    for what, line, marker in (
+        ("draws", Line("samples", colors.SIGMA, ""), ","),
+        ("images", Line("sigma points", colors.COMPARISON, ""), "."),
+    ):
+        x, y = r.get("polar", what).T
+        angle, radius = np.degrees(np.arctan2(y, x)), np.hypot(x, y)
+        left.append(curve(angle, radius, line, marker=marker, ms=8.0))
+        right.append(curve(x, y, line, marker=marker, ms=8.0))
+    for kind, color, style in (
+        ("linearized", colors.OPEN_LOOP, "-."),
         ("exact", colors.TRUTH, "-"),
         ("unscented", colors.COMPARISON, "--"),
-    )
-    for kind, color, style in methods:
-        mean, std = r.get("polar", kind)
-        x, y = mean[:, None] + std[:, None] * np.stack([np.cos(angle), np.sin(angle)])
-        ellipses += [
+    ):
+        mean, std = r.get("polar", kind)[..., None]
+        x, y = mean + std * [np.cos(CIRCLE), np.sin(CIRCLE)]
+        right += [
             curve(*mean, marker="x", color=color),
-            curve(x, y, Line(f"{kind}: mean y = {mean[1]:.4f}", color, style)),
+            curve(x, y, Line(f"{kind}: mean y = {mean[1, 0]:.4f}", color, style, 1.8)),
         ]
-    dots = Line("samples", colors.SIGMA, ""), Line("sigma points", colors.PAPER, "")
-    clouds = [
-        (r.get("polar", what).T, line, size)
-        for what, line, size in zip(("draws", "images"), dots, (1.0, 6.0))
+    shown = [
+        Panel("r = 1 ± 0.02, θ = 90° ± 15°", left, "θ (deg)", "r (-)", "", {"xlim": (150, 30)}),
+        Panel("images, means and 1σ ellipses", right, "x (-)", "y (-)"),
     ]
-    polar_clouds = [
-        curve(np.degrees(np.arctan2(y, x)), np.hypot(x, y), dot, marker=".", ms=size)
-        for (x, y), dot, size in clouds
-    ]
-    images = [curve(x, y, dot, marker=".", ms=size) for (x, y), dot, size in clouds]
-    return panels(
-        [
-            Panel(
-                "Figure 3: r = 1 ± 0.02, θ = 90° ± 15°",
-                polar_clouds,
-                "θ (deg)",
-                "r (-)",
-                more={"xlim": (150.0, 30.0)},
-            ),
-            Panel("x = r cos θ, y = r sin θ", [*images, *ellipses], "x (-)", "y (-)"),
-            Panel("means and 1σ ellipses", ellipses, "x (-)"),
-        ],
-        size=(10.0, 3.3),
-    )
+    return panels(shown, height=2.9, title="Figure 3: unscented transform of polar coordinates")
 
 
 def run_of(r: Results, i: int, part: str, title: str, at: str, limit: float, **more: Any) -> Panel:
     """The first run of EKF, UKF and AUKF, the quantiles of all runs of the AUKF, and its RMSE over
     the UKF's."""
-    ratio = rms(r, part, "aukf", at, AXES[i].name) / rms(r, part, "ukf", at, AXES[i].name)
-    names = [name for name in ("ekf", "ukf", "aukf") if f"{name}/error" in r.data[part]]
+    axis = AXES[i].name
+    ratio = rms(r, part, "aukf", at, axis) / rms(r, part, "ukf", at, axis)
     shown = [
-        errors(r, part, name, LINES[name], "position", i, spread=name == "aukf") for name in names
+        errors(r, part, name, LINES[name], "position", i, spread=name == "aukf")
+        for name in ("ekf", "ukf", "aukf")
+        if f"{name}/error" in r.data[part]
     ]
-    burst = [interval(*r.parts[part].config.burst_s)] if at == "burst" else []
-    return Panel(
-        f"{title}: AUKF / UKF {ratio:.2f}",
-        [*burst, *shown],
-        "time (s)",
-        f"error of {AXES[i].name} (m)",
-        more={"ylim": (-limit, limit), **more},
-    )
+    if at == "burst":
+        start, end = r.parts[part].config.burst_s
+        shown.insert(0, interval(start, end, "burst", colors.SIGMA))
+    more = {"xmargin": 0.0, "ylim": (-limit, limit)} | more
+    return Panel(title.format(ratio), shown, "time (s)", f"error of {axis} (m)", "", more)
 
 
 def quiet(i: int, r: Results) -> Figure:
     """Error of an axis without a burst, and with more noise than the filters assume."""
-    mistuned = run_of(r, i, "mistuned", "σ = 10 m, assumed 3 m", "all", 4.0)
-    return panels([run_of(r, i, "none", f"Figure {i + 4}", "all", 2.0), mistuned], size=(10.0, 3.2))
+    return panels(
+        run_of(r, i, "none", f"noise of 3 m, as assumed: {RATIO}", "all", 1.5),
+        run_of(r, i, "mistuned", f"noise of 10 m, assumed 3 m: {RATIO}", "all", 4.0),
+        title=f"Figure {i + 4}: error of {AXES[i].name} without a burst",
+    )
 
 
 def struck(i: int, r: Results) -> Figure:
     """Error of an axis with the burst on all ranges."""
-    start, end = r.parts["ranges, 10 Hz"].config.burst_s
-    near = run_of(r, i, "ranges, 10 Hz", "the burst", "burst", 3.0, xlim=(start - 2.0, end + 8.0))
+    part = "ranges, 10 Hz"
+    start, end = r.parts[part].config.burst_s
+    near = np.arange(start - 5.0, end + 11.0, 5.0)
     return panels(
-        [run_of(r, i, "ranges, 10 Hz", f"Figure {i + 7}", "burst", 20.0), near],
-        size=(10.0, 3.2),
-        width_ratios=(3, 2),
+        run_of(r, i, part, f"in the burst {RATIO}", "burst", 16.0),
+        run_of(r, i, part, "enlarged", "burst", 3.0, xlim=near[[0, -1]], xticks=near),
+        title=f"Figure {i + 7}: error of {AXES[i].name} with a burst on all ranges",
     )
 
 
 def factors(r: Results) -> Figure:
-    """The factors by which the AUKF multiplies R."""
+    """Factors by which the AUKF multiplies R: means over the satellites, medians of the runs."""
     right = 1.0 + (STANDARD.burst_sigma / STANDARD.sigma_range_m) ** 2
-    levels = [
-        interval(*r.parts["ranges, 10 Hz"].config.burst_s),
-        level(right, label=f"correct for ranges in the burst: {right:.0f}", color=colors.PAPER),
+    part = "ranges, 10 Hz"
+    start, end = r.parts[part].config.burst_s
+    shown = [
+        interval(start, end, "burst", colors.SIGMA),
+        level(right, label=f"correct for ranges in the burst: {right:.0f}", color=colors.TRUTH),
     ]
-    A = Line("mean over satellites", colors.ESTIMATE)
-    t = r.times("ranges, 10 Hz")
+    for i, half in enumerate(HALVES):
+        A = np.median(r.get(part, f"aukf/{half}"), 1)
+        shown.append(curve(r.times(part), A, Line(half, SERIES[i], STYLES[i])))
     return panels(
-        [
-            Panel(
-                f"factor A of the {half}",
-                [*levels, quantiles(t, r.get("ranges, 10 Hz", f"aukf/{half}"), A)],
-                "time (s)",
-                "factor (-)",
-                "y",
-            )
-            for half in HALVES
-        ],
-        size=(9.0, 3.2),
-        sharey=True,
+        Panel("", shown, "time (s)", "factor (-)", "y", {"xmargin": 0.0}),
+        title="Figure 10 (not in the paper): factor by which the AUKF multiplies R",
     )
 
 
 def baselines(r: Results) -> Figure:
     """Stronger baselines, by the disturbed measurements."""
-    lines = [(LINES | {"ukf": LINES["ukf"]._replace(label="EKF, UKF")})[name] for name in FILTERS]
+    lines = [LINES[name] for name in FILTERS]
 
-    def bars(case: str) -> Item:
-        values = [
-            rms(r, "baselines", f"{case}/{name}", "all" if case == "mistuned" else "burst")
-            for name in FILTERS
-        ]
+    def bars(case: str, ax: Any) -> None:
+        at = "all" if case == "mistuned" else "burst"
+        values = [rms(r, "baselines", f"{case}/{name}", at) for name in FILTERS]
+        labels = [line.label for line in lines]
+        drawn = ax.barh(labels, values, color=[line.color for line in lines])
+        ax.bar_label(drawn, fmt=lambda v: f"{float(f'{v:.3g}'):g}", padding=2)
 
-        def item(ax: Any) -> None:
-            bars = ax.barh(
-                [line.label for line in lines], values, color=[line.color for line in lines]
-            )
-            ax.bar_label(bars, fmt="%.3g", padding=2, fontsize=6.5)
-            ax.set(xlim=(0.3 * min(values), 8.0 * max(values)), ylim=(len(lines) - 0.5, -0.5))
-
-        return item
-
-    cases = {
-        "ranges": "burst on all ranges",
-        "both": "burst on ranges and rates",
-        "one": "burst on one range",
-        "mistuned": "too small R",
-    }
+    more = {"xlim": (0.3, 9000.0), "ylim": (len(lines) - 0.5, -0.5)}
     shown = [
-        Panel(text, [bars(case)], "position RMSE (m)", log="x") for case, text in cases.items()
+        Panel(text, [partial(bars, case)], "position RMSE (m)", "", "x", more)
+        for case, text in (
+            ("ranges", "burst on all ranges"),
+            ("both", "burst on ranges and rates"),
+            ("one", "burst on one range"),
+            ("mistuned", "noise of 10 m, assumed 3 m"),
+        )
     ]
-    return panels(shown, size=(10.0, 3.2), sharey=True)
+    return panels(
+        *grid(shown, 2),
+        title="Figure 11 (not in the paper): stronger filters, by the disturbed measurements",
+        sharex=True,
+        sharey=True,
+    )
 
 
 def densities(r: Results) -> Figure:
     """RMSE over the process noise. With little of it the AUKF treats the turn as noise of the
     rates."""
-    lines = {
-        "ekf": LINES["ekf"]._replace(label="EKF, UKF"),
-        "aukf": LINES["aukf"],
-        "group": LINES["group"],
-    }
 
-    def panel(part: str, qs: tuple[float, ...]) -> Panel:
+    def panel(rate: str, qs: tuple[float, ...]) -> Panel:
+        part = f"densities, {rate}"
         curves = [
-            curve(
-                qs,
-                [rms(r, part, f"{q:g}/{name}", "quiet") for q in qs],
-                lines[name],
-                marker="o",
-                ms=3,
-            )
-            for name in lines
+            curve(qs, [rms(r, part, f"{q:g}/{name}", "quiet") for q in qs], LINES[name], marker=".")
+            for name in ("ekf", "aukf", "group")
         ]
-        true_density = level(
-            r.parts[part].config.acceleration_noise, label="a² T", color=colors.PAPER, upright=True
+        turn = level(
+            r.parts[part].config.acceleration_noise,
+            label="acceleration² × interval, our choice",
+            upright=True,
         )
-        return Panel(
-            part, [*curves, true_density], "process noise (m²/s³)", "quiet position RMSE (m)", "xy"
-        )
+        return Panel(rate, [*curves, turn], "process noise (m²/s³)", "position RMSE (m)", "xy")
 
     return panels(
-        [panel(f"densities, {rate}", qs) for rate, qs in DENSITIES.items()],
-        size=(9.0, 3.2),
+        [panel(rate, qs) for rate, qs in DENSITIES.items()],
+        title="Figure 12 (not in the paper): process noise that a filter assumes, without a burst",
         sharey=True,
     )
 
 
 def starts(r: Results) -> Figure:
     """Median error over time from several initial errors."""
-    styles = dict(zip(INITIAL_KM[::-1], ("-", "--", "-.", ":"), strict=True))
     shown = [
-        curve(r.times(f"{km:g} km"), medians(r, km, name), LINES[name], linestyle=styles[km])
-        for name in ("ls", "ekf", "ukf", "aukf")
-        for km in styles
+        Panel(
+            f"initial error {km:g} km",
+            [
+                curve(r.times(f"{km:g} km"), medians(r, km, name), LINES[name])
+                for name in ("ls", "ekf", "ukf", "aukf")
+            ],
+            "time (s)",
+            "median error (m)",
+            "y",
+            {"xmargin": 0.0},
+        )
+        for km in INITIAL_KM
     ]
-    title = f"initial error {', '.join(f'{km:g}' for km in INITIAL_KM[::-1])} km"
     return panels(
-        Panel(title, shown, "time (s)", "median position error (m)", "y"), size=(7.0, 3.6)
+        *grid(shown, 2),
+        title="Figure 13 (not in the paper): start from a wrong position",
+        sharex=True,
+        sharey="row",
     )
 
 
 def sizes(r: Results) -> Figure:
     """RMSE over the length of the window."""
-    spans = {"quiet": colors.TRUTH, "burst": colors.ESTIMATE, "after": colors.OPEN_LOOP}
+    spans = {
+        "quiet": Line("before the burst", colors.COMPARISON, "--"),
+        "burst": Line("in the burst", colors.ESTIMATE),
+        "after": Line("after the burst", colors.OPEN_LOOP, "-."),
+    }
 
     def panel(rate: str) -> Panel:
-        size = partial(rms, r, part := f"windows, {rate}")
-        curves = [
-            curve(
-                study.WINDOWS,
-                [size(f"M {m}", at) / size("ukf", at) for m in study.WINDOWS],
-                Line(at, color),
-                marker=".",
-            )
-            for at, color in spans.items()
-        ]
-        return Panel(
-            part,
-            [level(1.0, label="UKF"), *curves],
-            "window (epochs)",
-            "position RMSE over the UKF's (-)",
-            "xy",
-        )
+        size = partial(rms, r, f"windows, {rate}")
+        items = [level(1.0, label="UKF")]
+        for at, line in spans.items():
+            ratios = [size(f"M {m}", at) / size("ukf", at) for m in study.WINDOWS]
+            items.append(curve(study.WINDOWS, ratios, line, marker="."))
+        return Panel(rate, items, "window (epochs)", "RMSE over the UKF's (-)", "xy")
 
-    return panels([panel("10 Hz"), panel("1 Hz")], size=(9.0, 3.2), sharey=True)
+    return panels(
+        [panel("10 Hz"), panel("1 Hz")],
+        title="Figure 15 (not in the paper): length of the window",
+        sharey=True,
+    )
 
 
 def outliers(r: Results) -> Figure:
     """RMSE over the number of bad ranges."""
     size = partial(rms, r, "struck")
-    twice = level(2.0 * size("noise 1/aukf", "before"), label="twice the AUKF's quiet RMSE")
+    twice = level(2.0 * size("noise 1/aukf", "before"), label="twice the AUKF before")
 
     def panel(shape: str, title: str) -> Panel:
-        curves = [
-            curve(
-                study.STRUCK,
-                [size(f"{shape} {k}/{name}", "burst") for k in study.STRUCK],
-                LINES[name],
-                marker=".",
-            )
-            for name in study.ROBUST
-        ]
-        return Panel(title, [twice, *curves], "bad ranges of 12", "position RMSE (m)", "y")
+        items = [twice]
+        for name in study.ROBUST:
+            values = [size(f"{shape} {k}/{name}", "burst") for k in study.STRUCK]
+            items.append(curve(study.STRUCK, values, LINES[name], marker="."))
+        return Panel(title, items, "bad ranges of 12", "position RMSE (m)", "y")
 
     return panels(
         [panel("noise", "50 m of noise"), panel("constant", "50 m too long")],
-        size=(9.0, 3.4),
+        height=2.6,
+        title="Figure 16 (not in the paper): several bad ranges for ten seconds",
         sharey=True,
     )
+
+
+def receiver_day(r: Results) -> Figure | None:
+    """Half a day of a real receiver, without and with an added burst; None without its files."""
+    if "real" not in r.data:
+        return None
+    fig = day.drawn(r.data["real"], LINES, STANDARD.burst_sigma)
+    fig.suptitle("Figure 14 (not in the paper): half a day of a real receiver")
+    return fig
 
 
 # -- tables ----------------------------------------------------------------------------------------
@@ -420,41 +414,36 @@ FIGURES = {
     "figure_01": ("Fig. 1: the receiver, from the antenna to a position.", receiver),
     "figure_02": (
         "Fig. 2: orbital plane and equator. The smaller the inclination, the more uncertain is the "
-        "node.",
+        "node. The position is as certain at any inclination.",
         planes,
     ),
     "figure_03": ("Fig. 3: the unscented transform from polar to Cartesian coordinates.", polar),
     **{
-        f"figure_{i + 4:02d}": (
-            f"Fig. {i + 4}: error of {axis.name} without a burst, and with more noise than the "
-            "filters assume.",
-            partial(quiet, i),
+        f"figure_{i + first:02d}": (
+            f"Fig. {i + first}: error of {axis.name} {words}",
+            partial(draw, i),
+        )
+        for first, draw, words in (
+            (4, quiet, "without a burst, and with more noise than the filters assume."),
+            (7, struck, "with the burst on all ranges: the whole run, and 55 to 80 s enlarged."),
         )
         for i, axis in enumerate(AXES)
     },
-    **{
-        f"figure_{i + 7:02d}": (
-            f"Fig. {i + 7}: error of {axis.name} with the burst on all ranges.",
-            partial(struck, i),
-        )
-        for i, axis in enumerate(AXES)
-    },
-    "figure_10": ("Beyond the paper: factors by which the AUKF multiplies R.", factors),
+    "figure_10": ("Beyond the paper: mean factor by which the AUKF multiplies R.", factors),
     "figure_11": (
-        "Beyond the paper: stronger baselines, by the disturbed measurements.",
+        "Beyond the paper: stronger filters, by the disturbed measurements. The EKF's errors "
+        "equal the UKF's.",
         baselines,
     ),
     "figure_12": (
-        "Beyond the paper: RMSE over the process noise. With little of it the AUKF treats the turn "
-        "as noise of the rates.",
+        "Beyond the paper: RMSE over the process noise that a filter assumes. With little of it "
+        "the AUKF treats the turn as noise of the rates. The UKF's errors equal the EKF's.",
         densities,
     ),
-    "figure_13": ("Beyond the paper: median error over time from several initial errors.", starts),
+    "figure_13": ("Beyond the paper: median error over time from four initial errors.", starts),
     "figure_14": (
         "Beyond the paper: half a day of a real receiver, without and with an added burst.",
-        lambda r: (
-            day.drawn(r.data["real"], LINES, STANDARD.burst_sigma) if "real" in r.data else None
-        ),
+        receiver_day,
     ),
     "figure_15": ("Beyond the paper: RMSE over the length of the window.", sizes),
     "figure_16": (
