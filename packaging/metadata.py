@@ -371,6 +371,18 @@ def project_urls(release: Release) -> str:
     return "\n".join(["[project.urls]", *(f'{name} = "{url}"' for name, url in links.items())])
 
 
+def project_readme(release: Release) -> str:
+    """Substitutions that make pictures and links of `README.md` absolute."""
+    repository = release.owner["repository"]
+    away = "(?![a-z]+:|#)"  # not an address, not a place on the page
+    pairs = {
+        rf"!\[(.*?)\]\({away}(.*?)\)": rf"![\1]({repository}/raw/main/\2)",
+        rf"\]\({away}(.*?)\)": rf"]({repository}/blob/main/\1)",
+    }
+    lines = [f"    {{ pattern = '{old}', replacement = '{new}' }}," for old, new in pairs.items()]
+    return "\n".join(["substitutions = [", *lines, "]"])
+
+
 def paper_authors(release: Release) -> str:
     """Authors, affiliations and date in the head of `paper/paper.md`."""
     places = list(dict.fromkeys(author["affiliation"] for author in release.owner["authors"]))
@@ -430,6 +442,7 @@ def contact_links(release: Release) -> str:
 BLOCKS: dict[str, Callable[[Release], str]] = {
     "authors": project_authors,
     "urls": project_urls,
+    "readme": project_readme,
     "paper": paper_authors,
     "ai_usage": lambda release: str(release.owner["ai_usage"]),
     "funding": lambda release: str(release.owner["funding"]),

@@ -99,7 +99,25 @@ def test_the_recipe_asks_for_what_the_package_does():
     assert needed[0] == "python>=${{python_min}}"
     assert f'python_min: "{python.removeprefix(">=")}"' in read("packaging/recipe.yaml")
     built_by = tomllib.loads(read("pyproject.toml"))["build-system"]["requires"]
-    assert requirements["host"][-1].replace(" ", "") == built_by[0]
+    assert [line.replace(" ", "") for line in requirements["host"][2:]] == built_by
+
+
+def test_links_of_the_description_are_absolute():
+    """The page of a package index has neither the pictures nor the pages of the repository."""
+    hooks = tomllib.loads(read("pyproject.toml"))["tool"]["hatch"]["metadata"]["hooks"]
+    text = read("README.md")
+    for pair in hooks["fancy-pypi-readme"]["substitutions"]:
+        text = re.sub(pair["pattern"], pair["replacement"], text)
+    targets = re.findall(r"\]\((.*?)\)", text)
+    assert len(targets) == len(re.findall(r"\]\((.*?)\)", read("README.md"))) > 10
+    repository = metadata.load().owner["repository"]
+    local = [target for target in targets if target.startswith(repository)]
+    assert {target for target in targets if "//" not in target or "(" in target} == set()
+    for target in local:
+        path = target.removeprefix(repository).partition("/main/")[2]
+        assert (ROOT / path.partition("#")[0]).exists(), target
+    assert f"{repository}/raw/main/docs/csrukf.png" in local
+    assert f"{repository}/raw/main/docs/verdicts.svg" in local
 
 
 # -- what only the owner can state -----------------------------------------------------------------
