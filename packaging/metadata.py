@@ -290,7 +290,14 @@ def codemeta(release: Release) -> str:
             "developmentStatus": "active",
             "programmingLanguage": "Python",
             "runtimePlatform": f"Python {project['requires-python']}",
-            "softwareRequirements": project["dependencies"],
+            "softwareRequirements": [
+                {
+                    "@type": "SoftwareSourceCode",
+                    "name": re.match(r"[\w-]+", line)[0],  # type: ignore[index]
+                    "version": re.sub(r"^[\w-]+", "", line),
+                }
+                for line in project["dependencies"]
+            ],
             "operatingSystem": ["Linux", "macOS", "Windows"],
             "applicationCategory": "Scientific/Engineering",
             "keywords": project["keywords"],
