@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import json
 import re
 import shutil
@@ -232,6 +233,26 @@ def test_a_version_that_is_none_is_refused(copy, version):
     assert done.returncode == 1
     assert f"--version: expected X.Y.Z or X.Y.ZrcN, got {version!r}" in done.stderr
     assert (folder / "CHANGELOG.md").read_bytes() == changes
+
+
+UNPICKLE = {"pickle", "cloudpickle", "dill", "joblib", "marshal", "shelve"}
+
+
+def test_no_file_is_unpickled():
+    """`SECURITY.md` says so."""
+    loads = 0
+    for path in (ROOT / "celnav").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Import):
+                assert not {name.name.split(".")[0] for name in node.names} & UNPICKLE, path
+            elif isinstance(node, ast.ImportFrom):
+                assert (node.module or "").split(".")[0] not in UNPICKLE, path
+            elif isinstance(node, ast.Call) and ast.unparse(node.func) in ("np.load", "numpy.load"):
+                given = {word.arg: ast.unparse(word.value) for word in node.keywords}
+                assert given.get("allow_pickle") == "False", (path, node.lineno)
+                loads += 1
+    assert loads
+    assert "(`allow_pickle=False`)" in read("SECURITY.md")
 
 
 # -- workflows and sessions ------------------------------------------------------------------------
