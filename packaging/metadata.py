@@ -2,8 +2,8 @@
 `data/references.bib`.
 
 ``python packaging/metadata.py`` writes `CITATION.cff`, `codemeta.json`, `.zenodo.json`,
-`paper/paper.bib` and the blocks between ``owner: NAME`` and ``end of owner`` of other files. ``--check`` writes nothing and
-fails if a file is not up to date. ``--version 1.2.3`` first makes that the version, and dates what
+`paper/paper.bib` and the blocks between ``owner: NAME`` and ``end of owner`` of other files.
+``--check`` writes nothing and fails if a file is not up to date. ``--version 1.2.3`` first makes that the version, and dates what
 is unreleased. ``--ready`` fails while something is missing that a release needs.
 """
 
@@ -115,7 +115,8 @@ def missing(release: Release) -> list[str]:
     unreleased = UNRELEASED.search(read("CHANGELOG.md"))
     if unreleased and unreleased[1].strip():
         lines.append(
-            'CHANGELOG.md: "Unreleased" is not empty; packaging/metadata.py --version X.Y.Z dates it'
+            'CHANGELOG.md: "Unreleased" is not empty; '
+            "packaging/metadata.py --version X.Y.Z dates it"
         )
     return lines
 
