@@ -30,7 +30,17 @@ TITLE = (
 )
 WORDS = {"true", "false", "yes", "no", "on", "off", "y", "n", "null"}
 """What YAML does not read as text."""
+REQUIRED = {
+    "authors",
+    "repository",
+    "documentation",
+    "reports",
+    "conda_maintainers",
+    "ai_usage",
+    "funding",
+}
 OPTIONAL = {"software_doi", "paper_doi"}
+"""Names in `packaging/owner.toml`."""
 VERSIONED = {
     "pyproject.toml": r'^version = "(.*)"$',
     "celnav/__init__.py": r'^__version__ = "(.*)"$',
@@ -89,6 +99,21 @@ def bibliography() -> dict[str, dict[str, str]]:
     return entries
 
 
+def owner() -> dict[str, Any]:
+    """`packaging/owner.toml`, whose names are checked."""
+    table = tomllib.loads(read("packaging/owner.toml"))
+    if set(table) != REQUIRED | OPTIONAL:
+        names = ", ".join(sorted(REQUIRED | OPTIONAL))
+        raise SystemExit(f"packaging/owner.toml: expected {names}; got {', '.join(sorted(table))}")
+    for author in table["authors"]:
+        if not {"given", "family", "affiliation"} <= set(author) or not all(author.values()):
+            raise SystemExit(
+                "packaging/owner.toml: expected given, family and affiliation of each author, "
+                f"and orcid or nothing; got {author}"
+            )
+    return table
+
+
 def load() -> Release:
     """The release that the files of this checkout describe."""
     project = tomllib.loads(read("pyproject.toml"))["project"]
@@ -97,7 +122,7 @@ def load() -> Release:
     entries = bibliography()
     return Release(
         project=project,
-        owner=tomllib.loads(read("packaging/owner.toml")),
+        owner=owner(),
         released=date.fromisoformat(dated[1]) if dated else None,
         papers=[entries[key] for key in PAPERS],
     )

@@ -256,6 +256,21 @@ def test_no_file_is_unpickled():
     assert "(`allow_pickle=False`)" in read("SECURITY.md")
 
 
+@pytest.mark.parametrize(
+    ("line", "instead", "said"),
+    [
+        ('affiliation = "There"', 'affiliation = ""', "expected given, family and affiliation"),
+        ("reports =", "report =", "expected ai_usage, authors, "),
+    ],
+)
+def test_a_list_that_is_not_complete_is_refused(copy, line, instead, said):
+    folder, run = copy
+    (folder / "packaging" / "owner.toml").write_text(OWNER.replace(line, instead), encoding="utf-8")
+    done = run()
+    assert done.returncode == 1
+    assert f"packaging/owner.toml: {said}" in done.stderr
+
+
 # -- workflows and sessions ------------------------------------------------------------------------
 NOX = read("noxfile.py")
 SESSIONS = set(re.findall(r"^def (\w+)\(session", NOX, re.MULTILINE))
