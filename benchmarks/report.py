@@ -23,7 +23,9 @@ from benchmarks.measure import BESIDE, HERE, ROOT
 
 MEASURED = ROOT / "benchmarks" / "speed.json"
 """What the pages quote."""
-PAGES = (ROOT / "README.md", ROOT / "docs" / "speed.md", ROOT / "benchmarks" / "README.md")
+PAGES = tuple(
+    ROOT / path for path in ("README.md", "docs/speed.md", "benchmarks/README.md", "paper/paper.md")
+)
 QUOTED = re.compile(r"(<!-- speed: (\w+) -->\n).*?(<!-- end of speed -->)", re.DOTALL)
 PACKAGES = ("numpy", "llvmlite", "filterpy", "numba", "stonesoup", "dynamax", "jax", "cuthbert")
 Result = dict[str, Any]

@@ -166,8 +166,18 @@ def tokens(path):
         return sum(
             token.type not in (*LAYOUT, tokenize.ENCODING)
             and not (token.type == tokenize.STRING and token.start[0] in docstrings)
-            for token in tokenize.tokenize(file.readline)
+            for token in with_whole_f_strings(tokenize.tokenize(file.readline))
         )
+
+
+def with_whole_f_strings(stream):
+    """Tokens as Python 3.11 has them: since 3.12 an f-string is many, of which its end is left."""
+    depth = 0
+    for token in stream:
+        name = tokenize.tok_name[token.type]
+        depth += (name == "FSTRING_START") - (name == "FSTRING_END")
+        if depth == 0:
+            yield token
 
 
 LIBRARY = ("gaussian", "filters", "engine", "tape", "models", "analysis")
