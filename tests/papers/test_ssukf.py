@@ -186,6 +186,8 @@ def test_every_figure_draws_what_its_axes_say(result):
     for stem, (caption, draw) in show.FIGURES.items():
         fig = draw(result)
         assert caption, stem
+        number, beyond = int(stem[-2:]), " (not in the paper)" if stem > "figure_03" else ""
+        assert fig.get_suptitle().startswith(f"Figure {number}{beyond}: "), stem
         assert not faults(fig), stem
         assert all(ax.get_xlabel() or ax.get_ylabel() or ax.get_title() for ax in fig.axes), stem
 
