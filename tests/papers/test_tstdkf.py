@@ -655,12 +655,26 @@ def test_every_figure_draws(results):
         assert not faults(fig), stem
 
 
+def test_the_moon_splits_the_lines_at_the_orbital_rate(results):
+    fig = show.FIGURES["figure_08"][1](results)
+    for line in fig.axes[1].lines:
+        cycles, power = line.get_data()
+        below, lower, center, upper, above = (
+            power[np.abs(cycles - at) < 0.01].max() for at in (14.325, 14.36, 14.4, 14.45, 14.485)
+        )
+        assert min(below, center) > 10.0 * lower
+        assert min(center, above) > 10.0 * upper
+
+
 def test_tables(results):
     rows = {name: make(results) for name, (_, make) in show.TABLES.items()}
     assert list(rows) == [f"table_{i}" for i in (*range(1, 6), "5b")]
     assert all(row["source"] for i in range(1, 5) for row in rows[f"table_{i}"])
     for table in (rows["table_5"], rows["table_5b"]):
         assert [row["setting"] for row in table] == [i for i in SETTINGS for _ in range(2)]
+    values = {row["parameter"]: row["value"] for row in rows["table_3"]}
+    assert values["phase"] == "0, 1.5708, 0.785398"
+    assert values["area_cm2"] == "10000"
     one = rows["table_5"][0]
     assert one["below TKF (%)"] == pytest.approx(100.0 * (1.0 - one["TSTDKF"] / one["TKF"]))
     assert one["below TKF, the paper's (%)"] == 35.18
