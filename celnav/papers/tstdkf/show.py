@@ -36,6 +36,7 @@ from celnav.show.draw import (
     band,
     bars,
     curve,
+    grid,
     level,
     note,
     panels,
@@ -232,7 +233,7 @@ def third_bodies(_: Results) -> Figure:
     ]
     bodies = Panel("largest in a month", items, "acceleration (km/s²)", log="x")
     title = "Figure 7: accelerations of the satellite by other bodies"
-    return panels(by_time[:2], [by_time[2], bodies], title=title, legend=False)
+    return panels(*grid([*by_time, bodies], 2), title=title, legend=False)
 
 
 def spectrum(results: Results) -> Figure:
@@ -321,14 +322,14 @@ def in_settings(results: Results) -> Figure:
 def consistent(results: Results) -> Figure:
     """NEES with initial errors and biases drawn from their priors."""
     t = results.times("consistency") / DAY_S
-    row = list[Panel]()
+    text = DAYS, "NEES / number of states (-)", "y", WHOLE
+    row = []
     for case, title in (("1", "setting 1"), ("5", "white noise")):
-        nees = {f: results.get("consistency", f"{case}/{f}/nees").mean(1) for f in COMPARED}
-        items = [
-            curve(t, values / (9 if f == "aug" else 6), LINES[f]) for f, values in nees.items()
-        ]
-        items.append(level(1.0, label="consistent", color="black", style="--"))
-        row.append(Panel(title, items, DAYS, "NEES / number of states (-)", "y", WHOLE))
+        items = [level(1.0, label="consistent", color="black", style="--")]
+        for f in COMPARED:
+            nees = results.get("consistency", f"{case}/{f}/nees").mean(1)
+            items.append(curve(t, nees / (9 if f == "aug" else 6), LINES[f]))
+        row.append(Panel(title, items, *text))
     title = "Figure 12 (not in the paper): NEES with errors drawn from the priors"
     return panels(row, title=title, sharey=True)
 
@@ -367,8 +368,7 @@ def depends(results: Results) -> Figure:
 def trade_off(results: Results) -> Figure:
     """A step of the ephemeris error: delay in following it, and noise of the estimate before it,
     by the parameters of the filters."""
-    after: Any = results.at("sweep", "late")
-    most = (after.stop - after.start) / 24.0
+    after = results.at("sweep", "late")
     walks = [1e3 * walk for walk in study.WALKS]
     rows = []
     for x, filters, values in (
@@ -377,7 +377,7 @@ def trade_off(results: Results) -> Figure:
         ("random walk (m per step)", ["aug9"], walks),
     ):
         ticks = [f"{value:g}" for value in values]
-        delay: list[Item] = [level(most, label=f"not in {most:g} days", color="black")]
+        delay: list[Item] = [level(15.0, label="not in 15 days", color="black")]
         noise = list[Item]()
         for f in filters:
             start = f"{f}, {x[0]}" if f in "CB" else f
@@ -487,38 +487,37 @@ def parameters(_: Results) -> Rows:
         if (about := Config.__dataclass_fields__[name].metadata) and name not in OTHER_TABLES
     ]
 
-    detector = {
-        "area_cm2": (AREA_CM2, "area of the detector; σ of a timing is proportional to 1/√area"),
-        "background": (
-            BACKGROUND,
-            "X-ray background, photons / cm² / s; it matters for the two weak pulsars only",
-        ),
-    }
-    for name, (value, meaning) in detector.items():
-        text = {"meaning": meaning, "source": "chosen: typical value"}
-        rows.append({"parameter": name, "value": f"{value:g}", **text})
-    return rows
+    source = "chosen: typical value"
+    area = "area of the detector; σ of a timing is proportional to 1/√area"
+    background = "photons / cm² / s; matters for the two weak pulsars only"
+    return [
+        *rows,
+        {"parameter": "area_cm2", "value": f"{AREA_CM2:g}", "meaning": area, "source": source},
+        {
+            "parameter": "background",
+            "value": f"{BACKGROUND:g}",
+            "meaning": background,
+            "source": source,
+        },
+    ]
 
 
 def compared(beyond: bool, results: Results) -> Rows:
     """RMSE of the paper's filters, and reductions of TSTDKF against the others. ``beyond``: RMSE of
     the other filters, and reductions in the second half of the month."""
+    at, end = ("late", ", second half (%)") if beyond else ("all", " (%)")
     rows: Rows = []
     for i, (g, unit) in product(SETTINGS, zip(BOTH, ("km", "m/s"), strict=True)):
-        size, late = (
-            {f: rms(squares(results, "month", f"{i}/{f}", g, at)) for f in COMPARED}
-            for at in ("all", "late")
+        month, part = (
+            {f: rms(squares(results, "month", f"{i}/{f}", g, window)) for f in COMPARED}
+            for window in ("all", at)
         )
         row: dict[str, Any] = {"setting": i, "RMSE of": f"{g} ({unit})"}
-        row |= {LINES[f].label: size[f] for f in (("tdkf", "aug") if beyond else PAPER)}
+        row |= {LINES[f].label: month[f] for f in (("tdkf", "aug") if beyond else PAPER)}
         for f, printed in zip(PAPER[:2], study.PRINTED[g], strict=True):
-            name = f"below {f.upper()}"
-            x = late if beyond else size
-            row[f"{name}, second half (%)" if beyond else f"{name} (%)"] = (
-                100.0 - 100.0 * x["tstdkf"] / x[f]
-            )
+            row[f"below {f.upper()}{end}"] = 100.0 - 100.0 * part["tstdkf"] / part[f]
             if not beyond:
-                row[f"{name}, the paper's (%)"] = printed if i == 1 else ""
+                row[f"below {f.upper()}, the paper's (%)"] = printed if i == 1 else ""
         rows.append(row)
     return rows
 
