@@ -67,7 +67,8 @@ def position_rmse(values, title):
         for name, value in values.items():
             hatch = "////" if "stationary" in name else None
             ax.barh(name, value, 0.7, color=shades[name[:3]], hatch=hatch, edgecolor="white")
-            ax.annotate(f"{value:.3f}", (value, name), (4, 0), textcoords="offset points", va="center")
+            place = {"textcoords": "offset points", "va": "center"}
+            ax.annotate(f"{value:.3f}", (value, name), (4, 0), **place)
         ax.invert_yaxis()
         ax.grid(visible=False, axis="y")
 
@@ -78,8 +79,8 @@ def position_rmse(values, title):
 
 def constant_bias(days, deviations, size):
     """Standard deviation of a constant bias over time, with an unknown and a known orbit."""
-    lines = zip(deviations, (colors.COMPARISON, colors.TRUTH), STYLES)
-    items = [curve(days, deviations[name], Line(name, color, style)) for name, color, style in lines]
+    lines = map(Line, deviations, (colors.COMPARISON, colors.TRUTH), STYLES)
+    items = [curve(days, deviations[line.label], line) for line in lines]
     items.append(curve(days, size, Line("norm of the bias itself", "black", ":")))
     more = {"xlim": (days[0], days[-1])}
     return panels(
@@ -124,5 +125,8 @@ def step_response(days, rmse):
 
 def table(rows, digits=4):
     """Rows of a table of the study, with as many digits as a reader needs."""
-    texts = [[value if isinstance(value, str) else f"{value:.{digits}g}" for value in row.values()] for row in rows]
-    return Table(list(rows[0]), texts)
+
+    def text(value):
+        return value if isinstance(value, str) else f"{value:.{digits}g}"
+
+    return Table(list(rows[0]), [list(map(text, row.values())) for row in rows])
