@@ -67,7 +67,7 @@ LINES = {
     "tkf": Line("TKF", colors.COMPARISON, STYLES[2]),
     "fair": Line("TKF, stationary covariances", colors.MEASUREMENT, STYLES[1]),
     "tstdkf": Line("TSTDKF", colors.ESTIMATE, width=2.5),
-    "tdkf": Line("TDKF", colors.FAINT, STYLES[3]),
+    "tdkf": Line("TDKF", colors.FAINT, (0, (1, 9)), 2.0),
     "aug": Line("AUG (exact)", colors.REFERENCE),
     "C": Line("TSTDKF, form C", colors.ESTIMATE, STYLES[1]),
     "B": Line("TSTDKF, form B", colors.PAPER, STYLES[3]),
@@ -467,8 +467,8 @@ FIGURES = {
         depends,
     ),
     "figure_14": (
-        "Beyond the paper: a step of the ephemeris error. Left: time until an estimate follows half "
-        "of it. Right: error before it.",
+        "Beyond the paper: a step of the ephemeris error. Left: time until an estimate follows "
+        "half of it. Right: error before it.",
         trade_off,
     ),
 }
