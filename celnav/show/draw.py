@@ -211,11 +211,9 @@ def curve(x: Any, y: Any, line: Line | None = None, **look: Any) -> Item:
 def components(
     x: Any, y: Array, names: Sequence[str], shades: Sequence[str], **look: Any
 ) -> list[Item]:
-    """A curve for each column of ``y (T, k)``."""
-    return [
-        curve(x, column, label=name, color=c, **look)
-        for column, name, c in zip(y.T, names, shades, strict=False)
-    ]
+    """A curve for each column of ``y (T, k)``, each of another style."""
+    lines = map(Line, names, shades, STYLES)
+    return [curve(x, column, line, **look) for column, line in zip(y.T, lines, strict=False)]
 
 
 def level(

@@ -648,9 +648,24 @@ def test_every_figure_draws(results):
     assert len(show.FIGURES) == 15
     for stem, (caption, draw) in show.FIGURES.items():
         fig = draw(results)
+        number = stem.removeprefix("figure_").lstrip("0")
+        beyond = " (not in the paper)" if caption.startswith("Beyond the paper") else ""
+        assert fig.get_suptitle().startswith(f"Figure {number}{beyond}: ")
         assert caption.endswith(".")
-        assert all(ax.get_xlabel() or ax.get_ylabel() or ax.get_title() for ax in fig.axes)
+        drawn = [ax for ax in fig.axes if ax.axison]
+        assert all(ax.get_xlabel() or ax.get_ylabel() or ax.get_title() for ax in drawn)
         assert not faults(fig), stem
+
+
+def test_the_moon_splits_the_lines_at_the_orbital_rate(results):
+    fig = show.FIGURES["figure_08"][1](results)
+    for line in fig.axes[1].lines:
+        cycles, power = line.get_data()
+        below, lower, center, upper, above = (
+            power[np.abs(cycles - at) < 0.01].max() for at in (14.325, 14.36, 14.4, 14.45, 14.485)
+        )
+        assert 0.5 * min(below, center) > lower  # resolved at half of their power
+        assert 0.5 * min(center, above) > upper
 
 
 def test_tables(results):
@@ -659,6 +674,9 @@ def test_tables(results):
     assert all(row["source"] for i in range(1, 5) for row in rows[f"table_{i}"])
     for table in (rows["table_5"], rows["table_5b"]):
         assert [row["setting"] for row in table] == [i for i in SETTINGS for _ in range(2)]
+    values = {row["parameter"]: row["value"] for row in rows["table_3"]}
+    assert values["phase"] == "0, 1.5708, 0.785398"
+    assert values["area_cm2"] == "10000"
     one = rows["table_5"][0]
     assert one["below TKF (%)"] == pytest.approx(100.0 * (1.0 - one["TSTDKF"] / one["TKF"]))
     assert one["below TKF, the paper's (%)"] == 35.18

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from functools import partial
 from itertools import product
@@ -29,6 +29,8 @@ from celnav.papers.tstdkf.study import (
 )
 from celnav.show import colors, scenes, showcase
 from celnav.show.draw import (
+    MARKERS,
+    STYLES,
     Item,
     Line,
     Panel,
@@ -36,8 +38,9 @@ from celnav.show.draw import (
     bars,
     components,
     curve,
-    figure,
+    grid,
     level,
+    note,
     panels,
 )
 from celnav.show.estimates import Estimate
@@ -59,76 +62,81 @@ AXES = ("x", "y", "z")
 SHADES = (colors.COMPARISON, colors.ESTIMATE, colors.TRUTH)
 DAYS = "time (days)"
 ERROR = "ephemeris error (km)"
+POSITION = "position RMSE (km)"
 TRACKED = ("tkf", "C", "B", "aug")
 LINES = {
-    "ekf": Line("EKF", colors.OPEN_LOOP),
-    "tkf": Line("TKF", colors.COMPARISON),
-    "tdkf": Line("TDKF", colors.FAINT, "--", 0.9),
-    "tstdkf": Line("TSTDKF", colors.ESTIMATE, width=1.9),
+    "ekf": Line("EKF", colors.OPEN_LOOP, STYLES[4]),
+    "tkf": Line("TKF", colors.COMPARISON, STYLES[2]),
+    "fair": Line("TKF, stationary covariances", colors.MEASUREMENT, STYLES[1]),
+    "tstdkf": Line("TSTDKF", colors.ESTIMATE, width=2.5),
+    "tdkf": Line("TDKF", colors.FAINT, (0, (1, 9)), 2.0),
     "aug": Line("AUG (exact)", colors.REFERENCE),
-    "fair": Line("TKF, stationary covariances", colors.MEASUREMENT, "--"),
-    "C": Line("TSTDKF, form C", colors.ESTIMATE),
-    "B": Line("TSTDKF, form B", colors.PAPER),
+    "C": Line("TSTDKF, form C", colors.ESTIMATE, STYLES[1]),
+    "B": Line("TSTDKF, form B", colors.PAPER, STYLES[3]),
+    "aug9": Line("nine states, random-walk bias", colors.FAINT),
 }
-SWEPT = (colors.ESTIMATE, colors.PAPER, colors.ESTIMATE, colors.PAPER, colors.REFERENCE)
+WHOLE = {"xmargin": 0.0}
+HALF_DAYS = replace(s.TABLE_5, days=366.0, step_s=0.5 * DAY_S)
+CHANGED = {
+    "as it is": "no change",
+    "M0 = (0.03 km)²": "bias prior 0.03 km",
+    "M0 = (1 km)²": "bias prior 1 km",
+}
+MARKS = dict(zip(LINES, 2 * MARKERS, strict=False))
 
 
 # -- figures ---------------------------------------------------------------------------------------
-def orbital(results: Results, part: str, filter: str, group: str, line: Line | None = None) -> Item:
+def orbital(results: Results, part: str, filter: str, group: str, line: Line) -> Item:
     """RMSE over the runs and over one orbit, since it oscillates with the orbit."""
     square = np.square(results.error(part, filter, group)[..., 0]).mean(1)
     width = min(20, len(square))
-    name = filter.split("/")[-1]
     values = np.sqrt(np.convolve(square, np.full(width, 1.0 / width), "valid"))
-    return curve(results.times(part)[width - 1 :] / DAY_S, values, line or LINES[name])
+    return curve(results.times(part)[width - 1 :] / DAY_S, values, line)
 
 
-def principle(results: Results) -> Figure:
+def principle(_: Results) -> Figure:
     """Geometry of a timing, in the plane of Earth and pulsar."""
-    c = results.parts["month"].config
-    fig, ax = figure(6.2, 4.2)
+    c = s.TABLE_5
     earth, sun = (part[0] for part in s.sky(c)[:2])
     n = c.timing.directions[0]
-    place = earth + c.orbit[:3]
-    across = earth - (earth @ n) * n
+    r = c.orbit[:3]
     delay, shapiro = (
-        float(x[0]) / LIGHT_KM_S for x in (c.timing.delay(place, sun), c.timing.shapiro(place, sun))
+        float(of(earth + r, sun)[0]) / LIGHT_KM_S for of in (c.timing.delay, c.timing.shapiro)
     )
-    roemer = float(n @ place) / LIGHT_KM_S
+    roemer = float(n @ (earth + r)) / LIGHT_KM_S
+    across = earth - (earth @ n) * n
     plane = np.stack([n, across / np.linalg.norm(across)])
     zero = np.zeros(2)
     ahead = np.array([0.45, 0.0])
     at = plane @ earth / np.linalg.norm(earth)
-    satellite = at + 0.35 * (plane @ c.orbit[:3]) / np.linalg.norm(c.orbit[:3])
-    for start, end, label, color in (
-        (zero, at, "Earth (ephemeris)", colors.COMPARISON),
-        (at, satellite, "orbit", colors.ESTIMATE),
-        (zero, ahead, "", colors.SIGMA),
-        (satellite, satellite + ahead, f"to {c.pulsars[0]}", colors.SIGMA),
+    satellite = at + 0.35 * (plane @ r) / np.linalg.norm(r)
+    x, y = satellite
+    text = (
+        f"a pulse reaches the barycenter Δt = {delay:.6f} s after the satellite:\n"
+        f"n·r {roemer:.6f} s, parallax {1e6 * (delay - roemer - shapiro):.3f} µs, "
+        f"Shapiro delay {1e6 * shapiro:.2f} µs"
+    )
+    items = [
+        lambda ax: ax.set_axis_off(),
+        curve([x, x], [y, 0.0], color=colors.SIGMA, linestyle=":"),
+        curve([0.0, x], [-0.06, -0.06], color=colors.PAPER, linewidth=2.0),
+        curve([0.0, at[0], x], [0.0, at[1], y], color="black", marker="o", linestyle=""),
+        note(0.0, -0.11, text, colors.PAPER, va="top"),
+    ]
+    for start, end, name, label, color in (
+        (zero, at, "barycenter ", "Earth by the ephemeris", colors.COMPARISON),
+        (at, satellite, "Earth ", "orbit", colors.ESTIMATE),
+        (satellite, satellite + ahead, "satellite ", f"to {c.pulsars[0]}", colors.SIGMA),
     ):
-        ax.annotate("", end, start, arrowprops={"arrowstyle": "->", "color": color, "lw": 1.6})
-        ax.annotate(
-            label, 0.5 * (start + end), color=color, xytext=(6, -13), textcoords="offset points"
-        )
-    for name, where in (("barycenter", zero), ("Earth", at), ("satellite", satellite)):
-        ax.annotate(name, where, xytext=(-4, 6), textcoords="offset points", ha="right")
-    ax.plot(*np.stack([zero, at, satellite], 1), "o", color="black", markersize=4)
-    ax.plot(
-        [satellite[0]] * 2, [satellite[1], 0.0], color=colors.SIGMA, linestyle=":", linewidth=1.0
-    )
-    ax.plot([0.0, satellite[0]], [-0.06, -0.06], color=colors.PAPER, linewidth=2.0)
-    terms = (
-        f"n·r {roemer:.6f} s, parallax {1e6 * (delay - roemer - shapiro):.3f} µs, Shapiro "
-        f"{1e6 * shapiro:.2f} µs"
-    )
-    ax.text(0.0, -0.11, f"Δt = {delay:.6f} s\n{terms}", color=colors.PAPER, va="top")
-    ax.set(
-        xlim=(-0.45, satellite[0] + 0.7),
-        ylim=(-0.45, max(at[1], satellite[1]) + 0.2),
-        title="Figure 1: geometry of a timing (not to scale)",
-    )
-    ax.set_axis_off()
-    return fig
+        # An arrow from the lower right corner of the name.
+        arrow = {"arrowstyle": "->", "color": color, "relpos": (1.0, 0.0), "shrinkA": 0.0}
+        u, v = 0.5 * (start + end)
+        items += [
+            note(end[0], end[1], name, xytext=start, ha="right", va="bottom", arrowprops=arrow),
+            note(u + 0.04, v - 0.05, label, color),
+        ]
+    drawn = Panel("", items, more={"xlim": (-0.45, 1.5), "ylim": (-0.3, 1.2)})
+    return panels(drawn, height=4.0, title="Figure 1: geometry of a timing (not to scale)")
 
 
 def difference(results: Results, title: str, name: str, less: str = "") -> Panel:
@@ -136,11 +144,8 @@ def difference(results: Results, title: str, name: str, less: str = "") -> Panel
     values = results.get("sky", name) - (results.get("sky", less) if less else 0.0)
     t = np.arange(len(values)) * 5.0 / 24.0
     norm = np.linalg.norm(values, axis=1)
-    items = [
-        *components(t, values, AXES, SHADES),
-        curve(t, norm, color="black", linewidth=0.8, linestyle="--", label="norm"),
-    ]
-    return Panel(title, items, "days since 2015-10-17 04:00 UTC", "difference (km)")
+    items = [*components(t, values, AXES, SHADES), curve(t, norm, Line("norm", "black", STYLES[3]))]
+    return Panel(title, items, "days since 2015-10-17 04:00 UTC", "difference (km)", more=WHOLE)
 
 
 def others(results: Results) -> Figure:
@@ -151,110 +156,101 @@ def others(results: Results) -> Figure:
         show("Sun, DE405 − DE421", "de405/sun"),
         show("Earth from the Sun, DE405 − DE421", "de405/earth", "de405/sun"),
     )
-    return panels(above, below, size=(10.0, 6.0), sharex=True)
+    title = "Figure 2b (not in the paper): other ephemerides, and the Sun"
+    return panels(above, below, title=title, sharex=True)
 
 
 def ignorant(number: int, group: str, unit: str, results: Results) -> Figure:
     """RMSE of an EKF that ignores the ephemeris error."""
-    shown = {
-        ("month", "5/ekf"): Line("EKF, ephemeris error", colors.COMPARISON),
-        ("variants", f"white, ephemeris error × {LARGER:.3g}/ekf"): Line(
-            f"EKF, error {LARGER:.3g} times as large", colors.PAPER
+    month = partial(orbital, results, "month")
+    others = partial(orbital, results, "variants")
+    large = Line(f"EKF, error {LARGER:.3g} times as large", colors.PAPER, STYLES[1])
+    items = [
+        month("5/ekf", group, Line("EKF, ephemeris error", colors.OPEN_LOOP)),
+        others(f"white, ephemeris error × {LARGER:.3g}/ekf", group, large),
+        others(
+            "white, no ephemeris error/ekf",
+            group,
+            Line("EKF, no ephemeris error", colors.TRUTH, STYLES[4]),
         ),
-        ("variants", "white, no ephemeris error/ekf"): Line(
-            "EKF, no ephemeris error", colors.TRUTH
-        ),
-        ("month", "5/tkf"): Line("TKF, ephemeris error", colors.ESTIMATE),
-    }
-    items = [orbital(results, *flown, group, line) for flown, line in shown.items()]
+        month("5/tkf", group, Line("TKF, ephemeris error", colors.COMPARISON, STYLES[2])),
+    ]
     if group == "position":
-        items.append(
-            orbital(
-                results,
-                "month",
-                "5/ekf",
-                "bias",
-                Line("norm of the ephemeris error", colors.SIGMA, ":"),
-            )
-        )
-    title = f"Figure {number}: effect of an ephemeris error (white noise)"
-    return panels(Panel(title, items, DAYS, f"{group} RMSE ({unit})", "y"), size=(7.5, 3.6))
+        norm = Line("norm of the ephemeris error", colors.SIGMA, ":")
+        items.append(month("5/ekf", "bias", norm))
+    drawn = Panel("", items, DAYS, f"{group} RMSE ({unit})", "y", WHOLE)
+    return panels(drawn, height=2.6, title=f"Figure {number}: effect of an ephemeris error")
 
 
-def three_trends(results: Results) -> Figure:
+def three_trends(_: Results) -> Figure:
     """The ephemeris error over a year, three trends."""
-    c = results.parts["year"].config
-    t = np.arange(0.0, 366.0 * DAY_S, 0.5 * DAY_S)
-    heads = zip(
-        ("Figure 5, Eq. 17", "for Figure 10, Eq. 69", "for Figure 10, Eq. 70"), TRENDS, strict=True
-    )
-    lines = (
-        (f"{head}: {name}", components(t / DAY_S, replace(c, trend=name).bias(t), AXES, SHADES))
-        for head, name in heads
-    )
-    row = [Panel(*line, DAYS, ERROR) for line in lines]
-    return panels(row, size=(9.0, 3.2), sharey=True)
+    t = HALF_DAYS.times
+    row = [
+        Panel(
+            f"{name}, {eq}",
+            components(t / DAY_S, replace(HALF_DAYS, trend=name).bias(t), AXES, SHADES),
+            DAYS,
+            ERROR,
+            more={"xticks": range(0, 301, 100)} | WHOLE,
+        )
+        for name, eq in zip(TRENDS, ("Eq. 17", "Eq. 69", "Eq. 70"), strict=True)
+    ]
+    return panels(row, title="Figure 5: ephemeris error along three trends", sharey=True)
 
 
-def model_error(results: Results) -> Figure:
+def model_error(_: Results) -> Figure:
     """Effect of the ephemeris error on the timings over a year, at the Earth's center. A
     satellite's orbit does not change it noticeably."""
-    c = results.parts["month"].config
-    t = np.arange(0.0, 366.0 * DAY_S, 0.5 * DAY_S)
-    earth, sun = (
-        de421().state(body, from_utc(c.start_utc).after(t)).position for body in ("earth", "sun")
-    )
-    items = components(
-        t / DAY_S, (c.timing.gradient(earth, sun) @ c.bias(t)[..., None])[..., 0], c.pulsars, SHADES
-    )
-    return panels(
-        Panel("Figure 6: error of the timing model", items, DAYS, "c B = Γ δr (km)"),
-        size=(6.5, 3.4),
-    )
+    c = HALF_DAYS
+    earth, sun = s.sky(c)[:2]
+    effect = (c.timing.gradient(earth, sun) @ c.bias(c.times)[..., None])[..., 0]
+    items = components(c.times / DAY_S, effect, c.pulsars, SHADES)
+    drawn = Panel("", items, DAYS, "error c B = Γ δr (km)", more=WHOLE)
+    return panels(drawn, title="Figure 6: error of the timings by the ephemeris error")
 
 
-def third_bodies(results: Results) -> Figure:
+def third_bodies(_: Results) -> Figure:
     """Acceleration by Sun, Moon and planets in a day, and the largest of each body in a month."""
-    c = results.parts["pulls"].config
+    c = s.TABLE_5
     each = accelerations(c)
     day = slice(0, round(DAY_S / c.step_s) + 1)
     total = 1e9 * np.asarray(sum(each.values()))[day]
-    row = [
-        Panel(
-            f"Figure 7: third bodies, {axis}",
-            [curve(c.times[day] / 3600.0, total[:, i], color=SHADES[i])],
-            "time (h)",
+    more = {"xticks": range(0, 25, 6), "ylim": (-1.25, 1.25)} | WHOLE
+    by_time = [
+        Panel(f"{axis}, all bodies", [item], "time (h)", "acceleration (10⁻⁹ km/s²)", more=more)
+        for axis, item in zip(
+            AXES, components(c.times[day] / 3600.0, total, AXES, SHADES), strict=True
         )
-        for i, axis in enumerate(AXES)
     ]
-    row[0] = row[0]._replace(y="acceleration (10⁻⁹ km/s²)")
-    sizes = sorted((float(np.linalg.norm(a, axis=1).max()), body) for body, a in each.items())
-    largest = curve(
-        [size for size, _ in sizes],
-        [body for _, body in sizes],
-        color=colors.FAINT,
-        marker="o",
-        linestyle="",
-    )
-    return panels(
-        [
-            *row,
-            Panel("largest of each body in a month", [largest], "acceleration (km/s²)", log="x"),
-        ],
-        size=(11.0, 3.2),
-    )
+    largest = sorted((np.linalg.norm(a, axis=1).max(), x.capitalize()) for x, a in each.items())
+    sizes, names = zip(*largest, strict=True)
+    items = [
+        curve(sizes, names, color=colors.FAINT, marker="o", linestyle=""),
+        level(c.acceleration_noise_km_per_s2, upright=True),
+        note(3e-11, 0.0, "σ of the process noise", ha="right"),
+    ]
+    bodies = Panel("largest in a month", items, "acceleration (km/s²)", log="x")
+    title = "Figure 7: accelerations of the satellite by other bodies"
+    return panels(*grid([*by_time, bodies], 2), title=title, legend=False)
 
 
 def spectrum(results: Results) -> Figure:
-    """Spectrum of the third-body acceleration: groups of lines at multiples of the orbital rate."""
+    """Spectrum of the third-body acceleration over a month, and its lines at the orbital rate,
+    which take four months to resolve."""
+    c = replace(s.TABLE_5, days=120.0)
+    power, _ = study.power(np.asarray(sum(accelerations(c).values()))[:-1])
+    near = components(
+        np.fft.rfftfreq(c.samples, c.step_s) * DAY_S, power / power.max(), AXES, SHADES
+    )
     power = results.get("pulls", "power")[1:]
-    cycles = results.get("pulls", "cycles")[1:]
-    items = components(cycles, power / power.max(), AXES, SHADES, linewidth=0.7)
-    title = "Figure 8: spectrum of the acceleration"
-    more = {"xlim": (0.0, 60.0)}
+    wide = components(results.get("pulls", "cycles")[1:], power / power.max(), AXES, SHADES)
+    text = "frequency (cycles/day)", "power over its maximum (-)", "y"
+    ends = {"xlim": (0.0, 60.0), "ylim": (1e-13, 3.0)}
+    inside = {"xlim": (14.25, 14.55), "ylim": (1e-4, 3.0)}
     return panels(
-        Panel(title, items, "frequency (cycles/day)", "power over its maximum (-)", "y", more),
-        size=(6.5, 3.6),
+        Panel("five groups of lines, a month", wide, *text, ends),
+        Panel("the group at the orbital rate, 120 days", near, *text, inside),
+        title="Figure 8: spectrum of the accelerations",
     )
 
 
@@ -263,16 +259,15 @@ def one_month(results: Results) -> Figure:
     is no bound for the bias error."""
     t = results.times("month") / DAY_S
     told = results.get("covariances", "told/aug")
-    row = list[Panel]()
+    rows = list[Panel]()
     for i, (group, unit, scale) in enumerate(
         (("position", "km", 1.0), ("velocity", "m/s", 1e3), ("bias", "km", 1.0))
     ):
         items = [
-            orbital(results, "month", f"1/{f}", group)
-            for f in (*PAPER, "aug", "tdkf")
+            orbital(results, "month", "fair/tkf" if f == "fair" else f"1/{f}", group, LINES[f])
+            for f in ("ekf", "tkf", "fair", "tstdkf", "tdkf", "aug")
             if (f, group) != ("ekf", "bias")
         ]
-        items += [orbital(results, "month", "fair/tkf", group, LINES["fair"])]
         if group != "bias":
             P = told[:, 3 * i : 3 * i + 3, 3 * i : 3 * i + 3]
             n = results.error("month", "1/aug", group).shape[1]
@@ -280,136 +275,128 @@ def one_month(results: Results) -> Figure:
             size = P.trace(axis1=1, axis2=2)
             far = 1.96 * np.sqrt(2.0 / n * np.square(P).sum((1, 2)))
             low, high = (scale * np.sqrt(np.maximum(size + d, 0.1 * size)) for d in (-far, far))
-            items += [
-                partial(
-                    band,
-                    t=t,
-                    low=low,
-                    high=high,
-                    color=colors.SIGMA,
-                    label="optimal filter, 95 % range",
-                )
-            ]
-        row.append(
-            Panel(
-                "Figure 9: setting 1" if i == 1 else "", items, DAYS, f"{group} RMSE ({unit})", "y"
-            )
-        )
-    return panels(row, size=(10.5, 4.2))
+            shape = {"t": t, "low": low, "high": high, "color": colors.SIGMA}
+            items.append(partial(band, label="optimal filter, 95 % range", **shape))
+        more = {"ylim": (0.05, 1.2) if group == "bias" else (0.03, 0.6)} | WHOLE
+        rows.append(Panel(group, items, DAYS, f"RMSE ({unit})", "y", more))
+    return panels(*rows, height=1.9, title="Figure 9: RMSE in setting 1", sharex=True)
 
 
 def one_year(results: Results) -> Figure:
-    """The bias of the first run along three trends."""
-    t = results.times("year")[::24]
+    """The bias of the first run along three trends, after the first month."""
+    later = slice(len(results.times("year")) * 30 // 365, None, 24)
+    t = results.times("year")[later]
     rows = []
     for trend in TRENDS:
-        first = {LINES[f]: results.get("year", f"{trend}/{f}/first")[::24, 0, 6:] for f in TRACKED}
-        first[Line("truth", "black")] = replace(results.parts["year"].config, trend=trend).bias(t)
-        items = [
-            [curve(t / DAY_S, values[:, i], line) for line, values in first.items()]
-            for i in range(3)
-        ]
+        truth = replace(s.YEAR, trend=trend).bias(t)
+        values = {Line("truth", "black", width=2.5): truth}
+        values |= {
+            LINES[f]: results.get("year", f"{trend}/{f}/first")[later, 0, 6:] for f in TRACKED
+        }
         rows.append(
             [
-                Panel(f"{trend}, {i}", each, DAYS, ERROR, "", {"ylim": (-0.3, 0.3)})
-                for i, each in zip(AXES, items)
+                Panel(
+                    f"{trend}, {axis}",
+                    [curve(t / DAY_S, each[:, i], line) for line, each in values.items()],
+                    DAYS,
+                    ERROR,
+                    more={"ylim": (-0.2, 0.2)} | WHOLE,
+                )
+                for i, axis in enumerate(AXES)
             ]
         )
-    return panels(*rows, size=(10.0, 7.5), sharex=True, sharey=True)
+    title = "Figure 10: estimates of the ephemeris error after the first month"
+    return panels(*rows, height=1.7, title=title, sharex=True, sharey=True)
 
 
 def in_settings(results: Results) -> Figure:
     """Position RMSE of Table 5 as bars."""
     heights = {f: [rms(squares(results, "month", f"{i}/{f}")) for i in SETTINGS] for f in COMPARED}
     heights["fair"] = [rms(squares(results, "month", "fair/tkf")), *[np.nan] * 4]
-    ticks = [f"{i}: F {c.F:g}, L {c.L:g}, κ {c.kappa:g}" for i, c in SETTINGS.items()]
+    ticks = [f"{i}\nF = {c.F:g}\nL = {c.L:g}\nκ = {c.kappa:g}" for i, c in SETTINGS.items()]
     item = bars(ticks, {LINES[f].label: (values, LINES[f].color) for f, values in heights.items()})
-    return panels(
-        Panel("Table 5: position RMSE over the month", [item], "", "position RMSE (km)"),
-        size=(9.5, 3.6),
-    )
+    title = "Figure 11 (not in the paper): position RMSE in the five settings"
+    return panels(Panel("", [item], "setting", POSITION), title=title)
 
 
 def consistent(results: Results) -> Figure:
     """NEES with initial errors and biases drawn from their priors."""
     t = results.times("consistency") / DAY_S
-    row = list[Panel]()
+    text = DAYS, "NEES / number of states (-)", "y", WHOLE
+    row = []
     for case, title in (("1", "setting 1"), ("5", "white noise")):
-        nees = {f: results.get("consistency", f"{case}/{f}/nees").mean(1) for f in COMPARED}
-        items = [
-            curve(t, values / (9 if f == "aug" else 6), LINES[f]) for f, values in nees.items()
-        ]
-        items.append(level(1.0, label="consistent", color="black"))
-        row.append(Panel(title, items, DAYS, "" if row else "NEES / number of states (-)", "y"))
-    return panels(row, size=(9.0, 3.6), sharey=True)
+        items = [level(1.0, label="consistent", color="black", style="--")]
+        for f in COMPARED:
+            nees = results.get("consistency", f"{case}/{f}/nees").mean(1)
+            items.append(curve(t, nees / (9 if f == "aug" else 6), LINES[f]))
+        row.append(Panel(title, items, *text))
+    title = "Figure 12 (not in the paper): NEES with errors drawn from the priors"
+    return panels(row, title=title, sharey=True)
 
 
 def depends(results: Results) -> Figure:
     """Setting 1 with one change, and filters that assume a wrong coupling."""
 
-    def heights(
-        part: str, names: Iterable[Any], at: str, filters: Iterable[str]
-    ) -> dict[str, tuple[list[float], str]]:
-        sizes = {
-            f: [rms(squares(results, part, f"{name}/{f}", at=at)) for name in names]
+    def dots(cases: Mapping[tuple[str, str], str], at: str, filters: Iterable[str]) -> list[Item]:
+        """Position RMSE by case, the first at the top; ``cases``: labels by part and name."""
+        rows = [*cases.items()][::-1]
+        labels = [label for _, label in rows]
+        return [
+            curve(
+                [rms(squares(results, part, f"{case}/{f}", at=at)) for (part, case), _ in rows],
+                labels,
+                LINES[f],
+                linestyle="",
+                marker=MARKS[f],
+            )
             for f in filters
-        }
-        return {LINES[f].label: (values, LINES[f].color) for f, values in sizes.items()}
+        ]
 
-    sizes = heights("variants", VARIANTS, "all", ("ekf", "tkf", "tstdkf"))
-    names = list(VARIANTS)[::-1]
-    left = [
-        curve(v[::-1], names, color=c, marker="o", linestyle="", label=label)
-        for label, (v, c) in sizes.items()
-    ]
-    right = bars(
-        [f"{a:g} → {b:g}" for a, b in study.COUPLINGS],
-        heights("ten days", range(6), "late", ("tkf", "tstdkf", "aug")),
+    changes = {("variants", name): CHANGED.get(name, name) for name in VARIANTS}
+    pairs = {("ten days", str(i)): f"{a:g} → {b:g}" for i, (a, b) in enumerate(study.COUPLINGS)}
+    return panels(
+        Panel("one change", dots(changes, "all", PAPER), POSITION, log="x"),
+        Panel(
+            "true coupling κ → κ in the filters",
+            dots(pairs, "late", ("tkf", "tstdkf", "aug")),
+            POSITION,
+        ),
+        title="Figure 13 (not in the paper): setting 1, and changes of it",
     )
-    said = "position RMSE (km)"
-    row = (
-        Panel("", left, said, log="x"),
-        Panel("", [right], "true κ → assumed κ", said),
-    )
-    return panels(row, size=(11.0, 4.6))
 
 
 def trade_off(results: Results) -> Figure:
-    """A step of the ephemeris error: delay in following it, and noise of the estimate before it."""
-    keys = {
-        f"{what} varied, form {f}": [x for x in study.SWEEP if x.startswith(f"{f}, {what}")]
-        for what in "ρτ"
-        for f in "CB"
-    }
-    left = list[Item]()
+    """A step of the ephemeris error: delay in following it, and noise of the estimate before it,
+    by the parameters of the filters."""
     after = results.at("sweep", "late")
-    for (label, names), color in zip(
-        (keys | {"random walk varied, nine states": [*study.NINE][:-1]}).items(), SWEPT, strict=True
+    walks = [1e3 * walk for walk in study.WALKS]
+    rows = []
+    for x, filters, values in (
+        ("ρ (-)", "CB", study.RHOS),
+        ("τ (timings)", "CB", study.TAUS),
+        ("random walk (m per step)", ["aug9"], walks),
     ):
-        days = [
-            study.days(results.error("sweep", f"step/{name}", "bias")[after, :, 0].T)
-            for name in names
-        ]
-        size = [rms(squares(results, "sweep", f"step/{name}", "bias", "steady")) for name in names]
-        left.append(
-            curve(
-                days,
-                size,
-                color=color,
-                marker="o",
-                linestyle="--" if "τ" in label else "-",
-                label=label,
-            )
+        ticks = [f"{value:g}" for value in values]
+        delay: list[Item] = [level(15.0, label="not in 15 days", color="black")]
+        noise = list[Item]()
+        for f in filters:
+            start = f"{f}, {x[0]}" if f in "CB" else f
+            names = [y for y in (*study.SWEEP, *study.NINE) if y.startswith(start)]
+            days = [
+                study.days(results.error("sweep", f"step/{y}", "bias")[after, :, 0].T)
+                for y in names
+            ]
+            size = [rms(squares(results, "sweep", f"step/{y}", "bias", "steady")) for y in names]
+            delay.append(curve(ticks, days, LINES[f], marker=MARKS[f]))
+            noise.append(curve(ticks, size, LINES[f], marker=MARKS[f]))
+        rows.append(
+            [
+                Panel("time to follow half of it (days)", delay, x),
+                Panel("bias RMSE before it (km)", noise, x, more={"ylim": (0.0, None)}),
+            ]
         )
-    return panels(
-        Panel(
-            "",
-            left,
-            "days until half of the step is followed",
-            "bias RMSE in the 5 days before it (km)",
-        ),
-        size=(6.5, 4.2),
-    )
+    title = "Figure 14 (not in the paper): a step of the ephemeris error"
+    return panels(*rows, height=1.8, title=title, sharey="col")
 
 
 FIGURES = {
@@ -421,7 +408,7 @@ FIGURES = {
         "Fig. 2: position of the Earth, DE405 - DE421. The difference is below 2 km, not tens of "
         "kilometers.",
         lambda r: panels(
-            difference(r, "Figure 2: Earth, DE405 − DE421", "de405/earth"), size=(6.5, 3.6)
+            difference(r, "", "de405/earth"), title="Figure 2: position of the Earth, DE405 − DE421"
         ),
     ),
     "figure_02b": (
@@ -438,7 +425,7 @@ FIGURES = {
         partial(ignorant, 4, "velocity", "m/s"),
     ),
     "figure_05": (
-        "Fig. 5: the simulated ephemeris error, and the two other trends of Fig. 10.",
+        "Fig. 5: the simulated ephemeris error (a), and the two other trends of Fig. 10.",
         three_trends,
     ),
     "figure_06": (
@@ -446,14 +433,13 @@ FIGURES = {
         model_error,
     ),
     "figure_07": (
-        "Fig. 7: acceleration of the satellite by Sun, Moon and planets in a day, and the largest "
-        "of each body in a month.",
+        "Fig. 7: acceleration by Sun, Moon and planets in a day, and the largest of each body.",
         third_bodies,
     ),
     "figure_08": (
-        "Fig. 8: spectrum of the acceleration by Sun, Moon and planets. Five groups of lines are "
-        "drawn: near zero, at the orbital rate of 14.4 cycles/day, and at 28.8, 43.2 and 57.6 "
-        "cycles/day. This is not AR(1) noise.",
+        "Fig. 8: spectrum of the acceleration. (a) Groups of lines near zero, at the orbital rate "
+        "(14.4 cycles/day) and at its multiples. (b) The Moon's motion splits the group at the "
+        "orbital rate.",
         spectrum,
     ),
     "figure_09": (
@@ -462,8 +448,8 @@ FIGURES = {
         one_month,
     ),
     "figure_10": (
-        "Fig. 10: the bias over a year, three trends: truth, and estimates of TKF, TSTDKF (forms B "
-        "and C) and AUG in the first run.",
+        "Fig. 10: the ephemeris error after the first month of a year, in three trends, and its "
+        "estimates in the first run.",
         one_year,
     ),
     "figure_11": (
@@ -475,15 +461,15 @@ FIGURES = {
         "(1 if consistent).",
         consistent,
     ),
-    "figure_14": (
-        "Beyond the paper: a step of the ephemeris error. Delay in following it against noise of "
-        "the estimate.",
-        trade_off,
-    ),
     "figure_13": (
-        "Beyond the paper: position RMSE in setting 1 with one change (left), and with a wrong "
-        "coupling in the filters (right).",
+        "Beyond the paper: position RMSE (a) with one change of setting 1, and (b) with a wrong "
+        "coupling in the filters.",
         depends,
+    ),
+    "figure_14": (
+        "Beyond the paper: a step of the ephemeris error. Left: time until an estimate follows "
+        "half of it. Right: error before it.",
+        trade_off,
     ),
 }
 
@@ -491,74 +477,52 @@ FIGURES = {
 # -- tables ----------------------------------------------------------------------------------------
 def parameters(_: Results) -> Rows:
     """The other parameters with their sources."""
-    names = (
-        "step_s",
-        "error_km",
-        "error_m_per_s",
-        "rho",
-        "tau",
-        "rate_noise_km_per_s",
-        "acceleration_noise_km_per_s2",
-    )
-    known = {
-        name: Config.__dataclass_fields__[name].metadata
-        for name in (*names, "amplitude_km", "bias_prior_km", "walk_km")
-    }
     rows = [
         {
             "parameter": name,
-            "value": str(getattr(s.TABLE_5, name)),
+            "value": ", ".join(f"{x:g}" for x in value) if isinstance(value, tuple) else str(value),
             **{key: about[key] for key in ("meaning", "source")},
         }
-        for name, about in known.items()
+        for name, value in vars(s.TABLE_5).items()
+        if (about := Config.__dataclass_fields__[name].metadata) and name not in OTHER_TABLES
     ]
 
-    def timed(**detector: float) -> str:
-        return ", ".join(
-            f"{1e3 * LIGHT_KM_S * p.timing_std(300.0, **detector):.0f}"
-            for p in pulsars(s.TABLE_5.pulsars)
-        )
-
-    for name, x, told in (
-        ("area_cm2", AREA_CM2, "area of the detector"),
-        ("background", BACKGROUND, "X-ray background, photons / cm^2 / s"),
-    ):
-        errs = (
-            f"; with a tenth of it σ of the timings is {timed(**{name: 0.1 * x})} m, with ten "
-            f"times {timed(**{name: 10.0 * x})} m"
-        )
-        rows.append(
-            {
-                "parameter": name,
-                "value": f"{x:g}",
-                "meaning": told + errs,
-                "source": "chosen: typical value",
-            }
-        )
-    return rows
+    source = "chosen: typical value"
+    area = "area of the detector; σ of a timing is proportional to 1/√area"
+    background = "photons / cm² / s; matters for the two weak pulsars only"
+    return [
+        *rows,
+        {"parameter": "area_cm2", "value": f"{AREA_CM2:g}", "meaning": area, "source": source},
+        {
+            "parameter": "background",
+            "value": f"{BACKGROUND:g}",
+            "meaning": background,
+            "source": source,
+        },
+    ]
 
 
 def compared(beyond: bool, results: Results) -> Rows:
     """RMSE of the paper's filters, and reductions of TSTDKF against the others. ``beyond``: RMSE of
     the other filters, and reductions in the second half of the month."""
+    at, end = ("late", ", second half (%)") if beyond else ("all", " (%)")
     rows: Rows = []
     for i, (g, unit) in product(SETTINGS, zip(BOTH, ("km", "m/s"), strict=True)):
-        size, late = (
-            {f: rms(squares(results, "month", f"{i}/{f}", g, at)) for f in COMPARED}
-            for at in ("all", "late")
+        month, part = (
+            {f: rms(squares(results, "month", f"{i}/{f}", g, window)) for f in COMPARED}
+            for window in ("all", at)
         )
-        rows.append({"setting": i, "RMSE of": f"{g} ({unit})"})
-        rows[-1] |= {LINES[f].label: size[f] for f in (("tdkf", "aug") if beyond else PAPER)}
+        row: dict[str, Any] = {"setting": i, "RMSE of": f"{g} ({unit})"}
+        row |= {LINES[f].label: month[f] for f in (("tdkf", "aug") if beyond else PAPER)}
         for f, printed in zip(PAPER[:2], study.PRINTED[g], strict=True):
-            below = [100.0 - 100.0 * x["tstdkf"] / x[f] for x in (size, late)]
-            paper = {
-                f"below {f.upper()} (%)": below[0],
-                f"below {f.upper()}, the paper's (%)": printed if i == 1 else "",
-            }
-            rows[-1] |= {f"below {f.upper()}, second half (%)": below[1]} if beyond else paper
+            row[f"below {f.upper()}{end}"] = 100.0 - 100.0 * part["tstdkf"] / part[f]
+            if not beyond:
+                row[f"below {f.upper()}, the paper's (%)"] = printed if i == 1 else ""
+        rows.append(row)
     return rows
 
 
+OTHER_TABLES = ("elements", "pulsars")
 ELEMENTS = ("a (km)", "e (-)", "i (deg)", "Ω (deg)", "ω (deg)", "ν (deg)", "source")
 TABLES = {
     "table_1": (

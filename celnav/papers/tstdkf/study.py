@@ -679,7 +679,7 @@ WINDOWS = {  # as fractions of a run (a month or a year), which a small effort s
     **{f"quarter {i + 1}": (i / 4, (i + 1) / 4) for i in range(4)},
 }
 PAPER = ("ekf", "tkf", "tstdkf")
-COMPARED = ("ekf", "tkf", "tdkf", "tstdkf", "aug")
+COMPARED = ("ekf", "tkf", "tstdkf", "tdkf", "aug")
 BOTH = ("position", "velocity")
 LEDGER = Path(__file__).with_name("ledger.toml")
 PRINTED = {group: read_printed(LEDGER)[f"setting-1-{group}"] for group in BOTH}
