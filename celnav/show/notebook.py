@@ -59,4 +59,4 @@ def parameters(config: Any) -> Table:
 
 
 def _explained(field: dataclasses.Field[Any]) -> tuple[str, str]:
-    return field.metadata["source"], field.metadata["meaning"]
+    return field.metadata.get("source", ""), field.metadata.get("meaning", "")
