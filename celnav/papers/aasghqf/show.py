@@ -266,7 +266,7 @@ FIGURES = {
         "Beyond the paper: misalignment errors of one run with slower fixes (A-slow).",
         partial(
             one_run,
-            "Figure 9 (not in the paper): one run of A-slow",
+            "Figure 9 (not in the paper): misalignment errors of one run (A-slow)",
             "A-slow",
             "misalignment",
             500.0,
@@ -277,7 +277,7 @@ FIGURES = {
         "Beyond the paper: misalignment errors of the run of Figure 3 in its first minute.",
         partial(
             one_run,
-            "Figure 10 (not in the paper): first minute of T3",
+            "Figure 10 (not in the paper): misalignment errors, first minute of T3",
             "T3",
             "misalignment",
             60.0,
