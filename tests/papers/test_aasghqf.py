@@ -155,15 +155,24 @@ def test_averages_are_those_of_their_definition(results):
 
 # -- what is shown ---------------------------------------------------------------------------------
 def test_every_figure_draws(results):
-    assert [f"figure_{i:02d}" for i in range(1, 9)] == list(show.FIGURES)
+    assert [f"figure_{i:02d}" for i in range(1, 11)] == list(show.FIGURES)
     drawn = {stem: draw(results) for stem, (_, draw) in show.FIGURES.items()}
     for stem, fig in drawn.items():
         assert not faults(fig), stem
+        title = fig._suptitle.get_text()
+        assert title.startswith(f"Figure {int(stem[-2:])}")
+        assert ("(not in the paper)" in title) == (stem > "figure_05")
         assert all(
             ax.get_xlabel() or ax.get_ylabel() or ax.get_title() or ax.lines for ax in fig.axes
         )
-    for stem in ("figure_03", "figure_04", "figure_05"):
-        assert len(drawn[stem].axes[0].lines) == 5
+    for stem, count in (
+        ("figure_03", 3),
+        ("figure_04", 2),
+        ("figure_05", 2),
+        ("figure_09", 3),
+        ("figure_10", 3),
+    ):
+        assert [len(ax.lines) for ax in drawn[stem].axes] == [5] * count
     for stem, count in (("figure_01", 21), ("figure_02", 9)):
         assert sum(len(c.get_offsets()) for c in drawn[stem].axes[0].collections) == count
 

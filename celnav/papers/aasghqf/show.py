@@ -28,7 +28,7 @@ from celnav.papers.aasghqf.study import (
     TABLE_4,
 )
 from celnav.show import colors, scenes
-from celnav.show.draw import Item, Line, Panel, curve, panels
+from celnav.show.draw import STYLES, Item, Line, Panel, curve, panels
 from celnav.show.estimates import estimates_of
 from celnav.show.figures import consistency, errors, rmse, sigma
 from celnav.show.showcase import SceneView, Showcase, write
@@ -44,71 +44,65 @@ if TYPE_CHECKING:
 __all__ = ["FIGURES", "RECORDINGS", "TABLES", "record", "showcase"]
 
 LINES = {
-    "sghqf": Line("SGHQF, 417", colors.ESTIMATE),
-    "ukf": Line("UKF, 27", colors.COMPARISON),
-    "aasghqf": Line("AASGHQF, 75", colors.OPEN_LOOP, width=2.2),
-    "nonlinear": Line("by nonlinearity, 57", colors.TRUTH, "--", 2.0),
-    "triad-ekf": Line("EKF from Wahba's solution", "#000000"),
-    "ckf": Line("CKF, 26", "#999999"),
-    "ekf": Line("EKF", "#D55E00"),
-    "delayed": Line("delayed, 339", "#56B4E9", "--"),
-    "ghqf3": Line("GHQF, 3 points", "#8C6BB1"),
-    "ghqf5": Line("GHQF, 5 points", "#B15928"),
+    "sghqf": Line("SGHQF, 417", colors.ESTIMATE, width=2.2),
+    "ukf": Line("UKF, 27", colors.COMPARISON, STYLES[4]),
+    "aasghqf": Line("AASGHQF, 75", colors.OPEN_LOOP, "--", 1.4),
+    "nonlinear": Line("by nonlinearity, 57", colors.TRUTH, ":", 1.8),
+    "triad-ekf": Line("EKF from Wahba's solution", "black", "-."),
+    "ghqf3": Line("GHQF, 3 points an axis", colors.REFERENCE, "-."),
+    "ghqf5": Line("GHQF, 5 points an axis", colors.FAINT, STYLES[5]),
 }
-PAPER_LINES = {f: LINES[f] for f in ("ukf", "aasghqf", "sghqf")}
+AXES = {"misalignment": "xyz", "velocity": ("east", "north"), "position": ("longitude", "latitude")}
+PAPER_LINES = {f: LINES[f] for f in ("sghqf", "ukf", "aasghqf")}
+SPAN = {"xlim": (1.0, 500.0)}
 
 
 # -- figures ---------------------------------------------------------------------------------------
-def points(weights: tuple[int, int], _: Results) -> Figure:
+def points(number: int, weights: tuple[int, int], _: Results) -> Figure:
     """Points of a rule in two dimensions: area shows the weight's magnitude, color its sign."""
     rule = smolyak(2, 3, weights)
+    shades = np.where(rule.wm > 0.0, colors.COMPARISON, colors.PAPER)
 
     def dots(ax: Axes) -> None:
-        signs = (1.0, colors.COMPARISON, "positive weight"), (-1.0, colors.PAPER, "negative weight")
-        for sign, color, label in signs:
-            mask = sign * rule.wm > 0.0
-            x, y = rule.nodes[mask].T
-            size = 3.0 + 125.0 * np.sqrt(np.abs(rule.wm[mask]))
-            label = label if mask.any() else "_none"
-            ax.scatter(x, y, size, color=color, label=label, alpha=0.8)
+        size = 3.0 + 125.0 * np.sqrt(np.abs(rule.wm))
+        x, y = rule.nodes.T
+        ax.scatter(x, y, size, shades.tolist(), alpha=0.8)
 
     square = Panel(
-        f"level 3, weights {weights}: {rule.num_sigmas()} points",
+        "blue: positive weights; orange: negative",
         [dots],
         "$x_1$ (-)",
         "$x_2$ (-)",
         more={"xlim": (-4.2, 4.2), "ylim": (-4.2, 4.2), "aspect": "equal"},
     )
-    return panels(square, size=(3.6, 3.8))
+    title = f"Figure {number}: {rule.num_sigmas()} points, weights {weights}"
+    return panels(square, height=3.0, title=title)
 
 
-def one_run(group: str, results: Results) -> Figure:
-    """Errors of one run: T3 over the flight, as in the paper, with the scale of its end; T3 in the
-    first minute; A-slow over the flight."""
+def one_run(
+    title: str, part: str, group: str, end: float, scale: float, results: Results
+) -> Figure:
+    """Errors of the first run in each state of a group until ``end`` seconds; ``scale``: the y
+    limit, in late standard deviations."""
     judged = results.group(group)
-    states = study.SEVEN[judged.part]
-
-    def panel(part: str, zoom: bool, i: int) -> Panel:
-        items = [errors(results, part, f, line, group, i) for f, line in PAPER_LINES.items()]
-        late = 12.0 * results.error(part, "sghqf", group, "std")[-30:, 0, i].max()
-        title, view = (
-            ("first minute", {"xlim": (0, 60)})
-            if zoom
-            else ("whole flight", {"ylim": (-late, late)})
+    rows = []
+    for i, state in enumerate(study.SEVEN[judged.part]):
+        limit = scale * results.error(part, "sghqf", group, "std")[-30:, 0, i].max()
+        items = [
+            errors(results, part, f, line, group, i, label=line.label)
+            for f, line in PAPER_LINES.items()
+        ]
+        items.append(sigma(results, part, "sghqf", "SGHQF", group, i))
+        rows.append(
+            Panel(
+                state,
+                items,
+                "time (s)",
+                f"error ({judged.unit})",
+                more={"xlim": (0.0, end), "ylim": (-limit, limit)},
+            )
         )
-        return Panel(
-            f"{part}, {title}" * (i == 0),
-            [*items, sigma(results, part, "sghqf", "SGHQF", group, i)],
-            "time (s)",
-            f"{states[i]} error ({judged.unit})",
-            more=view,
-        )
-
-    rows = [
-        [panel(part, zoom, i) for part, zoom in (("T3", False), ("T3", True), ("A-slow", False))]
-        for i in range(len(states))
-    ]
-    return panels(*rows, size=(10.0, 0.4 + 2.2 * len(states)))
+    return panels(*rows, height=1.6, title=title, sharex=True)
 
 
 def angles(results: Results, part: str, lines: Mapping[str, Line]) -> list[Item]:
@@ -121,20 +115,37 @@ def over_time(results: Results) -> Figure:
     NEES."""
     lines = {f: LINES[f] for f in study.FLOWN}
     parts = study.SHOWN
-    accuracy = {p: angles(results, p, lines) for p in parts}
-    best = np.sqrt(results.get("bound", "square")[:, 0])
-    accuracy["A"].append(
-        curve(results.times("A"), best, Line("Cramér–Rao bound", colors.BOUND, width=2.5), zorder=0)
+    best = curve(
+        results.times("A"),
+        np.sqrt(results.get("bound", "square")[:, 0]),
+        Line("Cramér–Rao bound", colors.BOUND, width=4.0),
+        zorder=0,
     )
     return panels(
-        [Panel(p, accuracy[p], "", "misalignment, RMSE (deg)", "y") for p in parts],
         [
             Panel(
-                "", [consistency(results, p, lines, "nees", 13)], "time (s)", "NEES, mean (-)", "y"
+                p,
+                [*angles(results, p, lines), *[best] * (p == "A")],
+                "",
+                "misalignment, RMSE (deg)",
+                "xy",
+                SPAN,
             )
             for p in parts
         ],
-        size=(9.0, 5.4),
+        [
+            Panel(
+                "",
+                [consistency(results, p, lines, "nees", 13)],
+                "time (s)",
+                "NEES, mean (-)",
+                "xy",
+                SPAN,
+            )
+            for p in parts
+        ],
+        title="Figure 6 (not in the paper): errors and consistency",
+        sharex=True,
         sharey="row",
     )
 
@@ -142,13 +153,13 @@ def over_time(results: Results) -> Figure:
 def first_fix(results: Results) -> Figure:
     """The first star fix with each rule, compared with exact moments: why the filters differ."""
     titles = {
-        "least": "smallest variance over the correct one",
+        "least": "smallest variance after the fix, over the correct one",
         "mean": "mean of the residuals, relative error",
         "cov": "covariance of the residuals, relative error",
     }
     x = "misalignment, 1σ of each angle (deg)"
     return panels(
-        [
+        *(
             Panel(
                 title,
                 [
@@ -157,11 +168,14 @@ def first_fix(results: Results) -> Figure:
                     if f in rules()
                 ],
                 x,
-                log="xy",
+                "ratio (-)",
+                "xy",
             )
             for what, title in titles.items()
-        ],
-        size=(10.0, 3.6),
+        ),
+        height=1.7,
+        title="Figure 7 (not in the paper): the first star fix",
+        sharex=True,
     )
 
 
@@ -169,31 +183,30 @@ def along(results: Results) -> Figure:
     """Degrees of observability of the misalignment on both flights; points and errors of filters
     that choose their weights online."""
     slow = "A-slow, on line"
-    shades = ("#000000", "#56B4E9", "#8C6BB1")
+    shades = ("black", colors.MEASUREMENT, colors.REFERENCE)
     t = results.times(slow)
     whole = results.parts["along"].config.times
     lines = {
-        "weighed": Line("by observability", colors.PAPER, "--"),
-        "bends": Line("by nonlinearity", colors.TRUTH, "--", 2.0),
+        "weighed": Line("by observability", colors.PAPER, "-."),
+        "bends": Line("by nonlinearity", colors.TRUTH, ":", 1.8),
     }
-    degrees = [
-        [curve(whole, d[:, i], Line(study.SEVEN[i], shades[i])) for i in range(3)]
-        for d in results.get("along", "degrees")
-    ]
     return panels(
         [
-            *(
-                Panel(
-                    title,
-                    items,
-                    "time (s)",
-                    "degree of observability (-)",
-                    more={"ylim": (0.0, 20.0)},
-                )
-                for title, items in zip(
-                    ("the paper's flight", "flight turning at 2 deg/s"), degrees
-                )
-            ),
+            Panel(
+                title,
+                [
+                    curve(whole, values, Line(name, shade, style))
+                    for values, name, shade, style in zip(degrees.T, study.SEVEN, shades, STYLES)
+                ],
+                "time (s)",
+                "degree of observability (-)",
+                more={"xlim": (0.0, 500.0), "ylim": (0.0, 20.0)},
+            )
+            for title, degrees in zip(
+                ("the paper's flight", "flight turning at 2 deg/s"), results.get("along", "degrees")
+            )
+        ],
+        [
             Panel(
                 "A-slow: points, mean of the runs",
                 [
@@ -202,31 +215,75 @@ def along(results: Results) -> Figure:
                 ],
                 "time (s)",
                 "points (-)",
+                "x",
+                SPAN,
             ),
             Panel(
-                "A-slow: errors",
+                "A-slow: misalignment errors",
                 angles(results, "A-slow", PAPER_LINES) + angles(results, slow, lines),
                 "time (s)",
-                "misalignment, RMSE (deg)",
-                "y",
+                "RMSE (deg)",
+                "xy",
+                SPAN,
             ),
         ],
-        size=(12.0, 3.2),
+        title="Figure 8 (not in the paper): weights chosen online",
     )
 
 
 FIGURES = {
-    "figure_01": ("Fig. 1: points of the isotropic grid, n = 2, level 3.", partial(points, (1, 1))),
-    "figure_02": ("Fig. 2: points of the grid with weights (2, 1).", partial(points, (2, 1))),
-    "figure_03": (
-        "Fig. 3: misalignment errors of one run (T3: flight, first minute; A-slow); ±3σ of SGHQF.",
-        partial(one_run, "misalignment"),
+    "figure_01": (
+        "Fig. 1: points of the isotropic grid, n = 2, level 3.",
+        partial(points, 1, (1, 1)),
     ),
-    "figure_04": ("Fig. 4: velocity errors, as in Fig. 3.", partial(one_run, "velocity")),
-    "figure_05": ("Fig. 5: position errors, as in Fig. 3.", partial(one_run, "position")),
-    "figure_06": ("Beyond the paper: misalignment RMSE, and NEES (consistent: 13).", over_time),
-    "figure_07": ("Beyond the paper: the first star fix, by rule and misalignment.", first_fix),
-    "figure_08": ("Beyond the paper: degrees of observability; weights chosen online.", along),
+    "figure_02": (
+        "Fig. 2: points of the grid with weights (2, 1).",
+        partial(points, 2, (2, 1)),
+    ),
+    **{
+        f"figure_{i:02d}": (
+            f"Fig. {i}: {group} errors of one run of T3, and ±3σ that SGHQF predicts. Numbers in "
+            "the legend: sigma points.",
+            partial(
+                one_run, f"Figure {i}: {group} errors of one run (T3)", "T3", group, 500.0, 6.0
+            ),
+        )
+        for i, group in enumerate(AXES, 3)
+    },
+    "figure_06": (
+        "Beyond the paper: RMSE of the misalignment, and NEES (13 if consistent), from 1 s on.",
+        over_time,
+    ),
+    "figure_07": (
+        "Beyond the paper: the first star fix, by rule and misalignment. Numbers: points.",
+        first_fix,
+    ),
+    "figure_08": (
+        "Beyond the paper: degrees of observability; weights chosen online (57 points at time 0).",
+        along,
+    ),
+    "figure_09": (
+        "Beyond the paper: misalignment errors of one run with slower fixes (A-slow).",
+        partial(
+            one_run,
+            "Figure 9 (not in the paper): misalignment errors of one run (A-slow)",
+            "A-slow",
+            "misalignment",
+            500.0,
+            12.0,
+        ),
+    ),
+    "figure_10": (
+        "Beyond the paper: misalignment errors of the run of Figure 3 in its first minute.",
+        partial(
+            one_run,
+            "Figure 10 (not in the paper): misalignment errors, first minute of T3",
+            "T3",
+            "misalignment",
+            60.0,
+            95.0,
+        ),
+    ),
 }
 
 
@@ -294,7 +351,6 @@ TABLES = {
 # -- recordings ------------------------------------------------------------------------------------
 CASES = {"A-slow": "aasghqf_A_slow.rrd", "T3": "aasghqf_T3.rrd"}
 RECORDINGS = list(CASES.values())
-AXES = {"misalignment": "xyz", "velocity": ("east", "north"), "position": ("longitude", "latitude")}
 NOTES = """# Liang et al. (2014), preset {}
 
 **The first star fix makes the UKF overconfident for minutes. AASGHQF, with 75 points, is less \
