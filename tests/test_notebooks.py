@@ -31,6 +31,20 @@ def test_a_notebook_is_read_in_one_sitting_and_executed(path):
     assert not any(output.output_type == "error" for cell in cells for output in cell.outputs)
 
 
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
+def test_a_notebook_begins_with_an_equation_or_a_picture_and_is_as_wide_as_a_page(path):
+    """No line of code runs out of its cell, and figures have the width of the page's text."""
+    cells = nbformat.read(path, as_version=4).cells
+    assert any(
+        "$$" in cell.source
+        or any("image/png" in output.get("data", {}) for output in cell.get("outputs", ()))
+        for cell in cells[:3]
+    )
+    code = [cell.source for cell in cells if cell.cell_type == "code"]
+    assert not [line for source in code for line in source.splitlines() if len(line) > 100]
+    assert not [source for source in code if re.search(r"\bsize=\(", source)]
+
+
 LESSONS = [path for path in NOTEBOOKS if path.stem[3:] in PAPERS]
 
 
