@@ -150,5 +150,24 @@ def test_the_notebook_on_real_data_has_the_verdicts_that_are_expected(study):
             assert found[row.id] in ("undecided", row.expected or "shown"), row.id
 
 
+def test_the_notebook_on_real_data_says_once_why_ranges_were_revised():
+    """Each study's rows that were revised for one reason share one note, which counts them."""
+    (path,) = [path for path in NOTEBOOKS if path.stem[3:] == "real_data"]
+    cells = nbformat.read(path, as_version=4).cells
+    html = "".join(
+        output.get("data", {}).get("text/html", "")
+        for cell in cells
+        for output in cell.get("outputs", ())
+    )
+    notes = re.findall(r"Accepted range revised: (.*?)(?:<|$)", html, re.MULTILINE)
+    assert notes
+    assert len(notes) == len(set(notes))
+    others = [int(count) for note in notes for count in re.findall(r"this and (\d+) other", note)]
+    rows = [row for study in real.STUDIES for row in real.load(study).STUDY.rows]
+    assert len(notes) + sum(others) == sum(
+        row.revised is not None and row.kind == "finding" for row in rows
+    )
+
+
 def test_there_are_notebooks():
     assert NOTEBOOKS

@@ -212,7 +212,7 @@ def heat(efficiency, anees):
                             color="white" if dark else "black",
                         )
             ax.set_xticks(
-                range(frame.shape[1]), [name.replace(", ", ",\n") for name in frame], rotation=60
+                range(frame.shape[1]), [name.replace(", ", ",\n") for name in frame], rotation=90
             )
             ax.set_yticks(range(len(frame)), frame.index)
             ax.grid(visible=False)
