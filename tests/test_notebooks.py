@@ -31,6 +31,20 @@ def test_a_notebook_is_read_in_one_sitting_and_executed(path):
     assert not any(output.output_type == "error" for cell in cells for output in cell.outputs)
 
 
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
+def test_a_notebook_begins_with_an_equation_or_a_picture_and_is_as_wide_as_a_page(path):
+    """No line of code runs out of its cell, and figures have the width of the page's text."""
+    cells = nbformat.read(path, as_version=4).cells
+    assert any(
+        "$$" in cell.source
+        or any("image/png" in output.get("data", {}) for output in cell.get("outputs", ()))
+        for cell in cells[:3]
+    )
+    code = [cell.source for cell in cells if cell.cell_type == "code"]
+    assert not [line for source in code for line in source.splitlines() if len(line) > 100]
+    assert not [source for source in code if re.search(r"\bsize=\(", source)]
+
+
 LESSONS = [path for path in NOTEBOOKS if path.stem[3:] in PAPERS]
 
 
@@ -134,6 +148,25 @@ def test_the_notebook_on_real_data_has_the_verdicts_that_are_expected(study):
         # Without the package that a row compares with, no verdict is expected.
         if row.kind == "finding" and row.expected != "no number":
             assert found[row.id] in ("undecided", row.expected or "shown"), row.id
+
+
+def test_the_notebook_on_real_data_says_once_why_ranges_were_revised():
+    """Each study's rows that were revised for one reason share one note, which counts them."""
+    (path,) = [path for path in NOTEBOOKS if path.stem[3:] == "real_data"]
+    cells = nbformat.read(path, as_version=4).cells
+    html = "".join(
+        output.get("data", {}).get("text/html", "")
+        for cell in cells
+        for output in cell.get("outputs", ())
+    )
+    notes = re.findall(r"Accepted range revised: (.*?)(?:<|$)", html, re.MULTILINE)
+    assert notes
+    assert len(notes) == len(set(notes))
+    others = [int(count) for note in notes for count in re.findall(r"this and (\d+) other", note)]
+    rows = [row for study in real.STUDIES for row in real.load(study).STUDY.rows]
+    assert len(notes) + sum(others) == sum(
+        row.revised is not None and row.kind == "finding" for row in rows
+    )
 
 
 def test_there_are_notebooks():

@@ -47,7 +47,8 @@ def sensors(t, angles, gyro, drift, stars, star_error, alone_error):
     """The true attitude, the gyro's error, and roll from each sensor by itself."""
     names = ("roll", "pitch", "yaw")
     lines = [
-        curve(t, angle, label=name, color=color, linestyle=style) for angle, name, color, style in zip(angles, names, AXES, STYLES)
+        curve(t, angle, label=name, color=color, linestyle=style)
+        for angle, name, color, style in zip(angles, names, AXES, STYLES)
     ]
     noisy = [
         curve(t[1:], gyro, label="gyro less truth", color=colors.SIGMA, linewidth=0.3),
