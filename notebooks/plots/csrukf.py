@@ -40,7 +40,9 @@ def idea(phi=0.95, steps=300, seed=4):
     after = [curve(V_star, w - J * V_star, color=colors.TRUTH, **cloud)]
     return panels(
         [
-            Panel(f"One path, φ = {phi:g}", paths, "step k", "noise (σ)", more={"xlim": (0, steps)}),
+            Panel(
+                f"One path, φ = {phi:g}", paths, "step k", "noise (σ)", more={"xlim": (0, steps)}
+            ),
             Panel("Differences are white", both, "lag (steps)", "autocorrelation (-)"),
         ],
         [
@@ -96,7 +98,10 @@ def ratios(tables):
         ("table_3", "0.8", "Table 3, Φ = 0.8 I"),
         ("table_3", "I", "Table 3, Φ = I"),
     ):
-        items = [level(1.0, label="equal"), level(1 / 3.2, 3.2, label="a factor of 3.2", style="--")]
+        items = [
+            level(1.0, label="equal"),
+            level(1 / 3.2, 3.2, label="a factor of 3.2", style="--"),
+        ]
         for name, line, marker in (("SRUKF", SRUKF, "o"), ("CSRUKF", CSRUKF, "s")):
             ours, paper = (found[title, phi, name, source] for source in ("ours", "paper"))
             items.append(curve(names, ours / paper, line, marker=marker, linestyle=""))
