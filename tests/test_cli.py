@@ -109,7 +109,8 @@ def test_reproduce_writes_everything_and_replaces_its_own(study, tmp_path, capsy
     }
     written = {name for name in written if ".results/" not in name}  # kept for the next time
     assert written == {
-        "index.html", "tiny/claims.json", "tiny/checks.json", "tiny/timings.json", "tiny/result.npz", "tiny/tiny.rrd",
+        "index.html", "ro-crate-metadata.json",
+        "tiny/claims.json", "tiny/checks.json", "tiny/timings.json", "tiny/result.npz", "tiny/tiny.rrd",
         "tiny/tables/table_1.csv",
         "tiny/figures/figure_01.png", "tiny/figures/figure_01.svg", "tiny/figures/figure_02b.png", "tiny/figures/figure_02b.svg",
     }  # fmt: skip

@@ -92,8 +92,12 @@ def test_claims_can_be_read_again(tmp_path):
         "no number",
         [1.0, "a"],
     )
-    write_text(tmp_path / "bad.json", "{}")
-    with pytest.raises(ValueError, match=r"bad\.json"):
+    for other in ("{}", '{"claims": []}', '{"schema": "urn:celnav:claims:1.0"}', "[]"):
+        write_text(tmp_path / "bad.json", other)
+        with pytest.raises(InputError, match=r"bad\.json: expected a table with schema 'urn:"):
+            read_claims(tmp_path / "bad.json")
+    write_text(tmp_path / "bad.json", '{"schema": "urn:celnav:claims:1.0", "claims": [{}]}')
+    with pytest.raises(InputError, match=r"bad\.json: claim 0: id: not what celnav writes"):
         read_claims(tmp_path / "bad.json")
 
 
@@ -153,8 +157,6 @@ def test_a_claim_that_is_not_whole_is_named(tmp_path, key, value):
         "3",
         "\x00",
         '[{"id": "a", "verdict": "shown"}]',
-        '{"claims": []}',
-        '{"schema": "urn:celnav:claims:1.0", "claims": [{"id": "a", "verdict": "shown"}]}',
     ],
 )
 def test_damaged_files_of_celnav_are_one_line(tmp_path, capsys, text):

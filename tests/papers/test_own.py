@@ -71,7 +71,7 @@ def test_the_template_runs_as_it_is(folder, capsys):
         "A vehicle by range and bearing",
         'href="../study.py"',
         "study/figures/figure_01.png",
-        "judges 1 of their statements",
+        "judges 1 statement by numbers",
     ):
         assert text in page
     assert "We find" not in page  # a study without such sentences has no empty ones
