@@ -24,7 +24,7 @@ from celnav.files import data, sha256
 from celnav.study.store import DATA, code
 
 NAME = "ro-crate-metadata.json"
-RELEASED = "2026-11-26"
+RELEASED = "2026-11-23"
 """Date of this version of celnav; a crate must have a date, and has this one."""
 CHANGING = re.compile(r"(^index\.html|/timings\.json|\.rrd|\.rrd\.js)$")
 """Files that have another content each time."""
