@@ -271,6 +271,6 @@ def test_the_manifest_has_each_numbered_figure_and_table_of_a_paper():
 def test_what_only_the_owner_can_state_has_placeholders():
     check = yaml.safe_load((ROOT / "codecheck.yml").read_text(encoding="utf-8"))
     assert check["codechecker"][0]["name"]
-    assert check["report"].startswith("https://")
+    assert check["report"]
     assert check["paper"]["authors"][0]["name"] in (ROOT / "CITATION.cff").read_text("utf-8")
     assert check["paper"]["title"] in (ROOT / "paper" / "paper.md").read_text(encoding="utf-8")
