@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
 
@@ -227,8 +228,22 @@ def test_a_crate_of_others_is_not_replaced(study, tmp_path, capsys):
     assert (tmp_path / crate.NAME).read_text() == "mine"
 
 
-def test_data_and_files_of_users_are_inputs(monkeypatch, tmp_path):
-    """The file of a new study, and the files of a folder that a study takes."""
+def test_the_files_of_a_folder_that_a_study_takes_are_inputs(study, tmp_path):
+    folder, parts = tmp_path / "log", study.STUDY.parts
+    folder.mkdir()
+    (folder / "day.obs").write_text("a receiver's log")
+    study.INPUTS = ("rinex",)
+    study.STUDY = replace(study.STUDY, parts=lambda effort, rinex=None: parts(effort))
+    words = ["reproduce", "--out", str(tmp_path / "out"), "--jobs", "1", "--effort", "1"]
+    assert cli.main([*words, "--rinex", str(folder)]) == 0
+    graph = check_crate(tmp_path / "out")
+    content = (folder / "day.obs").read_bytes()
+    assert graph["#input/log/day.obs"]["sha256"] == sha256(content).hexdigest()
+    assert {"@id": "#input/log/day.obs"} in graph["#run"]["object"]
+    assert graph["#run"]["name"].endswith("--engine auto --rinex log")
+
+
+def test_a_new_study_has_a_valid_ledger_and_a_crate(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     assert cli.main(["new", "study.py"]) == 0
     assert cli.main(["reproduce", "study.py", "--effort", "0.02", "--jobs", "1"]) == 0
