@@ -3,6 +3,7 @@ notebooks inherit this.
 """
 
 import atexit
+import json
 import os
 import shutil
 import sys
@@ -41,6 +42,26 @@ def machine_code(request):
             patch.setattr(llvm, "_ADDRESSES", {})  # of code that is not
         else:
             patch.setattr(llvm, "QUICK", 0)
+        yield
+
+
+@pytest.fixture(autouse=True, scope="session")
+def valid_claims():
+    """Every ledger that a test writes follows the schema."""
+    from celnav.files import Outputs, data
+
+    write = Outputs.bytes
+
+    def checked(outputs, name, content):
+        if name in ("claims.json", "checks.json"):
+            from jsonschema import Draft202012Validator
+
+            schema = json.loads(data("claims.schema.json").read_text(encoding="utf-8"))
+            Draft202012Validator(schema).validate(json.loads(content))
+        write(outputs, name, content)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Outputs, "bytes", checked)
         yield
 
 

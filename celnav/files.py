@@ -244,7 +244,7 @@ class Outputs:
             if (self.directory / above).exists() and not (self.directory / above).is_dir():
                 raise NotADirectoryError(f"{self.directory / above}: expected a folder to write to")
         if path.is_symlink() or (
-            path.exists() and _sha256(path) not in self._manifest().get(name, [])
+            path.exists() and sha256(path) not in self._manifest().get(name, [])
         ):
             raise ForeignFileError(
                 f"{path}: exists, and celnav did not write it or it has changed; move it away first"
@@ -260,7 +260,7 @@ class Outputs:
             # The manifest lists old and new contents before the file is replaced, so a crash in
             # between leaves no foreign file.
             manifest = self._manifest()
-            manifest[name] = [*manifest.get(name, [])[-1:], _sha256(temporary)]
+            manifest[name] = [*manifest.get(name, [])[-1:], sha256(temporary)]
             write_text(
                 self.directory / MANIFEST, json.dumps(manifest, indent=1, sort_keys=True) + "\n"
             )
@@ -288,7 +288,8 @@ def npz(arrays: Mapping[str, NDArray[Any]]) -> bytes:
     return buffer.getvalue()
 
 
-def _sha256(path: Path) -> str:
+def sha256(path: Path) -> str:
+    """Hash of a file's content, in hexadecimal digits."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 

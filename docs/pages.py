@@ -1,7 +1,8 @@
 """Pages that are made of what the package holds: sources of the bibliography, errata of the
 ledgers, and verdicts of the executed notebooks.
 
-``python -m docs.pages`` writes the page of verdicts and its picture, which the README shows.
+``python -m docs.pages`` writes the page of verdicts and its picture, which the README shows, and the
+manifest in ``codecheck.yml``.
 """
 
 from __future__ import annotations
@@ -150,7 +151,7 @@ def verdict_page() -> str:
         "follows from the paper's own words. If the interval does not decide, the verdict is "
         "*undecided*. *With fitted parameters* means that some parameters are not given in the "
         "paper and were chosen so that the numbers agree. `celnav reproduce` computes them, and "
-        "`celnav verdicts` prints the table.",
+        "`celnav verdicts` prints the table. [The ledger as a file](ledger.md) describes its form.",
         "![Verdicts as squares, a row for each paper](verdicts.svg)",
         verdicts(claims),
     ]
@@ -167,6 +168,32 @@ def verdict_page() -> str:
     return "\n\n".join(parts) + "\n"
 
 
+# -- CODECHECK -------------------------------------------------------------------------------------
+CODECHECK = HERE.parent / "codecheck.yml"
+
+
+def manifest() -> list[dict[str, str]]:
+    """A file of ``celnav reproduce`` for each numbered figure and table of a paper, and its ledger."""
+    listed = []
+    for paper in PAPERS:
+        module = load(paper)
+        items = {f"figures/{stem}.png": module.FIGURES[stem][0] for stem in module.FIGURES}
+        items |= {f"tables/{stem}.csv": module.TABLES[stem][0] for stem in module.TABLES}
+        for file, caption in items.items():
+            if numbered := re.match(r"(?:Fig\.|Table) \d+", caption):
+                listed.append({"file": f"out/{paper}/{file}", "comment": f"{paper}, {numbered[0]}"})
+        listed.append({"file": f"out/{paper}/claims.json", "comment": f"{paper}, all verdicts"})
+    return listed
+
+
+def codecheck() -> str:
+    """The text of ``codecheck.yml`` with the present manifest."""
+    head = CODECHECK.read_text(encoding="utf-8").partition("manifest:\n")[0]
+    lines = [f"  - file: {item['file']}\n    comment: {item['comment']}\n" for item in manifest()]
+    return head + "manifest:\n" + "".join(lines)
+
+
 if __name__ == "__main__":
+    CODECHECK.write_text(codecheck(), encoding="utf-8")
     (HERE / "verdicts.svg").write_text(picture(), encoding="utf-8")
     (HERE / "verdicts.md").write_text(verdict_page(), encoding="utf-8")

@@ -39,7 +39,7 @@ REQUIRED = {
     "ai_usage",
     "funding",
 }
-OPTIONAL = {"software_doi", "paper_doi"}
+OPTIONAL = {"software_doi", "paper_doi", "codechecker", "codecheck_report"}
 """Names in `packaging/owner.toml`."""
 VERSIONED = {
     "pyproject.toml": r'^version = "(.*)"$',
@@ -59,6 +59,7 @@ MARKED = (
     "SECURITY.md",
     "CODE_OF_CONDUCT.md",
     ".github/ISSUE_TEMPLATE/config.yml",
+    "codecheck.yml",
 )
 """Files with blocks that `packaging/owner.toml` fills."""
 
@@ -472,6 +473,30 @@ def contact_links(release: Release) -> str:
     return "\n".join(yaml_lines({"contact_links": links}))
 
 
+def codecheck(release: Release) -> str:
+    """What `codecheck.yml` says of the paper, the repository and the check."""
+    people = authors(
+        release,
+        lambda author: {
+            "name": f"{author['given']} {author['family']}",
+            **({"ORCID": author["orcid"]} if "orcid" in author else {}),
+        },
+        {"name": "The celnav authors"},
+    )
+    doi = release.owner["paper_doi"]
+    fields = {
+        "paper": {
+            "title": TITLE,
+            "authors": people,
+            "reference": f"https://doi.org/{doi}" if doi else "paper/paper.md of the repository",
+        },
+        "repository": release.owner["repository"],
+        "codechecker": [{"name": release.owner["codechecker"] or PLACEHOLDER}],
+        "report": release.owner["codecheck_report"] or PLACEHOLDER,
+    }
+    return "\n".join(yaml_lines(fields))
+
+
 BLOCKS: dict[str, Callable[[Release], str]] = {
     "authors": project_authors,
     "urls": project_urls,
@@ -482,6 +507,7 @@ BLOCKS: dict[str, Callable[[Release], str]] = {
     "about": recipe_about,
     "maintainers": recipe_maintainers,
     "links": contact_links,
+    "codecheck": codecheck,
     "reports": lambda release: f"<{release.owner['reports']}>",
 }
 """Names of blocks -> what they hold."""
@@ -516,7 +542,9 @@ def set_version(version: str) -> None:
     if not UNRELEASED.search(changes):
         raise SystemExit('CHANGELOG.md: expected a section "## Unreleased" above the others')
     heading = f"## {version} ({date.today()})"
-    texts = {"CHANGELOG.md": changes.replace("## Unreleased\n", f"{heading}\n", 1)}
+    crate = "celnav/commands/crate.py"
+    dated = re.sub(r"^(RELEASED = ).*", rf'\1"{date.today()}"', read(crate), flags=re.MULTILINE)
+    texts = {"CHANGELOG.md": changes.replace("## Unreleased\n", f"{heading}\n", 1), crate: dated}
     for path, pattern in VERSIONED.items():
         line = re.search(pattern, read(path), re.MULTILINE)
         if line is None:

@@ -20,6 +20,7 @@ from celnav import cli, papers
 from celnav.campaign.missions import flat
 from celnav.campaign.typed import described, unit_of
 from celnav.papers import load
+from celnav.show.claims import read_claims
 from celnav.show.draw import figure
 from celnav.study.ledger import Number, Row, Sentence
 from celnav.study.study import Part, Study
@@ -108,11 +109,12 @@ def test_reproduce_writes_everything_and_replaces_its_own(study, tmp_path, capsy
     }
     written = {name for name in written if ".results/" not in name}  # kept for the next time
     assert written == {
-        "index.html", "tiny/claims.json", "tiny/checks.json", "tiny/timings.json", "tiny/result.npz", "tiny/tiny.rrd",
+        "index.html", "ro-crate-metadata.json",
+        "tiny/claims.json", "tiny/checks.json", "tiny/timings.json", "tiny/result.npz", "tiny/tiny.rrd",
         "tiny/tables/table_1.csv",
         "tiny/figures/figure_01.png", "tiny/figures/figure_01.svg", "tiny/figures/figure_02b.png", "tiny/figures/figure_02b.svg",
     }  # fmt: skip
-    assert json.loads((out / "tiny/claims.json").read_text())[0]["verdict"] == "reproduced"
+    assert read_claims(out / "tiny/claims.json")[0]["verdict"] == "reproduced"
     page = (out / "index.html").read_text()
     assert "Tiny &lt;study&gt;" in page
     assert "http" not in page.replace("http://www.w3.org/2000/svg", "")  # a name, not a link
@@ -372,7 +374,7 @@ def ledger_of(folder):
     for name in ("csrukf", "aukf"):
         (folder / name).mkdir()
         (folder / name / "claims.json").write_text(dumps(claims))
-        (folder / name / "checks.json").write_text("[]")
+        (folder / name / "checks.json").write_text(dumps([]))
 
 
 @pytest.mark.parametrize("width", [80, 120])

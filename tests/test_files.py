@@ -92,8 +92,12 @@ def test_claims_can_be_read_again(tmp_path):
         "no number",
         [1.0, "a"],
     )
-    write_text(tmp_path / "bad.json", "{}")
-    with pytest.raises(ValueError, match=r"bad\.json"):
+    for other in ("{}", '{"claims": []}', '{"schema": "urn:celnav:claims:1.0"}', "[]"):
+        write_text(tmp_path / "bad.json", other)
+        with pytest.raises(InputError, match=r"bad\.json: expected a table with schema 'urn:"):
+            read_claims(tmp_path / "bad.json")
+    write_text(tmp_path / "bad.json", '{"schema": "urn:celnav:claims:1.0", "claims": [{}]}')
+    with pytest.raises(InputError, match=r"bad\.json: claim 0: id: not what celnav writes"):
         read_claims(tmp_path / "bad.json")
 
 
@@ -121,6 +125,7 @@ def test_claims_can_be_read_again(tmp_path):
         ("value", True),
         ("ci", [1.0]),
         ("ci", 3),
+        ("ci", [1.2, 0.5]),
         ("accept", [1, "x"]),
         ("holds", 3),
         ("expected", True),
@@ -131,19 +136,28 @@ def test_claims_can_be_read_again(tmp_path):
     ],
 )
 def test_a_claim_that_is_not_whole_is_named(tmp_path, key, value):
-    claims = json.loads(dumps([claim(), claim("other", kind="finding", printed="12 %")]))
-    write_text(tmp_path / "claims.json", json.dumps(claims))
+    document = json.loads(dumps([claim(), claim("other", kind="finding", printed="12 %")]))
+    claims = document["claims"]
+    write_text(tmp_path / "claims.json", json.dumps(document))
     assert read_claims(tmp_path / "claims.json") == claims
     claims[1][key] = value
     if value is ...:
         del claims[1][key]
-    write_text(tmp_path / "claims.json", json.dumps(claims))
+    write_text(tmp_path / "claims.json", json.dumps(document))
     with pytest.raises(InputError, match=rf"claims\.json: claim 1: {key}: not what celnav writes"):
         read_claims(tmp_path / "claims.json")
 
 
 @pytest.mark.parametrize(
-    "text", ["", "[" * 100_000, "[3]", "3", "\x00", '[{"id": "a", "verdict": "shown"}]']
+    "text",
+    [
+        "",
+        "[" * 100_000,
+        "[3]",
+        "3",
+        "\x00",
+        '[{"id": "a", "verdict": "shown"}]',
+    ],
 )
 def test_damaged_files_of_celnav_are_one_line(tmp_path, capsys, text):
     """Damaged claims, time records and manifests."""
@@ -156,7 +170,7 @@ def test_damaged_files_of_celnav_are_one_line(tmp_path, capsys, text):
     assert str(folder / "claims.json") in error
     assert error.count("\n") == 1
     (folder / "claims.json").write_text(dumps([claim()]))
-    (folder / "checks.json").write_text("[]")
+    (folder / "checks.json").write_text(dumps([]))
     assert cli.main(["verdicts", "--out", str(tmp_path)]) == 0
     capsys.readouterr()
     (folder / ".celnav.json").write_text(text)

@@ -71,7 +71,7 @@ def test_a_lesson_begins_with_the_idea_and_ends_with_what_holds(path):
     cells = nbformat.read(path, as_version=4).cells
     assert cells[0].source.count("$$") >= 2
     assert any("image/png" in output.get("data", {}) for output in cells[1].outputs)
-    (second,) = [i for i, cell in enumerate(cells) if cell.source.startswith("# What holds")]
+    (second,) = [i for i, cell in enumerate(cells) if cell.source.startswith("## What holds")]
     lesson, rest = cells[:second], cells[second:]
     assert any("allclose" in cell.source for cell in lesson[: len(lesson) // 2 + 1])
     assert not any("Ledger(" in cell.source for cell in lesson)

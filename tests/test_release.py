@@ -144,7 +144,7 @@ def test_a_placeholder_is_in_the_list_and_nowhere_else():
         for name, value in release.owner.items()
         if not value or metadata.PLACEHOLDER in str(value)
     }
-    assert listed == empty - {"software_doi", "paper_doi"}
+    assert listed == empty - metadata.OPTIONAL
 
 
 OWNER = """
@@ -161,6 +161,8 @@ ai_usage = "None was used."
 funding = "There was none."
 software_doi = "10.5281/zenodo.1"
 paper_doi = ""
+codechecker = "Grace Hopper"
+codecheck_report = "https://example.org/report"
 """
 
 
@@ -170,7 +172,7 @@ def copy(tmp_path):
     for path in {*metadata.MARKED, *metadata.WHOLE, *metadata.VERSIONED, "CHANGELOG.md"}:
         (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(ROOT / path, tmp_path / path)
-    for path in ("packaging/metadata.py", "data/references.bib"):
+    for path in ("packaging/metadata.py", "data/references.bib", "celnav/commands/crate.py"):
         (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(ROOT / path, tmp_path / path)
     (tmp_path / "packaging" / "owner.toml").write_text(OWNER, encoding="utf-8")

@@ -10,7 +10,6 @@ import platform
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
-from importlib import metadata
 from pathlib import Path
 from time import monotonic, process_time
 from types import ModuleType
@@ -18,9 +17,9 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-import celnav
 from celnav import papers
 from celnav.campaign.engine import UnfinishedError, compute
+from celnav.commands import crate
 from celnav.commands.arguments import UsageError, cores, fraction, load, warn, whole, workers
 from celnav.commands.index import USER, index, page_data
 from celnav.commands.terminal import paragraph
@@ -41,6 +40,7 @@ from celnav.tape.cuda import device
 WRITING_S = {"ledger": 1.0, "figures": 5.0, "recordings": 4.0}
 """Approximate CPU seconds of a paper's outputs, at any effort."""
 FILES = ("claims.json", "checks.json", "timings.json", "result.npz", USER)
+TOP = ("index.html", viewer.PAGE, viewer.SCRIPT, crate.NAME)
 T = TypeVar("T")
 
 
@@ -54,10 +54,15 @@ class Task(NamedTuple):
 
     def check(self) -> None:
         """Raise an error before anything is computed if the outputs could not be written."""
+        self.outputs.check(self.files)
+
+    @property
+    def files(self) -> list[str]:
+        """Names of all files that may be written for the study."""
         tables = (f"tables/{stem}.csv" for stem in self.module.TABLES)
         figures = picture_names(f"figures/{stem}" for stem in self.module.FIGURES)
         scripts = map(viewer.script_name, self.module.RECORDINGS)
-        self.outputs.check([*figures, *tables, *FILES, *self.module.RECORDINGS, *scripts])
+        return [*FILES, *figures, *tables, *self.module.RECORDINGS, *scripts]
 
 
 def run(options: argparse.Namespace) -> int:
@@ -86,7 +91,7 @@ def run(options: argparse.Namespace) -> int:
         )
     out = Path(options.out)
     top = Outputs(out)
-    top.check(["index.html", viewer.PAGE, viewer.SCRIPT])
+    top.check(TOP)
     tasks = {
         name: Task(name, module, word if papers.is_file(word) else None, Outputs(out / name))
         for word, (name, module) in zip(words, modules.items(), strict=True)
@@ -101,6 +106,7 @@ def run(options: argparse.Namespace) -> int:
         if not options.no_viewer and viewer.available():
             write_viewer(top, tasks)
         top.text("index.html", index(out))
+        top.text(crate.NAME, _crate(out, tasks, options, effort, seed))
     surprises = sum(claim.surprise for claim in claims)
     undecided = sum(claim.verdict == "undecided" != claim.expected for claim in claims)
     notes = [f"{surprises} not as expected, see above"] if surprises else []
@@ -133,9 +139,14 @@ def _check_inputs(modules: Mapping[str, ModuleType], options: argparse.Namespace
             found(getattr(options, name), getattr(modules[name], "FILES", ()))
 
 
-def _units(task: Task, options: argparse.Namespace, **chosen: Any) -> list[Unit]:
+def _folders(task: Task, options: argparse.Namespace) -> dict[str, Path]:
+    """Given folders of a study's inputs, by name."""
     folders = {name: getattr(options, name) for name in getattr(task.module, "INPUTS", ())}
-    inputs = {name: Path(folder) for name, folder in folders.items() if folder is not None}
+    return {name: Path(folder) for name, folder in folders.items() if folder is not None}
+
+
+def _units(task: Task, options: argparse.Namespace, **chosen: Any) -> list[Unit]:
+    inputs = _folders(task, options)
     units: list[Unit] = task.module.STUDY.units(engine=options.engine, **chosen, **inputs)
     return units
 
@@ -223,8 +234,7 @@ def _write(task: Task, results: Results, progress: Progress) -> list[Claim]:
         stage("recordings", lambda: module.record(results, outputs))
     except (ImportError, OSError, RuntimeError) as error:
         warn(f"{name}: no recordings ({error}); everything else is written")
-    about = {"celnav": celnav.__version__, "python": platform.python_version()}
-    about |= {package: metadata.version(package) for package in ("numpy", "scipy", "matplotlib")}
+    about = crate.versions()
     about["machine"] = f"{platform.system()} {platform.machine()}, {cores()} cores"
     record = {"about": about, "effort": results.effort, "seed": results.seed}
     record["cpu_s"] = sum(timings.values())
@@ -259,8 +269,39 @@ def write_viewer(top: Outputs, tasks: Mapping[str, Task]) -> None:
         outputs = task.outputs
         for name in task.module.RECORDINGS:
             if (path := outputs.directory / name).is_file():
-                script = viewer.as_script(path.read_bytes(), read(path).start)
+                script = viewer.as_script(path.read_bytes(), _start(path))
                 outputs.bytes(viewer.script_name(name), script)
+
+
+def _start(recording: Path) -> float:
+    """The time s at which a recording opens; 0 if a study wrote it without celnav's recorder."""
+    try:
+        return read(recording).start
+    except InputError:
+        return 0.0
+
+
+def _crate(
+    out: Path, tasks: Mapping[str, Task], options: argparse.Namespace, effort: float, seed: int
+) -> str:
+    """The description of this run and of its files. It leaves out what does not change results."""
+    users = [Path(task.file) for task in tasks.values() if task.file is not None]
+    read = {path.name: path for path in users}
+    words = ["celnav reproduce", *(Path(task.file or name).name for name, task in tasks.items())]
+    words.append(f"--effort {effort:g} --seed {seed} --engine {options.engine}")
+    for task in tasks.values():
+        for option, folder in _folders(task, options).items():
+            words.append(f"--{option} {folder.name}")
+            for pattern in getattr(task.module, "FILES", ("*",)):
+                files = [path for path in sorted(folder.glob(pattern)) if path.is_file()]
+                read |= {f"{folder.name}/{path.name}": path for path in files}
+    written = [
+        *TOP[:-1],
+        *(f"{name}/{file}" for name, task in tasks.items() for file in task.files),
+    ]
+    studies = {name: task.module for name, task in tasks.items()}
+    license = "Results of a user's study: its author states the license." if users else ""
+    return crate.crate(out, " ".join(words), written, read, studies, license)
 
 
 def _arrays(data: Mapping[str, Mapping[str, Array]]) -> dict[str, Array]:

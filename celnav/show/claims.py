@@ -313,9 +313,12 @@ def dumps(claims: Iterable[Claim]) -> str:
     )
     if twice:
         raise ValueError(f"claims: expected different ids, got {', '.join(twice)} more than once")
-    return json.dumps(listed, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    document = {"schema": SCHEMA, "claims": listed}
+    return json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
 
+SCHEMA = "urn:celnav:claims:1.0"
+"""Name of the form of these files, which ``data/claims.schema.json`` describes."""
 NUMBER = (int, float, NoneType)
 TYPES: dict[str, tuple[type, ...]] = {
     "id": (str,),
@@ -345,9 +348,13 @@ PARTS = {"label", "value", "accept", "ci", "tier", "holds", "printed", "agreemen
 def read_claims(path: str | Path) -> list[dict[str, Any]]:
     """Claims of a ``claims.json``; InputError names the file, and the claim that is not whole."""
     loaded = read_json(path)
-    if not isinstance(loaded, list):
-        raise InputError(f"{path}: expected a list of claims")
-    for number, claim in enumerate(loaded):
+    claims = loaded.get("claims") if isinstance(loaded, dict) else None
+    if not isinstance(claims, list) or loaded.get("schema") != SCHEMA:
+        raise InputError(
+            f"{path}: expected a table with schema {SCHEMA!r} and a list of claims; reproduce the "
+            "paper again"
+        )
+    for number, claim in enumerate(claims):
         if not isinstance(claim, dict):
             raise InputError(f"{path}: claim {number}: expected a table, got {claim!r:.80}")
         for key in TYPES:
@@ -357,7 +364,7 @@ def read_claims(path: str | Path) -> list[dict[str, Any]]:
                     f"{path}: claim {number}: {key}: not what celnav writes, {got}; reproduce the "
                     "paper again"
                 )
-    return loaded
+    return claims
 
 
 def _right(key: str, value: Any) -> bool:
@@ -379,4 +386,7 @@ def _whole(number: WrittenClaim) -> bool:
 
 
 def _pair(value: Any) -> bool:
-    return isinstance(value, list) and [type(end) in NUMBER for end in value] == [True, True]
+    """Whether a value is a list of two ends in order; None is no limit."""
+    if not isinstance(value, list) or [type(end) in NUMBER for end in value] != [True, True]:
+        return False
+    return None in value or bool(value[0] <= value[1])

@@ -9,6 +9,7 @@ whatever the number of runs.
 
 from __future__ import annotations
 
+import re
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
@@ -196,7 +197,8 @@ class Row:
     found: our finding, in a sentence; "{0}" is replaced by the first number.
     printed: the paper's printed value, verbatim.
     expected: the verdict of earlier results; empty if the row holds.
-    revised: when and why the accepted range was changed after a result.
+    revised: date and reason of a change of the accepted range after a result, such as "2026-11-23:
+        more runs".
     figure: stem of a figure that shows the result.
     needs: name of a part; the row is omitted without it (a part of an optional input).
 
@@ -220,6 +222,11 @@ class Row:
     def __post_init__(self) -> None:
         choice("kind", self.kind, KINDS)
         choice("expected", self.expected, ("", *VERDICTS))
+        if self.revised is not None and not re.match(r"\d{4}-\d\d-\d\d: \S", self.revised):
+            raise ValueError(
+                "revised: expected a date and a reason, such as '2026-11-23: more runs', "
+                f"got {self.revised!r:.60}"
+            )
 
     @property
     def needs_no_decision(self) -> bool:
@@ -248,6 +255,13 @@ class Row:
             for word, numbers in tiers.items()
             for number in numbers
         ]
+        for _, number, _ in outcomes:
+            for name in ("accept", "ci"):
+                pair = getattr(number, name)
+                if pair is not None and None not in pair and pair[0] > pair[1]:
+                    raise ValueError(
+                        f"{self.id}: {name}: expected (low, high) with low <= high, got {pair}"
+                    )
         verdict = bad
         for word in tiers:
             of_tier = [outcome for outcome in outcomes if outcome.tier == word]

@@ -38,6 +38,8 @@ if TYPE_CHECKING:
 FORMAT = 2
 MANIFEST, RESULTS = "manifest.json", ".results"
 """Name of a store's manifest, and of the subfolder of a paper's outputs that has its results."""
+DATA = ("pulsars.toml", "ephemeris_2015.npz", "ephemeris_years.npz")
+"""Data files of celnav that studies read."""
 Array = NDArray[Any]
 
 
@@ -48,12 +50,7 @@ def code() -> dict[str, str]:
     """
     root = Path(celnav.__file__).parent
     digest = hashlib.sha256()
-    for path in [
-        *sorted(root.rglob("*.py")),
-        data("pulsars.toml"),
-        data("ephemeris_2015.npz"),
-        data("ephemeris_years.npz"),
-    ]:
+    for path in [*sorted(root.rglob("*.py")), *map(data, DATA)]:
         digest.update(path.name.encode("utf-8") + path.read_bytes())
     return {
         "celnav": celnav.__version__,

@@ -46,7 +46,7 @@ def trial(config, rngs):  # truth and measurements, a run with each random gener
 def figure(results):
     lines = {"ekf": celnav.show.Line("EKF", "blue"), "ukf": celnav.show.Line("UKF", "orange")}
     nees = celnav.show.figures.consistency(results, "usual", lines, "nees", 4)
-    return celnav.show.panels(celnav.show.Panel("", [nees], "time (s)", "NEES", "y"), size=(6, 3))
+    return celnav.show.panels(celnav.show.Panel("", [nees], "time (s)", "NEES", "y"), height=2.5)
 
 
 PRESETS = {"usual": Config()}

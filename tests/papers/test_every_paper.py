@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import pickle
 import re
 from dataclasses import replace
@@ -9,13 +10,16 @@ from functools import partial
 from pathlib import Path
 
 import pytest
+from jsonschema import Draft202012Validator
 from once import once
 
 import celnav
 from celnav import real
 from celnav.engine import compiled
+from celnav.files import data
 from celnav.filters.run import ENGINE
 from celnav.papers import PAPERS, load
+from celnav.show.claims import dumps
 from celnav.study.ledger import WORDS
 from celnav.study.montecarlo import effort
 
@@ -56,6 +60,14 @@ def test_neither_verdicts_nor_numbers_depend_on_the_engine(paper, monkeypatch):
         for a, b in zip(mine.numbers, other.numbers, strict=True):
             ours, theirs = ([one.value, *(one.ci or ())] for one in (a, b))
             assert theirs == pytest.approx(ours, rel=1e-5, abs=1e-9, nan_ok=True), a.label
+
+
+@pytest.mark.parametrize("paper", PAPERS)
+def test_the_ledger_of_a_paper_follows_the_schema(paper):
+    schema = json.loads(data("claims.schema.json").read_text(encoding="utf-8"))
+    document = json.loads(dumps(once(load(paper).STUDY).claims()))
+    Draft202012Validator(schema).validate(document)
+    assert {claim["kind"] for claim in document["claims"]} >= {"statement", "finding", "check"}
 
 
 STUDIES = {name: partial(load, name) for name in PAPERS} | {

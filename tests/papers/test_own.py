@@ -4,7 +4,6 @@ anything runs.
 
 from __future__ import annotations
 
-import json
 import re
 import subprocess
 import sys
@@ -20,6 +19,7 @@ from celnav.campaign import campaign
 from celnav.campaign.missions import MissionError, read
 from celnav.files import InputError, data
 from celnav.papers import own
+from celnav.show.claims import read_claims
 
 TEMPLATE = data("own/study.py").read_text(encoding="utf-8")
 FEW = ["--effort", "0.02", "--jobs", "1"]
@@ -50,7 +50,7 @@ def test_the_template_runs_as_it_is(folder, capsys):
     assert imported == ["dataclasses", "numpy", "celnav"]
     assert reproduce("study.py") == 0
     out = folder / "out" / "study"
-    (claim,) = json.loads((out / "claims.json").read_text())
+    (claim,) = read_claims(out / "claims.json")
     assert claim["ci"][0] < claim["value"] < claim["ci"][1]
     assert {
         p.name
@@ -71,7 +71,7 @@ def test_the_template_runs_as_it_is(folder, capsys):
         "A vehicle by range and bearing",
         'href="../study.py"',
         "study/figures/figure_01.png",
-        "judges 1 of their statements",
+        "judges 1 statement by numbers",
     ):
         assert text in page
     assert "We find" not in page  # a study without such sentences has no empty ones
@@ -128,7 +128,7 @@ def test_the_template_runs_where_nothing_of_celnav_lies(folder):
 
 def test_the_statement_of_the_template_is_decided_by_a_tenth_of_the_runs(folder):
     assert cli.main(["reproduce", "study.py", "--effort", "0.1", "--jobs", "1", "--strict"]) == 0
-    assert json.loads((folder / "out/study/claims.json").read_text())[0]["verdict"] == "reproduced"
+    assert read_claims(folder / "out/study/claims.json")[0]["verdict"] == "reproduced"
 
 
 def test_results_are_kept_as_long_as_the_file_says_the_same(folder):

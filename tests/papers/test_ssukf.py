@@ -227,7 +227,7 @@ def test_the_ledger_has_every_statement_as_printed():
 
 
 def test_what_has_no_sampling_error_is_decided_by_any_number_of_runs(result):
-    listed = json.loads(dumps(result.claims()))
+    listed = json.loads(dumps(result.claims()))["claims"]
     assert {c["kind"] for c in listed} == set(KINDS)
     found = {c["id"]: c for c in listed}
     exact = """third-less-time large-error-faster numbers-of-points measurement-noise-idle component-mean-fails equal-accuracy

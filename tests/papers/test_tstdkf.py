@@ -688,7 +688,7 @@ def test_the_ledger_has_every_statement_with_what_is_printed(results):
     assert {id: str(row.printed) for id, row in rows.items() if row.printed is not None} == PRINTED
     for group, printed in study.PRINTED.items():
         assert rows[f"setting-1-{group}"].printed == list(printed)
-    listed = json.loads(dumps(results.claims()))
+    listed = json.loads(dumps(results.claims()))["claims"]
     assert not [
         claim["id"] for claim in listed if claim["verdict"] not in ("undecided", claim["expected"])
     ]

@@ -351,7 +351,7 @@ def test_it_is_written_as_plain_json_in_the_order_of_its_types():
         "because",
         printed={"a": [1.0, np.nan]},
     ).judged(None)
-    (written,) = json.loads(dumps([found]))
+    (written,) = json.loads(dumps([found]))["claims"]
     assert list(written) == list(TYPES)
     assert all(type(written[key]) in TYPES[key] for key in TYPES)
     assert (written["value"], written["ci"], written["accept"]) == (
