@@ -101,7 +101,7 @@ diagnosis_text: consistency laid_out page
 diagnosis: figure size
 history: figure
 reading: Entity Recorded read
-recording: new_file open_stream
+recording: new_file open_stream typed
 streaming: live
 report: Report.figure component_names errors
 scenes: arc behind beside constellation flight sigma_points sightings track turning unit

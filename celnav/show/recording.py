@@ -426,11 +426,20 @@ class Recorder:
                 )
             shapes[f"{name}{SHAPE}"] = rows.shape
             rows = rows.reshape(len(rows), -1)
-            columns += rr.AnyValues.columns(**{name: rows.ravel()}).partition(
+            columns += rr.AnyValues.columns(**{name: typed(rows.ravel())}).partition(
                 np.full(len(rows), rows.shape[1])
             )
         self._send(entity, columns)
         self._style(entity, rr.AnyValues(**shapes))
+
+
+def typed(values: Any) -> Any:
+    """Values as an array of their own type. To other values rerun gives the type that their name
+    had first in this process, so real numbers could become integers.
+    """
+    import pyarrow as pa
+
+    return pa.array(values)
 
 
 def _sphere(latitude: ArrayLike, longitude: ArrayLike) -> Array:
@@ -492,7 +501,9 @@ def recording(
             # Without make_active the viewer in a browser makes a layout of its own.
             stream.send_blueprint(blueprint(layout, t), make_active=True, make_default=True)
             stream.send_recording_name(name)
-            stream.send_property(STUDY, rr.AnyValues(**{**properties, START: shown}))
+            facts = {**properties, START: shown}
+            arrays = {key: typed([value]) for key, value in facts.items()}
+            stream.send_property(STUDY, rr.AnyValues(**arrays))
             yield Recorder(stream, t, counter, date)
         write_bytes(target, memory.drain_as_bytes())
 

@@ -51,7 +51,7 @@ def live(
     """
     with requires_extra("a live view", "record"):
         import rerun as rr
-    from celnav.show.recording import new_file, open_stream, rgba
+    from celnav.show.recording import new_file, open_stream, rgba, typed
     from celnav.show.views import TIMELINE, blueprint, plot, rows, states, tabs
 
     names = [
@@ -100,7 +100,10 @@ def live(
             stream.set_time(TIMELINE, duration=float(finite("epoch.t", epoch.t, ())))
             for k, (x, sigma) in enumerate(zip(mean, 3.0 * std, strict=True)):
                 stream.log(f"estimate/{k}", rr.Scalars([x, x - sigma, x + sigma]))
-            stream.log("state", rr.AnyValues(mean=mean, covariance=np.ravel(state.belief.cov)))
+            stream.log(
+                "state",
+                rr.AnyValues(mean=typed(mean), covariance=typed(np.ravel(state.belief.cov))),
+            )
             for k, info in enumerate(infos, 1):
                 if info.innovation is None or info.used is None:
                     continue

@@ -46,6 +46,19 @@ def test_what_was_logged_comes_back_bit_for_bit(path):
     assert found.end == found.start == 2.9
 
 
+def test_a_name_that_had_integers_keeps_real_numbers(tmp_path):
+    """rerun stores the type that a name has first in a process."""
+    whole, real = np.arange(30), np.arange(30) + 0.5
+    for k, values in enumerate((whole, real)):
+        found = write(
+            tmp_path / f"{k}.rrd",
+            lambda out, values=values: out.exact("a", x=values),
+            properties={"x": (0, 0.5)[k]},
+        )
+        np.testing.assert_array_equal(found["a"]["x"], values)
+        assert found.facts["x"] == (0, 0.5)[k]
+
+
 def test_curves_have_gaps_and_geometry_is_single_precision(path):
     rng = np.random.default_rng(0)
     curve, points, cloud = (rng.standard_normal((30, *k)) for k in ((), (3,), (4, 3)))
