@@ -30,7 +30,8 @@ HERE = Path(__file__).resolve().parent
 def within(notebook: str, static: Path, results: Path | None) -> str:
     """A notebook with its links to anchors that its own outputs make as HTML, of which Sphinx knows
     nothing. Anchors of headings, which Jupyter spells with capitals, are in lower case here. The
-    picture of a recording is written to ``static``.
+    picture of a recording is written to ``static``. A page has one title: what follows under a
+    second title is a section, or the list of pages would name it as a page.
     """
     content = json.loads(notebook)
     cells = [cell for cell in content["cells"] if cell["cell_type"] == "markdown"]
@@ -44,8 +45,10 @@ def within(notebook: str, static: Path, results: Path | None) -> str:
         anchor = found[2].lower() if found[2].lower() in headings else found[2]
         return f'<a href="#{anchor}">{found[1]}</a>'
 
-    for cell in cells:
+    for i, cell in enumerate(cells):
         source = "".join(cell["source"])
+        if i:
+            source = re.sub(r"^# ", "## ", source)
         if pictures := cell.pop("attachments", None):
             source = recording_picture(source, pictures, static, results)
         cell["source"] = re.sub(r"\[([^\]]*)\]\(#([^)]*)\)", link, source)

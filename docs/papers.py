@@ -35,15 +35,21 @@ def stems(source: str) -> list[str]:
     return found
 
 
+def pictures_of(output: nbformat.NotebookNode) -> list[str]:
+    """The pictures (PNG, base64) of an output of a cell: its own, or those in its HTML, where
+    figures may be folded.
+    """
+    data = output.get("data", {})
+    if "image/png" in data:
+        return [data["image/png"]]
+    return re.findall(r'src="data:image/png;base64,([^"]*)"', data.get("text/html", ""))
+
+
 def notebook_figures(paper: str) -> dict[str, bytes]:
     """The figures (PNG) that the executed notebook of a paper holds, by stem."""
     figures = dict[str, bytes]()
     for cell in nbformat.read(NOTEBOOKS / notebook_of(paper), as_version=4).cells:
-        pictures = [
-            output.data["image/png"]
-            for output in cell.get("outputs", ())
-            if "image/png" in output.get("data", {})
-        ]
+        pictures = [png for output in cell.get("outputs", ()) for png in pictures_of(output)]
         names = stems(cell.source)
         if len(names) == len(pictures):
             figures |= dict(zip(names, map(b64decode, pictures), strict=True))
@@ -97,7 +103,7 @@ def pictures_html(paper: str, figures: dict[str, bytes], results: Path | None) -
     """The figure that decides, links to the recordings, and the other figures behind a fold."""
     decides = load(paper).STUDY.figure
     links = [
-        f'<a href="../{address}">▶ {path.name.partition(".")[0]}</a> '
+        f'<a href="../{address}">▶\u00a0{path.name.partition(".")[0]}</a> '
         f"({path.stat().st_size / 1e6:.1f} MB)"
         for address, path in recordings(paper, results).items()
     ]

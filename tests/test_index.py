@@ -184,6 +184,18 @@ def test_text_is_large_enough(page):
         assert min(float(size) * units[unit] for size, unit in sizes) >= least
 
 
+def test_the_text_of_figures_on_cards_is_large_enough(page):
+    """A figure is as wide as its card, so tall figures do not shrink. Text of 9 points in a figure
+    of 6.5 inches then has 9 px at least where two cards stand side by side.
+    """
+    css = page[page.index("<style>") : page.index("</style>")]
+    (rule,) = re.findall(r"\.card img\{([^}]*)\}", css)
+    assert rule == "width:100%"
+    body, padding = 16.0 * float(re.search(r"body\{[^}]*max-width:(\d+)rem", css)[1]), 16.0
+    card = (body - 3.0 * padding) / 2.0 - 2.0 * padding
+    assert 9.0 / 72.0 * card / 6.5 >= 9.0
+
+
 @pytest.mark.parametrize(("side", "ground"), [(0, "#ffffff"), (1, "#121212")])
 def test_verdicts_and_small_print_have_contrast(page, side, ground):
     """At least 4.5, in light and in dark mode [WCAG 2.2]."""

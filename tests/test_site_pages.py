@@ -20,6 +20,7 @@ from celnav.papers import PAPERS, load
 
 pytest.importorskip("sphinx")
 from docs import conf, papers
+from docs.__main__ import within
 
 ROOT = Path(__file__).parents[1]
 RECORDING = "csrukf/csrukf_P_I"
@@ -161,7 +162,7 @@ def test_results_give_their_figures_and_recordings(tmp_path):
         papers.write_pages(source, results)
         page = (source / "papers" / "csrukf.md").read_text(encoding="utf-8")
         assert page.count("<img ") == 1
-        link = '<a href="../viewer.html?csrukf/csrukf_P_I">▶ csrukf_P_I</a> (2.0 MB)'
+        link = '<a href="../viewer.html?csrukf/csrukf_P_I">▶\u00a0csrukf_P_I</a> (2.0 MB)'
         assert (link in page) == viewed
     assert (source / "_static/papers/csrukf/figure_08.png").stat().st_size == 2_000_000
     assert (source / "papers" / "ssukf.md").read_text(encoding="utf-8").count("<img ") > 6
@@ -186,6 +187,27 @@ def test_the_picture_of_a_recording_opens_it_if_the_site_has_it(tmp_path):
         (tmp_path / file).write_text("")
     both = papers.recording_picture(cell, pictures, tmp_path, tmp_path)
     assert f'<a href="../viewer.html?{RECORDING}"><img ' in both
+
+
+def test_figures_that_a_notebook_folds_are_found():
+    own = {"data": {"image/png": "QQ==", "text/html": '<img src="data:image/png;base64,Qg==">'}}
+    folded = {"data": {"text/html": 2 * '<p><img alt="" src="data:image/png;base64,Qg=="></p>'}}
+    found = [papers.pictures_of(output) for output in (own, folded, {"text": "QQ=="})]
+    assert found == [["QQ=="], ["Qg==", "Qg=="], []]
+
+
+def test_a_second_title_of_a_notebook_is_a_section(tmp_path):
+    """The list of pages would name each title as a page."""
+    texts = ["# A filter\n\n## The idea", "# What holds\n\n## Errata", "## Try it"]
+    cells = [{"cell_type": "markdown", "source": text} for text in texts]
+    cells.append({"cell_type": "code", "source": "# a comment"})
+    shown = json.loads(within(json.dumps({"cells": cells}), tmp_path, None))["cells"]
+    assert [cell["source"] for cell in shown] == [
+        texts[0],
+        "## What holds\n\n## Errata",
+        texts[2],
+        "# a comment",
+    ]
 
 
 def test_an_operator_of_two_signs_is_one():

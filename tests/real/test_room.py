@@ -87,7 +87,7 @@ def test_with_a_folder_papers_and_study_are_done(both, folder, tmp_path, capsys)
     assert "The paper:" not in rest
     assert "reproduced" not in rest
     assert "1 finding: 1 shown" in rest
-    assert re.search(r'<td class="good">shown', rest)
+    assert re.search(r'<td role="cell" class="good">shown', rest)
     assert "<th>printed</th>" not in rest
     assert "--clocks DIR" not in page
     assert "Harrison (1761)" in rest
@@ -106,7 +106,7 @@ def test_without_one_the_page_only_says_what_could_be_added(both, tmp_path):
     assert cli.main(["reproduce", "--out", str(tmp_path), "--jobs", "1"]) == 0
     page = (tmp_path / "index.html").read_text()
     assert page.count("clock") == 2
-    assert "adds a study for a folder of a clock&#39;s log (<code>--clocks DIR</code>)" in page
+    assert "<li><code>--clocks DIR</code>: a clock&#39;s log</li>" in page
     assert not (tmp_path / "clocks").exists()
 
 
