@@ -75,10 +75,12 @@ class MissingError(ImportError):
     """
 
     def __init__(self, what: str, module: str, extra: str):
-        cure = f'{PIP} install -c constraints.txt -e ".[{extra}]"'
-        super().__init__(
-            f"{what} needs {module}: in the folder of celnav, {cure} brings it", name=module
-        )
+        if sys.platform == "emscripten":  # Pyodide, which has no pip
+            cure = f"await micropip.install('{module}') brings it if Pyodide has it"
+        else:
+            pip = f'{PIP} install -c constraints.txt -e ".[{extra}]"'
+            cure = f"in the folder of celnav, {pip} brings it"
+        super().__init__(f"{what} needs {module}: {cure}", name=module)
 
 
 @contextmanager

@@ -1,5 +1,6 @@
-"""Build the site: ``python -m docs [OUT] [--results DIR]``. It needs no net, and a warning is an
-error. DIR is a folder of ``celnav reproduce``: the site then has all its figures, and its recordings.
+"""Build the site: ``python -m docs [OUT] [--results DIR] [--live DIR]``. It needs no net, and a
+warning is an error. ``--results`` is a folder of ``celnav reproduce``: the site then has all its
+figures, and its recordings. ``--live`` is a folder with Pyodide: programs then run in the browser.
 
 The pages of this folder and the notebooks, as they were executed, are gathered in a folder of their
 own, so that Sphinx finds them side by side and leaves nothing behind here.
@@ -21,6 +22,7 @@ from sphinx.cmd.build import main
 
 import celnav
 from celnav.papers import PAPERS
+from docs.live import LiveError, add_live
 from docs.pages import errata, sources
 from docs.papers import copy_recordings, recording_picture, write_pages
 
@@ -97,11 +99,16 @@ def run_programs(path: Path) -> None:
             exec(compile("\n".join(programs), str(path), "exec"), {})
 
 
-def build(out: Path, results: Path | None = None) -> int:
-    """Write the site to a folder; the exit status of Sphinx. results: of ``celnav reproduce``."""
+def build(out: Path, results: Path | None = None, live: Path | None = None) -> int:
+    """Write the site to a folder; the exit status of Sphinx. results: of ``celnav reproduce``.
+    live: with Pyodide and celnav's wheel; LiveError if a file is missing.
+    """
     with tempfile.TemporaryDirectory() as temporary:
         source = Path(temporary) / "source"
         shutil.copytree(HERE, source, ignore=shutil.ignore_patterns("__pycache__"))
+        if live is not None:
+            for sentence in add_live(live, source / "_static"):
+                print(f"--live: {sentence}", file=sys.stderr)
         for path in source.rglob("*.md"):
             page = drawn(path.read_text(encoding="utf-8"))
             path.write_text(linked(page), encoding="utf-8")
@@ -124,6 +131,7 @@ def build(out: Path, results: Path | None = None) -> int:
                 "-q",
                 "-d",
                 str(Path(temporary) / "doctrees"),
+                *(["-D", "html_js_files=live/run.js"] if live is not None else []),
                 str(source),
                 str(out),
             ]
@@ -137,11 +145,15 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser("python -m docs", description="Build the site.")
     parser.add_argument("out", nargs="?", type=Path, default="out/site", help="its folder")
     parser.add_argument("--results", type=Path, metavar="DIR", help="a folder of celnav reproduce")
+    parser.add_argument("--live", type=Path, metavar="DIR", help="a folder with Pyodide")
     options = parser.parse_args()
     out, results = options.out, options.results
     if results is not None and not any((results / paper).is_dir() for paper in PAPERS):
         parser.error(f"--results: expected a folder of celnav reproduce, got {results}")
-    status = build(out, results)
+    try:
+        status = build(out, results, options.live)
+    except LiveError as error:
+        parser.error(str(error))
     print(
         f"{out / 'index.html'}" if status == 0 else "the site has faults, above",
         file=sys.stdout if status == 0 else sys.stderr,

@@ -13,10 +13,13 @@ import tomllib
 from importlib.metadata import packages_distributions
 from pathlib import Path
 
+import numpy as np
 import pytest
+from taped import inputs
 
 import celnav
 from celnav import cli, lazy
+from celnav.tape.tape import CannotCompile, Tape
 
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -117,6 +120,60 @@ def test_every_public_name_works(tmp_path):
     assert done.returncode == 0, done.stderr
     assert "machine code needs llvmlite" in done.stdout
     assert (tmp_path / "filter.c").stat().st_size > 1000
+
+
+BROWSER = """
+import threading
+
+FORBIDDEN = {"subprocess.Popen", "os.fork", "os.posix_spawn", "os.system"}
+ABSENT = {"multiprocessing", "_multiprocessing", "fcntl", "resource", "termios", "grp", "pwd"}
+
+def refuse(event, arguments):
+    if event in FORBIDDEN or event == "ctypes.dlopen" and arguments[0] is not None:
+        raise RuntimeError(f"a browser has no {event}")
+    if event == "import" and arguments[0] in ABSENT:
+        raise ModuleNotFoundError(f"a browser has no {arguments[0]}", name=arguments[0])
+
+def start(thread):
+    raise RuntimeError("a browser has no threads")
+
+threading.Thread.start = start
+sys.addaudithook(refuse)
+"""
+"""What Pyodide lacks: threads, processes, libraries of the system, and some modules."""
+
+
+def test_filters_run_where_a_browser_runs_them(tmp_path):
+    """Filters, reports and C code need no thread, no process and no library of the system."""
+    program, _, native = EVERYTHING.partition("for flies in")
+    assert native
+    done = alone(BROWSER + program, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    attempts = (
+        "threading.Thread(target=print).start()",
+        "import subprocess; subprocess.run([sys.executable, '--version'])",
+        "import ctypes; ctypes.CDLL('libc.so.6')",
+        "import multiprocessing",
+    )
+    for attempt in attempts:
+        assert "a browser has no" in alone(BROWSER + attempt).stderr
+
+
+def test_counts_are_recorded_where_integers_have_32_bits(monkeypatch):
+    """In WebAssembly an ``int`` of numpy is int32, and a filter counts what it used."""
+    x = inputs(Tape(), (3,))[0]
+    with pytest.raises(CannotCompile, match="not as int32"):
+        np.add.reduce(x > 0.0, -1, np.int32)
+    monkeypatch.setattr(np, "intp", np.int32)
+    assert np.add.reduce(x > 0.0, -1, np.int32).shape == ()
+
+
+def test_the_cure_in_a_browser_is_not_pip(monkeypatch):
+    monkeypatch.setattr(lazy.sys, "platform", "emscripten")
+    error = lazy.MissingError("a figure", "matplotlib", "plot")
+    assert str(error) == (
+        "a figure needs matplotlib: await micropip.install('matplotlib') brings it if Pyodide has it"
+    )
 
 
 def test_import_is_small():

@@ -405,7 +405,9 @@ def _operand(x: Any) -> Any:
 def _ufunc(ufunc: Any, method: str, inputs: Sequence[Any], options: dict[str, Any]) -> Any:
     outs, where = options.pop("out", None), options.pop("where", True)
     dtype = options.pop("dtype", None)
-    _as_float64(dtype, np.int64, np.bool_) if method == "reduce" else _as_float64(dtype)
+    # An int is np.intp, which has 4 bytes on a 32-bit machine such as WebAssembly.
+    counts = (np.int64, np.intp, np.bool_) if method == "reduce" else ()
+    _as_float64(dtype, *counts)
     options.pop("order", None), options.pop("casting", None)
     if ufunc in (np.matmul, np.vecdot) and method == "__call__":
         result = traced(_products(ufunc, *map(_operand, inputs)))
