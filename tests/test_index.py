@@ -98,7 +98,7 @@ def page(folder):
 def test_it_opens_with_sentences_and_has_every_row_and_needs_nothing_else(page):
     head = page[: page.index("<main>")]
     assert "of 2 papers and judges 6 statements" in head
-    assert "Effort 1, seed 7." in head
+    assert "All runs, seed 7." in head
     assert head.count('class="sign"') == 6 + 3  # squares and their legend
     assert page.index('id="found"') < page.index("<section")
     assert page.index("The paper: ") < page.index("We find:</b>")

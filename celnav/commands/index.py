@@ -221,8 +221,9 @@ def _recording(out: Path, recording: str) -> dict[str, str]:
 
 def _runs(record: Mapping[str, Any]) -> str:
     """Which runs were done, in words."""
-    seed = record.get("seed")
-    return f"Effort {record.get('effort', 1.0):g}" + ("." if seed is None else f", seed {seed}.")
+    effort, seed = record.get("effort", 1.0), record.get("seed")
+    runs = "All runs" if effort == 1.0 else f"Effort {effort:g}"
+    return runs + ("." if seed is None else f", seed {seed}.")
 
 
 def _live(out: Path, recording: str) -> str:

@@ -20,6 +20,7 @@ from celnav.commands.index import _shown, index
 from celnav.files import Outputs
 from celnav.lazy import MissingError
 from celnav.show import recording, viewer, views
+from celnav.show.claims import dumps
 
 MODULE = """async function fetch_viewer_wasm(base_url) {
   //!<INLINE-MARKER-OPEN>
@@ -123,7 +124,7 @@ def test_reproduce_writes_it_and_the_page_links_it(package, tmp_path):
         written.text("info", "a text")
     content = (outputs.directory / "csrukf_P_08.rrd").read_bytes()
     for kind in ("claims", "checks"):
-        outputs.text(f"{kind}.json", "[]\n")
+        outputs.text(f"{kind}.json", dumps([]))
     outputs.bytes("figures/csrukf_figure_08.png", b"")
     assert "viewer.html" not in index(out)
     task = reproduce.Task("csrukf", papers.load("csrukf"), None, outputs)
@@ -149,7 +150,7 @@ def test_without_the_viewer_a_recording_is_its_picture_or_the_file(tmp_path):
     outputs = Outputs(tmp_path / "csrukf")
     outputs.bytes("csrukf_P_08.rrd", b"a" * 1_200_000)
     for kind in ("claims", "checks"):
-        outputs.text(f"{kind}.json", "[]\n")
+        outputs.text(f"{kind}.json", dumps([]))
     assert 'href="csrukf/csrukf_P_08.rrd">csrukf_P_08 (1.2 MB)</a>' in index(tmp_path)
     outputs.bytes("csrukf_P_08.png", b"")
     assert 'href="csrukf/csrukf_P_08.png">csrukf_P_08 (picture)</a>' in index(tmp_path)

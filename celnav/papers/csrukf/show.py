@@ -57,7 +57,7 @@ AXES = ("x", "y", "z", "v_x", "v_y", "v_z")
 TIME = "time (s)"
 RATIO = "σ of the prior over σ of a measurement (-)"
 SPAN = {"xlim": (0.0, 600.0)}
-QUANTITIES = [f"absolute position error ${a}$ (km)" for a in AXES[:3]] + [
+QUANTITIES = [f"|error of ${a}$| (km)" for a in AXES[:3]] + [
     f"velocity error ${a}$ (m/s)" for a in AXES[3:]
 ]
 COLUMNS = ("x_km", "y_km", "z_km", "vx_m_per_s", "vy_m_per_s", "vz_m_per_s")
@@ -372,15 +372,15 @@ TABLES = {
 
 # -- recordings ------------------------------------------------------------------------------------
 CASES = {
-    "0.8": "SRUKF looks good, but its covariance is far too small. CSRUKF is consistent, and its "
-    "position error is a third smaller.",
-    "0": "In white noise both filters give the same estimate, and errors stay within 3σ.",
     "I": "SRUKF follows the random walk of the noise. CSRUKF stays near the truth because it "
     "ignores the sensors, as the open loop does.",
+    "0": "In white noise both filters give the same estimate, and errors stay within 3σ.",
+    "0.8": "SRUKF looks good, but its covariance is far too small. CSRUKF is consistent, and its "
+    "position error is a third smaller.",
     "D/I": "From a poor prior the paper's filter is worse than SRUKF: differences discard the "
     "position in the first sample.",
 }
-RECORDINGS = ["csrukf_P_08.rrd", "csrukf_P_0.rrd", "csrukf_P_I.rrd", "csrukf_D_I.rrd"]
+RECORDINGS = ["csrukf_P_I.rrd", "csrukf_P_0.rrd", "csrukf_P_08.rrd", "csrukf_D_I.rrd"]
 NOTES = """
 Two stars and the Earth's limb give a pseudo-position of the satellite each second. Its noise is \
 colored, V' = Φ V + ζ.
