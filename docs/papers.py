@@ -30,6 +30,8 @@ def stems(source: str) -> list[str]:
     (['figure_01'], ['figure_08', 'figure_05'])
     """
     found = re.findall(r'"(figure_\d+\w*)"', source)
+    if "figure(" in source:
+        found += [f"figure_{stem}" for stem in re.findall(r'"(\d\d[a-z]?)"', source)]
     for numbers in re.findall(r"(?:figures?|for number in )\(([\d, ]+)\)", source):
         found += [f"figure_{int(number):02d}" for number in re.findall(r"\d+", numbers)]
     return found

@@ -144,7 +144,7 @@ GOOD = [(k, f"{x:.6g}", 1.0) for k, x in enumerate(WHITE)]
         (
             "t,x,std_x\n" + "".join(f"{k},{x},{k}\n" for k, x, _ in GOOD),
             [],
-            "expected positive deviations",
+            "expected positive finite standard deviations for all residuals",
         ),
         ("t,x\n0,1\n1,\x00\n", [], "line 3: expected a finite number"),
     ],

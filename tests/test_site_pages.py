@@ -138,6 +138,7 @@ def test_each_square_leads_to_its_row(site, pages):
         ('FIGURES["figure_02b"][1](results)', ["figure_02b"]),
         ("display(*figures(8, 5))", ["figure_08", "figure_05"]),
         ("figure(7)", ["figure_07"]),
+        ('display(figure("02b"), figure("13"))', ["figure_02b", "figure_13"]),
         ('for number in (1, 2):\n    FIGURES[f"figure_{number:02d}"]', ["figure_01", "figure_02"]),
         ("plt.plot(x)", []),
     ],

@@ -10,15 +10,15 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-BARE = re.compile(r"^def (\w+)\(([^)]*)\):", re.MULTILINE)
+BARE = re.compile(r"^( *)def (\w+)\(([^)]*)\):", re.MULTILINE)
 
 
 def typed(program: str) -> str:
     """A program with annotated functions, as a user of strict mypy writes it."""
 
     def annotated(match: re.Match[str]) -> str:
-        names = [name.strip() for name in match[2].split(",")]
-        return f"def {match[1]}({', '.join(f'{name}: Any' for name in names)}) -> Any:"
+        names = [name.strip() for name in match[3].split(",")]
+        return f"{match[1]}def {match[2]}({', '.join(f'{name}: Any' for name in names)}) -> Any:"
 
     return "from typing import Any\n" + BARE.sub(annotated, program)
 

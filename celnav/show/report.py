@@ -38,8 +38,8 @@ __all__ = ["Report", "report"]
 
 TIME = "time (s)"
 CORRELATED = (
-    "below its band while NEES is above it: the noise of the measurements is correlated "
-    "(see celnav.diagnose), or its model is wrong"
+    "below its band while NEES is above it: the noise of the measurements is correlated (see "
+    "celnav.analysis.diagnose), its model is wrong, or a few runs have large errors"
 )
 MOST_PANELS = 12
 """Components that are drawn at most."""
