@@ -55,7 +55,7 @@ def export_c(
     check_prior(prior)
     if np.ndim(prior.mean) != 1:
         raise ValueError(
-            f"prior: expected that of one run, a mean (N,), got {np.shape(prior.mean)}"
+            f"prior: expected the prior of one run with mean (N,), got {np.shape(prior.mean)}"
         )
     every = None if dt is None else number("dt", dt, above=0.0)
     z_sensors = sensors(filter)

@@ -169,7 +169,7 @@ class _WithGradient(Engine):
         """Raise `CannotCompile` if another filter's step is not the same."""
         if engine.plain(before, kind, u)[1] != expected:
             raise CannotCompile(
-                "a model knows the parameters otherwise than by matrices of the filter"
+                "a model uses the parameters elsewhere than in matrices of the filter"
             )
 
     def record(self, before: Shape, kind: EpochKind, u: list[tuple[Array, bool]]) -> Recorded:

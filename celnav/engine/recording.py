@@ -535,7 +535,7 @@ class Engine:
             for i, op in enumerate(tape.ops)
         ):
             raise cannot_compile(
-                "a model looks at epoch.z, of all runs; put what it is to know into u"
+                "a model reads epoch.z, the measurements of all runs; pass it what it needs in u"
             )
         after = Shape.of(state)
         if "belief" in getattr(state, "_fields", ()):

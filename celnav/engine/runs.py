@@ -116,7 +116,7 @@ def _parts(tree: Any) -> list[Array]:
         return [numbers("u", x) for x, _ in tree_leaves(tree)]
     except ValueError as error:
         raise CannotCompile(
-            f"an input that is no array of numbers cannot be compiled: {error}"
+            f"an input that is not an array of numbers cannot be compiled: {error}"
         ) from None
 
 

@@ -130,7 +130,7 @@ class _SingleStep(Engine):
         ):
             raise CannotCompile(
                 "a filter that remembers more than a belief is stepped by machine code for "
-                "one run only; several are compiled for whole flights"
+                "one run only; celnav.run compiles several runs"
             )
         begin, end = (_places(shape, self.state_offset) for shape in (before, recorded.after))
         inputs = [

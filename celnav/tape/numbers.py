@@ -125,7 +125,9 @@ def _logical(x: Scalar) -> Scalar:
 def _bitwise(name: str) -> Callable[..., Scalar]:
     def function(*arguments: Scalar) -> Scalar:
         if not all(map(is_logical, arguments)):
-            raise cannot_compile("bits of whole numbers are not recorded; k % 2 is the last one")
+            raise cannot_compile(
+                "bitwise operations on integers are not recorded; k % 2 is the last bit"
+            )
         return emit(name, *arguments)
 
     return function
@@ -235,7 +237,7 @@ def _of_truth(ufunc: Any) -> Callable[..., Scalar]:
 
     def refuse(*_arguments: Scalar) -> Scalar:
         raise cannot_compile(
-            f"numpy.{ufunc.__name__} of truth values has no floats; multiply them by 1.0"
+            f"numpy.{ufunc.__name__} of booleans does not give floats; multiply them by 1.0"
         )
 
     return refuse
@@ -461,7 +463,7 @@ def _reduced(
 ) -> Any:
     """The reduction over one axis, several or all (None)."""
     if where is not True or out is not None:
-        raise cannot_compile(f"numpy.{ufunc.__name__} over a part cannot be recorded")
+        raise cannot_compile(f"numpy.{ufunc.__name__} with where= cannot be recorded")
     bare = _bare(array)
     truth = _is_truth(bare)
     if ufunc not in _EMPTY if truth else np.dtype(dtype).kind in "bi":
@@ -489,9 +491,7 @@ def _reduced(
 def _products(ufunc: Any, a: Any, b: Any) -> Any:
     """Matrix products as sums without the terms that are known to be zero."""
     if _is_truth(a) and _is_truth(b):
-        raise cannot_compile(
-            "products of matrices of truth values are none of floats; multiply by 1.0"
-        )
+        raise cannot_compile("products of matrices of booleans are not floats; multiply by 1.0")
     if ufunc is np.vecdot:
         return _contracted(np.broadcast_arrays(a, b))
     # A vector becomes a matrix of one row or column, whose axis is removed at the end.

@@ -241,7 +241,7 @@ class Tape:
             return self.node("const", float(x))
         if x.tape is not self:
             raise cannot_compile(
-                "a number of another recording: the model kept what it was called with before"
+                "a number of another recording: the model stored an argument of an earlier call"
             )
         return x
 

@@ -221,7 +221,7 @@ REFUSED = {
     "taken": (lambda x, e: x + np.take(TABLE, e.k), INDEX),
     "one of": (lambda x, e: x + (1.0 if e.k in [50] else 0.0), "a branch depends on a number"),
     "equal": (lambda x, e: x + np.array_equal(e.t, 50.0), r"numpy\.array_equal cannot be recorded"),
-    "bits": (lambda x, e: x + (e.k & 1), "bits of whole numbers are not recorded"),
+    "bits": (lambda x, e: x + (e.k & 1), "bitwise operations on integers are not recorded"),
     "two truths": (
         lambda x, e: x + ((e.t > 3) + (e.t > 4)),
         "another number in Python than in numpy",

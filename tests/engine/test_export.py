@@ -111,7 +111,7 @@ def test_what_cannot_be_exported_is_named(tmp_path):
     with pytest.raises(ValueError, match="name: expected an identifier of C, got '1st'"):
         celnav.export_c(FILTERS["root"], file, PRIOR, name="1st")
     with pytest.raises(
-        ValueError, match=r"prior: expected that of one run, a mean \(N,\), got \(3, 2\)"
+        ValueError, match=r"prior: expected the prior of one run with mean \(N,\), got \(3, 2\)"
     ):
         celnav.export_c(FILTERS["root"], file, celnav.Gaussian(np.zeros((3, 2)), np.eye(2)))
     with pytest.raises(

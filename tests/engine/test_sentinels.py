@@ -282,7 +282,7 @@ def test_a_model_may_look_at_the_measurement():
 
     assert_same(*twice(filter_of(f), PRIOR, TIMES, Z[:, 0]))
     track = celnav.run(filter_of(f), PRIOR, TIMES, Z, engine="auto")
-    assert track.engine.startswith("numpy: a model looks at epoch.z, of all runs; put")
+    assert track.engine.startswith("numpy: a model reads epoch.z, the measurements of all")
 
 
 def test_a_model_that_looks_at_the_truth_is_told_so():

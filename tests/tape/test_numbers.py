@@ -454,13 +454,16 @@ REFUSED = {
         lambda x: np.empty(2).__setitem__(0, x[0]),
         r"numpy\.empty_like\(x\) makes an array",
     ),
-    "bits": (lambda x: x[0] & 1, r"bits of whole numbers are not recorded; k % 2 is the last one"),
+    "bits": (
+        lambda x: x[0] & 1,
+        r"bitwise operations on integers are not recorded; k % 2 is the last bit",
+    ),
     "sum of truth": (
         lambda x: (x[0] > 0.0) + (x[1] > 0.0),
         "another number in Python than in numpy",
     ),
     "inverted truth": (lambda x: ~(x[0] > 0.0), "another number in Python than in numpy"),
-    "half precision": (lambda x: np.sin(x > 0.0), "of truth values has no floats; multiply"),
+    "half precision": (lambda x: np.sin(x > 0.0), "of booleans does not give floats; multiply"),
     "single precision": (lambda x: np.add(x, x, dtype=np.float32), "as float64, not as float32"),
     "digits": (lambda x: round(x[0], 2), r"numpy\.rint is recorded of 1 operands only"),
     "fraction": (lambda x: x[0] == Fraction(1, 2), "recorded with floats, not with Fraction"),
@@ -475,7 +478,7 @@ REFUSED = {
     ),
     "a part": (
         lambda x: np.sum(x, where=np.array([True, False])),
-        "over a part cannot be recorded",
+        "with where= cannot be recorded",
     ),
     "outer": (lambda x: np.add.outer(x, x), r"numpy\.add\.outer cannot be recorded"),
 }
