@@ -13,13 +13,13 @@ from typing import Any
 
 import nbformat
 
+from celnav.commands.crate import FIELD
 from celnav.commands.index import summary, verdicts
 from celnav.files import data
 from celnav.papers import PAPERS, load
 from docs.squares import squares
 
 HERE = Path(__file__).parent
-FIELD = re.compile(r"(\w+)\s*=\s*\{((?:[^{}]|\{[^{}]*\})*)\}")
 
 
 def sources() -> str:

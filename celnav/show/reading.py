@@ -153,7 +153,7 @@ def _recorded(moving: Mapping[str, list[Any]], static: Mapping[str, dict[str, An
                     rows = rows.reshape(shape[0].as_py())
                 elif rows.shape[1] == 1:
                     rows = rows[:, 0]
-                values[name.rpartition(":")[2]] = rows.copy()  # the batches may be freed
+                values[name.rpartition(":")[2]] = rows
         entities[path] = Entity(ticks / 1e9, values)
     table = static.get(f"__properties/{STUDY}", {})
     facts = {name: column[0].as_py()[0] for name, column in table.items() if name != ROW}
