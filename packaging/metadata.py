@@ -370,9 +370,7 @@ def zenodo(release: Release) -> str:
 def entries_of(cited: Container[str]) -> str:
     """The entries of `data/references.bib` with the cited keys."""
     every = re.split(r"\n(?=@)", read("data/references.bib"))
-    return "\n".join(
-        entry for entry in every if entry.partition("{")[2].partition(",")[0] in cited
-    )
+    return "\n".join(entry for entry in every if entry.partition("{")[2].partition(",")[0] in cited)
 
 
 def paper_bibliography(_release: Release) -> str:

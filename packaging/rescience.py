@@ -18,12 +18,13 @@ import re
 import shutil
 import sys
 from collections.abc import Callable, Iterable
+from functools import cached_property
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import metadata
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from jinja2 import Environment, FileSystemLoader, StrictUndefined, TemplateError, Undefined
 
 from celnav.files import did_you_mean
 from celnav.papers import load
@@ -34,14 +35,27 @@ ARTICLES = {"csrukf": "Sun2015", "aukf": "Fan"}
 """Papers that have an article -> key of the paper in `data/references.bib`."""
 SIGNS = {
     "\\": r"\textbackslash{}",
-    **{sign: f"\\{sign}" for sign in "&%$#_{}"},
     "^": r"\textasciicircum{}",
     "~": r"\textasciitilde{}",
-    **{letter: f"$\\{name}$" for letter, name in zip("Φφσ", ("Phi", "phi", "sigma"), strict=True)},
-    **{"≤": r"$\le$", "≥": r"$\ge$", "²": "$^2$", "³": "$^3$", "§": r"\S\,", "–": "--"},
+    **{sign: f"\\{sign}" for sign in "&%$#_{}"},
+    "Φ": r"$\Phi$",
+    "φ": r"$\phi$",
+    "σ": r"$\sigma$",
+    "≤": r"$\le$",
+    "≥": r"$\ge$",
+    "²": "$^2$",
+    "³": "$^3$",
+    "§": r"\S\,",
+    "–": "--",
 }
 """Signs of the ledger -> LaTeX."""
 WIDTHS = ("X", "p{27mm}", "p{21mm}", "p{17mm}", "p{17mm}")
+FLOATS = r"""\renewcommand\topfraction{0.9}
+\renewcommand\bottomfraction{0.9}
+\renewcommand\textfraction{0.07}
+\renewcommand\floatpagefraction{0.8}
+"""
+"""Figures and tables may fill most of a page."""
 COLUMNS = "".join(rf">{{\raggedright\arraybackslash}}{width}" for width in WIDTHS)
 HEADS = ("Statement (place)", "Quantity that decides", r"Ours [95\,\%]", "Accepted", "Verdict")
 """Columns of the table of statements."""
@@ -52,8 +66,9 @@ def tex(text: str) -> str:
     text = "".join(SIGNS.get(sign, sign) for sign in text)
     if unknown := re.search(r"[^\x00-\xff]", text):
         raise ValueError(f"SIGNS: expected LaTeX for {unknown[0]!r}, which is in {text!r:.60}")
-    text = re.sub(r"\b(\d[\d.]*)e([+-]\d+)", _power, text)
-    text = re.sub(r"(?<![\w.{}])-(?=\d)", "$-$", text)
+    text = re.sub(r"(?<=\d)-(?=\d)", "--", text)  # from one place to another
+    text = re.sub(r"\b(\d[\d.]*)e([+-]?\d+)", _power, text)
+    text = re.sub(r"(?<![\w.{}-])-(?=\d)", "$-$", text)
     return re.sub(r"(?<![\d.])\d{5,}", lambda n: f"{int(n[0]):,}".replace(",", r"\,"), text)
 
 
@@ -63,7 +78,7 @@ def _power(number: re.Match[str]) -> str:
 
 def shown(value: Any) -> str:
     """What a template puts in its text: texts as they are, numbers as they are set."""
-    return value if isinstance(value, str) else tex(f"{value:.10g}")
+    return str(value) if isinstance(value, str | Undefined) else tex(f"{value:.10g}")
 
 
 class Facts:
@@ -107,7 +122,9 @@ class Facts:
         numbers = {n["label"]: n for n in self.claims[self.pick("row", id, self.claims)]["numbers"]}
         self.pick(f"number of {id}", label, numbers)
         if id not in self.said:
-            raise ValueError(f"{self.paper}: {id}: expected its verdict before its number {label!r}")
+            raise ValueError(
+                f"{self.paper}: {id}: expected its verdict before its number {label!r}"
+            )
         return dict(numbers[label])
 
     def interval(self, id: str, label: str) -> str:
@@ -133,14 +150,19 @@ class Facts:
         """The paper's value of a number."""
         return tex(str(self.number(id, label)["printed"]))
 
-    def parameter(self, name: str, of: str = "") -> Any:
-        """A parameter of a preset or a part of the study, by default of the first preset."""
+    @cached_property
+    def configs(self) -> dict[str, Any]:
+        """Parameters of presets and of parts of the study, by name; the first is the default."""
         module: ModuleType = load(self.paper)
         parts = {name: part.config for name, part in module.STUDY.parts().items()}
-        configs = parts | module.PRESETS
-        of = of or next(iter(module.PRESETS))
-        config = configs[self.pick("preset or part", of, configs)]
-        return getattr(config, self.pick(f"parameter of {of}", name, dir(config)))
+        return module.PRESETS | parts | module.PRESETS
+
+    def parameter(self, name: str, of: str = "") -> Any:
+        """A parameter of a preset or a part of the study, by default of the first preset."""
+        of = self.pick("preset or part", of or next(iter(self.configs)), self.configs)
+        return getattr(
+            self.configs[of], self.pick(f"parameter of {of}", name, dir(self.configs[of]))
+        )
 
     def count(self, verdict: str = "", kind: str = "statement") -> int:
         """Number of rows of a kind, all or those with a verdict."""
@@ -163,7 +185,7 @@ class Facts:
         stems = [path.stem for path in (self.folder / "figures").glob("*.png")]
         self.figures.append(self.pick("figure", stem, stems))
         lines = (
-            r"\begin{figure}[tb]",
+            r"\begin{figure}[htbp]",
             r"\centering",
             rf"\includegraphics[width=\textwidth]{{figures/{stem}.png}}",
             rf"\caption{{{caller().strip()}}}",
@@ -172,16 +194,21 @@ class Facts:
         )
         return "\n".join(lines)
 
-    def statements(self, first: int, last: int) -> str:
-        """Rows of the table of statements: the statement, and the number that decides it."""
+    def statements(self, first: int, last: int, **quantities: str) -> str:
+        """Rows of the table of statements: the statement, and the number that decides it.
+
+        quantities: by id, what the number is, where the label of the ledger is a short name.
+        """
         claims = [claim for claim in self.claims.values() if claim["kind"] == "statement"]
         lines = [rf"\begin{{tabularx}}{{\textwidth}}{{{COLUMNS}}}"]
         lines += [r"\hline", " & ".join(HEADS) + r" \\", r"\hline\noalign{\vskip 2pt}"]
         for claim in claims[first:last]:
             verdict, says, quantity, printed, ours, accepted = map(tex, cells(claim).values())
             says += f" ({tex(claim['place'])})"
+            quantity = quantities.get(claim["id"].replace("-", "_"), quantity)
             quantity += f"; printed: {printed}" if printed else ""
-            lines.append(" & ".join([says, quantity, ours, accepted, verdict]) + r" \\[2pt]")
+            row = " & ".join([says, quantity, ours, accepted, verdict])
+            lines.append(rf"{row} \\ \noalign{{\vskip 2pt}}")
         return "\n".join([*lines, r"\hline", r"\end{tabularx}"])
 
     @property
@@ -203,7 +230,7 @@ class Facts:
         )
         return {function.__name__: function for function in functions} | {
             "tex": tex,
-            "three": lambda text: tex(f"{float(text):.3g}"),
+            "three": lambda text: tex(f"{float(text):#.3g}".removesuffix(".")),
             "run": self.run,
             "repository": tex(metadata.load().owner["repository"]),
         }
@@ -281,14 +308,16 @@ def about(release: metadata.Release, paper: str, prose: Any) -> dict[str, Any]:
     }
 
 
-def write(paper: str, results: Path, out: Path) -> None:
-    """Write the article of a paper into ``out/<paper>``."""
+def write(paper: str, results: Path, out: Path) -> list[str]:
+    """Write the article of a paper into ``out/<paper>``; returns the lines of `metadata.yaml` that
+    wait for the owner.
+    """
     release, facts, jinja = metadata.load(), Facts(paper, results), environment()
     if facts.run["about"]["celnav"] != release.version:
         made = facts.run["about"]["celnav"]
         raise ValueError(f"{facts.folder}: expected version {release.version}, got {made}")
     prose: Any = jinja.get_template(f"{paper}.tex.j2").make_module(facts.names)
-    content = re.sub(r"\n{3,}", "\n\n", str(prose).lstrip())
+    content = FLOATS + re.sub(r"\n{3,}", "\n\n", str(prose).lstrip())
     cited = set(re.findall(r"[\w-]+", " ".join(re.findall(r"\\cite\{([^}]*)\}", content))))
     for key in cited:
         facts.pick("\\cite", key, metadata.bibliography())
@@ -306,6 +335,7 @@ def write(paper: str, results: Path, out: Path) -> None:
         (out / paper / name).write_text(text, encoding="utf-8", newline="\n")
     for stem in facts.figures:
         shutil.copy(facts.folder / "figures" / f"{stem}.png", out / paper / "figures")
+    return [line for line in texts["metadata.yaml"].splitlines() if metadata.PLACEHOLDER in line]
 
 
 def main() -> None:
@@ -316,12 +346,12 @@ def main() -> None:
     given = parser.parse_args()
     for paper in ARTICLES:
         try:
-            write(paper, given.results, given.out)
-        except (ValueError, OSError) as error:
+            waiting = write(paper, given.results, given.out)
+        except (ValueError, OSError, TemplateError) as error:
             sys.exit(f"{error}")
-    print(f"wrote {', '.join(str(given.out / paper) for paper in ARTICLES)}")
-    for line in metadata.missing(metadata.load()):
-        print(f"before it is submitted: {line}")
+        print(f"wrote {given.out / paper}")
+        for line in waiting:
+            print(f"  packaging/owner.toml has a placeholder: {line.strip(' -')}")
 
 
 if __name__ == "__main__":
