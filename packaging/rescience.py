@@ -119,13 +119,16 @@ class Facts:
 
     def number(self, id: str, label: str) -> dict[str, Any]:
         """A number of a row, by its label."""
-        numbers = {n["label"]: n for n in self.claims[self.pick("row", id, self.claims)]["numbers"]}
+        claim = self.claims[self.pick("row", id, self.claims)]
+        numbers: dict[str, dict[str, Any]] = {
+            number["label"]: number for number in claim["numbers"]
+        }
         self.pick(f"number of {id}", label, numbers)
         if id not in self.said:
             raise ValueError(
                 f"{self.paper}: {id}: expected its verdict before its number {label!r}"
             )
-        return dict(numbers[label])
+        return numbers[label]
 
     def interval(self, id: str, label: str) -> str:
         """A value with its interval: "0.71 [0.56, 0.87]"."""
@@ -192,7 +195,7 @@ class Facts:
             rf"\label{{{stem}}}",
             r"\end{figure}",
         )
-        return "\n".join(lines)
+        return "\n".join(lines) + "\n"
 
     def statements(self, first: int, last: int, **quantities: str) -> str:
         """Rows of the table of statements: the statement, and the number that decides it.

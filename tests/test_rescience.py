@@ -1,4 +1,4 @@
-"""Articles for ReScience C: what their prose states is in the ledgers, and nothing else is stated."""
+"""Articles for ReScience C: their prose states what is in the ledgers, and no number of its own."""
 
 from __future__ import annotations
 
