@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import re
+import shutil
 import sys
 from dataclasses import replace
 from importlib import import_module
@@ -18,7 +19,7 @@ from celnav.papers import load
 from celnav.show.claims import dumps
 
 ROOT = Path(__file__).parents[1]
-sys.path.insert(0, str(ROOT / "packaging"))  # its programs are no package
+sys.path.append(str(ROOT / "packaging"))  # its programs are no package
 metadata, rescience = map(import_module, ("metadata", "rescience"))
 PAPERS = list(rescience.ARTICLES)
 
@@ -56,17 +57,13 @@ def template(paper):
     return (rescience.TEMPLATES / f"{paper}.tex.j2").read_text(encoding="utf-8")
 
 
-def changed(results, paper, tmp_path, name, change):
+def changed(results, paper, out, name, change):
     """Results with a change in a file."""
-    folder = tmp_path / paper
-    folder.mkdir()
-    for path in (results / paper).iterdir():
-        if path.name != name:
-            (folder / path.name).symlink_to(path)
+    shutil.copytree(results / paper, out / paper)
     document = json.loads((results / paper / name).read_text(encoding="utf-8"))
     change(document)
-    (folder / name).write_text(json.dumps(document), encoding="utf-8")
-    return tmp_path
+    (out / paper / name).write_text(json.dumps(document), encoding="utf-8")
+    return out
 
 
 # -- what is written -------------------------------------------------------------------------------
