@@ -91,6 +91,9 @@ class Facts:
     def __init__(self, paper: str, results: Path) -> None:
         self.paper = paper
         self.folder = results / paper
+        if not (self.folder / "claims.json").is_file():
+            made = f"celnav reproduce {' '.join(ARTICLES)} --out {results}"
+            raise ValueError(f"--results: expected results of `{made}`, got no {self.folder}")
         self.claims = {claim["id"]: claim for claim in read_claims(self.folder / "claims.json")}
         self.run = json.loads((self.folder / "timings.json").read_text(encoding="utf-8"))
         self.said = set[str]()

@@ -234,3 +234,8 @@ def test_results_of_few_runs_or_of_another_version_are_refused(results, tmp_path
     folder = changed(results, "aukf", tmp_path, "timings.json", lambda run: run.update(change))
     with pytest.raises(ValueError, match=said):
         rescience.write("aukf", folder, tmp_path / "made")
+
+
+def test_a_folder_without_results_is_refused(tmp_path):
+    with pytest.raises(ValueError, match=r"--results: expected results of `celnav reproduce csr"):
+        rescience.Facts("csrukf", tmp_path)
