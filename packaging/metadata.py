@@ -14,7 +14,7 @@ import json
 import re
 import sys
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
@@ -367,13 +367,15 @@ def zenodo(release: Release) -> str:
     )
 
 
+def entries_of(cited: Container[str]) -> str:
+    """The entries of `data/references.bib` with the cited keys."""
+    every = re.split(r"\n(?=@)", read("data/references.bib"))
+    return "\n".join(entry for entry in every if entry.partition("{")[2].partition(",")[0] in cited)
+
+
 def paper_bibliography(_release: Release) -> str:
-    """`paper/paper.bib`: the entries of `data/references.bib` that `paper/paper.md` cites."""
-    cited = set(re.findall(r"@(\w+)", read("paper/paper.md")))
-    entries = re.split(r"\n(?=@)", read("data/references.bib"))
-    return "\n".join(
-        entry for entry in entries if entry.partition("{")[2].partition(",")[0] in cited
-    )
+    """`paper/paper.bib`: the entries that `paper/paper.md` cites."""
+    return entries_of(set(re.findall(r"@(\w+)", read("paper/paper.md"))))
 
 
 WHOLE = {
