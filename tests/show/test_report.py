@@ -162,7 +162,7 @@ def test_attitudes_are_judged_by_rotation_vectors_whatever_the_sign(form):
     prior = celnav.Gaussian(
         np.r_[at.IDENTITY, 0.0, 0.0, 0.0], np.diag(np.repeat([np.radians(0.5), 1e-5], 3) ** 2)
     )
-    u = np.broadcast_to([0.02, -0.01, 0.03], (T, 3))
+    u = np.broadcast_to([0.02, -0.01, 0.03], (T - 1, 3))
     truth, z = celnav.simulate(believed, star, prior, dt * np.arange(T), runs=runs, u=u)
     track = celnav.run(
         celnav.ukf(believed, star, form=form), prior, dt * np.arange(T), z, u, keep="cov"
