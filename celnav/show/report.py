@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import chdtri, ndtri
+from scipy.special import chdtr, chdtri, ndtri
 
 from celnav.analysis.diagnose import (
     Interval,
@@ -221,7 +221,7 @@ def report(
         rms, claims = (np.sqrt(np.nansum(x * x, 1) / np.isfinite(x).sum(1)) for x in (error, std))
     judged, within, dominant = None, np.nan, None
     if track.belief is not None:
-        judged, within, dominant = _consistency(
+        judged, within, dominant = _judge_nees(
             error, track.sqrt_cov[first:, ..., :n, :n], times, level
         )
     wraps = forgotten_wraps(error, (n,), names, model="Motion")
@@ -344,7 +344,7 @@ def _rms(squares: Array, counts: Array) -> float:
     return float(np.sqrt(squares.sum() / counts.sum()))
 
 
-def _consistency(
+def _judge_nees(
     error: Array, root: Array, times: Array, level: float
 ) -> tuple[SensorConsistency | None, float, Dominant | None]:
     """NEES over the dimension, how often the mean of the runs lies in its band at an epoch, and the
@@ -354,26 +354,30 @@ def _consistency(
     with np.errstate(invalid="ignore", divide="ignore"):
         every = nees(error, np.broadcast_to(root.reshape(T, -1, n, n), (T, runs, n, n)))
     every = np.where(np.isfinite(every), every, np.nan)
-    judged = _judged(every, n, times, level)
-    count = judged.dof // n
-    if not count.any():
+    if np.isnan(every).all():
         return None, np.nan, None
-    bands = {k: chi_square_band(n, k, level) for k in set(count.tolist()) if k}
-    pairs = zip(judged.squares, count.tolist(), strict=True)
-    means = [(s / k, bands[k]) for s, k in pairs if k]
-    within = np.mean([low <= mean <= high for mean, (low, high) in means])
+    judged = _nees_consistency(every, n, times, level)
+    some = judged.dof > 0
+    probability = chdtr(judged.dof[some], judged.squares[some])
+    within = float(np.mean(np.abs(probability - 0.5) <= level / 2))
     large = judged.nis > judged.band[1]
-    return judged, float(within), _dominant(every, n, times, level) if large else None
+    return judged, within, _dominant(every, n, times, level) if large else None
 
 
-def _judged(every: Array, n: int, times: Array, level: float) -> SensorConsistency:
-    """NEES over the dimension ``n``, from the NEES ``(T, runs)``; nan without any."""
-    squares, count = np.nansum(every, 1), np.isfinite(every).sum(1)
-    ratio, shared, band = np.nan, 1.0, (np.nan, np.nan)
-    if total := int(count.sum()):
-        ratio, shared = float(squares.sum() / total / n), _shared(every, times)
-        band = chi_square_band(1.0, n * max(total / shared, 1.0), level)
-    return SensorConsistency((f"NEES / {n}",), ratio, band, squares, n * count, shared)
+def _nees_consistency(every: Array, n: int, times: Array, level: float) -> SensorConsistency:
+    """Consistency of the NEES ``(T, runs)`` of ``n`` components."""
+    dof = n * np.isfinite(every).sum(1)
+    return _consistency((f"NEES / {n}",), np.nansum(every, 1), dof, _shared(every, times), level)
+
+
+def _consistency(
+    names: tuple[str, ...], squares: Array, dof: Array, shared: float, level: float
+) -> SensorConsistency:
+    """The ratio of sums of squares ``(T,)`` to their degrees of freedom, with its band."""
+    ratio, band, total = np.nan, (np.nan, np.nan), int(dof.sum())
+    if total:
+        ratio, band = float(squares.sum() / total), chi_square_band(1.0, total / shared, level)
+    return SensorConsistency(names, ratio, band, squares, dof, shared)
 
 
 def _dominant(every: Array, n: int, times: Array, level: float) -> Dominant | None:
@@ -384,11 +388,11 @@ def _dominant(every: Array, n: int, times: Array, level: float) -> Dominant | No
     beyond the point that a consistent filter exceeds in any run with the probability `CHANCE`.
     Large runs also make ``shared`` large, so it is that of the others, until none is found.
     """
-    runs, count = every.shape[1], np.isfinite(every).sum(0)
-    means = np.nansum(every, 0) / np.maximum(n * count, 1)
-    large = np.zeros(runs, bool)
+    count = np.isfinite(every).sum(0)
+    runs, means = np.count_nonzero(count), np.nansum(every, 0) / np.maximum(n * count, 1)
+    large = np.zeros(len(count), bool)
     while 2 * large.sum() < runs:
-        others = _judged(every[:, ~large], n, times, level)
+        others = _nees_consistency(every[:, ~large], n, times, level)
         dof = n * np.maximum(count / others.shared, 1.0)
         new = ~large & (means > chdtri(dof, CHANCE / runs) / dof)
         if not new.any():
@@ -426,10 +430,7 @@ def _sensors(track: Track, first: int, level: float) -> Iterator[tuple[SensorCon
         judged = used & np.isfinite(white)  # a failed run has no innovations
         terms = np.where(judged, np.square(white), 0.0)
         dof, squares = (x.reshape(len(x), -1).sum(1) for x in (judged, terms))
-        total = int(dof.sum())
-        band = chi_square_band(1.0, total, level) if total else (np.nan, np.nan)
-        ratio = float(squares.sum() / total) if total else np.nan
-        names = tuple(track.measured[columns])
         rejected = int((np.isfinite(innovation) & ~used).sum())
-        yield SensorConsistency(names, ratio, band, squares, dof, 1.0), rejected
+        names = tuple(track.measured[columns])
+        yield _consistency(names, squares, dof, 1.0, level), rejected
         start += width

@@ -180,6 +180,10 @@ def test_few_runs_that_dominate_the_nees_are_told_with_the_median():
     assert "dominated" not in str(sound)
     spoiled[:, 70] = np.nan  # a run without a truth
     assert track.report(spoiled).dominant.runs == (11, 5)
+    spoiled[:, 20:70] = spoiled[:, 71:] = np.nan  # two of twenty that count, then two of three
+    assert track.report(spoiled).dominant.runs == (11, 5)
+    spoiled[:, 6:11] = spoiled[:, 12:20] = spoiled[:, 1:5] = np.nan
+    assert track.report(spoiled).dominant is None
 
 
 def test_a_filter_that_is_overconfident_in_all_runs_is_not_excused_by_few():
