@@ -147,7 +147,7 @@ PRIOR = celnav.Gaussian(np.zeros(2), I2)
 RNGS = [montecarlo.generator(0, 0, run) for run in range(2)]
 LAYOUT = views.text(origin="a")
 DOUBT = dict(
-    motion=MOTION, sensor=SENSOR, prior=PRIOR, times=TIMES, u=np.zeros((5, 1)), phi=0.5, outliers=0.1,
+    motion=MOTION, sensor=SENSOR, prior=PRIOR, times=TIMES, u=np.zeros((4, 1)), phi=0.5, outliers=0.1,
     groups=[trial.Group("all", "m", slice(0, 2))],
 )  # fmt: skip
 OWN = problem.Problem(**DOUBT)
@@ -203,12 +203,12 @@ CALLS = {
     "problem.Problem.trial": (OWN.trial, dict(filters=TRIAL.filters, rngs=RNGS, reference="ukf")),
     "trial.trial_from_arrays": dict(
         groups=OWN.groups, filters=TRIAL.filters, prior=PRIOR, times=TIMES, z=np.zeros((5, 2, 2)), truth=np.zeros((5, 2, 2)),
-        u=np.zeros((5, 1)), space=spaces.EUCLIDEAN, reference="ukf",
+        u=np.zeros((4, 1)), space=spaces.EUCLIDEAN, reference="ukf",
     ),
     "trial.evaluate_filter": dict(trial=TRIAL, name="ukf", every=2),
     "trial.bound": dict(trial=TRIAL, every=2),
     "simulate.simulate": dict(
-        motion=MOTION, sensor=SENSOR, prior=PRIOR, times=TIMES, runs=2, seed=0, u=np.zeros((5, 1)), Phi=0.5 * I2
+        motion=MOTION, sensor=SENSOR, prior=PRIOR, times=TIMES, runs=2, seed=0, u=np.zeros((4, 1)), Phi=0.5 * I2
     ),
     "sparse_grid.smolyak": dict(n=2, level=2, weights=[1, 2], orders=(1, 3, 7)),
     "sparse_grid.point_count": dict(n=2, level=2, weights=[1, 2], orders=(1, 3, 7)),

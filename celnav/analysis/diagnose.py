@@ -661,10 +661,10 @@ def _jumps(x: Array, z: Array | None) -> int:
     """
     x = x[np.isfinite(x).any(1)]
     size = np.abs(x)
-    small = size[size < np.pi]
-    if len(x) <= QUIET or not len(small):
+    calm = size[np.logical_and.accumulate(~(size >= np.pi))]  # of each run, before its first jump
+    if len(x) <= QUIET or not np.isfinite(calm).any():
         return 0
-    near = 4.0 * 1.4826 * float(np.median(small))
+    near = 4.0 * 1.4826 * float(np.nanmedian(calm))
     before = np.fmax.reduce(sliding_window_view(size, QUIET, 0)[:-1], -1)
     jump = (before <= near) & (size[QUIET:] > np.pi)
     turn = jump & (np.abs(wrap(x[QUIET:])) <= near)

@@ -28,7 +28,10 @@ WATCH: ContextVar[Callable[[str, Array], Any] | None] = ContextVar("watch", defa
 """Called with the name and the values of each model; it may return other values, which replace
 them.
 """
-POINTS = "points are (p, ..., n): a component is x[..., 0], a product with a matrix x @ F.T"
+POINTS = (
+    "points are (p, ..., n): a component is x[..., 0], np.stack([...], axis=-1) joins components, "
+    "a product with a matrix is x @ F.T"
+)
 MEANS = "means are (..., n): a component is mean[..., 0]"
 LOOSE = 0.01, 0.01  # relative to the values and their range: the error of an adaptive solver
 Model = Callable[..., Any]

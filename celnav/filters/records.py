@@ -293,8 +293,8 @@ def epochs(times: ArrayLike, z: Any = None, u: Any = None, truth: Any = None) ->
         epoch has ``dt = 0``: it updates the prior.
     z: measurements ``(T, ..., m)``, time-major, nan where missing; a tuple of such arrays for
         several sensors.
-    u: inputs; ``u[k]`` acts from ``times[k]`` to ``times[k + 1]``, so there are T - 1 inputs, or T
-        if the last is not used. In a tuple each array is indexed separately.
+    u: inputs; ``u[k]`` acts from ``times[k]`` to ``times[k + 1]``, so there are T - 1 inputs. In a
+        tuple each array is indexed separately.
     truth: a sequence of T items of any kind, indexed by the epoch.
 
     Each may be a pandas DataFrame or Series, whose rows are used in their order. ValueError names
@@ -380,11 +380,13 @@ def _rows(name: str, values: Any, times: int) -> Any:
         raise ValueError(
             f"{name}: expected a sequence with a row for each time, got {describe(values)}"
         )
-    if count != times and (name != "u" or count != times - 1):
-        acts = " (row k acts from times[k] to times[k + 1])" if name == "u" else ""
-        raise ValueError(
-            f"{name}: expected {times - (name == 'u')} rows for {times} times{acts}, got {count}"
-        )
+    rows, acts, cure = times, "", ""
+    if name == "u":
+        rows, acts = times - 1, " (row k acts from times[k] to times[k + 1])"
+        if count == times:  # as in a log; the interval of each row is known only to the user
+            cure = "; its rows [:-1] if row k acts from times[k] on, [1:] if it acts up to times[k]"
+    if count != rows:
+        raise ValueError(f"{name}: expected {rows} rows for {times} times{acts}, got {count}{cure}")
     return _locked(values) if isinstance(values, np.ndarray) else values
 
 

@@ -311,7 +311,8 @@ def sigma_point(
         ``(A, sign, m) -> gain``; only with one sensor.
     iterations: number of iterations of each update. From the second on, the update is relinearized
         over the posterior of the previous iteration: the posterior linearization filter
-        [Garcia2015]; with Taylor's rule the iterated EKF [Bell1993].
+        [Garcia2015]; with Taylor's rule the iterated EKF [Bell1993]. It makes errors larger where a
+        measurement fits two states.
 
     ValueError names an argument that does not fit.
 

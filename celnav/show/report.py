@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import ndtri
+from scipy.special import chdtr, chdtri, ndtri
 
 from celnav.analysis.diagnose import (
     Interval,
@@ -39,8 +39,10 @@ __all__ = ["Report", "report"]
 TIME = "time (s)"
 CORRELATED = (
     "below its band while NEES is above it: the noise of the measurements is correlated (see "
-    "celnav.analysis.diagnose), its model is wrong, or a few runs have large errors"
+    "celnav.analysis.diagnose), or its model is wrong"
 )
+CHANCE = 1e-3
+"""Probability that any run of a consistent filter counts as one with large errors."""
 MOST_PANELS = 12
 """Components that are drawn at most."""
 
@@ -62,6 +64,18 @@ class Component(NamedTuple):
     inside: float
 
 
+class Dominant(NamedTuple):
+    """A minority of the runs with errors so large that they alone make the NEES too large.
+
+    runs: their indices, the largest first. median: of the NEES over the dimension of all runs.
+    others: NEES of the other runs, in its band or below.
+    """
+
+    runs: tuple[int, ...]
+    median: float
+    others: SensorConsistency
+
+
 class Report(NamedTuple):
     """The report of a track; ``print`` shows it as a table, `figure` draws it.
 
@@ -70,6 +84,7 @@ class Report(NamedTuple):
     nees: NEES over the dimension and its band, None without covariances. Its ``shared`` is the
         number of epochs that vary together, since errors are correlated in time.
     within: part of the epochs at which the runs' mean NEES lies in the band of a consistent filter.
+    dominant: the runs that alone make the NEES too large; None if there are none.
     sensors: NIS of the used components over their degrees of freedom, with the band of a consistent
         filter.
     rejected: number of measured components of each sensor that the filter rejected.
@@ -88,6 +103,7 @@ class Report(NamedTuple):
     components: tuple[Component, ...]
     nees: SensorConsistency | None
     within: float
+    dominant: Dominant | None
     sensors: tuple[SensorConsistency, ...]
     rejected: tuple[int, ...]
     events: dict[str, int]
@@ -99,11 +115,15 @@ class Report(NamedTuple):
     def __str__(self) -> str:
         runs = "one run" if self.runs == 1 else f"{self.runs} runs"
         said = [*(("wrap", line) for line in self.wraps), ("NEES", self._nees())]
+        if (few := self.dominant) is not None:
+            which = f"dominated by {len(few.runs)} of {runs} (largest: run {few.runs[0]})"
+            others = f"median run {few.median:.4g}; the others {self._ratio(few.others)}"
+            said.append(("NEES", f"{which}; {others}"))
         for k, (sensor, rejected) in enumerate(zip(self.sensors, self.rejected, strict=True)):
             used = f"of {int(sensor.dof.sum())} components used"
             used += f", {rejected} rejected" if rejected else ""
             said.append((f"NIS {k}", f"{', '.join(sensor.names)}: {self._ratio(sensor)}; {used}"))
-        if self.nees is not None and self.nees.nis > self.nees.band[1]:
+        if few is None and self.nees is not None and self.nees.nis > self.nees.band[1]:
             small = [k for k, sensor in enumerate(self.sensors) if sensor.nis < sensor.band[0]]
             said += [(f"NIS {k}", CORRELATED) for k in small]
         events = [
@@ -199,9 +219,11 @@ def report(
     std = np.where(np.isfinite(error), std, np.nan)
     with np.errstate(invalid="ignore", divide="ignore"):  # nan where no run has a value
         rms, claims = (np.sqrt(np.nansum(x * x, 1) / np.isfinite(x).sum(1)) for x in (error, std))
-    judged, within = None, np.nan
+    judged, within, dominant = None, np.nan, None
     if track.belief is not None:
-        judged, within = _consistency(error, track.sqrt_cov[first:, ..., :n, :n], times, level)
+        judged, within, dominant = _judge_nees(
+            error, track.sqrt_cov[first:, ..., :n, :n], times, level
+        )
     wraps = forgotten_wraps(error, (n,), names, model="Motion")
     if track.sensors:
         innovation = track.innovation[first:].reshape(T, -1, sum(track.sensors))
@@ -216,6 +238,7 @@ def report(
         ),
         nees=judged,
         within=within,
+        dominant=dominant,
         sensors=tuple(sensor for sensor, _ in sensors),
         rejected=tuple(rejected for _, rejected in sensors),
         events={what: int(count.sum()) for what, count in track.events.items()},
@@ -321,24 +344,64 @@ def _rms(squares: Array, counts: Array) -> float:
     return float(np.sqrt(squares.sum() / counts.sum()))
 
 
-def _consistency(
+def _judge_nees(
     error: Array, root: Array, times: Array, level: float
-) -> tuple[SensorConsistency | None, float]:
-    """NEES over the dimension, and how often the mean of the runs lies in its band at an epoch."""
+) -> tuple[SensorConsistency | None, float, Dominant | None]:
+    """NEES over the dimension, how often the mean of the runs lies in its band at an epoch, and the
+    runs that dominate it.
+    """
     T, runs, n = error.shape
     with np.errstate(invalid="ignore", divide="ignore"):
         every = nees(error, np.broadcast_to(root.reshape(T, -1, n, n), (T, runs, n, n)))
     every = np.where(np.isfinite(every), every, np.nan)
-    squares, count = np.nansum(every, 1), np.isfinite(every).sum(1)
-    if not count.any():
-        return None, np.nan
-    bands = {k: chi_square_band(n, k, level) for k in set(count.tolist()) if k}
-    means = [(s / k, bands[k]) for s, k in zip(squares, count.tolist(), strict=True) if k]
-    within = np.mean([low <= mean <= high for mean, (low, high) in means])
-    total, shared = int(count.sum()), _shared(every, times)
-    band = chi_square_band(1.0, n * max(total / shared, 1.0), level)
-    ratio, names = float(squares.sum() / total / n), (f"NEES / {n}",)
-    return SensorConsistency(names, ratio, band, squares, n * count, shared), float(within)
+    if np.isnan(every).all():
+        return None, np.nan, None
+    judged = _nees_consistency(every, n, times, level)
+    some = judged.dof > 0
+    probability = chdtr(judged.dof[some], judged.squares[some])
+    within = float(np.mean(np.abs(probability - 0.5) <= level / 2))
+    large = judged.nis > judged.band[1]
+    return judged, within, _dominant(every, n, times, level) if large else None
+
+
+def _nees_consistency(every: Array, n: int, times: Array, level: float) -> SensorConsistency:
+    """Consistency of the NEES ``(T, runs)`` of ``n`` components."""
+    dof = n * np.isfinite(every).sum(1)
+    return _consistency((f"NEES / {n}",), np.nansum(every, 1), dof, _shared(every, times), level)
+
+
+def _consistency(
+    names: tuple[str, ...], squares: Array, dof: Array, shared: float, level: float
+) -> SensorConsistency:
+    """The ratio of sums of squares ``(T,)`` to their degrees of freedom, with its band."""
+    ratio, band, total = np.nan, (np.nan, np.nan), int(dof.sum())
+    if total:
+        ratio, band = float(squares.sum() / total), chi_square_band(1.0, total / shared, level)
+    return SensorConsistency(names, ratio, band, squares, dof, shared)
+
+
+def _dominant(every: Array, n: int, times: Array, level: float) -> Dominant | None:
+    """The runs that alone make the NEES ``(T, runs)`` too large; None if the others do, too.
+
+    The mean over a run's ``count`` epochs, of which ``shared`` vary together, is about chi-square
+    with ``n count / shared`` degrees of freedom, over their number. A run is *large* if its mean is
+    beyond the point that a consistent filter exceeds in any run with the probability `CHANCE`.
+    Large runs also make ``shared`` large, so it is that of the others, until none is found.
+    """
+    count = np.isfinite(every).sum(0)
+    runs, means = np.count_nonzero(count), np.nansum(every, 0) / np.maximum(n * count, 1)
+    large = np.zeros(len(count), bool)
+    while 2 * large.sum() < runs:
+        others = _nees_consistency(every[:, ~large], n, times, level)
+        dof = n * np.maximum(count / others.shared, 1.0)
+        new = ~large & (means > chdtri(dof, CHANCE / runs) / dof)
+        if not new.any():
+            if not large.any() or not others.nis <= others.band[1]:
+                return None
+            order = np.argsort(-means)[: large.sum()]
+            return Dominant(tuple(order.tolist()), float(np.median(means[count > 0])), others)
+        large |= new
+    return None
 
 
 def _shared(every: Array, times: Array) -> float:
@@ -367,10 +430,7 @@ def _sensors(track: Track, first: int, level: float) -> Iterator[tuple[SensorCon
         judged = used & np.isfinite(white)  # a failed run has no innovations
         terms = np.where(judged, np.square(white), 0.0)
         dof, squares = (x.reshape(len(x), -1).sum(1) for x in (judged, terms))
-        total = int(dof.sum())
-        band = chi_square_band(1.0, total, level) if total else (np.nan, np.nan)
-        ratio = float(squares.sum() / total) if total else np.nan
-        names = tuple(track.measured[columns])
         rejected = int((np.isfinite(innovation) & ~used).sum())
-        yield SensorConsistency(names, ratio, band, squares, dof, 1.0), rejected
+        names = tuple(track.measured[columns])
+        yield _consistency(names, squares, dof, 1.0, level), rejected
         start += width

@@ -54,7 +54,7 @@ class Problem:
     motion, sensor: models with additive noise, constant or a function of mean and epoch.
     prior: initial belief, mean ``(N,)`` and covariance ``(n, n)``.
     times: ``(T,)`` s, increasing.
-    u: inputs ``epoch.u``; ``u[k]`` acts from ``times[k]`` to ``times[k + 1]``.
+    u: T - 1 inputs ``epoch.u``; ``u[k]`` acts from ``times[k]`` to ``times[k + 1]``.
     phi: correlation of successive noise samples of the measurement, in [0, 1): an AR(1) process.
     outliers: fraction of the components, in [0, 1), whose noise is `WILD` times as large. The
         filters do not model them.

@@ -653,6 +653,24 @@ def test_one_crossing_is_enough_where_the_measurements_are_known():
         assert diagnose(track).wraps == ()
 
 
+@pytest.mark.parametrize("filter", [celnav.ukf, celnav.ekf])
+@pytest.mark.parametrize("runs", [1, 30])
+def test_a_filter_that_is_lost_after_its_first_jump_still_names_the_angle(runs, filter):
+    """The innovations after the jump are large and do not count. One run needs z."""
+    noise, times = np.diag([25.0, np.radians(5.0) ** 2]), np.arange(60.0)
+    walk = celnav.models.motion.constant_velocity(2, q=0.05)
+    start = celnav.Gaussian([-300.0, 60.0, 0.0, -3.0], np.diag([25.0, 25.0, 1.0, 1.0]))
+    right = celnav.Sensor(polar, noise, space=celnav.angles([1]))
+    truth, z = celnav.simulate(walk, right, start, times, runs=runs, seed=3)
+    for sensor, forgotten in ((celnav.Sensor(polar, noise), True), (right, False)):
+        track = celnav.run(filter(walk, sensor), start, times, z, keep="cov", on_failure="flag")
+        found = diagnose(track, z=z).wraps
+        assert [CURE in line for line in found] == [True] * forgotten
+        if runs > 1:
+            assert track.report(truth).wraps == diagnose(track).wraps
+            assert bool(diagnose(track).wraps) == forgotten
+
+
 @pytest.mark.parametrize("case", ["offset", "wide", "heavy", "outliers", "multipath"])
 def test_sensors_that_are_no_angles_are_left_alone(case):
     """Ranges whose innovations are near 2 pi by chance; if multipath has just this size, z shows

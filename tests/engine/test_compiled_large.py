@@ -48,7 +48,7 @@ def flight(form="square root", rule=None, noisy=False):
     if noisy:
         z[RNG.random(z.shape) < 0.3] = np.nan
     prior = celnav.Gaussian(8.0 + RNG.standard_normal((5, N)), np.eye(N))
-    return filter, prior, celnav.epochs(TIMES, z, u=list(np.linspace(7.0, 9.0, len(TIMES))))
+    return filter, prior, celnav.epochs(TIMES, z, u=list(np.linspace(7.0, 8.75, len(TIMES) - 1)))
 
 
 def calls(filter, prior, epochs):

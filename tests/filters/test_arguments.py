@@ -377,9 +377,27 @@ def test_a_model_of_one_vector_is_told_what_points_are(model, runs):
             celnav.run(filter, prior, [0.0, 1.0])
         said = "\n".join([str(error.value), *getattr(error.value, "__notes__", [])])
         assert (
-            "points are (p, ..., n): a component is x[..., 0], a product with a matrix x @ F.T"
-            in said
-        )
+            "points are (p, ..., n): a component is x[..., 0], np.stack([...], axis=-1) joins "
+            "components, a product with a matrix is x @ F.T"
+        ) in said
+
+
+@pytest.mark.parametrize("engine", ["numpy", "compiled"])
+@pytest.mark.parametrize("runs", [(), (4,)])
+@pytest.mark.parametrize("rule", [celnav.ukf, celnav.ckf], ids=["5 points", "4 points"])
+def test_components_joined_along_the_first_axis_are_told_the_last(rule, runs, engine):
+    """``np.array`` of components has their axis first; the named cure works. Four components at
+    four points have the right shape, but mix points.
+    """
+    parts = lambda x: [x[..., 0], x[..., 1], x[..., 0] + x[..., 1], x[..., 0]]  # noqa: E731
+    first, last = (
+        celnav.Sensor(h, np.eye(4))
+        for h in (lambda x, e: np.array(parts(x)), lambda x, e: np.stack(parts(x), axis=-1))
+    )
+    prior, z = celnav.Gaussian(np.zeros((*runs, 2)), EYE), np.zeros((2, *runs, 4))
+    with pytest.raises(ValueError, match=r"^h.*np\.stack\(\[\.\.\.\], axis=-1\) joins components"):
+        celnav.run(rule(MOTION, first), prior, [0.0, 1.0], z, engine=engine)
+    celnav.run(rule(MOTION, last), prior, [0.0, 1.0], z, engine=engine)
 
 
 def test_what_tracks_rules_filters_and_spaces_say_of_themselves():

@@ -1,5 +1,6 @@
 """Epochs from arrays: their intervals for any slice, and their use of memory."""
 
+import re
 import tracemalloc
 from datetime import UTC, datetime, timedelta
 from typing import NamedTuple
@@ -110,13 +111,18 @@ def test_epochs_are_made_one_at_a_time():
     assert peak < 100_000
 
 
+def push(x, epoch):
+    u = sum(epoch.u) if isinstance(epoch.u, tuple) else epoch.u
+    return x + u * epoch.dt
+
+
+PUSHED = celnav.ukf(celnav.Motion(push, sqrt_Q=np.zeros((1, 1))), celnav.Sensor([[1.0]], [[1.0]]))
+ORIGIN = celnav.Gaussian([0.0], [[1.0]])
+
+
 def stepped(u, times=TIMES, engine="numpy"):
     """The result of summing the inputs."""
-    filter = celnav.ukf(
-        celnav.Motion(lambda x, e: x + e.u * e.dt, sqrt_Q=np.zeros((1, 0))),
-        celnav.Sensor([[1.0]], [[1.0]]),
-    )
-    return celnav.run(filter, celnav.Gaussian([0.0], [[1.0]]), times, u=u, engine=engine).mean
+    return celnav.run(PUSHED, ORIGIN, times, u=u, engine=engine).mean
 
 
 @pytest.mark.parametrize("engine", ["numpy", "compiled"])
@@ -133,8 +139,41 @@ def test_inputs_that_are_too_many_are_not_cut_off(engine):
         stepped(rate, times, engine)
     with pytest.raises(ValueError, match=message):
         stepped((rate[:20], rate), times, engine)
-    for rows in (20, 21):
-        assert stepped(np.ones(rows), times, engine)[-1, 0] == 5.0
+    assert stepped(np.ones(20), times, engine)[-1, 0] == 5.0
+
+
+DOORS = {
+    "numpy": lambda u: stepped(u),
+    "compiled": lambda u: stepped(u, engine="compiled"),
+    "a compiled filter": lambda u: celnav.compiled(PUSHED).run(ORIGIN, TIMES, None, u),
+    "simulate": lambda u: celnav.simulate(PUSHED.motion, PUSHED.sensors[0], ORIGIN, TIMES, u=u),
+    "steps": lambda u: list(celnav.steps(PUSHED, ORIGIN, celnav.epochs(TIMES, u=u))),
+    "smoother": lambda u: celnav.iterated_smoother(PUSHED, ORIGIN, TIMES, np.ones((8, 1)), u),
+    "problem": lambda u: celnav.Problem(PUSHED.motion, PUSHED.sensors[0], ORIGIN, TIMES, u).epochs,
+}
+
+
+@pytest.mark.parametrize("door", DOORS.values(), ids=DOORS)
+def test_an_input_for_each_time_of_a_log_is_refused_with_both_cures(door):
+    """Only the user knows whether a row of the log acts before its time or after it."""
+    log = np.arange(8.0)
+    message = (
+        "u: expected 7 rows for 8 times (row k acts from times[k] to times[k + 1]), got 8; its "
+        "rows [:-1] if row k acts from times[k] on, [1:] if it acts up to times[k]"
+    )
+    for u in (log, log.tolist(), pd.Series(log), (log[1:], log)):
+        with pytest.raises(ValueError, match=f"^{re.escape(message)}$"):
+            door(u)
+    door(log[1:])
+
+
+def test_the_cures_are_the_two_meanings_of_a_log():
+    """A speed that rises: held from each time on, or held up to each time."""
+    log, dt = np.arange(8.0), np.diff(TIMES)
+    after = [log[k] * dt[k] for k in range(7)]  # from times[k] to times[k + 1]
+    before = [log[k] * (TIMES[k] - TIMES[k - 1]) for k in range(1, 8)]
+    for u, moves in ((log[:-1], after), (log[1:], before)):
+        np.testing.assert_allclose(stepped(u)[1:, 0], np.cumsum(moves), rtol=1e-14)
 
 
 def test_rows_go_with_the_times():
@@ -295,7 +334,10 @@ def test_another_fault_of_a_model_is_its_own():
         celnav.run(broken, START, TIMES)
     with pytest.raises(TypeError, match="NoneType"):
         celnav.run(
-            celnav.ukf(celnav.Motion(lambda x, e: x + e.about[0], [[1.0]])), START, TIMES, u=TIMES
+            celnav.ukf(celnav.Motion(lambda x, e: x + e.about[0], [[1.0]])),
+            START,
+            TIMES,
+            u=TIMES[1:],
         )
 
 
@@ -323,8 +365,8 @@ def test_columns_of_a_table_name_the_components(engine):
 INPUTS = {
     "none": None,
     "numbers": np.arange(6.0),
-    "vectors": np.arange(14.0).reshape(7, 2),
-    "a tuple": (np.arange(7.0), np.arange(12.0).reshape(6, 2)),
+    "vectors": np.arange(12.0).reshape(6, 2),
+    "a tuple": (np.arange(6.0), np.arange(12.0).reshape(6, 2)),
     "a list": [[1.0, 2.0]] * 6,
 }
 PARTS = {

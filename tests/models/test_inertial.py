@@ -602,10 +602,11 @@ def test_of_several_headings_the_likelihood_picks_one():
 def test_wheel_speeds_hold_the_position_along_the_track():
     """Simulated: fixes for 20 s, then none for 10 s."""
     t = np.arange(0.0, 30.0, 0.05)
-    zero, turn = 0.0 * t, 0.2 * np.cos(0.5 * t)
+    begin = t[:-1]  # of each interval
+    zero, turn = 0.0 * begin, 0.2 * np.cos(0.5 * begin)
     u = (
         np.stack([zero, zero, turn], -1),
-        np.stack([np.sin(t), 15.0 * turn, zero - 9.81], -1),
+        np.stack([np.sin(begin), 15.0 * turn, zero - 9.81], -1),
     )
     system = inertial.strapdown(LATITUDE, HEIGHT, LOW_COST, {"wheel": 0.02})
     sensors = system.gnss(LEVER, **GNSS), system.wheel_speed(0.05, lever=AXLE)

@@ -143,6 +143,77 @@ def test_nis_below_its_band_with_nees_above_it_is_called_correlated_noise():
     )
 
 
+WALK = motion.constant_velocity(2, 0.1)
+FIXES = celnav.Sensor(np.eye(2, 4), 100.0 * np.eye(2))
+
+
+def fixed(runs, R=1.0, seed=0, **options):
+    """Fixes of a nearly constant velocity, filtered with R times their covariance."""
+    truth, z = celnav.simulate(WALK, FIXES, PRIOR, TIMES, runs=runs, seed=seed)
+    filter = celnav.ukf(WALK, replace(FIXES, R=R * FIXES.R))
+    return celnav.run(filter, PRIOR, TIMES, z, keep="cov", **options), truth
+
+
+def test_few_runs_that_dominate_the_nees_are_told_with_the_median():
+    """Three runs with large errors, the largest in run 70, from the middle on in run 5."""
+    track, truth = fixed(100)
+    sound = track.report(truth)
+    assert sound.dominant is None
+    spoiled = truth.copy()
+    spoiled[:, 70, 0] += 300.0
+    spoiled[:, 11, 1] -= 200.0
+    spoiled[20:, 5, 2] += 20.0
+    found = track.report(spoiled)
+    assert found.nees.nis > 5.0
+    assert found.dominant.runs == (70, 11, 5)
+    assert found.dominant.median == pytest.approx(1.0, abs=0.1)
+    kept = np.delete(np.arange(100), [70, 11, 5])
+    alone = replace(track, **{name: getattr(track, name)[:, kept] for name in ("mean", "std")})
+    alone = replace(alone, belief=type(track.belief)(*(x[:, kept] for x in track.belief)))
+    others = alone.report(truth[:, kept]).nees
+    assert found.dominant.others[:3] == others[:3]
+    said = str(found).replace("\n         ", " ")
+    assert (
+        f"NEES     dominated by 3 of 100 runs (largest: run 70); median run "
+        f"{found.dominant.median:.4g}; the others {others.nis:.4g}, consistent (95 % of"
+    ) in said
+    assert "dominated" not in str(sound)
+    spoiled[:, 70] = np.nan  # a run without a truth
+    assert track.report(spoiled).dominant.runs == (11, 5)
+    spoiled[:, 20:70] = spoiled[:, 71:] = np.nan  # two of twenty that count, then two of three
+    assert track.report(spoiled).dominant.runs == (11, 5)
+    spoiled[:, 6:11] = spoiled[:, 12:20] = spoiled[:, 1:5] = np.nan
+    assert track.report(spoiled).dominant is None
+
+
+def test_a_filter_that_is_overconfident_in_all_runs_is_not_excused_by_few():
+    """And neither is one with a band of its own error in half of the runs."""
+    track, truth = fixed(100, R=0.5)
+    truth[:, 70, 0] += 300.0
+    assert track.report(truth).dominant is None
+    track, truth = fixed(20)
+    truth[:, ::2, 0] += 300.0
+    found = track.report(truth)
+    assert found.nees.nis > found.nees.band[1]
+    assert found.dominant is None
+
+
+@pytest.mark.parametrize("R", [1.0, 0.9])
+def test_large_runs_are_no_false_alarm(R):
+    """Consistent filters, and filters that are slightly overconfident in all runs: 200 reports."""
+    track, truth = fixed(4000, R, seed=1)
+    every = (track.mean, track.std, *track.belief)
+    inconsistent = 0
+    for first in range(0, 4000, 20):
+        some = slice(first, first + 20)
+        mean, std, *belief = (x[:, some] if x.shape[1] > 1 else x for x in every)
+        part = replace(track, mean=mean, std=std, belief=type(track.belief)(*belief), sensors=())
+        found = part.report(truth[:, some])
+        inconsistent += found.nees.nis > found.nees.band[1]
+        assert found.dominant is None
+    assert inconsistent >= 3
+
+
 @pytest.mark.parametrize("form", ["square root", "covariance"])
 def test_attitudes_are_judged_by_rotation_vectors_whatever_the_sign(form):
     gyro, rng, dt, T, runs = (
@@ -162,7 +233,7 @@ def test_attitudes_are_judged_by_rotation_vectors_whatever_the_sign(form):
     prior = celnav.Gaussian(
         np.r_[at.IDENTITY, 0.0, 0.0, 0.0], np.diag(np.repeat([np.radians(0.5), 1e-5], 3) ** 2)
     )
-    u = np.broadcast_to([0.02, -0.01, 0.03], (T, 3))
+    u = np.broadcast_to([0.02, -0.01, 0.03], (T - 1, 3))
     truth, z = celnav.simulate(believed, star, prior, dt * np.arange(T), runs=runs, u=u)
     track = celnav.run(
         celnav.ukf(believed, star, form=form), prior, dt * np.arange(T), z, u, keep="cov"
@@ -446,7 +517,7 @@ events   10 components missing, 2 components rejected, 1 of 5 runs lost, the fir
     )
 
 
-def test_the_text_of_runs_of_which_nothing_is_to_be_told():
+def test_the_text_of_runs_without_events():
     assert (
         by_hand(0.6, 4, keep="cov")
         == """\
@@ -458,6 +529,8 @@ speed (m/s)   0.3523  0.08347 to 0.8036       0.2261      -0.109       91.7 %
 
 NEES     over 2: 1.726, overconfident (95 % of consistent ones: 0.586 to 1.523), correlation of errors
          counted; in the band of the runs' mean at 83 % of the epochs
+NEES     dominated by 1 of 4 runs (largest: run 3); median run 0.6378; the others 0.585, conservative (95 % of
+         consistent ones: 0.5927 to 1.512)
 NIS 0    z0: 3.558, overconfident (95 % of consistent ones: 0.5167 to 1.64); of 24 components used
 NIS 1    z1: 2.081, overconfident (95 % of consistent ones: 0.5167 to 1.64); of 24 components used
 events   none: nothing missing, rejected or lost"""
