@@ -282,7 +282,7 @@ def mean(a: Array) -> float:
     return float(a.mean())
 
 
-def claims(name: str, accept: Bounds) -> Decided:
+def claims(name: str, accept: Bounds = (None, None)) -> Decided:
     """Ratio of a filter's RMSE to its predicted σ."""
     label = f"RMSE over predicted σ, {name}"
     return over_day(
