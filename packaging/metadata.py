@@ -316,8 +316,8 @@ def codemeta(release: Release) -> str:
             "identifier": owner["software_doi"],
             "codeRepository": owner["repository"],
             "issueTracker": f"{owner['repository']}/issues",
-            "softwareHelp": {"@type": "WebSite", "url": owner["documentation"]},
-            "developmentStatus": "active",
+            "softwareHelp": owner["documentation"],
+            "developmentStatus": "https://www.repostatus.org/#active",
             "programmingLanguage": "Python",
             "runtimePlatform": f"Python {project['requires-python']}",
             "softwareRequirements": [
@@ -329,7 +329,6 @@ def codemeta(release: Release) -> str:
                 for line in project["dependencies"]
             ],
             "operatingSystem": ["Linux", "macOS", "Windows"],
-            "applicationCategory": "Scientific/Engineering",
             "keywords": project["keywords"],
             "referencePublication": [article(entry) for entry in release.papers],
         }
