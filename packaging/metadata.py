@@ -485,14 +485,15 @@ def codecheck(release: Release) -> str:
         },
         {"name": "The celnav authors"},
     )
-    doi = release.owner["paper_doi"]
+    doi, repository = release.owner["paper_doi"], release.owner["repository"]
+    manuscript = f"{repository}/blob/main/paper/paper.md"
     fields = {
         "paper": {
             "title": TITLE,
             "authors": people,
-            "reference": f"https://doi.org/{doi}" if doi else "paper/paper.md of the repository",
+            "reference": f"https://doi.org/{doi}" if doi else manuscript,
         },
-        "repository": release.owner["repository"],
+        "repository": repository,
         "codechecker": [{"name": release.owner["codechecker"] or PLACEHOLDER}],
         "report": release.owner["codecheck_report"] or PLACEHOLDER,
     }

@@ -284,6 +284,9 @@ def test_the_manifest_has_each_numbered_figure_and_table_of_a_paper():
     assert check["version"] == "https://codecheck.org.uk/spec/config/1.0/"
     assert check["manifest"] == manifest()
     assert codecheck() == (ROOT / "codecheck.yml").read_text(encoding="utf-8")
+    # The validator of the CODECHECK register refuses a file that begins with anything else.
+    assert codecheck().startswith("---\n")
+    assert check["paper"]["reference"].startswith("https://")
     files = {item["file"] for item in manifest()}
     for paper in PAPERS:
         module = load(paper)
