@@ -3,8 +3,9 @@
 
 ``python packaging/metadata.py`` writes `CITATION.cff`, `codemeta.json`, `.zenodo.json`,
 `paper/paper.bib` and the blocks between ``owner: NAME`` and ``end of owner`` of other files.
-``--check`` writes nothing and fails if a file is not up to date. ``--version 1.2.3`` first makes that the version, and dates what
-is unreleased. ``--ready`` fails while something is missing that a release needs.
+``--check`` writes nothing and fails if a file is not up to date. ``--version 1.2.3`` first makes
+that the version, and dates what is unreleased. ``--ready`` fails while something is missing that a
+release needs.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote, urlsplit
 
 ROOT = Path(__file__).resolve().parents[1]
 PLACEHOLDER = "owner.invalid"
@@ -60,6 +62,7 @@ MARKED = (
     "CODE_OF_CONDUCT.md",
     ".github/ISSUE_TEMPLATE/config.yml",
     "codecheck.yml",
+    "docs/try.md",
 )
 """Files with blocks that `packaging/owner.toml` fills."""
 
@@ -313,8 +316,8 @@ def codemeta(release: Release) -> str:
             "identifier": owner["software_doi"],
             "codeRepository": owner["repository"],
             "issueTracker": f"{owner['repository']}/issues",
-            "softwareHelp": {"@type": "WebSite", "url": owner["documentation"]},
-            "developmentStatus": "active",
+            "softwareHelp": owner["documentation"],
+            "developmentStatus": "https://www.repostatus.org/#active",
             "programmingLanguage": "Python",
             "runtimePlatform": f"Python {project['requires-python']}",
             "softwareRequirements": [
@@ -326,7 +329,6 @@ def codemeta(release: Release) -> str:
                 for line in project["dependencies"]
             ],
             "operatingSystem": ["Linux", "macOS", "Windows"],
-            "applicationCategory": "Scientific/Engineering",
             "keywords": project["keywords"],
             "referencePublication": [article(entry) for entry in release.papers],
         }
@@ -485,18 +487,71 @@ def codecheck(release: Release) -> str:
         },
         {"name": "The celnav authors"},
     )
-    doi = release.owner["paper_doi"]
+    doi, repository = release.owner["paper_doi"], release.owner["repository"]
+    manuscript = f"{repository}/blob/main/paper/paper.md"
     fields = {
         "paper": {
             "title": TITLE,
             "authors": people,
-            "reference": f"https://doi.org/{doi}" if doi else "paper/paper.md of the repository",
+            "reference": f"https://doi.org/{doi}" if doi else manuscript,
         },
-        "repository": release.owner["repository"],
+        "repository": repository,
         "codechecker": [{"name": release.owner["codechecker"] or PLACEHOLDER}],
         "report": release.owner["codecheck_report"] or PLACEHOLDER,
     }
     return "\n".join(yaml_lines(fields))
+
+
+def notebook_links(repository: str) -> dict[str, str]:
+    """Service that runs notebooks of a public repository -> address of the folder `notebooks` there.
+
+    Binder takes any address that git can clone. Colab takes repositories of GitHub only.
+    """
+    host, path = urlsplit(repository).netloc, urlsplit(repository).path.strip("/")
+    binder = {"github.com": f"gh/{path}", "gitlab.com": f"gl/{quote(path, safe='')}"}
+    place = binder.get(host, f"git/{quote(repository, safe='')}")
+    links = {"Binder": f"https://mybinder.org/v2/{place}/main?urlpath=lab/tree/notebooks/"}
+    if host == "github.com":
+        links["Colab"] = f"https://colab.research.google.com/github/{path}/blob/main/notebooks/"
+    return links
+
+
+def try_notebooks(release: Release) -> str:
+    """What `docs/try.md` says of Binder and Colab; without an address it has no link."""
+    repository = release.owner["repository"]
+    if PLACEHOLDER in repository:
+        return (
+            "The folder `binder/` describes an environment for the notebooks. The links to Binder\n"
+            "and Colab will stand here as soon as the repository has a public address."
+        )
+    links = notebook_links(repository)
+    lines = [
+        f"| notebook | {' | '.join(links)} |",
+        f"|---|{'---|' * len(links)}",
+    ]
+    for path in sorted((ROOT / "notebooks").glob("*.ipynb")):
+        first = json.loads(path.read_text(encoding="utf-8"))["cells"][0]["source"]
+        title = "".join(first).partition("\n")[0].removeprefix("# ")
+        cells = [f"[open]({folder}{path.name})" for folder in links.values()]
+        lines.append(f"| {title} | {' | '.join(cells)} |")
+    lines += [
+        "",
+        "Binder installs all packages before it opens a notebook, which takes some minutes.",
+    ]
+    if "Colab" in links:
+        lines += [
+            "Colab does not install them. Add a first cell to the notebook, and run it:",
+            "",
+            "```",
+            f"!git clone --quiet --depth 1 {repository} celnav",
+            '!pip install --quiet "./celnav[papers,rinex,real]"',
+            "%cd celnav/notebooks",
+            "```",
+            "",
+            "celnav needs a newer numpy than Colab may have loaded. If Colab asks for it, restart the",
+            "session. Then run `%cd celnav/notebooks` and the rest of the notebook.",
+        ]
+    return "\n".join(lines)
 
 
 BLOCKS: dict[str, Callable[[Release], str]] = {
@@ -510,6 +565,7 @@ BLOCKS: dict[str, Callable[[Release], str]] = {
     "maintainers": recipe_maintainers,
     "links": contact_links,
     "codecheck": codecheck,
+    "try": try_notebooks,
     "reports": lambda release: f"<{release.owner['reports']}>",
 }
 """Names of blocks -> what they hold."""

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import tomllib
 from collections import Counter
+from dataclasses import replace
 from datetime import date
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
@@ -29,7 +30,18 @@ sys.modules["metadata"] = metadata = module_from_spec(SPEC)  # dataclasses look 
 SPEC.loader.exec_module(metadata)
 
 TOP = [path for path in ROOT.iterdir() if path.is_file() and path.name != ".git"]
-FOLDERS = ".ci", ".github", "packaging", "paper", "data", "docs", "benchmarks", "celnav", "tests"
+FOLDERS = (
+    ".ci",
+    ".github",
+    "binder",
+    "packaging",
+    "paper",
+    "data",
+    "docs",
+    "benchmarks",
+    "celnav",
+    "tests",
+)
 FILES = [
     *TOP,
     *(
@@ -226,6 +238,74 @@ def test_a_release_takes_two_commands(copy):
     assert "None was used." in texts[folder / "paper" / "paper.md"]
     assert "<reports@example.org>" in texts[folder / "SECURITY.md"]
     assert json.loads(texts[folder / ".zenodo.json"])["creators"][0]["name"] == "Lovelace, Ada"
+
+
+# -- notebooks on other people's machines ----------------------------------------------------------
+NOTEBOOKS = sorted(path.name for path in (ROOT / "notebooks").glob("*.ipynb"))
+SERVICES = "mybinder.org", "colab.research.google.com"
+
+
+def try_page(repository):
+    """What `docs/try.md` says if this is the address of the repository."""
+    release = metadata.load()
+    return metadata.try_notebooks(
+        replace(release, owner=release.owner | {"repository": repository})
+    )
+
+
+def test_without_an_address_nothing_links_to_a_notebook():
+    if metadata.PLACEHOLDER not in metadata.load().owner["repository"]:
+        pytest.skip("the owner has stated the address")
+    assert "](" not in try_page("https://owner.invalid/celnav")
+    for path in (ROOT / "README.md", *(ROOT / "docs").rglob("*.md")):
+        assert not any(f"{name}/" in path.read_text(encoding="utf-8") for name in SERVICES), path
+
+
+def test_with_an_address_every_notebook_opens_on_binder_and_colab():
+    page = try_page("https://github.com/ada/celnav")
+    links = re.findall(r"\]\((.*?)\)", page)
+    assert len(NOTEBOOKS) == 9
+    assert links == [
+        link
+        for name in NOTEBOOKS
+        for link in (
+            f"https://mybinder.org/v2/gh/ada/celnav/main?urlpath=lab/tree/notebooks/{name}",
+            f"https://colab.research.google.com/github/ada/celnav/blob/main/notebooks/{name}",
+        )
+    ]
+    assert "!git clone --quiet --depth 1 https://github.com/ada/celnav celnav\n" in page
+    extras = re.search(r'"\./celnav\[(.*)\]"', page)[1].split(",")
+    assert set(extras) <= set(PROJECT["optional-dependencies"])
+
+
+@pytest.mark.parametrize(
+    ("repository", "place"),
+    [
+        ("https://gitlab.com/ada/nav/celnav", "gl/ada%2Fnav%2Fcelnav"),
+        ("https://example.org/celnav", "git/https%3A%2F%2Fexample.org%2Fcelnav"),
+    ],
+)
+def test_a_repository_elsewhere_opens_on_binder_only(repository, place):
+    page = try_page(repository)
+    assert page.count(f"](https://mybinder.org/v2/{place}/main?") == len(NOTEBOOKS)
+    assert "Colab" not in page
+    assert "colab" not in page
+
+
+def test_binder_installs_what_the_notebooks_need():
+    lines = read("binder/requirements.txt").splitlines()
+    assert "-c ../constraints.txt" in lines
+    (own,) = [line for line in lines if line.startswith(".[")]
+    extras = set(own[2:-1].split(","))
+    (notebooks,) = [
+        line for line in PROJECT["optional-dependencies"]["notebooks"] if line.startswith("celnav[")
+    ]
+    assert set(notebooks[7:-1].split(",")) == extras
+    pinned = {line.partition("==")[0] for line in read("constraints.txt").splitlines()}
+    others = [line for line in lines if line[0] not in "-#."]
+    assert {"pandas", "xarray", "rerun-notebook"} == set(others) <= pinned
+    version = read("binder/runtime.txt").strip().removeprefix("python-")
+    assert f"Programming Language :: Python :: {version}" in PROJECT["classifiers"]
 
 
 @pytest.mark.parametrize("version", ["1.2", "v1.2.3", "1.2.3.dev0"])

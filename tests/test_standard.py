@@ -7,6 +7,7 @@ from __future__ import annotations
 import json
 import re
 from dataclasses import replace
+from email.message import Message
 from hashlib import sha256
 from pathlib import Path
 
@@ -203,7 +204,11 @@ def test_a_run_describes_itself_and_all_its_files(study, tmp_path):
     assert graph["tiny/figures/figure_01.png"]["encodingFormat"] == "image/png"
     assert graph["#run"]["name"] == "celnav reproduce tiny --effort 1 --seed 0 --engine auto"
     assert graph["#celnav"]["softwareVersion"].startswith(f"{celnav.__version__}+code.")
-    (paper,) = references(graph["./"]["citation"])
+    for package in references(graph["#celnav"]["softwareRequirements"]):
+        assert re.fullmatch(r"https://\S+/", package)
+        assert graph[package]["url"].startswith("https://")
+        assert graph[package]["softwareVersion"] in package
+    paper = graph["./"]["citation"]["@id"]  # the only one, so it is not a list
     assert paper == "https://doi.org/10.7527/S1000-6893.2021.26120"
     assert graph[paper]["name"].startswith("Two-stage strong tracking differential Kalman filter")
     assert len(graph[paper]["author"]) == 5
@@ -219,6 +224,17 @@ def test_the_same_command_writes_the_same_crate(study, tmp_path):
         assert cli.main(words) == 0
     one, two = ((tmp_path / out / crate.NAME).read_bytes() for out in ("one", "two"))
     assert one == two
+
+
+@pytest.mark.parametrize(
+    ("address", "url"),
+    [("https://a.invalid/celnav", None), ("https://example.org/celnav",) * 2],
+)
+def test_the_address_of_celnav_is_written_once_it_is_known(monkeypatch, address, url):
+    fields = Message()
+    fields["Project-URL"] = f"Homepage, {address}"
+    monkeypatch.setattr(crate.metadata, "metadata", lambda name: fields)
+    assert crate._software("celnav", "1.2.3").get("url") == url
 
 
 def test_a_crate_of_others_is_not_replaced(study, tmp_path, capsys):
@@ -268,6 +284,9 @@ def test_the_manifest_has_each_numbered_figure_and_table_of_a_paper():
     assert check["version"] == "https://codecheck.org.uk/spec/config/1.0/"
     assert check["manifest"] == manifest()
     assert codecheck() == (ROOT / "codecheck.yml").read_text(encoding="utf-8")
+    # The validator of the CODECHECK register refuses a file that begins with anything else.
+    assert codecheck().startswith("---\n")
+    assert check["paper"]["reference"].startswith("https://")
     files = {item["file"] for item in manifest()}
     for paper in PAPERS:
         module = load(paper)

@@ -73,15 +73,7 @@ def crate(
         _file(path, f"#input/{quote(name)}") | {"@type": "CreativeWork"}
         for name, path in ({name: data(name) for name in DATA} | dict(inputs)).items()
     ]
-    software: list[Entity] = [
-        {
-            "@id": f"#{name}",
-            "@type": "SoftwareApplication",
-            "name": name,
-            "softwareVersion": version,
-        }
-        for name, version in versions().items()
-    ]
+    software = [_software(name, version) for name, version in versions().items()]
     software[0]["softwareVersion"] += f"+code.{code()['code']}"
     software[0]["softwareRequirements"] = _references(software[1:])
     cited = [_cited(module.CITATION) for module in studies.values() if "{" in module.CITATION]
@@ -130,8 +122,32 @@ def crate(
     return json.dumps(document, indent=1, ensure_ascii=False) + "\n"
 
 
-def _references(entities: Iterable[Entity]) -> list[Entity]:
-    return [{"@id": entity["@id"]} for entity in entities]
+def _references(entities: Iterable[Entity]) -> Any:
+    """References to entities: a list, or the reference to the only one."""
+    each = [{"@id": entity["@id"]} for entity in entities]
+    return each[0] if len(each) == 1 else each
+
+
+def _software(name: str, version: str) -> Entity:
+    """A program. The address of celnav is in the metadata of its installation, where it may be a
+    placeholder, which is left out.
+    """
+    entity = {"@id": f"#{name}", "@type": "SoftwareApplication", "name": name}
+    entity["softwareVersion"] = version
+    if name == "python":
+        entity["@id"] = entity["url"] = f"https://docs.python.org/release/{version}/"
+        return entity
+    if name != "celnav":
+        entity["@id"] = f"https://pypi.org/project/{name}/{version}/"
+    try:
+        fields = metadata.metadata(name).get_all("Project-URL") or ()
+    except metadata.PackageNotFoundError:  # a checkout that is not installed
+        fields = ()
+    for field in fields:
+        label, _, url = field.partition(", ")
+        if label.lower() == "homepage" and ".invalid/" not in url:
+            entity["url"] = url
+    return entity
 
 
 def _file(path: Path, id: str) -> Entity:

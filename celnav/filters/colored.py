@@ -103,7 +103,7 @@ def colored(
     tau: in the place of Phi, the range ``(lo, hi)`` s of an unknown time constant. The noise is a
         stationary Gauss-Markov process with covariance R, or with a smaller one. The predicted
         covariance of a linear filter is then an upper bound for every time constant in the range
-        [Langel2021].
+        [Langel2021], [GarciaCrespillo2023].
     increments: covariance ``(..., m, m)`` of ``V' - Phi V``, or a function ``(mean, epoch)`` of it;
         None: stationary noise, ``R - Phi R Phi'``. If V is not stationary (``Phi = I`` is a random
         walk), R is the covariance of its first sample.
@@ -173,8 +173,9 @@ def _noise_model(
 
 def bounding(sensor: Sensor, tau: ArrayLike) -> tuple[Sensor, Coloring, Any]:
     """The Gauss-Markov noise that bounds the noise of every time constant in ``tau = (lo, hi)``:
-    the sensor with the covariance of its first sample, Phi and the increments [Langel2021].
+    the sensor with the covariance of its first sample, Phi and the increments.
 
+    Bounds of this kind are in [Langel2021]; tight ones are in [GarciaCrespillo2023].
     With ``r = sqrt(hi / lo)`` the bound has the time constant ``sqrt(lo hi)``, the stationary
     covariance ``r R``, and the covariance ``2 R / (1 + 1 / r)`` of the first sample. At any times,
     its covariance minus the covariance of the noise is positive semidefinite.

@@ -30,6 +30,7 @@ __all__ = [
     "DEGREE",
     "DOF",
     "SETTINGS",
+    "TAU_S",
     "TRAINED",
     "Setting",
     "Training",
@@ -172,12 +173,21 @@ white: as colored, without correlation.
 white, inflated: R times (1 + phi) / (1 - phi), which is correct for the mean of many fixes.
 white, by NIS: R gives a correct NIS.
 white, by likelihood: R and Q maximize the likelihood of white Gaussian errors.
+shortest, longest: one fixed time constant, an end of `TAU_S`, with the largest σ.
+bound: the range `TAU_S` of time constants, with the largest σ; ``phi`` is that of the bound.
 """
 _scale, _phi, _q = SETTINGS["robust"]
 _sigma = _scale * float(np.sqrt(DOF / (DOF - 2.0)))
 SETTINGS |= dict.fromkeys(("white", "white, gated"), Setting(_sigma, 0.0, _q))
 SETTINGS |= dict.fromkeys(("colored", "augmented", "without z_0"), Setting(_sigma, _phi, _q))
 SETTINGS["white, inflated"] = Setting(_sigma * float(np.sqrt((1.0 + _phi) / (1.0 - _phi))), 0.0, _q)
+_fits = [SETTINGS[name] for name in ("robust", "screened", "normal", "by correlation")]
+_taus = [-STEP_S / float(np.log(fit.phi)) for fit in _fits]
+TAU_S = min(_taus), max(_taus)
+"""Shortest and longest time constant (s) of the four fits to the fixes of 2 and 3 August."""
+_largest = max(_sigma, *(fit.sigma for fit in _fits))
+for _name, _tau in zip(("shortest", "longest", "bound"), (*TAU_S, np.sqrt(np.prod(TAU_S)))):
+    SETTINGS[_name] = Setting(_largest, float(np.exp(-STEP_S / _tau)), _q)
 
 
 class Training(NamedTuple):

@@ -51,6 +51,9 @@ LINES = {
     "by correlation": Line("colored, by correlation", colors.OPEN_LOOP),
     "augmented": Line("noise in the state", colors.REFERENCE),
     "without z_0": Line("without the first fix", colors.REFERENCE, "--"),
+    "shortest": Line("colored, shortest time constant", colors.BODY, "--"),
+    "longest": Line("colored, longest time constant", colors.BOUND, "--"),
+    "bound": Line("colored, range of time constants", colors.TRUTH),
 }
 BAND = 1.96
 
