@@ -128,9 +128,9 @@ def test_the_drift_of_a_car_is_that_of_the_notebook():
     the log.
     """
     notebook = (ROOT / "notebooks" / "07_real_data.ipynb").read_text(encoding="utf-8")
-    largest = float(re.search(r"largest drift \(m\): ([\d.]+)", notebook)[1])
-    rows = re.search(r'<tr id=\\"wheels-peer\\".*?</tr>', notebook, re.DOTALL)[0]
-    median = PEER["wheels"][0] * float(re.search(r"of the program: ([\d.]+) \[", rows)[1])
+    largest = float(re.search(r"largest drift \(m\)</td><.*?>([\d.]+)", notebook)[1])
+    row = re.search(r'<tr id=\\"wheels-peer\\".*?</tr>', notebook, re.DOTALL)[0]
+    median = PEER["wheels"][0] * float(re.search(r"of the program</td><.*?>([\d.]+) \[", row)[1])
     assert f"do not slip, {median:.1f} m ({largest:.1f} m at most)" in README
 
 
