@@ -34,11 +34,31 @@ SIGNS = {
 }
 """Colors, on which white has a contrast of at least 4.5, and signs."""
 OTHER = "#6b6b6b", "?"
+MEANINGS = {
+    "reproduced": "its numbers lie in the accepted ranges with their 95 % intervals, and agree "
+    "with the printed number if there is one",
+    "reproduced with fitted parameters": "the same, but parameters that the paper does not give "
+    "were chosen so that the numbers agree",
+    "level only": "the numbers have the printed order of magnitude (a factor of 3.2 at most), but "
+    "differ by more than sampling error",
+    "in part": "a weaker form of the statement holds, or one reading of it; the row says which",
+    "not reproduced": "a number lies outside its accepted range, and no weaker form holds",
+    "undecided": "a 95 % interval contains a limit of the accepted range",
+    "not addressed": "nothing was computed",
+    "not decidable": "the paper does not say enough for a number to decide",
+    "no number": "a number that decides is not finite",
+}
+"""What each verdict on a statement means."""
 
 
 def mark(verdict: str) -> tuple[str, str]:
     """Color and sign of a verdict on a statement."""
     return SIGNS.get(verdict, OTHER)
+
+
+def meaning(verdict: str) -> str:
+    """What a verdict on a statement means."""
+    return MEANINGS.get(verdict, "")
 
 
 def style(verdict: str) -> str:
