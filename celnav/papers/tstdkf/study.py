@@ -733,7 +733,8 @@ def planet(body: str, accept: Bounds = (None, None), origin: str = "sun") -> Dec
         d = r.get("sky", f"de440/{body}")
         if origin == "sun":
             d = d - r.get("sky", "de440/sun")
-        label = f"{body.capitalize()} from the {origin}, largest difference of DE421 and DE440 (km)"
+        start = f"{body.capitalize()} from the {origin.replace('sun', 'Sun')}"
+        label = f"{start}, largest difference of DE421 and DE440 (km)"
         return Number(label, np.linalg.norm(d, axis=1).max(), accept)
 
     return number
