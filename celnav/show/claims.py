@@ -133,7 +133,7 @@ def _rounded(x: float, number: WrittenClaim) -> str:
     width of the interval or on which side of a bound the value lies.
     """
     if 0.0 < abs(x) < 1e-4:
-        return f"{x:.3g}"
+        return _typeset(f"{x:.3g}")
     value, ci = number["value"], number["ci"]
     ends = [] if ci is None or None in ci else ci
     if all(float(end).is_integer() for end in (value, *ends)):
@@ -147,6 +147,18 @@ def _rounded(x: float, number: WrittenClaim) -> str:
     return f"{round(x, shown):.{max(shown, 0)}f}"
 
 
+_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def _typeset(number: str) -> str:
+    """A number as a person writes it: "8.12e-16" is "8.12·10⁻¹⁶"."""
+    factor, _, power = number.partition("e")
+    if not power:
+        return number
+    front = "" if factor == "1" else f"{factor}·"
+    return f"{front}10{str(int(power)).translate(_RAISED)}"
+
+
 def _decade(x: float) -> int:
     """The place of the first digit: 0 for 5.2, -1 for 0.52."""
     return int(np.floor(np.log10(x)))
@@ -157,13 +169,14 @@ def accepted(number: WrittenClaim) -> str:
     that decides nothing.
     """
     low, high = number["accept"]
+    least, most = (_typeset(f"{end or 0.0:.15g}") for end in (low, high))
     strictly = "<" if high == number["value"] and number["holds"] is False else "≤"
-    text = "" if high is None else f"{strictly} {high:.15g}"
+    text = "" if high is None else f"{strictly} {most}"
     if low is not None:
         strictly = ">" if low == number["value"] and number["holds"] is False else "≥"
-        text = f"{strictly} {low:.15g}" if high is None else f"{low:.15g} to {high:.15g}"
+        text = f"{strictly} {least}" if high is None else f"{least} to {most}"
     if low is not None and low == high:
-        text = f"{low:.15g}"
+        text = least
     if (among := number["agreement"]) and None not in among:
         text += (
             f"; the printed value from {_rounded(among[0], number)} to {_rounded(among[1], number)}"
