@@ -23,8 +23,9 @@ from sphinx.cmd.build import main
 import celnav
 from celnav.papers import PAPERS
 from docs.live import LiveError, add_live
-from docs.pages import errata, sources
+from docs.pages import errata, judged, sources
 from docs.papers import copy_recordings, recording_picture, write_pages
+from docs.squares import square_list
 
 HERE = Path(__file__).resolve().parent
 
@@ -67,12 +68,16 @@ def linked(page: str) -> str:
 
 
 def drawn(page: str) -> str:
-    """A page whose pictures of `docs` stand in it as SVG: their text is text, their squares are
-    links, and both have the colors of the page.
+    """A page whose pictures of `docs` stand in it as SVG or HTML: their text is text, their squares
+    are links, and both have the colors of the page.
     """
 
     def inline(image: re.Match[str]) -> str:
-        picture = (HERE / image[1]).read_text(encoding="utf-8")
+        if image[1] == "verdicts.svg":
+            claims = {paper: judged(paper) for paper in PAPERS}
+            picture = square_list(claims, lambda paper, id: f"papers/{paper}.html#{paper}-{id}")
+        else:
+            picture = (HERE / image[1]).read_text(encoding="utf-8")
         return f'```{{raw}} html\n<div class="picture">\n{picture}</div>\n```'
 
     return re.sub(r"!\[[^\]]*\]\((?:\.\./)?(verdicts\.svg|time_axis\.svg)\)", inline, page)

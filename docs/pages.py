@@ -14,9 +14,10 @@ from typing import Any
 import nbformat
 
 from celnav.commands.crate import FIELD
-from celnav.commands.index import summary, verdicts
+from celnav.commands.index import summary
 from celnav.files import data
 from celnav.papers import PAPERS, load
+from celnav.show.claims import MEANINGS, markdown, tally
 from docs.squares import squares
 
 HERE = Path(__file__).parent
@@ -142,18 +143,32 @@ def picture() -> str:
     return squares({paper: judged(paper) for paper in PAPERS}, lambda paper, id: f"#{paper}-{id}")
 
 
+def occurring(claims: dict[str, list[dict[str, Any]]]) -> dict[str, int]:
+    """Number of statements of all papers by verdict, for the verdicts that occur."""
+    return tally(row for rows in claims.values() for row in rows)
+
+
+def counts(claims: dict[str, list[dict[str, Any]]]) -> str:
+    """A table in Markdown with the number of statements by verdict: a column for each paper."""
+    papers = {paper: tally(rows) for paper, rows in claims.items()} | {"all": occurring(claims)}
+    lines = [["verdict", *papers], ["---", *["---:"] * len(papers)]]
+    for verdict in papers["all"]:
+        lines.append([verdict, *(str(count.get(verdict, "")) for count in papers.values())])
+    lines.append(["statements", *(str(sum(count.values())) for count in papers.values())])
+    return markdown(lines)
+
+
 def verdict_page() -> str:
     """What each paper says, what holds, and the verdict on every statement."""
     claims = {paper: judged(paper) for paper in PAPERS}
     parts = [
         "# Verdicts",
         "Each statement of a paper is judged by numbers with 95 % intervals, against a range that "
-        "follows from the paper's own words. If the interval does not decide, the verdict is "
-        "*undecided*. *With fitted parameters* means that some parameters are not given in the "
-        "paper and were chosen so that the numbers agree. `celnav reproduce` computes them, and "
-        "`celnav verdicts` prints the table. [The ledger as a file](ledger.md) describes its form.",
+        "follows from the paper's own words. `celnav reproduce` computes them, and `celnav "
+        "verdicts` prints the table. [The ledger as a file](ledger.md) describes its form.",
         "![Verdicts as squares, a row for each paper](verdicts.svg)",
-        verdicts(claims),
+        counts(claims),
+        "\n".join(f"- **{verdict}**: {MEANINGS[verdict]}." for verdict in occurring(claims)),
     ]
     for paper, rows in claims.items():
         parts += [f"## {paper}", summary([paper])]

@@ -16,8 +16,8 @@ import nbformat
 
 from celnav.papers import PAPERS, load
 from celnav.show import viewer
-from celnav.show.claims import mark
 from docs.pages import notebook_of
+from docs.squares import sign_html
 
 NOTEBOOKS = Path(__file__).resolve().parents[1] / "notebooks"
 FOLDER = "_static/papers"
@@ -120,13 +120,13 @@ def pictures_html(paper: str, figures: dict[str, bytes], results: Path | None) -
 
 
 def with_signs(page: str) -> str:
-    """A page of verdicts whose rows have the signs of the squares."""
+    """A page of verdicts whose rows and explanations have the signs of the squares."""
 
-    def row(found: re.Match[str]) -> str:
-        color, sign = mark(found[2])
-        return f'{found[1]}<span class="sign" style="background:{color}">{sign}</span> {found[2]} |'
+    def signed(found: re.Match[str]) -> str:
+        return f"{found[1]}{sign_html(found[2])} {found[2]}{found[3]}"
 
-    return re.sub(r'^(\| <a id="[^"]*"></a>)([^|]*?) \|', row, page, flags=re.MULTILINE)
+    page = re.sub(r"^(- \*\*)([^*]*)(\*\*:)", signed, page, flags=re.MULTILINE)
+    return re.sub(r'^(\| <a id="[^"]*"></a>)([^|]*?)( \|)', signed, page, flags=re.MULTILINE)
 
 
 def write_pages(source: Path, results: Path | None = None) -> None:
@@ -154,8 +154,11 @@ def write_pages(source: Path, results: Path | None = None) -> None:
             f"Numbers are in {links}\n\n:::{{container}} verdicts\n{table}\n:::\n",
             encoding="utf-8",
         )
-    head = re.sub(r'href="#(\w+)-', r'href="papers/\1.html#\1-', head)
-    head = re.sub(r"^\| `(\w+)` ", r"| [`\1`](papers/\1.md) ", head, flags=re.MULTILINE)
+    top, table = re.split(r"^(?=\| verdict )", head, flags=re.MULTILINE)
+    names, *rows = table.split("\n")
+    names = re.sub(rf"\b({'|'.join(PAPERS)})\b", r"[\1](papers/\1.md)", names)
+    table, meanings = "\n".join([names, *rows]).split("\n\n", 1)
+    head = f"{top}:::{{container}} counts\n{table}\n:::\n\n{with_signs(meanings)}"
     listed = "\n".join(f"- [{load(paper).TITLE}](papers/{paper}.md)" for paper in PAPERS)
     tree = "\n".join(f"papers/{paper}" for paper in PAPERS)
     path.write_text(

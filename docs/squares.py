@@ -1,7 +1,8 @@
 """Verdicts as a picture: a row of squares for each paper, a square for each statement.
 
-The picture is SVG. It is legible in light and dark modes, in gray, and for color-blind readers,
-since each verdict has its own sign. The tooltip of a square is the statement.
+The picture is SVG, and for the site a list whose rows break on a phone. It is legible in light and
+dark modes, in gray, and for color-blind readers, since each verdict has its own sign. The tooltip
+of a square is the statement.
 """
 
 from __future__ import annotations
@@ -54,6 +55,30 @@ def squares(
         f'aria-label="{escape(label)}">'
     )
     return "\n".join([head, *parts, "</svg>", ""])
+
+
+def square_list(
+    claims: Mapping[str, Sequence[Mapping[str, Any]]], link: Callable[[str, str], str]
+) -> str:
+    """The same squares as a list in HTML."""
+    lines = ['<ul class="squares" aria-label="Statements">']
+    for study, rows in claims.items():
+        lines.append(f"<li><span>{escape(study)}</span><div>")
+        for row in rows:
+            title = escape(f"{row['verdict']}: {row.get('statement', row['id'])}")
+            address = escape(link(study, row["id"]))
+            lines.append(
+                f'<a href="{address}" title="{title}" aria-label="{title}">'
+                f"{sign_html(row['verdict'])}</a>"
+            )
+        lines.append("</div></li>")
+    return "\n".join([*lines, "</ul>", ""])
+
+
+def sign_html(verdict: str) -> str:
+    """The sign of a verdict on its color."""
+    color, sign = mark(verdict)
+    return f'<span class="sign" style="background:{color}" aria-hidden="true">{sign}</span>'
 
 
 def _square(x: int, y: int, color: str, sign: str) -> str:

@@ -286,7 +286,16 @@ def partial(out: Path, names: Iterable[str]) -> list[str]:
 def _table(path: Path, module: Any) -> dict[str, Any]:
     with path.open(encoding="utf-8", newline="") as file:
         head, *rows = csv.reader(file)
+    head = [re.sub(_UNIT, _unit, name).replace("_", " ") for name in head]
     return {"caption": module.TABLES.get(path.stem, (path.stem,))[0], "head": head, "rows": rows}
+
+
+_UNIT = re.compile(r"_(m_per_s|km|kpc|deg|m|s)$")
+
+
+def _unit(found: re.Match[str]) -> str:
+    """A unit at the end of a column's name, as a person writes it: "vx_m_per_s" is "vx (m/s)"."""
+    return f" ({found[1].replace('_per_', '/')})"
 
 
 def _figure(path: Path, name: str, module: Any) -> dict[str, str]:

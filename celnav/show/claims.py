@@ -34,11 +34,31 @@ SIGNS = {
 }
 """Colors, on which white has a contrast of at least 4.5, and signs."""
 OTHER = "#6b6b6b", "?"
+MEANINGS = {
+    "reproduced": "its numbers lie in the accepted ranges with their 95 % intervals, and agree "
+    "with the printed number if there is one",
+    "reproduced with fitted parameters": "the same, but parameters that the paper does not give "
+    "were chosen so that the numbers agree",
+    "level only": "the numbers have the printed order of magnitude (a factor of 3.2 at most), but "
+    "differ by more than sampling error",
+    "in part": "a weaker form of the statement holds, or one reading of it; the row says which",
+    "not reproduced": "a number lies outside its accepted range, and no weaker form holds",
+    "undecided": "a 95 % interval contains a limit of the accepted range",
+    "not addressed": "nothing was computed",
+    "not decidable": "the paper does not say enough for a number to decide",
+    "no number": "a number that decides is not finite",
+}
+"""What each verdict on a statement means."""
 
 
 def mark(verdict: str) -> tuple[str, str]:
     """Color and sign of a verdict on a statement."""
     return SIGNS.get(verdict, OTHER)
+
+
+def meaning(verdict: str) -> str:
+    """What a verdict on a statement means."""
+    return MEANINGS.get(verdict, "")
 
 
 def style(verdict: str) -> str:
@@ -113,7 +133,7 @@ def _rounded(x: float, number: WrittenClaim) -> str:
     width of the interval or on which side of a bound the value lies.
     """
     if 0.0 < abs(x) < 1e-4:
-        return f"{x:.3g}"
+        return _typeset(f"{x:.3g}")
     value, ci = number["value"], number["ci"]
     ends = [] if ci is None or None in ci else ci
     if all(float(end).is_integer() for end in (value, *ends)):
@@ -127,6 +147,18 @@ def _rounded(x: float, number: WrittenClaim) -> str:
     return f"{round(x, shown):.{max(shown, 0)}f}"
 
 
+_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def _typeset(number: str) -> str:
+    """A number as a person writes it: "8.12e-16" is "8.12·10⁻¹⁶"."""
+    factor, _, power = number.partition("e")
+    if not power:
+        return number
+    front = "" if factor == "1" else f"{factor}·"
+    return f"{front}10{str(int(power)).translate(_RAISED)}"
+
+
 def _decade(x: float) -> int:
     """The place of the first digit: 0 for 5.2, -1 for 0.52."""
     return int(np.floor(np.log10(x)))
@@ -137,13 +169,14 @@ def accepted(number: WrittenClaim) -> str:
     that decides nothing.
     """
     low, high = number["accept"]
+    least, most = (_typeset(f"{end or 0.0:.15g}") for end in (low, high))
     strictly = "<" if high == number["value"] and number["holds"] is False else "≤"
-    text = "" if high is None else f"{strictly} {high:.15g}"
+    text = "" if high is None else f"{strictly} {most}"
     if low is not None:
         strictly = ">" if low == number["value"] and number["holds"] is False else "≥"
-        text = f"{strictly} {low:.15g}" if high is None else f"{low:.15g} to {high:.15g}"
+        text = f"{strictly} {least}" if high is None else f"{least} to {most}"
     if low is not None and low == high:
-        text = f"{low:.15g}"
+        text = least
     if (among := number["agreement"]) and None not in among:
         text += (
             f"; the printed value from {_rounded(among[0], number)} to {_rounded(among[1], number)}"

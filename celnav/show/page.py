@@ -26,7 +26,7 @@ def _templates() -> Any:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    names = "accepted cells columns counted mark notes ours outcome printed style"
+    names = "accepted cells columns counted mark meaning notes ours outcome printed style"
     templates.filters |= {name: getattr(claims, name) for name in names.split()}
     return templates
 

@@ -293,12 +293,16 @@ def entries(
         def farthest(*squares: Array) -> float:
             return float(np.exp(logs(*squares).max()))
 
-        label = f"entries of {len(printed)} beyond a factor {factor:.2f}"
+        label = (
+            f"printed values that differ by more than a factor of {factor:.2f}, of {len(printed)}"
+        )
         outside = estimate(label, beyond, samples, (None, most))
         if outside.ci is not None:  # of whole numbers
             low, high = outside.ci
             outside = outside._replace(ci=(float(np.ceil(low)), float(np.floor(high))))
-        level = estimate("largest factor", farthest, samples, (None, SAME_ORDER))
+        level = estimate(
+            "largest factor between a printed value and ours", farthest, samples, (None, SAME_ORDER)
+        )
         return {best: [outside], "level only": [level]}
 
     return decide

@@ -214,11 +214,11 @@ def test_what_the_paper_prints_is_not_rounded_and_stands_beside_the_same_quantit
         (Number("x", 57.52, ci=(57.3, 57.7)), "57.5 [57.3, 57.7]"),
         (Number("x", 0.9996, (None, 1.0)), "0.9996"),
         (Number("x", 1390.0), "1390"),
-        (Number("x", 8.12496e-16), "8.12e-16"),
+        (Number("x", 8.12496e-16), "8.12·10⁻¹⁶"),
         (Number("x", 0.0, ci=(0.0, 0.31)), "0.00 [0.00, 0.310]"),
         (
             Number("x", 0.0312, ci=(3.93e-8, 958.3)),
-            "0.0312 [3.93e-08, 958], few runs or a heavy tail",
+            "0.0312 [3.93·10⁻⁸, 958], few runs or a heavy tail",
         ),
         (Number("x", np.nan), ""),
     ],

@@ -128,13 +128,28 @@ DENSITIES = {
 }
 """Densities of the white acceleration in the filters, m^2/s^3."""
 INITIAL_KM = (1.0, 10.0, 100.0, 1000.0)
+SPANS = {
+    "none": "without a burst",
+    "all": "all epochs",
+    "burst": "in the burst",
+    "after": "after the burst",
+}
+"""Parts and windows in words."""
+WRONG = {
+    "near/Q 0.1": "process noise Q times 0.1",
+    "near/Q 10": "process noise Q times 10",
+    "near/R 0.3": "σ of the ranges times 0.3",
+    "near/R 3": "σ of the ranges times 3",
+    "far": "initial error times 10",
+}
+"""Parts with wrong statistics, in words."""
 STARTS = ("10/10", "1e3/1e3", "1e3/10", "1e5/1e5", "1e5/10", "1e6/1e6", "1e6/10")
 """Standard deviations of the initial position, m: true / assumed."""
 START_M = (10.0, 1e2, 1e3, 1e4, 1e5, 1e6)
 WINDOWS = (1, 2, 5, 10, 20, 50, 100)
 """Initial standard deviations of the position at 10 Hz, each assumed correctly and as a tenth; and
 epochs in the window of the AUKF."""
-SHAPES = ("noise", "constant")
+SHAPES = {"noise": "noise of 50 m", "constant": "an error of 50 m"}
 STRUCK = range(1, 13)
 ROBUST = (*PAIR, "group", "channel", "huber")
 """Errors that are added to bad ranges (a constant on all ranges is a clock step), numbers of bad
@@ -510,7 +525,7 @@ def correlation(name: str, accept: Bounds, r: Results) -> Number:
     e = r.error("none", name, "position")[r.at("none", "all")]
     moments = [(e[1:] * e[:-1]).mean((0, 2)), np.square(e).mean((0, 2))]
     return estimate(
-        f"correlation of successive errors, {name.upper()}",
+        f"correlation of successive position errors, {name.upper()}",
         lambda x, y: x.mean() / y.mean(),
         moments,
         accept,
@@ -536,17 +551,25 @@ def same(r: Results) -> list[Number]:
         for difference, (part, at) in zip(most, cases, strict=True)
     ]
     return [
-        Number("largest difference (m)", max(most[:2])),
-        Number("largest difference over the RMSE", max(far[:2]), (0.01, None)),
-        Number("the same from 1 km", max(far[2:])),
+        Number("largest difference of EKF and UKF (m)", max(most[:2])),
+        Number("largest difference of EKF and UKF over the RMSE", max(far[:2]), (0.01, None)),
+        Number("largest difference of EKF and UKF over the RMSE, from 1 km", max(far[2:])),
         *(
-            Number(f"median error of EKF over UKF, from {km:g} km, after 5 epochs", ahead(r, km))
+            Number(
+                f"median position error, EKF over UKF, from {km:g} km, after 5 epochs", ahead(r, km)
+            )
             for km in (10.0, 100.0)
         ),
         *(
             number(r)
             for part, at in cases
-            for number in by_axis(f"UKF over EKF, {part}, {at}", part, "ukf", "ekf", at)
+            for number in by_axis(
+                f"RMSE of UKF over EKF, {SPANS.get(part, part)}, {SPANS.get(at, 'before')}",
+                part,
+                "ukf",
+                "ekf",
+                at,
+            )
         ),
     ]
 
@@ -575,7 +598,7 @@ def undisturbed(share: bool = False) -> list[Decided]:
         )
         if share:
             return estimate(
-                f"{axis}, share of runs with a smaller error",
+                f"{axis}, share of runs with a smaller RMS error than the UKF's",
                 np.mean,
                 [(a < u) * 1.0],
                 (0.95, None),
@@ -594,7 +617,7 @@ def suppressed(part: str) -> list[Decided]:
     """RMSE of the AUKF in the burst, relative to the UKF's RMSE, to its own RMSE without a burst,
     and to the UKF's RMSE by axis."""
     over_quiet = over(
-        f"{part}: RMSE over its quiet RMSE",
+        f"{part}: RMSE in the burst over that before it",
         part,
         "aukf",
         "aukf",
@@ -603,9 +626,9 @@ def suppressed(part: str) -> list[Decided]:
         to="quiet",
     )
     return [
-        over(f"{part}: RMSE over the UKF's", part, "aukf", "ukf", "burst"),
+        over(f"{part}: RMSE in the burst over the UKF's", part, "aukf", "ukf", "burst"),
         over_quiet,
-        *by_axis(part, part, "aukf", "ukf", "burst"),
+        *by_axis(f"RMSE in the burst over the UKF's, {part}", part, "aukf", "ukf", "burst"),
     ]
 
 
@@ -636,7 +659,7 @@ def recovery(part: str) -> list[Decided]:
         ),
         faster,
         over(
-            f"{part}: RMSE in 5 s after it over the UKF's",
+            f"{part}: RMSE in the 5 s after the burst over the UKF's",
             part,
             "aukf",
             "ukf",
@@ -656,13 +679,15 @@ def outliers(count: int, at: str) -> list[Decided]:
     """RMSE of the AUKF with outliers in ``count`` ranges, at one epoch or for ten seconds, relative
     to its quiet RMSE and to the UKF's RMSE."""
     part = {1: "one range, 10 Hz", 15: "ranges, 10 Hz"}.get(count, f"{count} ranges")
-    label = f"bad ranges: {count}, {'one epoch' if at == 'first' else 'ten seconds'}"
+    label = (
+        f"{count} bad range{'s' * (count > 1)}, {'one epoch' if at == 'first' else 'ten seconds'}"
+    )
     quiet_bounds, ukf_bounds = (
         ((None, None), (None, None)) if count == 15 else ((None, SAME_ORDER), (None, 1.0))
     )
     return [
         over(
-            f"{label}: RMSE over its quiet RMSE", part, "aukf", "aukf", at, quiet_bounds, to="quiet"
+            f"{label}: RMSE over that before it", part, "aukf", "aukf", at, quiet_bounds, to="quiet"
         ),
         over(f"{label}: RMSE over the UKF's", part, "aukf", "ukf", at, ukf_bounds),
     ]
@@ -672,8 +697,14 @@ def sensitive(r: Results) -> Tiers:
     """Largest increase of the RMSE if statistics, or the initial error, are wrong by at most a
     factor of 10; settling time in epochs from wrong initial errors."""
     *costs, far = [
-        ratio(part, (part, "ukf"), ("near/Q 1", "ukf"), "position", at="all")(r)
-        for part in ("near/Q 0.1", "near/Q 10", "near/R 0.3", "near/R 3", "far")
+        ratio(
+            f"RMSE over that with the right values, {wrong}",
+            (part, "ukf"),
+            ("near/Q 1", "ukf"),
+            "position",
+            at="all",
+        )(r)
+        for part, wrong in WRONG.items()
     ]
     ends = [
         r.error(name, "ukf", "position")[-1]
@@ -683,7 +714,7 @@ def sensitive(r: Results) -> Tiers:
     lost = Number("failed runs", sum(int(np.isnan(end).any(-1).sum()) for end in ends))
     right, *epochs = [
         estimate(
-            f"epochs to settle from {start} m (true/assumed)",
+            f"epochs to settle, {initial(start)}",
             np.median,
             [settling(r, start, "ukf")],
         )
@@ -696,6 +727,13 @@ def sensitive(r: Results) -> Tiers:
         "in part": [most._replace(accept=(1.01, None)), slow],
         "not reproduced": [far, lost, *epochs, *costs],
     }
+
+
+def initial(start: str) -> str:
+    """Standard deviations of the initial position, true and assumed, in words."""
+    return "initial error {} m, assumed {} m".format(
+        *(f"{float(x):,.0f}" for x in start.split("/"))
+    )
 
 
 def settling(r: Results, start: str, name: str) -> Array:
@@ -716,7 +754,9 @@ def later(label: str, part: str, case: str, most: float, r: Results, since: int 
         return float(r.parts[part].config.interval_s) * (len(below) - first(~below[::-1]))
 
     return estimate(
-        f"{label}: AUKF later by (s)", lambda u, a: np.median(a - u), [until(name) for name in PAIR]
+        f"{label}: delay of the AUKF against the UKF (s)",
+        lambda u, a: np.median(a - u),
+        [until(name) for name in PAIR],
     )
 
 
@@ -726,15 +766,17 @@ def convergence(r: Results) -> list[Number]:
     quick, slow = (
         3.0 * rms(r, *case, "settled") for case in (("starts", "10/10/ukf"), (STARTS[0], "ukf"))
     )
-    cases = [f"{true:g}/{true / k:g}/" for true in START_M for k in (1, 10)]
-    starts = [later(f"10 Hz, {case[:-1]}", "starts", case, quick, r) for case in cases]
-    starts += [later(f"1 Hz, {start}", start, "", slow, r) for start in STARTS]
+    cases = [f"{true:g}/{true / k:g}" for true in START_M for k in (1, 10)]
+    starts = [later(f"10 Hz, {initial(case)}", "starts", f"{case}/", quick, r) for case in cases]
+    starts += [later(f"1 Hz, {initial(start)}", start, "", slow, r) for start in STARTS]
     sooner, longer = (
         [n._replace(accept=side) for n in starts] for side in ((None, -1.0), (1e-9, None))
     )
     return [
-        count_holding("initial errors from which it is sooner by 1 s", sooner, (None, 0)),
-        count_holding("initial errors from which it is later", longer, (1, None)),
+        count_holding(
+            "initial errors from which the AUKF settles sooner by 1 s", sooner, (None, 0)
+        ),
+        count_holding("initial errors from which the AUKF settles later", longer, (1, None)),
         after_burst(r)._replace(accept=(None, -1.0)),
         *starts,
     ]
@@ -753,11 +795,18 @@ def gap(r: Results) -> list[Number]:
     def larger(u: Array, a: Array, v: Array, b: Array) -> float:
         return float((1.0 - np.sqrt(a.mean() / u.mean())) / (1.0 - np.sqrt(b.mean() / v.mean())))
 
-    label = "gap to the UKF over that with the right noise"
+    label = "RMSE gained on the UKF over that with the right noise"
     paired = [values[:least] for values in squares]
     wider = estimate(label, larger, paired, (SAME_ORDER, None))
     return [
-        over("RMSE over the UKF's, 10 m for 3 m", "mistuned", "aukf", "ukf", "all", (None, 1.0))(r),
+        over(
+            "RMSE over the UKF's, noise of 10 m, assumed 3 m",
+            "mistuned",
+            "aukf",
+            "ukf",
+            "all",
+            (None, 1.0),
+        )(r),
         wider,
     ]
 
@@ -772,7 +821,7 @@ def window_range(r: Results) -> list[Number]:
         ratios = {
             m: [
                 over(
-                    f"{rate}, window of {m} epochs, {at}",
+                    f"{rate}, window of {m} epochs: RMSE over UKF's {SPANS.get(at, 'before')}",
                     part,
                     f"M {m}",
                     "ukf",
@@ -789,7 +838,11 @@ def window_range(r: Results) -> list[Number]:
         best = min(WINDOWS, key=lambda m: rms(r, part, f"M {m}", "burst"))
         quiet, struck, after = (n._replace(accept=(None, None)) for n in ratios[best])
         out += [
-            count_holding(f"{rate}: windows with which it is better in both", both, (None, None)),
+            count_holding(
+                f"{rate}: windows with a smaller RMSE than the UKF's before and in the burst",
+                both,
+                (None, None),
+            ),
             Number(f"{rate}: best window in the burst (epochs)", best),
             quiet,
             struck._replace(accept=(least, None)),
@@ -803,7 +856,8 @@ def bad(shape: str, k: int, name: str, most: Bounds, own: bool = True) -> Decide
     """RMSE in the burst on ``k`` of twelve ranges, relative to the RMSE just before it (``own``) or
     to the UKF's RMSE."""
     case = f"{shape} {k}/"
-    label = f"{name}, {shape} on {k} of 12 ranges: over {'its quiet RMSE' if own else 'the UKF'}"
+    said = {"aukf": "AUKF", "huber": "Huber's weights"}.get(name, f"{name} parity")
+    label = f"RMSE over {('the UKF', 'that before it')[own]}, {said}, {SHAPES[shape]} on {k} of 12"
     return over(
         label,
         "struck",
@@ -826,13 +880,13 @@ def limits(r: Results) -> list[Number]:
         )
         out += [
             count_holding(
-                f"{shape}: bad ranges up to which it is better than the UKF",
+                f"{SHAPES[shape]}: number of bad ranges up to which the AUKF beats the UKF",
                 better,
                 (least, None),
                 leading=True,
             ),
             count_holding(
-                f"{shape}: bad ranges up to which it is below twice its quiet RMSE",
+                f"{SHAPES[shape]}: number of bad ranges up to which the RMSE does not double",
                 near_quiet,
                 (least, None),
                 leading=True,
@@ -841,7 +895,7 @@ def limits(r: Results) -> list[Number]:
         ]
     inflated = (
         consistency(
-            "largest share of the good ranges with a factor above 2",
+            "largest share of the good ranges whose R is multiplied by more than 2",
             ("struck", f"{shape} {k}/aukf"),
             (None, 0.1),
             at="burst",
@@ -852,7 +906,7 @@ def limits(r: Results) -> list[Number]:
     )
     means = (
         consistency(
-            f"mean factor of the {what} ranges, constant on 8 of 12",
+            f"mean factor of R of the {what} ranges, 50 m on 8 of 12",
             ("struck", "constant 8/aukf"),
             at="burst",
             what=what,
@@ -875,7 +929,7 @@ def converges(r: Results) -> Tiers:
     sooner after the burst."""
     more = [
         estimate(
-            f"epochs more than the {name.upper()} from {start} m (true/assumed)",
+            f"epochs later than the {name.upper()}, {initial(start)}",
             lambda a, b: np.median(a) - np.median(b),
             [settling(r, start, "aukf"), settling(r, start, name)],
             (None, 0.5),
@@ -898,11 +952,15 @@ def rotation(r: Results) -> Tiers:
     others = 1e-3 * r.get("orbits", "others")
     singular = [
         Number(
-            "growth of the node's σ",
+            "growth of the node's σ at a tenth of the inclination",
             float((node[2:4] / node[1:3]).min()),
             (10.0**0.5, None),
         ),
-        Number("growth of the position's σ", float(place.max() / place.min()), (None, 10.0**0.5)),
+        Number(
+            "growth of the position's σ over all inclinations",
+            float(place.max() / place.min()),
+            (None, 10.0**0.5),
+        ),
     ]
     return {
         "reproduced": [
@@ -945,14 +1003,18 @@ DECISIONS: dict[str, Decision] = {
             (3.5, None),
             np.min,
         ),
-        of("polar", "error", "error of mean y in the drawn example", (None, 1e-4)),
+        of("polar", "error", "error of the mean of y in the drawn example (m)", (None, 1e-4)),
     ),
     "ukf-sensitive": sensitive,
     "geo-needs-rotation": rotation,
     "a-is-identity": all_of(
         *(
             consistency(
-                f"mean factor of {half}", ("none", "aukf"), (0.99, 1.01), at="quiet", what=half
+                f"mean factor of R of the {half}",
+                ("none", "aukf"),
+                (0.99, 1.01),
+                at="quiet",
+                what=half,
             )
             for half in HALVES
         ),
@@ -965,7 +1027,9 @@ DECISIONS: dict[str, Decision] = {
             )
             for half in HALVES
         ),
-        partial(apart, "change of the estimate over its RMSE", "aukf", "ukf", "quiet", 0.01),
+        partial(
+            apart, "RMS difference of AUKF and UKF over the RMSE", "aukf", "ukf", "quiet", 0.01
+        ),
     ),
     "system-noise-weakened": all_of(
         *(
@@ -994,7 +1058,7 @@ DECISIONS: dict[str, Decision] = {
     ),
     "table-1-order": all_of(
         *undisturbed(),
-        partial(apart, "difference of EKF and UKF over the RMSE", "ekf", "ukf", "all", 1e-3),
+        partial(apart, "RMS difference of EKF and UKF over the RMSE", "ekf", "ukf", "all", 1e-3),
     ),
     "burst-suppressed": tiers(
         reproduced=[n for part in READINGS for n in suppressed(part)],
@@ -1006,16 +1070,18 @@ DECISIONS: dict[str, Decision] = {
     "faster-convergence": converges,
     "erratum-6-worse": all_of(
         over(
-            "quiet RMSE without new points over RMSE with them",
+            "RMSE before the burst, without new sigma points over with them",
             "redraw",
             "no redraw",
             "ukf",
             "quiet",
             (5.0, None),
         ),
-        consistency("NEES without new points", ("redraw", "no redraw"), (80.0, None), at="quiet"),
         consistency(
-            "NIS without new points, truth from the model (30 if consistent)",
+            "mean NEES without new sigma points", ("redraw", "no redraw"), (80.0, None), at="quiet"
+        ),
+        consistency(
+            "mean NIS without new sigma points, truth from the model (30 if consistent)",
             ("matched", "no redraw"),
             (50.7, 62.1),
             at="all",
@@ -1033,7 +1099,7 @@ DECISIONS: dict[str, Decision] = {
     ),
     "baselines-group-ranges": all_of(
         over(
-            "RMSE over the AUKF's, burst on ranges",
+            "RMSE of group parity over the AUKF's, burst on ranges",
             "ranges, 10 Hz",
             "group",
             "aukf",
@@ -1041,7 +1107,7 @@ DECISIONS: dict[str, Decision] = {
             (None, 1.1),
         ),
         over(
-            "RMSE over the AUKF's, burst on rates too",
+            "RMSE of group parity over the AUKF's, burst on rates too",
             "baselines",
             "both/group",
             "both/aukf",
@@ -1049,7 +1115,7 @@ DECISIONS: dict[str, Decision] = {
             (None, 1.1),
         ),
         over(
-            "RMSE over the AUKF's, after a burst on rates too",
+            "RMSE of group parity over the AUKF's, after a burst on rates too",
             "baselines",
             "both/group",
             "both/aukf",
@@ -1058,18 +1124,23 @@ DECISIONS: dict[str, Decision] = {
         ),
     ),
     "baselines-group-one": over(
-        "RMSE over the AUKF's", "baselines", "one/group", "one/aukf", "burst", (1.1, None)
+        "RMSE of group parity over the AUKF's, burst on one range",
+        "baselines",
+        "one/group",
+        "one/aukf",
+        "burst",
+        (1.1, None),
     ),
     "figure-7b-gate": all_of(
         rmse(
-            "RMSE in a burst on ranges and rates (m)",
+            "position RMSE of the innovation gate in a burst on ranges and rates (m)",
             ("baselines", "both/gate"),
             "position",
             (100.0, None),
             at="burst",
         ),
         over(
-            "RMSE over the UKF's, too small R",
+            "RMSE of the innovation gate over the UKF's, too small R",
             "baselines",
             "mistuned/gate",
             "mistuned/ukf",
@@ -1079,14 +1150,14 @@ DECISIONS: dict[str, Decision] = {
     ),
     "erratum-4-aukf": all_of(
         rmse(
-            "RMSE of the AUKF (m)",
+            "position RMSE of the AUKF (m)",
             ("densities, 10 Hz", "1/aukf"),
             "position",
             (1e3, None),
             at="quiet",
         ),
         rmse(
-            "RMSE of the EKF (m)",
+            "position RMSE of the EKF (m)",
             ("densities, 10 Hz", "1/ekf"),
             "position",
             (None, 1.0),
@@ -1096,10 +1167,12 @@ DECISIONS: dict[str, Decision] = {
     "figure-4-mistuned": gap,
     "start-ahead": lambda r: [
         Number(
-            "median error of EKF over UKF, from 1000 km, after 5 epochs", ahead(r, 1e3), (2.0, None)
+            "median position error, EKF over UKF, from 1000 km, after 5 epochs",
+            ahead(r, 1e3),
+            (2.0, None),
         ),
         Number(
-            "worst first fix (m)",
+            "worst first fix by least squares, median error (m)",
             max(float(medians(r, km, "ls")[0]) for km in INITIAL_KM),
             (None, 10.0),
         ),
@@ -1112,12 +1185,16 @@ DECISIONS: dict[str, Decision] = {
     ),
     "convergence-paired": convergence,
     "figure-7-factor": consistency(
-        "mean factor", ("ranges, 10 Hz", "aukf"), (220.0, 310.0), at="burst", what="ranges"
+        "mean factor of R of the ranges",
+        ("ranges, 10 Hz", "aukf"),
+        (220.0, 310.0),
+        at="burst",
+        what="ranges",
     ),
     "process-group": all_of(
         *(
             over(
-                f"RMSE over the EKF's, {rate}, {q:g} m²/s³",
+                f"RMSE of group parity over the EKF's, {rate}, {q:g} m²/s³",
                 f"densities, {rate}",
                 f"{q:g}/group",
                 f"{q:g}/ekf",
@@ -1131,12 +1208,18 @@ DECISIONS: dict[str, Decision] = {
     "process-nis": all_of(
         *(
             consistency(
-                f"NIS, {q} m²/s³", ("densities, 10 Hz", f"{q}/ekf"), bounds, at="quiet", what="nis"
+                f"mean NIS of the EKF, {q} m²/s³",
+                ("densities, 10 Hz", f"{q}/ekf"),
+                bounds,
+                at="quiet",
+                what="nis",
             )
             for q, bounds in (("1", (171.0, 189.0)), ("1000", (25.5, 27.9)))
         )
     ),
-    "matched-nees-ukf": consistency("NEES", ("matched", "ukf"), (7.4, 8.6), at="all"),
+    "matched-nees-ukf": consistency(
+        "mean NEES of the UKF", ("matched", "ukf"), (7.4, 8.6), at="all"
+    ),
 }
 DECISIONS |= {
     f"real-{id}": of("real", f"judged/{id}", "", accept) for id, (_, accept) in day.JUDGED.items()

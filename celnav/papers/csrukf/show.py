@@ -190,7 +190,7 @@ def length(std: Array) -> Array:
 
 def against_theory(r: Results) -> Figure:
     """RMSE of the runs and exact linear theory."""
-    row = []
+    rows = []
     for name, phi in PHIS.items():
         items = list[Item]()
         for (filter, line), marker in zip(LINES.items(), "os", strict=True):
@@ -200,9 +200,9 @@ def against_theory(r: Results) -> Figure:
             items.append(
                 curve(r.times(name), std, theory, marker=marker, markevery=60, fillstyle="none")
             )
-        row.append(Panel(f"$\\Phi = {name}$", items, TIME, "3-D position RMSE (km)", "y", SPAN))
-    title = "Figure 15 (not in the paper): the runs follow linear theory"
-    return panels(row, title=title, height=2.8, sharey=True)
+        rows.append(Panel(f"$\\Phi = {name}$", items, TIME, "RMSE (km)", "y", SPAN))
+    title = "Figure 15 (not in the paper): the position RMSE follows linear theory"
+    return panels(*rows, title=title, height=1.6, sharex=True)
 
 
 def over_phi(r: Results) -> Figure:
@@ -310,7 +310,7 @@ FIGURES = {
             (
                 2,
                 white,
-                "in white noise. Left: all runs. Right: both filters estimate the same; as "
+                "in white noise. (a) All runs. (b) Both filters estimate the same; as "
                 "printed, the CSRUKF has used the next sample.",
             ),
             (

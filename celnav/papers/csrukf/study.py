@@ -419,7 +419,7 @@ def better(case: str, position: float, velocity: float) -> list[Decided]:
     numbers = []
     for group, most in zip(BOTH, (position, velocity), strict=True):
         for at, when in ((-1, "at the end"), (ALL, "averaged")):
-            label = f"{group}, {SETTINGS[case]}, {when}"
+            label = f"{group} RMSE over the SRUKF's, {SETTINGS[case]}, {when}"
             numbers.append(over(label, case, "csrukf", "srukf", (None, most), group, at=at))
     return numbers
 
@@ -432,7 +432,7 @@ def changes(r: Results) -> Tiers:
     for group in BOTH:
         a, b, c, d = (length(TABLE_3[case][filter.upper()], group) for case, filter in cases)
         number = estimate(
-            f"growth of SRUKF over that of CSRUKF, {group}",
+            f"growth of the {group} RMSE from 0.8 I to I, SRUKF over CSRUKF",
             lambda a, b, c, d: np.sqrt(a.mean() * c.mean() / (b.mean() * d.mean())),
             [r.squares(*case, group).sum(-1) for case in cases],
             (1.0, None),
@@ -450,7 +450,7 @@ def stepwise(r: Results) -> list[Number]:
     numbers = []
     parts = {"sweep/P": "fitted prior", "sweep/D": "poor prior"}
     for f, part, group, (a, b) in product(("srukf", "csrukf"), parts, BOTH, pairwise(STEPS)):
-        label = f"{f.upper()}, {group}, {parts[part]}, φ from {a:g} to {b:g}"
+        label = f"growth of the {group} RMSE, {f.upper()}, {parts[part]}, φ from {a:g} to {b:g}"
         step = (f"{part}/{b:g}", f), (f"{part}/{a:g}", f)
         numbers.append(ratio(label, *step, group, (1.0, None))(r))
     return sorted(numbers, key=lambda number: number.value)
@@ -520,7 +520,9 @@ def held_fixed(r: Results) -> list[Number]:
             for rms in (square[-1], square[1:].mean(0)):
                 steps.append(np.sqrt(rms[1:] / rms[:-1]))
         size = {np.min: "smallest", np.max: "largest"}[extreme]
-        label = f"{size} factor of a step, {name.upper()}, fixed {held}"
+        label = (
+            f"{size} growth of the RMSE, {name.upper().replace('+Z0', ' with z_0')}, fixed {held}"
+        )
         return Number(label, float(extreme(steps)), (None, most))
 
     covariance, density = HELD
@@ -537,7 +539,7 @@ def converges(case: str, prior: str) -> list[Decided]:
     """Ratios of the final error to the initial error and to the open-loop error. An interval that
     contains 1 shows no convergence."""
     start = over(
-        f"final over initial error, {prior}",
+        f"final over initial position RMSE, {prior}",
         case,
         "csrukf",
         "csrukf",
@@ -546,7 +548,7 @@ def converges(case: str, prior: str) -> list[Decided]:
         strict=True,
     )
     loop = over(
-        f"final error over the open loop's, {prior}",
+        f"final position RMSE over the open loop's, {prior}",
         case,
         "csrukf",
         "openloop",
@@ -563,7 +565,12 @@ def over_theory(case: str) -> Decided:
     def number(r: Results) -> Number:
         bound = np.square(r.get("theory", "P/csrukf+z0")[-1, SWEEP.index(PHIS[case]), :3]).sum()
         ours = r.squares(f"{case}, many", "csrukf", "position").sum(-1)
-        return estimate(f"Φ = {case}", lambda x: np.sqrt(x.mean() / bound), [ours], (0.85, 1.15))
+        return estimate(
+            f"final position RMSE over the bound, Φ = {case}",
+            lambda x: np.sqrt(x.mean() / bound),
+            [ours],
+            (0.85, 1.15),
+        )
 
     return number
 
@@ -575,8 +582,8 @@ def long_arc(r: Results) -> list[Number]:
     bound = r.get("theory", "long/csrukf+z0")[3000, :, :3]
     walk, colored = np.linalg.norm(srukf, axis=-1) / np.linalg.norm(bound, axis=-1)
     return [
-        Number("RMSE over the bound, Φ = I", walk, (1.5, 2.5)),
-        Number("RMSE over the bound, Φ = 0.8 I", colored, (1.0, 1.05)),
+        Number("position RMSE over the bound, Φ = I", walk, (1.5, 2.5)),
+        Number("position RMSE over the bound, Φ = 0.8 I", colored, (1.0, 1.05)),
     ]
 
 
@@ -591,15 +598,15 @@ def right(wrong: Array) -> float:
 
 
 # -- the ledger ------------------------------------------------------------------------------------
-SAME = ((-1, -1, "end"), (ALL, ALL, "averaged"))
-AHEAD = ((-1, -2, "end"), (slice(2, None), slice(1, -1), "averaged"))
+SAME = ((-1, -1, "at the end"), (ALL, ALL, "averaged"))
+AHEAD = ((-1, -2, "at the end"), (slice(2, None), slice(1, -1), "averaged"))
 CELLS = [((case, filter.lower()), TABLE_3[case][filter]) for case in TABLE_3 for filter in TABLE_1]
 
 DECISIONS: dict[str, Decision] = {
     "white-alike": all_of(
         *(
             over(
-                f"{name}, {group}, {w}",
+                f"{group} RMSE over the SRUKF's, {name}, {w}",
                 "0",
                 f,
                 "srukf",
@@ -617,7 +624,9 @@ DECISIONS: dict[str, Decision] = {
         [(("0, many", f.lower()), TABLE_1[f]) for f in TABLE_1], BOTH, FITTED, 100, 2
     ),
     "srukf-diverges": all_of(
-        consistency("final NEES", ("I", "srukf"), (10.0 * chi_square_band(6, 100)[1], None)),
+        consistency(
+            "mean NEES at the end", ("I", "srukf"), (10.0 * chi_square_band(6, 100)[1], None)
+        ),
         over(
             "position RMSE, 600 s over 300 s",
             "I",
@@ -644,13 +653,16 @@ DECISIONS: dict[str, Decision] = {
     "little-change": all_of(
         *(
             constant(
-                f"growth in {g}, printed",
+                f"growth of the {g} RMSE, printed",
                 length(TABLE_2["CSRUKF"], g) / length(TABLE_1["CSRUKF"], g),
                 (None, 3.2),
             )
             for g in BOTH
         ),
-        *(ratio(f"growth in {g}", ("I", "csrukf"), ("0", "csrukf"), g, (None, 3.2)) for g in BOTH),
+        *(
+            ratio(f"growth of the {g} RMSE", ("I", "csrukf"), ("0", "csrukf"), g, (None, 3.2))
+            for g in BOTH
+        ),
     ),
     "larger-phi-worse": stepwise,
     "srukf-changes-more": changes,
@@ -661,7 +673,12 @@ DECISIONS: dict[str, Decision] = {
     "table-3-levels": lambda r: {
         **entries(CELLS, BOTH, "reproduced", 100, 3)(r),
         "not reproduced": [
-            of("settings", "misfit", "largest factor, best random parameters", reduce=np.min)(r)
+            of(
+                "settings",
+                "misfit",
+                "largest factor between printed and ours, best random parameters",
+                reduce=np.min,
+            )(r)
         ],
     },
     "square-roots-stabilize": stable,
@@ -670,7 +687,7 @@ DECISIONS: dict[str, Decision] = {
             of(
                 "geometry",
                 "wrong",
-                "share of a revolution with errors below 1 m",
+                "share of a revolution with position errors below 1 m",
                 (1.0, None),
                 right,
             )
@@ -679,17 +696,17 @@ DECISIONS: dict[str, Decision] = {
             of(
                 "geometry",
                 "wrong",
-                "share of the paper's own 600 s with errors below 1 m",
+                "share of the paper's own 600 s with position errors below 1 m",
                 (1.0, None),
                 lambda x: right(x[: P.steps + 1]),
             ),
             of(
                 "geometry",
                 "corrected",
-                "largest error if the hemisphere is given (km)",
+                "largest position error if the hemisphere is given (km)",
                 (None, 1e-3),
             ),
-            of("geometry", "wrong", "largest error (km)"),
+            of("geometry", "wrong", "largest position error (km)"),
         ],
     ),
     "whitened-and-optimal": tiers(
@@ -717,7 +734,7 @@ DECISIONS: dict[str, Decision] = {
             ),
         ],
     ),
-    "erratum-radius": of("geometry", "radius", "printed over correct radius", (0.39, 0.41)),
+    "erratum-radius": of("geometry", "radius", "printed over correct radius r", (0.39, 0.41)),
     "erratum-hemisphere": of(
         "geometry", "later", "position error 300 s past the equator (km)", (3900.0, 4100.0)
     ),
@@ -726,7 +743,9 @@ DECISIONS: dict[str, Decision] = {
         "linear", "cross", "part of the cross-covariance that remains, corrected", (None, 1e-9)
     ),
     "erratum-9-roots-nees": all_of(
-        consistency("final NEES, Φ = 0, in km", ("0", "printed roots"), (1e3, None)),
+        consistency(
+            "mean NEES at the end, Φ = 0, printed roots in km", ("0", "printed roots"), (1e3, None)
+        ),
         over(
             "velocity RMSE over the corrected filter's",
             "0",
@@ -746,26 +765,39 @@ DECISIONS: dict[str, Decision] = {
         of("redrawn", "redrawn", "the same with new points", (None, 1e-12)),
     ),
     "erratum-19-growth": constant(
-        "largest growth of an axis", growth(TABLE_1["CSRUKF"], TABLE_2["CSRUKF"]), (3.0, None)
+        "largest printed growth of an axis, Table 1 to 2",
+        growth(TABLE_1["CSRUKF"], TABLE_2["CSRUKF"]),
+        (3.0, None),
     ),
     "erratum-20-contradiction": constant(
-        "largest ratio of the SRUKF's entries",
+        "largest ratio of the SRUKF's printed RMS errors, Table 3 to 2",
         growth(TABLE_2["SRUKF"], TABLE_3["I"]["SRUKF"]),
         (3.0, None),
     ),
     "erratum-21-growth": all_of(
-        of("settings", "growth", "least growth of SRUKF over random settings", (5.0, None), np.min),
-        of("settings", "gain", "largest gain of any filter at 0.8 I", (None, 5.0)),
+        of(
+            "settings",
+            "growth",
+            "least growth of the SRUKF's RMSE from 0.8 I to I, random settings",
+            (5.0, None),
+            np.min,
+        ),
+        of(
+            "settings",
+            "gain",
+            "largest RMSE of the SRUKF over the bound at 0.8 I, random settings",
+            (None, 5.0),
+        ),
     ),
     "remark-first-sample": over(
-        "RMSE with z_0 over RMSE without, poor prior, Φ = I",
+        "position RMSE with z_0 over RMSE without, poor prior, Φ = I",
         "D/I",
         "csrukf+z0",
         "csrukf",
         (None, 0.6),
     ),
     "remark-angle-space": over(
-        "RMSE with whitened angles over that with whitened positions",
+        "position RMSE with whitened angles over that with whitened positions",
         "sensor/D/I",
         "angles",
         ISOTROPIC,
@@ -775,7 +807,10 @@ DECISIONS: dict[str, Decision] = {
         "3-D position RMSE over the open loop's", "I", "csrukf", "openloop", (0.98, 1.02)
     ),
     "consistent": all_of(
-        *(consistency(f"Φ = {n}", (f"{n}, many", "csrukf"), (5.0, 7.1)) for n in PHIS)
+        *(
+            consistency(f"mean NEES at the end, Φ = {n}", (f"{n}, many", "csrukf"), (5.0, 7.1))
+            for n in PHIS
+        )
     ),
     "at-the-bound": all_of(*map(over_theory, PHIS)),
     "cheap-remedy": all_of(
@@ -786,7 +821,7 @@ DECISIONS: dict[str, Decision] = {
             "csrukf",
             (0.9, 1.1),
         ),
-        consistency("final NEES, Φ = 0.8 I", ("0.8", "srukf-reff"), (4.8, 7.1)),
+        consistency("mean NEES at the end, Φ = 0.8 I", ("0.8", "srukf-reff"), (4.8, 7.1)),
         over(
             "3-D position RMSE over the CSRUKF's, Φ = I",
             "I",
@@ -794,16 +829,16 @@ DECISIONS: dict[str, Decision] = {
             "csrukf",
             (5.0, None),
         ),
-        consistency("final NEES, Φ = I", ("I", "srukf-inflated"), (200.0, None)),
+        consistency("mean NEES at the end, Φ = I", ("I", "srukf-inflated"), (200.0, None)),
     ),
     "larger-phi-convention": held_fixed,
     "poor-prior": all_of(
-        over("RMSE over the SRUKF's, without z_0", "D/I", "csrukf", "srukf", (1.3, None)),
-        over("RMSE over the SRUKF's, with z_0", "D/I", "csrukf+z0", "srukf", (None, 0.85)),
+        over("position RMSE over the SRUKF's, without z_0", "D/I", "csrukf", "srukf", (1.3, None)),
+        over("position RMSE over the SRUKF's, with z_0", "D/I", "csrukf+z0", "srukf", (None, 0.85)),
     ),
     "wrong-coefficient": all_of(
-        consistency("mean NEES, true φ = 1, assumed 0.95", ("I", "phi 0.95"), (50.0, None), at=ALL),
-        consistency("mean NEES, true φ = 0.8, assumed 1", ("0.8", "phi 1"), (4.9, 7.3), at=ALL),
+        consistency("mean NEES, φ = 1, assumed 0.95", ("I", "phi 0.95"), (50.0, None), at=ALL),
+        consistency("mean NEES, φ = 0.8, assumed 1", ("0.8", "phi 1"), (4.9, 7.3), at=ALL),
         over(
             "position RMSE over that with the true φ",
             "0.8",
@@ -822,7 +857,10 @@ DECISIONS: dict[str, Decision] = {
     ),
     "long-arc": long_arc,
     "nis-csrukf": all_of(
-        *(consistency(f"Φ = {n}", (n, "csrukf"), (2.8, 3.2), at=ALL, what="nis") for n in PHIS)
+        *(
+            consistency(f"mean NIS, Φ = {n}", (n, "csrukf"), (2.8, 3.2), at=ALL, what="nis")
+            for n in PHIS
+        )
     ),
 }
 
@@ -833,7 +871,7 @@ STUDY = Study(
     trial,
     parts,
     ROWS,
-    figure="figure_08",
+    figure="figure_15",
     says="Differencing whitens colored measurement noise. A square-root UKF that uses differences "
     "is as good as the ordinary one in white noise, and converges where the ordinary one diverges.",
     found=ANSWER,

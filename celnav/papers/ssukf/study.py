@@ -111,11 +111,30 @@ UNITS = np.repeat([ARCSEC, DEG_PER_H], 3)
 """Units of errors of rotation vector and drift, ``(6,)``: arcsec and deg/h."""
 AXES = ("roll", "pitch", "yaw")
 FORMS = ("local", "switched", "unswitched")
+NAMES = {
+    "additive": "UKF with added Q and R",
+    "mekf": "MEKF",
+    "pa": "UKF with augmented Q",
+    "ma": "UKF with augmented R",
+    "local": "error of the attitude",
+    "switched": "switched total attitude",
+    "drawn": "errors drawn from the prior",
+    "crossing": "spin past 360°",
+    "augmented": "standard gyro",
+    "coarse": "gyro with 10,000 times the noise",
+    "cov": "covariance",
+}
+"""Filters, forms and parts in words."""
 TIMED = (*SIDES, "mekf")
 SPREADS = {"c = 15": 15.0, "c = 7": 7.0, "c = 0.15": 0.15, "the paper's scaling": None}
 PRINTED_SPREAD = 15.0 - 6.0 + STANDARD.alpha**2 * (6.0 + STANDARD.kappa)
 """``c = L + lambda`` with the printed ``lambda = alpha^2 (n + kappa) - n``; n should be L."""
 AVERAGED_DEG = (1.0, 10.0, 30.0, 60.0, 20.0 / 3600.0)
+COMPONENTS = {
+    "norm": "difference of the norm of the componentwise mean from 1",
+    "turned": "median error of the componentwise mean with random signs (deg)",
+}
+"""Defects of componentwise means of quaternions in words."""
 FIELD_DEG = (10.0, 30.0, 60.0)
 FIELD = ("mekf", "mekf transported", "usque", "usque transported", "ssukf", "aukf")
 COARSE = replace(
@@ -847,7 +866,10 @@ def weak_axis(name: str, accept: Any) -> Decided:
         return float(np.sqrt(squares.mean(0).max() / squares.mean(0).min()))
 
     return lambda r: estimate(
-        name, worst, [r.squares("heads", name, "attitude", "last third")], accept
+        f"RMSE of the worst axis over that of the best, {name}",
+        worst,
+        [r.squares("heads", name, "attitude", "last third")],
+        accept,
     )
 
 
@@ -877,12 +899,22 @@ def sooner(
 
 def sound(part: str, form: str) -> list[Decided]:
     """Norm, condition number and consistency of a form."""
-    label = f"{form}, {part}"
+    label = f"{NAMES[form]}, {NAMES[part]}"
     return [
-        of(part, f"{form}/norm", f"difference of the norm from 1, {label}", (None, 1e-12)),
-        of(part, f"{form}/condition", f"condition number, {label}", (None, REGULAR)),
-        consistency(f"NEES, {label}", (part, form), NEES, at="all"),
-        consistency(f"NIS, {label}", (part, form), NIS, at="all", what="nis"),
+        of(
+            part,
+            f"{form}/norm",
+            f"difference of the quaternion's norm from 1, {label}",
+            (None, 1e-12),
+        ),
+        of(
+            part,
+            f"{form}/condition",
+            f"condition number of the covariance, {label}",
+            (None, REGULAR),
+        ),
+        consistency(f"mean NEES, {label}", (part, form), NEES, at="all"),
+        consistency(f"mean NIS, {label}", (part, form), NIS, at="all", what="nis"),
     ]
 
 
@@ -894,7 +926,9 @@ def unswitched(r: Results) -> Number:
         for form in ("unswitched", "switched")
     )
     a, b = (float(np.nan_to_num(size, nan=180.0 * 3600.0).max()) for size in sizes)
-    return Number("largest error without the switch over that with it", a / b, (None, 1.05))
+    return Number(
+        "largest attitude error without the switch over that with it", a / b, (None, 1.05)
+    )
 
 
 def at_the_bound(r: Results) -> list[Number]:
@@ -905,14 +939,15 @@ def at_the_bound(r: Results) -> list[Number]:
         for k in (40, 240)
     }
     return [
-        estimate(f"after {k / 4:g} s", rms, [squares], (0.9, 1.1)) for k, squares in over.items()
+        estimate(f"attitude RMSE over the exact σ after {k / 4:g} s", rms, [squares], (0.9, 1.1))
+        for k, squares in over.items()
     ]
 
 
 # -- the ledger ------------------------------------------------------------------------------------
 WHEN: dict[str, When] = {"first star sample": 1, "10 s": 40, "last third": "last third"}
 NINE = [
-    (f"{name}, {when}", slice(i, i + 1), at)
+    (f"{name} RMSE, {when}", slice(i, i + 1), at)
     for when, at in WHEN.items()
     for i, name in enumerate(AXES)
 ]
@@ -923,17 +958,19 @@ SWITCHED = [
 DECISIONS: dict[str, Decision] = {
     "equal-accuracy": all_of(
         *(
-            ratio(label, SSUKF, AUKF, "attitude", (0.95, 1.05), at=at, axes=axes)
+            ratio(
+                f"{label}, SSUKF over AUKF", SSUKF, AUKF, "attitude", (0.95, 1.05), at=at, axes=axes
+            )
             for label, axes, at in NINE
         ),
         *(
-            ratio(f"{label}, MEKF", MEKF, AUKF, "attitude", at=at, axes=axes)
+            ratio(f"{label}, MEKF over AUKF", MEKF, AUKF, "attitude", at=at, axes=axes)
             for label, axes, at in NINE
         ),
         of(
             "rates",
             "ssukf",
-            "difference between 100 Hz and integrated samples (arcsec)",
+            "largest difference of the attitude, 100 Hz from integrated samples (arcsec)",
             reduce=lambda x: x[0].max(),
         ),
     ),
@@ -941,7 +978,7 @@ DECISIONS: dict[str, Decision] = {
         reproduced=[fewer(25, *case) for case in COUNTS],
         in_part=[
             some(
-                "how many of eight counts are within 0.333 ± 0.05",
+                "number of counts, of eight, that save 0.333 ± 0.05",
                 1,
                 [fewer(per, *case) for per in (1, 25) for case in COUNTS],
             ),
@@ -952,7 +989,13 @@ DECISIONS: dict[str, Decision] = {
     ),
     "small-errors-fast": all_of(
         *(
-            sooner(f, i, 20.0, f"time of {AXES[i]}, {f[1].upper()} (s)", (None, 1.0))
+            sooner(
+                f,
+                i,
+                20.0,
+                f"time until the {AXES[i]} error stays below 20 arcsec, {f[1].upper()} (s)",
+                (None, 1.0),
+            )
             for f in (AUKF, SSUKF)
             for i in range(2)
         )
@@ -960,7 +1003,12 @@ DECISIONS: dict[str, Decision] = {
     "large-error-faster": all_of(
         *(
             sooner(
-                AUKF, 2, level, f"earlier below {level:g} arcsec by (s)", (0.25, None), sooner=SSUKF
+                AUKF,
+                2,
+                level,
+                f"time that the SSUKF's yaw is earlier below {level:g} arcsec (s)",
+                (0.25, None),
+                sooner=SSUKF,
             )
             for level in (20.0, 10.0, 5.0)
         ),
@@ -984,7 +1032,7 @@ DECISIONS: dict[str, Decision] = {
             of(
                 "identities",
                 f"{what}, {label}",
-                f"difference of {what} (σ), {label}",
+                f"largest difference of the {NAMES.get(what, what)} (σ), {label}",
                 (None, 1e-9 if c else None),
             )
             for label, c in SPREADS.items()
@@ -994,7 +1042,7 @@ DECISIONS: dict[str, Decision] = {
     "augmentation-more-accurate": tiers(
         reproduced=[
             ratio(
-                f"RMSE over that of {name.upper()}, last third",
+                f"RMSE of the AUKF over that of the {NAMES[name]}, last third",
                 ("augmented", "aukf"),
                 ("augmented", name),
                 "attitude",
@@ -1005,22 +1053,26 @@ DECISIONS: dict[str, Decision] = {
             for name in ("additive", "mekf")
         ],
         in_part=[
-            multiplying("RMSE over the additive UKF's, noise in an exponential", "additive", 1.0),
-            multiplying("RMSE over an EKF's, noise in an exponential", "ekf"),
+            multiplying(
+                "RMSE of the AUKF over that of the additive UKF, noise in an exponential",
+                "additive",
+                1.0,
+            ),
+            multiplying("RMSE of the AUKF over that of an EKF, noise in an exponential", "ekf"),
         ],
     ),
     "component-mean-fails": all_of(
         *(
-            of("facts", what, f"{what}, σ = {d:.3g} deg", (1e-12, None), itemgetter(i))
-            for what in ("norm", "turned")
-            for i, d in enumerate(AVERAGED_DEG)
+            of("facts", what, f"{label}, σ = {said}", (1e-12, None), itemgetter(i))
+            for what, label in COMPONENTS.items()
+            for i, said in enumerate(("1°", "10°", "30°", "60°", "20 arcsec"))
         )
     ),
     "mrp-switch-cures": tiers(
         reproduced=[
             *SWITCHED,
             unswitched,
-            of("facts", "four", "condition number of four components"),
+            of("facts", "four", "condition number of the covariance of four components"),
         ],
         in_part=SWITCHED,
     ),
@@ -1057,19 +1109,24 @@ DECISIONS: dict[str, Decision] = {
         of(
             "facts",
             "limits",
-            "largest over smallest steady error",
+            "largest over smallest steady attitude error, by reading of the gyro's numbers",
             (10.0, None),
             lambda x: x[:, 0].max() / x[:, 0].min(),
         ),
         *(
-            of("facts", "limits", f"{name} steady error (arcsec)", reduce=itemgetter((i, 0)))
+            of(
+                "facts",
+                "limits",
+                f"{name} steady attitude error (arcsec)",
+                reduce=itemgetter((i, 0)),
+            )
             for i, name in enumerate(("least", "largest"))
         ),
     ),
     "remark-large-error": all_of(
         *(
             ratio(
-                f"RMSE from 179° over that from 10°, {name.upper()}",
+                f"attitude RMSE after a star sample, from 179° over from 10°, {name.upper()}",
                 ("turns", f"{name}, 179"),
                 ("turns", f"{name}, 10"),
                 "attitude",
@@ -1079,7 +1136,7 @@ DECISIONS: dict[str, Decision] = {
             for name in ("ssukf", "mekf")
         ),
         rmse(
-            "RMSE of the SSUKF from 179° (arcsec)",
+            "attitude RMSE of the SSUKF from 179°, after one star sample (arcsec)",
             ("turns", "ssukf, 179"),
             "attitude",
             at=1,
@@ -1087,12 +1144,14 @@ DECISIONS: dict[str, Decision] = {
         ),
     ),
     "ordinary-cheaper": lambda r: Number(
-        "sigma points over the SSUKF's", points(r, "additive") / points(r, "ssukf"), (None, 0.6)
+        "sigma points of the UKF with added Q and R over the SSUKF's",
+        points(r, "additive") / points(r, "ssukf"),
+        (None, 0.6),
     ),
     "one-sided": all_of(
         *(
             ratio(
-                f"RMSE of {name.upper()} over the SSUKF's, {part}",
+                f"RMSE of the {NAMES[name]} over the SSUKF's, {NAMES[part]}",
                 (part, name),
                 (part, "ssukf"),
                 "attitude",
@@ -1103,27 +1162,29 @@ DECISIONS: dict[str, Decision] = {
             for name in ("pa", "ma", "additive")
         ),
         *(
-            multiplying(f"RMSE over that of {name.upper()}, noise in an exponential", name)
+            multiplying(
+                f"RMSE of the AUKF over that of the {NAMES[name]}, noise in an exponential", name
+            )
             for name in ("pa", "ma")
         ),
     ),
     "sign-not-norm": all_of(
         *(
             ratio(
-                name,
+                f"RMSE over that with Rodrigues parameters, {said}",
                 ("components", name),
                 ("components", "rodrigues"),
                 "attitude",
                 bar,
                 at="last third",
             )
-            for name, bar in (
-                ("aligned", (0.999, 1.001)),
-                ("wide", (1.1, None)),
-                ("signs", (None, None)),
+            for name, said, bar in (
+                ("aligned", "equal signs", (0.999, 1.001)),
+                ("wide", "random signs, c = 15", (1.1, None)),
+                ("signs", "random signs, α = 0.1", (None, None)),
             )
         ),
-        of("facts", "aligned", "difference of means with equal signs (rad)", (None, 1e-9)),
+        of("facts", "aligned", "difference of the means with equal signs (rad)", (None, 1e-9)),
         of("facts", "eigen", "error of the eigenvector mean, σ = 60° (rad)"),
     ),
     "two-heads": all_of(weak_axis("90° apart", (None, 1.5)), weak_axis("one head", (3.0, None))),
@@ -1131,7 +1192,7 @@ DECISIONS: dict[str, Decision] = {
     "one-vector-transport": all_of(
         *(
             ratio(
-                f"{name.upper()}, prior {d}°",
+                f"median error with transport over that without, {name.upper()}, prior {d}°",
                 ("vector", f"{name} transported, {d}"),
                 ("vector", f"{name}, {d}"),
                 "attitude",
@@ -1145,7 +1206,7 @@ DECISIONS: dict[str, Decision] = {
     "one-vector-linearized": all_of(
         *(
             ratio(
-                f"prior {d}°",
+                f"median error of the MEKF over USQUE's, prior {d}°",
                 ("vector", f"mekf, {d}"),
                 ("vector", f"usque, {d}"),
                 "attitude",
@@ -1157,14 +1218,14 @@ DECISIONS: dict[str, Decision] = {
     ),
     "overconfident-prior": all_of(
         ratio(
-            "RMSE from 20 arcsec over that from 10°",
+            "attitude RMSE from a prior of 20 arcsec over that from one of 10°",
             ("priors", "ssukf, 0.00555556"),
             ("priors", "ssukf, 10"),
             "attitude",
             (20.0, None),
         ),
         ratio(
-            "RMSE from 180° over that from 1°",
+            "attitude RMSE from a prior of 180° over that from one of 1°",
             ("priors", "ssukf, 180"),
             ("priors", "ssukf, 1"),
             "attitude",
@@ -1172,10 +1233,20 @@ DECISIONS: dict[str, Decision] = {
         ),
     ),
     "steady-attitude-ssukf": rmse(
-        "RMSE (arcsec)", SSUKF, "attitude", (0.93, 1.18), at="last third", each=True
+        "attitude RMSE of one axis (arcsec)",
+        SSUKF,
+        "attitude",
+        (0.93, 1.18),
+        at="last third",
+        each=True,
     ),
     "steady-drift-ssukf": rmse(
-        "RMSE (deg/h)", SSUKF, "drift", (0.0062, 0.0079), at="last third", each=True
+        "drift RMSE of one axis (deg/h)",
+        SSUKF,
+        "drift",
+        (0.0062, 0.0079),
+        at="last third",
+        each=True,
     ),
 }
 

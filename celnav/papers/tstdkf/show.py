@@ -227,7 +227,7 @@ def third_bodies(_: Results) -> Figure:
     items = [
         curve(sizes, names, color=colors.FAINT, marker="o", linestyle=""),
         level(c.acceleration_noise_km_per_s2, upright=True),
-        note(3e-11, 0.0, "σ of the process noise", ha="right"),
+        note(5e-11, 0.0, "σ of the process noise", ha="right", va="bottom", rotation=90),
     ]
     bodies = Panel("largest in a month", items, "acceleration (km/s²)", log="x")
     title = "Figure 7: accelerations of the satellite by other bodies"
@@ -279,7 +279,7 @@ def one_month(results: Results) -> Figure:
             items.append(partial(band, label="optimal filter, 95 % range", **shape))
         more = {"ylim": (0.05, 1.2) if group == "bias" else (0.03, 0.6)} | WHOLE
         rows.append(Panel(group, items, DAYS, f"RMSE ({unit})", "y", more))
-    return panels(*rows, height=1.9, title="Figure 9: RMSE in setting 1", sharex=True)
+    return panels(*rows, height=1.6, title="Figure 9: RMSE in setting 1", sharex=True)
 
 
 def one_year(results: Results) -> Figure:
@@ -467,8 +467,8 @@ FIGURES = {
         depends,
     ),
     "figure_14": (
-        "Beyond the paper: a step of the ephemeris error. Left: time until an estimate follows "
-        "half of it. Right: error before it.",
+        "Beyond the paper: a step of the ephemeris error. (a) Time until an estimate follows "
+        "half of it. (b) Error before it.",
         trade_off,
     ),
 }

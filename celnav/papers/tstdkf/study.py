@@ -733,7 +733,8 @@ def planet(body: str, accept: Bounds = (None, None), origin: str = "sun") -> Dec
         d = r.get("sky", f"de440/{body}")
         if origin == "sun":
             d = d - r.get("sky", "de440/sun")
-        label = f"{body.capitalize()} relative to the {origin}, largest difference, km"
+        start = f"{body.capitalize()} from the {origin.replace('sun', 'Sun')}"
+        label = f"{start}, largest difference of DE421 and DE440 (km)"
         return Number(label, np.linalg.norm(d, axis=1).max(), accept)
 
     return number
@@ -743,12 +744,22 @@ def per_direction(r: Results) -> Tiers:
     """Position RMSE of the second half per km of ephemeris error, for all directions."""
     each = np.sqrt(squares(r, "constant", "constant/ekf", at="late"))
     same = (1.0 / 3.2, 3.2)
-    mean = estimate("mean over directions, km per km", np.mean, [each], same)
+    mean = estimate(
+        "position RMSE per ephemeris error, mean over directions (km/km)", np.mean, [each], same
+    )
     return {
         "reproduced": [
             mean,
-            Number("smallest over directions, km per km", each.min(), same),
-            Number("largest over directions, km per km", each.max(), same),
+            Number(
+                "position RMSE per ephemeris error, smallest over directions (km/km)",
+                each.min(),
+                same,
+            ),
+            Number(
+                "position RMSE per ephemeris error, largest over directions (km/km)",
+                each.max(),
+                same,
+            ),
         ],
         "in part": [mean],
     }
@@ -764,8 +775,8 @@ def slow(r: Results) -> list[Number]:
         soon = np.linalg.norm(np.diff(d, axis=0), axis=1).max()
         year = max(np.linalg.norm(d - d[k], axis=1).max() for k in range(0, len(d), 5))
         numbers += [
-            Number(f"{name}, relative change in 5 h", soon / size, (None, 0.01)),
-            Number(f"{name}, relative change in a year", year / size, (0.5, None)),
+            Number(f"{name.upper()} - DE421, relative change in 5 h", soon / size, (None, 0.01)),
+            Number(f"{name.upper()} - DE421, relative change in a year", year / size, (0.5, None)),
         ]
     days = len(r.times("year")) // 24
     for trend in TRENDS:
@@ -779,7 +790,7 @@ def slow(r: Results) -> list[Number]:
         def follows(error: Array, ranks: Array = ranked(true[:, 0])) -> float:
             return float(np.corrcoef(ranks, ranked(error.mean(0)))[0, 1])
 
-        label = f"rank correlation of daily position RMSE and ephemeris error, {trend}"
+        label = f"rank correlation of daily position RMSE and ephemeris error, {trend} trend"
         numbers.append(estimate(label, follows, [error.T], (0.0, None)))
     return numbers
 
@@ -843,7 +854,9 @@ def yearly(
 ) -> list[Decided]:
     """RMSE ratio of filter ``a`` to ``b`` for each of the three trends, after the first month."""
     return [
-        over(f"{label}, {t}", "year", f"{t}/{a}", f"{t}/{b}", accept, group, at="later", **more)
+        over(
+            f"{label}, {t} trend", "year", f"{t}/{a}", f"{t}/{b}", accept, group, at="later", **more
+        )
         for t in TRENDS
     ]
 
@@ -861,7 +874,7 @@ def days(*errors: Array) -> float:
 def following(a: str, b: str, accept: Bounds = (None, None)) -> Decided:
     """Days by which filter ``b`` follows the step later than ``a``."""
     return of_hours(
-        f"delay in following the step, {b} minus {a}, days",
+        f"delay in following the step, form {b} minus form {a} (days)",
         days,
         "sweep",
         [f"step/{a}", f"step/{b}"],
@@ -873,7 +886,8 @@ def following(a: str, b: str, accept: Bounds = (None, None)) -> Decided:
 
 def before_step(a: str, b: str, accept: Bounds = (None, None), group: str = "bias") -> Decided:
     """RMSE ratio of filter ``a`` to ``b`` in the five days before the step."""
-    label = f"{group} RMSE before the step, {a} over {b}"
+    name = "TKF with stationary covariances" if a == "fair" else f"form {a}"
+    label = f"{group} RMSE before the step, {name} over form {b}"
     return over(label, "sweep", f"step/{a}", f"step/{b}", accept, group, at="steady")
 
 
@@ -887,7 +901,10 @@ def factors(
         x = [rms(sample) for sample in samples]
         return max(x[:5]) / min(x[:5]) / max(x[5:]) * min(x[5:])
 
-    label = f"largest over smallest RMSE, {' '.join(a)} over {' '.join(b)}, {at}"
+    label = (
+        f"largest over smallest RMSE by setting, {a[0].upper()} {a[1]} over {b[0].upper()} {b[1]}"
+        f"{', after day 5' * (at != 'all')}"
+    )
     flown = [(f"{i}/{f}", group) for f, group in (a, b) for i in SETTINGS]
     return of_runs(label, factor, flown, accept, at=at)
 
@@ -903,13 +920,15 @@ def percentages(group: str, halfway: tuple[float, float]) -> Callable[[Results],
 
     def gain(label: str, part: str, case: str, f: str, **more: Any) -> Decided:
         flown = [(f"{case}/tstdkf", group), (f"{case}/{f}", group)]
-        return of_runs(f"{label}below {f.upper()}, %", below, flown, part=part, **more)
+        return of_runs(
+            f"{label}{group} RMSE below that of {f.upper()} (%)", below, flown, part=part, **more
+        )
 
     many = []
     for f, printed, bar in zip(PAPER, PRINTED[group], halfway, strict=False):
         theirs: Any = {"printed": printed, "printed_runs": 50, "printed_count": 2}
         many.append(gain("", "many 0.3", "sine", f, accept=(bar, None), **theirs))
-    fifty = [gain("50 nonlinear runs, ", "month", "1", f) for f in PAPER[:2]]
+    fifty = [gain("50 nonlinear runs: ", "month", "1", f) for f in PAPER[:2]]
     return tiers(reproduced_with_fitted_parameters=[*many, *fifty])
 
 
@@ -921,7 +940,7 @@ def lead(group: str, f: str) -> Decided:
         return first - max(others)
 
     flown = [(f"{i}/{one}", group) for one in ("tstdkf", f) for i in SETTINGS]
-    label = f"{group}, gain against {f.upper()}, setting 1 minus largest other, percentage points"
+    label = f"{group}, gain against {f.upper()}, setting 1 minus largest other (percentage points)"
     return of_runs(label, exceeds, flown, (0.0, None))
 
 
@@ -932,16 +951,19 @@ def at_bound(r: Results) -> list[Number]:
     for i in SETTINGS:
         size = r.get("covariances", f"{i}/aug")[:, :3, :3].trace(axis1=1, axis2=2).mean()
         samples = [squares(r, "month", f"{i}/aug") / size]
-        numbers.append(estimate(f"RMSE over bound, setting {i}", rms, samples, (0.85, 1.0)))
+        numbers.append(
+            estimate(f"position RMSE of AUG over the bound, setting {i}", rms, samples, (0.85, 1.0))
+        )
     return numbers
 
 
 # -- the ledger ------------------------------------------------------------------------------------
 NEAR = (0.91, 1.10)
 judged = partial(consistency, at="all")
+SPANS = {"soon": "first 3 days", "late": "second half"}
 BIAS = {}
-for m0, at in product(PRIORS, ("soon", "late")):
-    label = f"bias RMSE, TSTDKF over TKF, {at}, prior {m0:g} km"
+for m0, at in product(PRIORS, SPANS):
+    label = f"bias RMSE, TSTDKF over TKF, {SPANS[at]}, prior {m0:g} km"
     pair = ("sine/tstdkf", "sine/tkf")
     BIAS[m0, at] = over(label, f"many {m0:g}", *pair, (None, 1.0), "bias", at=at)
 """Setting 1: RMSE of the bias estimate, TSTDKF over TKF, by prior (km), in the first 3 days (soon)
@@ -949,9 +971,18 @@ or the second half (late)."""
 CONSTANT = [together("bias RMSE, constant bias over form C", "tkf", "C", (1.0, None))]
 
 
+ERRORS = {
+    "position": "error of the Earth's position",
+    "velocity": "error of the Earth's velocity",
+    "others": "errors of the other bodies",
+    "none": "no error",
+}
+"""Ephemeris errors in words."""
+
+
 def displacing(a: str, b: str, setting: int, accept: Bounds = (None, None)) -> Decided:
     """Ratio of the EKF's position RMSE with error ``a`` of `bodies` to its RMSE with ``b``."""
-    label = f"EKF position RMSE, error {a} over {b}, setting {setting}"
+    label = f"EKF position RMSE, {ERRORS[a]} over {ERRORS[b]}, setting {setting}"
     part = f"bodies, {setting}"
     return over(label, part, f"{a}/ekf", f"{b}/ekf", accept, at="late")
 
@@ -959,8 +990,9 @@ def displacing(a: str, b: str, setting: int, accept: Bounds = (None, None)) -> D
 def in_order(part: str, case: str, accept: Bounds) -> list[Decided]:
     """Position RMSE ratios of TSTDKF to TKF and of TKF to EKF."""
     pairs = (("tstdkf", "tkf"), ("tkf", "ekf"))
+    label = f"position RMSE, {part}{', with the shift of the barycenter' * (part != case)}"
     return [
-        over(f"{case}, {a.upper()} over {b.upper()}", part, f"{case}/{a}", f"{case}/{b}", accept)
+        over(f"{label}, {a.upper()} over {b.upper()}", part, f"{case}/{a}", f"{case}/{b}", accept)
         for a, b in pairs
     ]
 
@@ -976,15 +1008,17 @@ LARGER_THAN = [displacing("position", x, i, (1.0, None)) for i in (5, 1) for x i
 WITHOUT = [displacing(x, "none", i, (0.95, 1.05)) for i in (5, 1) for x in ERRONEOUS]
 OTHERS = {
     name: [
-        per_km(f"{name}, position RMSE per km of error", part),
+        per_km(f"{name}, EKF position RMSE per ephemeris error (km/km)", part),
         *in_order(name, name, (None, 1.0)),
     ]
     for name, part in (("Mars", "constant, Mars"), ("DE440", "constant"))
 }
 CHEAP = [
-    numbers.operations("operations per step, TKF over AUG9", "tkf", "aug9", (None, 1.0)),
+    numbers.operations(
+        "operations per step, TKF over nine-state filter", "tkf", "aug9", (None, 1.0)
+    ),
     of_hours(
-        "time to a tenth of the prior, TKF over AUG9",
+        "time until the bias RMSE is a tenth of the prior, TKF over nine-state filter",
         until_tenth,
         "constant, nine",
         ["constant/tkf", "constant/aug9"],
@@ -1012,39 +1046,62 @@ LINEAR_STUDY = {  # position RMSE (km) in the five settings by an independent li
 DECISIONS: dict[str, Decision] = {
     "earth-km-gives-km": per_direction,
     "augmentation-falls-short": tiers(
-        reproduced=[*CONSTANT, *yearly("bias RMSE, AUG9 over form C", "aug9", "C", (1.0, None))],
+        reproduced=[
+            *CONSTANT,
+            *yearly("bias RMSE, nine-state filter over form C", "aug9", "C", (1.0, None)),
+        ],
         in_part=CONSTANT,
         not_reproduced=[
-            *yearly("position RMSE, AUG9 over form C", "aug9", "C", group="position"),
-            *yearly("position RMSE, AUG9 over form B", "aug9", "B", group="position"),
+            *yearly("position RMSE, nine-state filter over form C", "aug9", "C", group="position"),
+            *yearly("position RMSE, nine-state filter over form B", "aug9", "B", group="position"),
             *(
-                over(f"{g} RMSE, first month", "year", "sine/aug9", "sine/C", group=g, at="month")
+                over(
+                    f"{g} RMSE in the first month, nine-state filter over form C",
+                    "year",
+                    "sine/aug9",
+                    "sine/C",
+                    group=g,
+                    at="month",
+                )
                 for g in ("bias", "position")
             ),
             before_step("fair", "C", group="position"),
-            of("covariances", "condition", "condition number of the covariance"),
-            numbers.operations("operations per step, AUG9 over TSTDKF", "aug9", "tstdkf"),
+            of(
+                "covariances", "condition", "condition number of the nine-state filter's covariance"
+            ),
+            numbers.operations(
+                "operations per step, nine-state filter over TSTDKF", "aug9", "tstdkf"
+            ),
         ],
     ),
     "de405-to-de421": all_of(
-        of("sky", "norm", "largest difference, km", (10.0, None)),
-        of("sky", "speed", "effect of 1 s in the time tag, km"),
-        *(of("sky", "norm", f"{n.__name__} difference, km", reduce=n) for n in (np.min, np.mean)),
+        of("sky", "norm", "largest norm of DE405 - DE421 (km)", (10.0, None)),
+        of("sky", "speed", "motion of the Earth in 1 s, for an error of the time tag (km)"),
+        *(
+            of("sky", "norm", f"{said} norm of DE405 - DE421 (km)", reduce=n)
+            for n, said in ((np.min, "smallest"), (np.mean, "mean"))
+        ),
     ),
     "ephemeris-error-slow": slow,
     "central-body-position-dominates": tiers(
         reproduced=[*LARGER_THAN, *WITHOUT],
-        in_part=[*LARGER_THAN, some("how many of the two hold, white noise", 1, WITHOUT[:2])],
+        in_part=[
+            *LARGER_THAN,
+            some("number of the two ratios that hold, of two, white noise", 1, WITHOUT[:2]),
+        ],
         not_reproduced=[
             *(displacing("position", "none", i) for i in (5, 1)),
-            lambda r: Number("largest change", order(max(abs(n(r).value - 1.0) for n in WITHOUT))),
+            lambda r: Number(
+                "largest relative change of the EKF's position RMSE",
+                order(max(abs(n(r).value - 1.0) for n in WITHOUT)),
+            ),
         ],
     ),
     "other-body-or-ephemeris-alike": tiers(
         reproduced=[n for each in OTHERS.values() for n in each],
         in_part=[
             lambda r: Number(
-                "how many of the two cases hold",
+                "number of the two cases that hold",
                 sum(all(n(r).holds is True for n in each) for each in OTHERS.values()),
                 (1, None),
             )
@@ -1053,12 +1110,12 @@ DECISIONS: dict[str, Decision] = {
     ),
     "de421-planets": tiers(
         reproduced=PLANETS,
-        in_part=[some("planets in their range, of six", 4, PLANETS)],
+        in_part=[some("number of planets in their range, of six", 4, PLANETS)],
         not_reproduced=[planet("jupiter"), planet("saturn"), planet("sun", origin="barycenter")],
     ),
     "third-bodies-not-white": all_of(
         lambda r: Number(
-            "largest spectral flatness",
+            "largest spectral flatness of the acceleration (white: 1)",
             r.get("pulls", "flatness").max(),
             (None, float(np.quantile(r.get("pulls", "white flatness"), 0.01))),
         ),
@@ -1066,7 +1123,12 @@ DECISIONS: dict[str, Decision] = {
     ),
     "measurement-noise-colored": tiers(
         reproduced=[
-            of("pulls", "omitted", "RMS over σ of a timing, largest", (0.1, None)),
+            of(
+                "pulls",
+                "omitted",
+                "largest RMS of the omitted terms over σ of a timing",
+                (0.1, None),
+            ),
             beyond_white("next"),
         ],
         in_part=[beyond_white("next")],
@@ -1074,18 +1136,18 @@ DECISIONS: dict[str, Decision] = {
             of(
                 "pulls",
                 "along",
-                "correlation with the acceleration along the line of sight",
+                "correlation of the omitted terms with the acceleration along the line of sight",
                 reduce=lambda x: x[np.abs(x).argmax()],
             )
         ],
     ),
     "tkf-converges-fast-and-cheap": tiers(
         reproduced=CHEAP,
-        in_part=[some("how many of the two hold", 1, CHEAP)],
+        in_part=[some("number of the two ratios that hold", 1, CHEAP)],
         not_reproduced=[
             numbers.operations("operations per step, TKF over EKF", "tkf", "ekf"),
             of_hours(
-                "days to a tenth of it",
+                "time until the TKF's bias RMSE is a tenth of the prior (days)",
                 until_tenth,
                 "constant, nine",
                 ["constant/tkf"],
@@ -1098,10 +1160,10 @@ DECISIONS: dict[str, Decision] = {
         Number(label, x, (None, 1e-6))
         for label, x in zip(
             (
-                "first stages, σ",
-                "their covariances",
-                "both stages, σ",
-                "covariances of both stages",
+                "largest difference of the first stages' estimates (σ)",
+                "largest relative difference of the first stages' covariances",
+                "largest difference of both stages' estimates (σ)",
+                "largest relative difference of both stages' covariances",
             ),
             r.get("alike", "worst"),
         )
@@ -1119,13 +1181,20 @@ DECISIONS: dict[str, Decision] = {
     "month-errors-lower": tiers(
         reproduced_with_fitted_parameters=[
             *(
-                over(f"{g} over {f.upper()}", "month", "1/tstdkf", f"1/{f}", (None, 1.0), g)
+                over(
+                    f"{g} RMSE, TSTDKF over {f.upper()}",
+                    "month",
+                    "1/tstdkf",
+                    f"1/{f}",
+                    (None, 1.0),
+                    g,
+                )
                 for g in BOTH
                 for f in PAPER[:2]
             ),
             *(
                 of_hours(
-                    f"fraction of hours, {g}",
+                    f"fraction of hours in which TSTDKF has the smallest {g} RMSE",
                     below_both,
                     "month",
                     [f"1/{f}" for f in PAPER],
@@ -1143,16 +1212,36 @@ DECISIONS: dict[str, Decision] = {
         not_reproduced=[BIAS[m0, at] for m0 in (0.03, 1.0) for at in ("soon", "late")],
     ),
     "year-tracked": tiers(
-        reproduced=yearly("bias left, form C", "C", "ekf", (None, 0.5), strict=True),
-        in_part=yearly("bias left, form B", "B", "ekf", (None, 1.0), strict=True),
+        reproduced=yearly(
+            "bias RMSE over the ephemeris error, form C", "C", "ekf", (None, 0.5), strict=True
+        ),
+        in_part=yearly(
+            "bias RMSE over the ephemeris error, form B", "B", "ekf", (None, 1.0), strict=True
+        ),
         not_reproduced=[
-            over(q, "year", "sine/B", "sine/ekf", group="bias", at=q) for q in QUARTERS
+            over(
+                f"bias RMSE over the ephemeris error, form B, sine trend, {q} of the year",
+                "year",
+                "sine/B",
+                "sine/ekf",
+                group="bias",
+                at=q,
+            )
+            for q in QUARTERS
         ],
     ),
     "tkf-approaches-then-lost": all_of(
-        over("bias left, last day", "month", "1/tkf", "1/ekf", (None, 1.0), "bias", at="last day"),
         over(
-            "bias, last day over day 3",
+            "TKF's bias RMSE over the ephemeris error, last day",
+            "month",
+            "1/tkf",
+            "1/ekf",
+            (None, 1.0),
+            "bias",
+            at="last day",
+        ),
+        over(
+            "TKF's bias RMSE, last day over day 3",
             "month",
             "1/tkf",
             "1/tkf",
@@ -1162,18 +1251,24 @@ DECISIONS: dict[str, Decision] = {
             to="day 3",
         ),
         *(
-            over(f"{t}, {say}", "year", f"{t}/tkf", f"{t}/{b}", (1.0, None), g, at=at, to=to)
+            over(f"{say}, {t} trend", "year", f"{t}/tkf", f"{t}/{b}", (1.0, None), g, at=at, to=to)
             for t in TRENDS
             for say, g, b, at, to in (
-                ("bias left", "bias", "ekf", "later", "later"),
-                ("growth of position RMSE", "position", "tkf", "quarter 4", "month"),
+                ("TKF's bias RMSE over the ephemeris error", "bias", "ekf", "later", "later"),
+                (
+                    "TKF's position RMSE, last quarter over first month",
+                    "position",
+                    "tkf",
+                    "quarter 4",
+                    "month",
+                ),
             )
         ),
     ),
     "best-in-all-settings": all_of(
         *(
             of_runs(
-                f"setting {i}, {g} RMSE over the better of EKF and TKF",
+                f"setting {i}, TSTDKF's {g} RMSE over the better of EKF and TKF",
                 lambda ours, *x: quotient(ours, min(x, key=rms)),
                 [(f"{i}/{f}", g) for f in ("tstdkf", *PAPER[:2])],
                 (None, 1.0 if i < 5 else 1.1),
@@ -1193,7 +1288,7 @@ DECISIONS: dict[str, Decision] = {
         *(factors((f, "position"), (f, "velocity"), at="after day 5") for f in PAPER),
         *(
             of_runs(
-                f"{f.upper()}, velocity over position times orbital rate",
+                f"{f.upper()}, velocity RMSE over position RMSE times orbital rate",
                 lambda v, x: quotient(v, x) / (2e3 * np.pi / 6000.0),
                 [(f"5/{f}", g) for g in BOTH[::-1]],
             )
@@ -1205,13 +1300,20 @@ DECISIONS: dict[str, Decision] = {
     "setting-1-largest": all_of(*(lead(g, f) for g in BOTH for f in PAPER[:2])),
     "measurement-color-matters-more": all_of(
         *(
-            over(f"{f.upper()}, {g}, 0.5", "month", f"3/{f}", f"4/{f}", (1.0, None), g)
+            over(
+                f"{g} RMSE, {f.upper()}, F = 0.5 over L = 0.5",
+                "month",
+                f"3/{f}",
+                f"4/{f}",
+                (1.0, None),
+                g,
+            )
             for f in PAPER
             for g in BOTH
         ),
         *(
             over(
-                f"{f.upper()}, {x}",
+                f"position RMSE, {f.upper()}, F = {x} over L = {x}",
                 "ten days",
                 f"F = {x} alone/{f}",
                 f"L = {x} alone/{f}",
@@ -1222,26 +1324,31 @@ DECISIONS: dict[str, Decision] = {
         ),
     ),
     "setting-5-alike": all_of(
-        *(over(f"{g} RMSE", "month", "5/tstdkf", "5/tkf", NEAR, g) for g in BOTH)
+        *(
+            over(f"{g} RMSE, TSTDKF over TKF, setting 5", "month", "5/tstdkf", "5/tkf", NEAR, g)
+            for g in BOTH
+        )
     ),
     "erratum-1-size": of(
         "sky",
         "de405/earth",
-        "largest difference on an axis, km",
+        "largest difference DE405 - DE421 on an axis (km)",
         (1.6, 1.68),
         lambda d: np.abs(d).max(),
     ),
     "reconstruction-shapiro": all_of(
-        of("sky", "shapiro", "largest error, B1821-24, km", (7.8, 8.1)),
-        of("sky", "shapiro", "error, B0531+21, km", (5.7, 6.0), lambda x: x[0]),
-        of("sky", "solar", "terms of b, km", (1e-4, 0.0013)),
+        of("sky", "shapiro", "largest error of the Shapiro term, B1821-24 (km)", (7.8, 8.1)),
+        of(
+            "sky", "shapiro", "error of the Shapiro term, B0531+21 (km)", (5.7, 6.0), lambda x: x[0]
+        ),
+        of("sky", "solar", "largest parallax term with b (km)", (1e-4, 0.0013)),
     ),
     "reconstruction-differencing": lambda r: [
         *(
             Number(f"predicted over smallest possible variance, F = {F:g}", x, (None, 0.99))
             for F, x in zip(COLORS, r.get("covariances", "trace"))
         ),
-        judged("NEES of TDKF, setting 1", ("consistency", "1/tdkf"), (12.0, None))(r),
+        judged("mean NEES of TDKF, setting 1", ("consistency", "1/tdkf"), (12.0, None))(r),
     ],
     "reconstruction-factors": all_of(
         over(
@@ -1252,7 +1359,7 @@ DECISIONS: dict[str, Decision] = {
             (1.1, None),
         ),
         over(
-            "bias RMSE, form A over B, sine",
+            "bias RMSE, form A over B, sine trend",
             "year",
             "sine/A",
             "sine/B",
@@ -1262,37 +1369,60 @@ DECISIONS: dict[str, Decision] = {
         ),
     ),
     "remark-forces": over(
-        "position RMSE, AR(1) over modeled",
+        "position RMSE, AR(1) acceleration over modeled Sun and Moon",
         "forces",
         "colored/tdkf",
         "modeled/tkf",
         (2.5, None),
         at="late",
     ),
-    "fair-baseline": over("position RMSE, setting 1", "month", "fair/tkf", "1/tstdkf", NEAR),
+    "fair-baseline": over(
+        "position RMSE, TKF with stationary covariances over TSTDKF, setting 1",
+        "month",
+        "fair/tkf",
+        "1/tstdkf",
+        NEAR,
+    ),
     "exact-best": all_of(
         over(
-            "AUG over TKF with stationary covariances", "month", "1/aug", "fair/tkf", (None, 0.85)
+            "position RMSE, AUG over TKF with stationary covariances",
+            "month",
+            "1/aug",
+            "fair/tkf",
+            (None, 0.85),
         ),
         *(
-            over(f"AUG over TDKF, setting {i}", "month", f"{i}/aug", f"{i}/tdkf", (None, 1.01))
+            over(
+                f"position RMSE, AUG over TDKF, setting {i}",
+                "month",
+                f"{i}/aug",
+                f"{i}/tdkf",
+                (None, 1.01),
+            )
             for i in SETTINGS
         ),
     ),
-    "white-late": over("position RMSE", "month", "5/tstdkf", "5/tkf", NEAR, at="late"),
+    "white-late": over(
+        "position RMSE, TSTDKF over TKF, setting 5, second half",
+        "month",
+        "5/tstdkf",
+        "5/tkf",
+        NEAR,
+        at="late",
+    ),
     "consistency": all_of(
-        judged("NEES, AUG", ("consistency", "1/aug"), (6.4, 12.6)),
-        judged("NEES, TDKF", ("consistency", "1/tdkf"), (12, None)),
-        judged("NEES, TKF", ("consistency", "1/tkf"), (60, None)),
-        judged("NEES, EKF", ("consistency", "1/ekf"), (600, None)),
-        judged("NEES, TSTDKF", ("consistency", "1/tstdkf"), (12, None)),
+        judged("mean NEES, AUG", ("consistency", "1/aug"), (6.4, 12.6)),
+        judged("mean NEES, TDKF", ("consistency", "1/tdkf"), (12, None)),
+        judged("mean NEES, TKF", ("consistency", "1/tkf"), (60, None)),
+        judged("mean NEES, EKF", ("consistency", "1/ekf"), (600, None)),
+        judged("mean NEES, TSTDKF", ("consistency", "1/tstdkf"), (12, None)),
     ),
     "form-b-tracks": all_of(
         *yearly("position RMSE, form B over TKF", "B", "tkf", (None, 0.62), "position"),
         *yearly("bias RMSE, AUG over form B", "aug", "B", (None, 1.0)),
     ),
     "fading": over(
-        "bias RMSE, form B over AUG, sine",
+        "bias RMSE, form B over AUG, sine trend, last quarter",
         "year",
         "sine/B",
         "sine/aug",
@@ -1302,7 +1432,13 @@ DECISIONS: dict[str, Decision] = {
     ),
     "strong-color": all_of(
         *(
-            over(f"{a.upper()} over {b.upper()}, {c}", "ten days", f"{c}/{a}", f"{c}/{b}", accept)
+            over(
+                f"position RMSE, {a.upper()} over {b.upper()}, {c}",
+                "ten days",
+                f"{c}/{a}",
+                f"{c}/{b}",
+                accept,
+            )
             for a, b, accept in (("aug", "tkf", (None, 0.95)), ("tstdkf", "aug", (1.3, None)))
             for c in STRONG
         )
@@ -1311,24 +1447,35 @@ DECISIONS: dict[str, Decision] = {
         "position RMSE, AUG over TKF", "ten days", "5/aug", "5/tkf", (1.2, None), at="late"
     ),
     "walk-is-no-sinusoid": consistency(
-        "NEES, last day", ("month", "1/aug"), (12.6, None), at="last day"
+        "mean NEES of AUG, last day", ("month", "1/aug"), (12.6, None), at="last day"
     ),
     "bound": at_bound,
     "nis-aug": all_of(
         *(
-            judged(f"NIS, setting {i}", ("consistency", f"{i}/aug"), (2.93, 3.07), what="nis")
+            judged(
+                f"mean NIS of AUG, setting {i}",
+                ("consistency", f"{i}/aug"),
+                (2.93, 3.07),
+                what="nis",
+            )
             for i in (1, 5)
         )
     ),
     "nees-white": all_of(
-        judged("NEES, AUG", ("consistency", "5/aug"), (6.4, 12.6)),
-        judged("NEES, TKF", ("consistency", "5/tkf"), (4.3, 8.4)),
+        judged("mean NEES, AUG", ("consistency", "5/aug"), (6.4, 12.6)),
+        judged("mean NEES, TKF", ("consistency", "5/tkf"), (4.3, 8.4)),
     ),
 }
 DECISIONS |= {
     f"table-5-position-{f}": all_of(
         *(
-            rmse(f"{i}/{f}", ("month", f"{i}/{f}"), "position", (0.9 * x, 1.1 * x), at="all")
+            rmse(
+                f"position RMSE, {f.upper()}, setting {i} (km)",
+                ("month", f"{i}/{f}"),
+                "position",
+                (0.9 * x, 1.1 * x),
+                at="all",
+            )
             for i, x in zip(SETTINGS, row)
         )
     )
