@@ -274,6 +274,20 @@ def test_the_study_judges_made_files(results):
     )
 
 
+def test_a_range_of_time_constants_predicts_more_than_each_of_its_ends(results):
+    """The filter for one time constant is optimal for it, so a bound is never below it."""
+    fits = [settings.SETTINGS[name] for name in ("robust", "screened", "normal", "by correlation")]
+    taus = [-settings.STEP_S / np.log(fit.phi) for fit in fits]
+    np.testing.assert_allclose(settings.TAU_S, (min(taus), max(taus)))
+    bound, *ends = (
+        results.get(study.BEST, f"{name}/std") for name in ("bound", "shortest", "longest")
+    )
+    there = np.isfinite(bound)
+    for end in ends:
+        assert (bound >= end * (1.0 - 1e-9))[there].all()
+        assert np.mean((bound / end)[there]) > 1.1
+
+
 def test_what_is_shown_can_be_drawn(results, tmp_path):
     for _, function in grace.FIGURES.values():
         function(results).savefig(tmp_path / "a.png")
