@@ -184,7 +184,7 @@ class Comparison(NamedTuple):
     anees, low, high: NEES divided by the dimension, 1 if consistent, and its 95 % interval. All
         intervals come from the differences between runs.
     lost: number of runs without an estimate.
-    us_per_step: CPU time per step and run, microseconds, the minimum of up to `PASSES` measurements.
+    us_per_step: CPU time per step and run, microseconds, the least of up to `PASSES` measurements.
     """
 
     problem: str
