@@ -57,10 +57,11 @@ class Drawing(Figure):
         super().draw(renderer)
 
     def _repr_png_(self) -> bytes:
-        """PNG in 64 colors, a quarter of the size in a notebook."""
+        """PNG in 128 colors, a quarter of the size in a notebook; rare colors keep their hue."""
         image = Image.open(io.BytesIO(render(self, "png", dpi=100))).convert("RGB")
         buffer = io.BytesIO()
-        image.quantize(64, dither=Image.Dither.NONE).save(buffer, "PNG", optimize=True)
+        few = image.quantize(128, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
+        few.save(buffer, "PNG", optimize=True)
         return buffer.getvalue()
 
 

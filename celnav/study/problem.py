@@ -44,7 +44,8 @@ __all__ = ["WILD", "Problem", "compare"]
 
 special = LazyModule("scipy.special")
 WILD = 10.0  # factor of an outlier's noise
-PASSES = 3  # number of timing measurements, of which the smallest is reported
+PASSES = 3  # number of timing measurements at most, of which the smallest is reported
+ENOUGH_S = 0.5  # no further measurement after so many seconds
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,7 +184,7 @@ class Comparison(NamedTuple):
     anees, low, high: NEES divided by the dimension, 1 if consistent, and its 95 % interval. All
         intervals come from the differences between runs.
     lost: number of runs without an estimate.
-    us_per_step: CPU time per step and run, microseconds, the minimum of `PASSES` measurements.
+    us_per_step: CPU time per step and run, microseconds, the least of up to `PASSES` measurements.
     """
 
     problem: str
@@ -247,9 +248,11 @@ def compare(
 
 
 def _seconds(filter: Filter, trial: Trial, name: str) -> float:
-    """CPU seconds of a filter for all runs, the minimum of `PASSES`, without evaluation."""
-    passes = []
-    for _ in range(PASSES):
+    """CPU seconds of a filter for all runs, without evaluation: the minimum of `PASSES`, or of
+    fewer that together take `ENOUGH_S`.
+    """
+    passes = list[float]()
+    while len(passes) < PASSES and sum(passes) < ENOUGH_S:
         start = process_time()
         deque(steps(filter, trial.prior, trial.epochs(name)), 0)
         passes.append(process_time() - start)

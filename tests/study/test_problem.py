@@ -31,6 +31,7 @@ from celnav.gaussian.linalg import FORMS, side_by_side
 from celnav.gaussian.spaces import EUCLIDEAN
 from celnav.models.gyro import Gyro
 from celnav.models.motion import constant_velocity, coordinated_turn
+from celnav.study import problem
 from celnav.study.montecarlo import generator
 from celnav.study.problem import WILD, Problem, compare
 from celnav.study.trial import Group, Noiseless
@@ -461,3 +462,21 @@ def test_what_makes_no_filter_is_refused(filters, message):
 def test_runs_are_a_positive_integer(runs):
     with pytest.raises(ValueError, match=r"^runs: expected a positive integer"):
         compare({"line": line()}, COMPOSITIONS, runs=runs)
+
+
+@pytest.mark.parametrize(("seconds", "passes"), [(0.01, 3), (0.3, 2), (5.0, 1)])
+def test_a_filter_that_takes_long_is_not_timed_again(monkeypatch, seconds, passes):
+    """The clock advances by ``seconds`` in each measurement, and is read twice."""
+    clock = iter(np.arange(100.0) * seconds)
+    monkeypatch.setattr(problem, "process_time", lambda: next(clock))
+    walk = Problem(
+        Motion(F, Q=0.1),
+        Sensor(np.eye(1, 2), R=[[1.0]]),
+        Gaussian([0, 0], np.eye(2)),
+        np.arange(4.0),
+    )
+    (row,) = compare(
+        {"walk": walk}, {"EKF": lambda p: sigma_point(p.motion, p.sensor, rule=Taylor())}, runs=5
+    )
+    assert row.us_per_step == pytest.approx(1e6 * seconds / (5 * 4))
+    assert round(next(clock) / seconds) == 2 * passes
