@@ -67,7 +67,7 @@ def live(
         plot("innovation", "innovations"),
         plot("nis", "NIS over its degrees of freedom (1 is consistent)"),
         states("states", "measurements"),
-        row_shares=(3, 3, 3, 1),
+        row_shares=(3, 3, 3, 2),
     )
     with open_stream(name, rr.ChunkBatcherConfig.LOW_LATENCY()) as stream:
         memory = None if file is None else stream.memory_recording()
