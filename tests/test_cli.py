@@ -262,10 +262,6 @@ def test_view_without_a_display_says_what_to_do(study, tmp_path, monkeypatch, ca
             ["--picture", "a.png", "--at", "2.5"],
             "--at: expected a time of the recording, from 0 to 2 s, got 2.5",
         ),
-        (
-            ["--at", "1"],
-            "--at: expected --picture FILE.png with it; in a window you move the time yourself",
-        ),
     ],
 )
 def test_a_picture_that_cannot_be_is_one_line(tmp_path, monkeypatch, capsys, options, text):

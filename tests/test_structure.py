@@ -83,7 +83,7 @@ def test_only_what_records_and_shows_imports_rerun():
     found = {
         p for p in ROOT.rglob("*.py") if any(name.split(".")[0] == "rerun" for name in imports(p))
     }
-    names = ("recording", "views", "picture", "reading", "streaming")
+    names = ("recording", "views", "window", "reading", "streaming")
     assert found == {ROOT / "show" / f"{name}.py" for name in names}
 
 

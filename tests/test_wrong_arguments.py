@@ -91,10 +91,11 @@ study: Results Results.at Results.claims Results.error Results.first Results.get
     evaluate_from_priors monte_carlo
 page: aligned_left macro render
 notebook: Folded Table parameters
-picture: command picture
+picture: picture
 viewer: address as_script is_current is_script_of page script_name viewer
 progress: Progress Progress.add Progress.close Progress.runs
-estimates: Estimate Estimate.error Estimate.sigma estimates_of measurement_states
+estimates: Estimate Estimate.error Estimate.sigma estimates_of measurement_states sensor_states
+window: Viewer Viewer.ask Viewer.open command require_display show start viewer
 plots: draw legend_place
 diagnose: Diagnosis.biased Diagnosis.white autocorrelation first_order forgotten_wraps grid_index
 diagnosis_text: consistency laid_out page

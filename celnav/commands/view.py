@@ -3,53 +3,49 @@
 from __future__ import annotations
 
 import argparse
-import os
-import subprocess
-import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from celnav.commands.arguments import UsageError, number
 from celnav.commands.index import study_of
 from celnav.papers import is_file
 from celnav.papers.own import name_of
 
+if TYPE_CHECKING:
+    from celnav.show.reading import Recorded
+
 
 def run(options: argparse.Namespace) -> int:
     """Open a paper's recording or a file; returns the exit status."""
     file = Path(options.paper)
     path = _recording(options, file) if file.suffix in ("", ".py") else _file(options, file)
-    at = None if options.at is None else number("at", options.at)
-    if options.picture is not None:
-        return _picture(path, Path(options.picture), at)
-    if at is not None:
-        raise UsageError(
-            "--at: expected --picture FILE.png with it; in a window you move the time yourself"
-        )
-    if sys.platform.startswith("linux") and not (
-        os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
-    ):
-        hint = f"use --picture, or copy {path} to a machine that has one and run: rerun {path.name}"
-        raise OSError(f"no display for a window; {hint}")
-    from celnav.show.picture import command
-
-    return subprocess.run(command(str(path)), check=False).returncode
-
-
-def _picture(path: Path, target: Path, at: float | None) -> int:
-    """Write a PNG, which needs no display; returns the exit status."""
-    if target.suffix.lower() != ".png":
+    target = None if options.picture is None else Path(options.picture)
+    if target is not None and target.suffix.lower() != ".png":
         raise UsageError(f"--picture: expected the name of a .png file, got {str(target)!r}")
     from celnav.show.picture import picture
     from celnav.show.reading import read
+    from celnav.show.window import require_display, show
 
-    recorded = read(path)
-    if at is not None and not 0.0 <= at <= recorded.end:
+    if target is None:
+        elsewhere = f"copy {path} to a machine that has one and run: celnav view {path.name}"
+        require_display(f"use --picture, or {elsewhere}")
+    at = _time(options, read(path))
+    if target is None:
+        show(path, at)
+    else:
+        picture(path, target, at)
+        print(f"wrote {target}")
+    return 0
+
+
+def _time(options: argparse.Namespace, recorded: Recorded) -> float:
+    """The time that is asked for, or where something is to be seen."""
+    at = recorded.start if options.at is None else number("at", options.at)
+    if not 0.0 <= at <= recorded.end:
         raise UsageError(
             f"--at: expected a time of the recording, from 0 to {recorded.end:g} s, got {at:g}"
         )
-    picture(path, target, recorded.start if at is None else at)
-    print(f"wrote {target}")
-    return 0
+    return at
 
 
 def _file(options: argparse.Namespace, path: Path) -> Path:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from celnav.filters.run import run
 from celnav.gaussian.linalg import Array
 from celnav.show.draw import Line
 from celnav.study.study import Results
@@ -81,3 +82,22 @@ def estimates_of(
         estimates[name] = Estimate(line.label, line.color, error / scale, *of_first)
     truth, z = ([getattr(epoch, what)[0] for epoch in epochs] for what in ("truth", "z"))
     return estimates, np.stack(truth), np.stack(z)
+
+
+def sensor_states(
+    results: Results, part: str, name: str, sensors: Mapping[str, slice]
+) -> dict[str, Sequence[str]]:
+    """What became of each sensor's measurements, ``(T,)`` texts by title, in the first run of a
+    part, which the filter ``name`` runs again.
+
+    sensors: the components of a measurement by title.
+
+    >>> sensor_states(results, "A-slow", "ukf", {"stars": slice(0, 6), "SAR": slice(6, 8)})
+    """
+    first = results.first(part)
+    track = run(first.filters[name], first.prior, first.epochs(name))
+    y, used = track.innovation[:, 0], track.used[:, 0]
+    return {
+        title: measurement_states(y[:, rows], used[:, rows]).tolist()
+        for title, rows in sensors.items()
+    }

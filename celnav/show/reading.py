@@ -55,7 +55,7 @@ class Recorded:
     Attributes
     ----------
     entities: by path, without static ones. facts: about the whole recording.
-    start: time s at which pictures show it. start_date: date and time of ``t = 0``; None: unknown.
+    start: time s at which it is shown first. start_date: date and time of ``t = 0``; None: unknown.
     """
 
     entities: Mapping[str, Entity]

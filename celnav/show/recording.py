@@ -469,7 +469,7 @@ def recording(
     name: title in the viewer, and id. layout: a view or container of `celnav.show.views`.
     properties: facts about the whole recording. counter: name of a timeline that counts the rows;
         none if empty.
-    start: time s at which pictures and the viewer in the browser show the recording; None: the end.
+    start: time s at which the viewer and pictures show the recording first; None: the end.
     start_date: date and time of ``t = 0``, such as ``"2015-10-17T04:00:00"``; with it the recording
         has a second timeline of dates, "date".
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from tempfile import TemporaryFile
 from typing import Any
 
 import numpy as np
@@ -44,6 +45,7 @@ def live(
     Raises
     ------
     ValueError: if the state has other components, or several runs.
+    OSError: if there is no display for a window, or the viewer ends.
 
     >>> with celnav.show.live("falling body", ["height, m", "speed, m/s"]) as show:
     ...     for step in celnav.steps(filter, prior, celnav.epochs(times, z)):
@@ -65,14 +67,14 @@ def live(
         plot("innovation", "innovations"),
         plot("nis", "NIS over its degrees of freedom (1 is consistent)"),
         states("states", "measurements"),
-        row_shares=(3, 3, 3, 1),
+        row_shares=(3, 3, 3, 2),
     )
     with open_stream(name, rr.ChunkBatcherConfig.LOW_LATENCY()) as stream:
         memory = None if file is None else stream.memory_recording()
         if file is None and place:
             stream.connect_grpc(place)
         elif file is None:
-            stream.spawn(hide_welcome_screen=True)
+            stream.connect_grpc(_opened())
         stream.send_blueprint(blueprint(layout, None), make_active=True, make_default=True)
         stream.send_recording_name(name)
         for k, component in enumerate(names):
@@ -119,3 +121,18 @@ def live(
             yield show
         if file is not None and memory is not None:
             write_bytes(file, memory.drain_as_bytes())
+
+
+def _opened() -> str:
+    """The address of a viewer that is started in a window, and stays open when the run ends."""
+    from celnav.show import window
+
+    window.require_display("give a file or a viewer that runs already as to=")
+    with TemporaryFile() as said:
+        viewer = window.start(said, *window.SIZE)
+        try:
+            viewer.ask(lambda _client: None)
+        except (RuntimeError, TimeoutError) as error:
+            raise OSError(f"the viewer opened no window {error}") from None
+    viewer.process.returncode = 0  # or Python warns of a process that outlives its object
+    return viewer.address

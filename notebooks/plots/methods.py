@@ -5,9 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from celnav.analysis.metrics import bootstrap, ratio, rms
-from celnav.show import colors
+from celnav.show import colors, showcase
 from celnav.show.draw import Panel, curve, interval, level, look, panels
+from celnav.show.estimates import Estimate
 from celnav.show.notebook import Folded, Table
+from celnav.show.plots import Curve, Plot
+from celnav.show.showcase import Showcase
+from celnav.study.trial import Group
 
 MODES = {
     "straight": colors.MEASUREMENT,
@@ -196,3 +200,57 @@ def words(value):
 def short(x):
     """Three digits without an exponent."""
     return f"{x:.0f}" if abs(x) >= 100 else f"{x:.3g}"
+
+
+def noise_tables(learned, truths, columns):
+    """Two flights for each kind of truth: tables of all filters, and of their position errors over
+    those of the last filter. truths: number of the first flight by title. columns: parts of the
+    first and of the second flight.
+    """
+    *others, informed = learned
+    for title, case in truths.items():
+        rows = {}
+        for shift, parts in enumerate(columns):
+            found = table(learned, case + shift, parts, ("position, m", "NEES / 8"))
+            for name in others:
+                ratios = over(learned, name, informed, case + shift, parts)
+                found[f"position error over {informed}: {name}"] = ratios
+            for name, row in found.items():
+                rows[name] = rows.get(name, {}) | row
+        yield folded(title, rows)
+
+
+def record(file, t, tracks, truth):
+    """Record the first of several runs: errors of a bank and of another filter, and which model
+    holds. tracks: by name, the bank's first, with its probabilities `p` of the modes.
+    """
+    shades = {"bank": colors.ESTIMATE, "one": colors.COMPARISON}
+    estimates = {
+        key: Estimate(name, color, (track.mean - truth)[:, 0], track.cov[:, 0, 0])
+        for (key, color), (name, track) in zip(shades.items(), tracks.items(), strict=True)
+    }
+    bank, _ = tracks.values()
+    p, modes = bank.extra["p"][:, 0, 0], np.array([*MODES])
+    burst, turn = ((t >= start) & (t < end) for start, end in (BURST, TURN))
+    curves = {f"model_{i}": Curve(p[:, i], MODES[mode], mode) for i, mode in enumerate(modes)}
+    shown = Showcase(
+        "methods: interacting multiple models",
+        NOTES,
+        t,
+        estimates,
+        [Group("position", "m", slice(0, 3), axes="XYZ")],
+        plots={"models": {"probability": Plot("probability of each model", curves)}},
+        states={"flight": modes[turn + 2 * burst].tolist(), "bank": modes[p.argmax(1)].tolist()},
+        shades=MODES,
+        start=0.5 * sum(BURST),
+    )
+    showcase.record(shown, file)
+
+
+NOTES = """# A turn and a burst
+
+**The bank switches to the model of the turn, and to that of the burst. The AUKF has one process
+noise, and enlarges the noise of its ranges in the burst.**
+
+The lanes have the maneuver of the flight, and the most probable of the bank's four models.
+"""

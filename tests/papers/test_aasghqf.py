@@ -39,6 +39,7 @@ from celnav.papers.aasghqf.scenario import (
     measurement,
 )
 from celnav.show.claims import dumps
+from celnav.show.reading import read
 from celnav.study.montecarlo import generator
 from celnav.study.study import evaluate_filters
 
@@ -197,6 +198,14 @@ def test_a_recording_holds_the_first_run(results, tmp_path):
     assert {path.name for path in tmp_path.iterdir() if path.suffix == ".rrd"} == set(
         show.RECORDINGS
     )
+    lanes = read(tmp_path / "aasghqf_T3.rrd")
+    z = np.stack([epoch.z[0] for epoch in results.first("T3").epochs("ukf")])
+    for sensor, rows in (("stars", slice(0, 6)), ("SAR", slice(6, 8))):
+        lane = lanes[f"states/{sensor}"]
+        at = np.searchsorted(lane.times, results.times("T3") + 1e-6) - 1
+        measured = np.isfinite(z[:, rows]).all(1)
+        assert measured.any()
+        np.testing.assert_array_equal(lane["state"][at], np.where(measured, "used", "missing"))
 
 
 # -- grids and observability -----------------------------------------------------------------------

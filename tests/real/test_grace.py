@@ -15,7 +15,7 @@ from scipy import stats
 from scipy.integrate import quad, solve_ivp
 from scipy.optimize import brentq
 
-from celnav.files import InputError
+from celnav.files import InputError, Outputs
 from celnav.filters.colored import colored
 from celnav.filters.records import Epoch, epochs
 from celnav.filters.run import run
@@ -24,6 +24,7 @@ from celnav.gaussian.belief import Gaussian
 from celnav.models import earth, ephemeris, gravity
 from celnav.real import grace
 from celnav.real.grace import positions, settings, show, study
+from celnav.show.reading import read
 
 REAL = Path(__file__).parents[3] / "shared" / "data" / "grace"
 START, COUNT = 270820800.0, 320
@@ -294,6 +295,23 @@ def test_what_is_shown_can_be_drawn(results, tmp_path):
     (table,) = (function(results) for _, function in grace.TABLES.values())
     assert len(table) == 1 + len(study.NAMES) + 4
     assert len({tuple(row) for row in table}) == 1
+
+
+def test_the_recording_has_its_date_and_what_became_of_the_fixes(results, tmp_path):
+    assert show.record(results, Outputs(tmp_path)) == grace.RECORDINGS
+    found = read(tmp_path / "grace.rrd")
+    assert found.start_date == np.datetime64("2008-08-01T00:00:00")
+    keep = slice(None, None, show.THIN)
+    times = results.times(study.BEST)[keep]
+    missing = np.isnan(positions.read(results.parts[study.BEST].config.fixes[0]).z[keep]).any(1)
+    assert missing.any()
+    for name, others in (("white", {"used"}), ("white, gated", {"used", "rejected"})):
+        lane = found[f"states/{show.LANES[name].replace(' ', '_')}"]
+        states = lane["state"][np.searchsorted(lane.times, times + 1e-6) - 1]
+        used = np.isfinite(results.get(study.BEST, f"{name}/white")[keep]).all(1)
+        np.testing.assert_array_equal(states == "missing", missing)
+        np.testing.assert_array_equal(states == "used", used)
+        assert set(states[~missing]) <= {*others, "used in part"}
 
 
 def test_the_filters_of_a_batch_are_those_alone(folder):

@@ -8,7 +8,6 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -440,11 +439,11 @@ def test_a_picture_is_of_the_recording_at_its_time_without_the_bar(tmp_path, mon
     """With a stand-in for the viewer; 31 of the 900 rows of its window are the viewer's bar."""
     from PIL import Image
 
-    from celnav.show import picture
+    from celnav.show import picture, window
 
     told = []
 
-    class Viewer:
+    class Client:
         def open(self, recording):
             told.append(recording)
 
@@ -459,13 +458,18 @@ def test_a_picture_is_of_the_recording_at_its_time_without_the_bar(tmp_path, mon
             Image.fromarray(rows).save(out, "PNG")
             return out.getvalue()
 
-    viewer = contextlib.nullcontext(lambda action: action(Viewer()))
-    monkeypatch.setattr(picture, "_viewer", lambda: viewer)
+    class Viewer(window.Viewer):
+        def ask(self, request):
+            return request(Client())
+
+    viewer = contextlib.nullcontext(Viewer(None, 0, None, 0.0))
+    monkeypatch.setattr(window, "viewer", lambda *options: told.append(options) or viewer)
     monkeypatch.setattr(picture.time, "sleep", lambda seconds: None)
     monkeypatch.chdir(tmp_path)
     picture.picture("a.rrd", tmp_path / "a.png", 2.5, width=300)
-    assert told[:2] == [str(tmp_path / "a.rrd"), ("t", 2.5, "paused")]
-    assert set(told[2:]) == {300}
+    opened = [("--headless",), str(tmp_path / "a.rrd"), ("t", 2.5, "paused")]
+    assert told[:3] == opened
+    assert set(told[3:]) == {300}
     drawn = np.asarray(Image.open(tmp_path / "a.png"))
     np.testing.assert_array_equal(
         drawn, np.random.default_rng(0).integers(0, 255, (900, 40, 3), np.uint8)[31:]
@@ -487,10 +491,10 @@ def test_a_picture_is_of_the_recording_at_its_time_without_the_bar(tmp_path, mon
 def test_a_viewer_that_ends_by_itself_is_one_line_with_what_it_said(
     tmp_path, monkeypatch, said, words
 ):
-    from celnav.show import picture
+    from celnav.show import picture, window
 
     script = f"import sys; sys.exit({said!r})"
-    monkeypatch.setattr(picture, "command", lambda *words: [sys.executable, "-c", script])
+    monkeypatch.setattr(window, "command", lambda *words: [sys.executable, "-c", script])
     with pytest.raises(OSError, match=rf"a\.rrd: the viewer gave no picture {words}$"):
         picture.picture(tmp_path / "a.rrd", tmp_path / "a.png", 5.0)
     assert not list(tmp_path.iterdir())
@@ -528,10 +532,10 @@ with socket.create_server(("127.0.0.1", int(sys.argv[-1]))):
 
 @pytest.fixture
 def busy(monkeypatch):
-    from celnav.show import picture
+    from celnav.show import picture, window
 
-    monkeypatch.setattr(picture, "command", lambda *words: [sys.executable, "-c", LISTENS, *words])
-    monkeypatch.setattr(picture, "ViewerClient", BusyViewer)
+    monkeypatch.setattr(window, "command", lambda *words: [sys.executable, "-c", LISTENS, *words])
+    monkeypatch.setattr(window, "ViewerClient", BusyViewer)
     monkeypatch.setattr(picture, "SETTLE_S", 0.0)
     monkeypatch.setattr(BusyViewer, "asked", 0)
     return picture
@@ -546,7 +550,7 @@ def test_a_viewer_on_a_busy_machine_is_asked_again(busy, tmp_path):
 
 def test_a_viewer_that_never_answers_is_not_blamed_on_vulkan(busy, tmp_path, monkeypatch):
     monkeypatch.setattr(BusyViewer, "failures", 10_000)
-    monkeypatch.setattr(busy, "PATIENCE_S", 2.0)
+    monkeypatch.setattr("celnav.show.window.PATIENCE_S", 2.0)
     words = (
         r"in 2 s \(Deadline expired before operation could complete\); try again on an idle machine"
     )
@@ -574,12 +578,12 @@ def listening(pids):
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
 def test_the_viewer_listens_to_this_machine_only(tmp_path, monkeypatch):
     """As it is started for a window and for a picture; here as a server, which needs no screen."""
-    from celnav.show import picture
+    from celnav.show import window
 
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
-    words, silent = picture.command("--serve-grpc", "--port", str(port)), subprocess.DEVNULL
+    words, silent = window.command("--serve-grpc", "--port", str(port)), subprocess.DEVNULL
     process = subprocess.Popen(words, stderr=silent, stdout=silent, start_new_session=True)
     try:
         deadline = time.monotonic() + 60.0
@@ -589,15 +593,57 @@ def test_the_viewer_listens_to_this_machine_only(tmp_path, monkeypatch):
         ):
             time.sleep(0.1)
     finally:
-        picture._end(process)
+        window._end(process)
     assert found == [f"0100007F:{port:04X}"]
 
-    started = []
+
+CLOSES = """
+import socket, sys, time
+with socket.create_server(("127.0.0.1", int(sys.argv[-1]))):
+    time.sleep(1.0)
+"""
+
+
+@pytest.mark.parametrize(
+    ("options", "at"), [([], 3.0), (["--at", "4.5"], 4.5)], ids=["start", "at"]
+)
+def test_a_window_opens_at_the_start_of_the_recording(tmp_path, monkeypatch, options, at):
+    """With a stand-in for the viewer, whose window is closed after a second."""
+    from celnav.show import window
+
+    told = []
+
+    class Client(BusyViewer):
+        def open(self, path):
+            told.append(path)
+
+        def set_time(self, timeline, duration, play_state):
+            told.append((timeline, duration, play_state))
+
+    def command(*words):
+        told.append(words[:-1])
+        return [sys.executable, "-c", CLOSES, *words]
+
     monkeypatch.setenv("DISPLAY", ":0")
-    monkeypatch.setattr(
-        "celnav.commands.view.subprocess.run",
-        lambda words, **_: started.append(words) or SimpleNamespace(returncode=0),
-    )
-    (tmp_path / "a.rrd").touch()
-    assert cli.main(["view", str(tmp_path / "a.rrd")]) == 0
-    assert started == [picture.command(str(tmp_path / "a.rrd"))]
+    monkeypatch.setattr(window, "command", command)
+    monkeypatch.setattr(window, "ViewerClient", Client)
+    path, layout = tmp_path / "a.rrd", views.plot("/plots", "plots")
+    with recording.recording(path, TIMES, name="a", layout=layout, start=3.0) as out:
+        out.curve("plots/a", TIMES, colors.ESTIMATE, "a")
+    assert cli.main(["view", str(path), *options]) == 0
+    shown = (*window.SIZE, "--hide-welcome-screen", "--port")
+    assert told == [shown, str(path), ("t", at, "paused")]
+
+
+@pytest.mark.parametrize(("status", "failed"), [(0, False), (3, True)])
+def test_a_window_may_be_closed_before_it_shows_the_recording(
+    tmp_path, monkeypatch, status, failed
+):
+    from celnav.show import window
+
+    script = f"import sys; sys.exit({status})"
+    monkeypatch.setattr(window, "command", lambda *words: [sys.executable, "-c", script])
+    words = r"a\.rrd: the viewer opened no window \(it ended with exit status 3\)$"
+    expected = pytest.raises(OSError, match=words) if failed else contextlib.nullcontext()
+    with expected:
+        window.show(tmp_path / "a.rrd", 0.0)

@@ -1,9 +1,12 @@
 """A filter shown while it runs, into a file that is read back."""
 
+import sys
+
 import numpy as np
 import pytest
 
 import celnav
+from celnav.show import window
 
 TIMES = np.arange(40.0)
 NAMES = ["position, m", "speed, m/s"]
@@ -74,3 +77,58 @@ def test_a_state_that_does_not_fit_is_told(tmp_path, names, runs):
     ):
         show(*step)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.fixture
+def no_window(monkeypatch):
+    """A viewer with a window; here as a server, which needs no screen."""
+    command, started = window.command, []
+
+    def server(*words):
+        assert words[:2] == window.SIZE
+        return command("--serve-grpc", *words[-2:])
+
+    def start(said, *options):
+        started.append(original(said, *options))
+        return started[-1]
+
+    original = window.start
+    monkeypatch.setenv("DISPLAY", ":0")
+    monkeypatch.setattr(window, "command", server)
+    monkeypatch.setattr(window, "start", start)
+    yield started
+    for viewer in started:
+        viewer.process.returncode = None
+        window._end(viewer.process)
+
+
+def test_a_viewer_is_started_and_goes_on(no_window):
+    """It listens to this machine only, and is found without the PATH."""
+    filter, z = flown()
+    with celnav.show.live("a car", NAMES) as show:
+        for step in celnav.steps(filter, PRIOR, celnav.epochs(TIMES, z)):
+            show(*step)
+    (viewer,) = no_window
+    viewer.process.returncode = None
+    assert viewer.process.poll() is None
+    assert viewer.address.startswith("rerun+http://127.0.0.1:")
+
+
+def test_a_viewer_that_does_not_start_is_told(monkeypatch):
+    script = "import sys; sys.exit('no adapter')"
+    monkeypatch.setenv("DISPLAY", ":0")
+    monkeypatch.setattr(window, "command", lambda *words: [sys.executable, "-c", script])
+    words = r"the viewer opened no window \(no adapter\); it needs a Vulkan driver$"
+    with pytest.raises(OSError, match=words), celnav.show.live("a car", NAMES):
+        pass
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="other systems have displays")
+def test_no_display_is_told_before_a_viewer_starts(monkeypatch):
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    with (
+        pytest.raises(OSError, match=r"no display for a window; give a file or"),
+        celnav.show.live("a car", NAMES),
+    ):
+        pass

@@ -29,7 +29,7 @@ from celnav.papers.aasghqf.study import (
 )
 from celnav.show import colors, scenes
 from celnav.show.draw import STYLES, Item, Line, Panel, curve, panels
-from celnav.show.estimates import estimates_of
+from celnav.show.estimates import estimates_of, sensor_states
 from celnav.show.figures import consistency, errors, rmse, sigma
 from celnav.show.showcase import SceneView, Showcase, write
 from celnav.study.study import Results
@@ -434,6 +434,7 @@ def showcase(results: Results, part: str) -> Showcase:
             colors.SIGMA: "inertial system",
             colors.NEGATIVE: "points with negative weight",
         },
+        states=sensor_states(results, part, "ukf", {"stars": slice(0, 6), "SAR": slice(6, 8)}),
         start=0.5 * results.times(part)[-1],
         bars={"degree of observability by state": results.get("observability", "every")[0, 0]},
         parameters=vars(c),

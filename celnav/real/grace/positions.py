@@ -15,14 +15,16 @@ from celnav.files import InputError
 from celnav.gaussian.linalg import Array
 from celnav.models import earth
 
-__all__ = ["STEP_S", "Positions", "aligned", "axes", "read"]
+__all__ = ["EPOCH", "STEP_S", "Positions", "aligned", "axes", "read"]
 
 STEP_S = 10.0
+EPOCH = np.datetime64("2000-01-01T12:00:00")
+"""Where the seconds of the files begin, in GPS time."""
 MOST_BYTES, MOST_EPOCHS = 10_000_000, 100_000
 
 
 class Positions(NamedTuple):
-    """Epochs ``(T,)`` every `STEP_S`, GPS seconds since 2000-01-01 12:00, and positions ``(T, 3)``
+    """Epochs ``(T,)`` every `STEP_S`, GPS seconds since `EPOCH`, and positions ``(T, 3)``
     m, nan in gaps.
     """
 

@@ -10,7 +10,7 @@ import numpy as np
 from celnav.files import Outputs
 from celnav.gaussian.linalg import Array, matvec
 from celnav.models import earth
-from celnav.real.grace.positions import STEP_S, aligned, axes, read
+from celnav.real.grace.positions import EPOCH, STEP_S, aligned, axes, read
 from celnav.real.grace.settings import DEGREE, SETTINGS, orientation
 from celnav.real.grace.study import BEST, DEGREES, NAMES, REVOLUTION, column
 from celnav.show import colors, scenes, showcase
@@ -24,7 +24,7 @@ from celnav.show.draw import (
     level,
     panels,
 )
-from celnav.show.estimates import Estimate
+from celnav.show.estimates import Estimate, measurement_states
 from celnav.show.figures import Rows
 from celnav.show.showcase import SceneView, Showcase
 from celnav.study.numbers import correlation, lagged
@@ -249,6 +249,8 @@ TABLES = {
     )
 }
 RECORDINGS = ["grace.rrd"]
+LANES = {"white": "fixes without a gate", "white, gated": "fixes with a gate"}
+"""Titles of the states of a filter's fixes."""
 LARGER, THIN = 1e5, 3
 """Enlargement of the errors in the scene; every THIN-th epoch is recorded."""
 
@@ -274,7 +276,15 @@ def _shown(results: Results) -> Showcase:
         )
         scale = LARGER / 1e6
         drawn[name] = matvec(local, error[:, 0]) * scale, local @ cov[:, 0] @ local.mT * scale**2
-    fixed = matvec(local, results.get(BEST, "fixes")[keep]) * LARGER / 1e6
+    fixes = results.get(BEST, "fixes")[keep]
+    fixed = matvec(local, fixes) * LARGER / 1e6
+    # The gate alone rejects; the three filters shown use every fix.
+    lanes = {
+        title: measurement_states(
+            log.z[keep], np.isfinite(results.get(BEST, f"{name}/white")[keep])
+        ).tolist()
+        for name, title in LANES.items()
+    }
 
     def scene(out: Recorder) -> None:
         out.globe("world/earth", earth.SEMI_MAJOR_M / 1e6)
@@ -292,7 +302,7 @@ def _shown(results: Results) -> Showcase:
         [Group("position", "m", slice(0, 3), axes=("radial", "along", "across"))],
         axes=np.eye(3),
         unit="m, radial, along, across",
-        measured=results.get(BEST, "fixes")[keep],
+        measured=fixes,
         nis_dof=3,
         scene=scene,
         spaces=[
@@ -305,7 +315,9 @@ def _shown(results: Results) -> Showcase:
         ],
         legend={colors.MEASUREMENT: "GPS fixes"},
         parameters={key: tuple(value) for key, value in SETTINGS.items()},
-        facts={"data": "GRACE-A, 2008-08-01"},
+        facts={"data": "GRACE-A, 2008-08-01", "dates": "GPS time"},
+        states=lanes,
+        start_date=str(EPOCH + np.timedelta64(round(float(log.times[0])), "s")),
     )
 
 
