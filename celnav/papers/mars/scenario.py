@@ -255,7 +255,7 @@ def filters(config: Config) -> dict[str, Filter]:
 
         def h(x: Array, epoch: Epoch) -> Array:
             sun = epoch.u[0]
-            return timing.delay(sun + x[..., :3], sun) + x[..., 6:] @ B(epoch).T
+            return np.asanyarray(timing.delay(sun + x[..., :3], sun) + x[..., 6:] @ B(epoch).T)
 
         def h_jacobian(mean: Array, epoch: Epoch) -> Array:
             sun = epoch.u[0]
