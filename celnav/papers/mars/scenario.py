@@ -195,16 +195,22 @@ class Cruise(NamedTuple):
     sun: Array
 
 
-@lru_cache(maxsize=16)
 def cruise(config: Config) -> Cruise:
     """The undisturbed cruise, from the Earth's center to that of Mars."""
-    earth, mars, sun = (de421().state(body, config.dates) for body in ("earth", "mars", "sun"))
+    return _cruise(config.start_utc, config.interval_days, config.weeks)
+
+
+@lru_cache(maxsize=16)
+def _cruise(start_utc: str, interval_days: float, weeks: int) -> Cruise:
+    times = interval_days * DAY_S * np.arange(weeks + 1.0)
+    dates = from_utc(start_utc).after(times)
+    earth, mars, sun = (de421().state(body, dates) for body in ("earth", "mars", "sun"))
     start, end = earth.position[0] - sun.position[0], mars.position[-1] - sun.position[-1]
     velocity = 1.1 * (earth.velocity[0] - sun.velocity[0])
     for _ in range(9):  # Newton's method for the velocity at departure; the last pass keeps it
         states, transitions = [np.concatenate([start, velocity])], []
         total = np.eye(6)
-        for dt in np.diff(config.times):
+        for dt in np.diff(times):
             state, Phi, _ = flow(states[-1][None], dt, SUN)
             states.append(state[0])
             transitions.append(Phi[0])
