@@ -80,7 +80,7 @@ def areas(rms, fractions):
     return panels(panel, height=2.6)
 
 
-def some_runs(config, filter, runs=40, **changes):
+def some_runs(config, filter, runs=20, **changes):
     """RMS length of the position error from the fifth observation on, of some runs."""
     from celnav.study.montecarlo import generator
     from celnav.study.trial import evaluate_filter
