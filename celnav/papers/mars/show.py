@@ -160,8 +160,8 @@ def irregular(r: Results) -> Figure:
 
 FIGURES = {
     "figure_01": (
-        "The cruise from Earth to Mars on the plane of the ecliptic, and the directions to the four "
-        "pulsars.",
+        "The cruise from Earth to Mars on the plane of the ecliptic, and the directions to the "
+        "four pulsars.",
         route,
     ),
     "figure_02": (
@@ -205,8 +205,8 @@ NOTES = """# From Earth to Mars by four pulsars
 that of the filter with modes stays inside.**
 
 Run 1 with a telescope of 1 m². Each week the spacecraft times four millisecond pulsars, which the \
-arrows point at. Left: the cruise about the Sun, in astronomical units. Right: errors with 3σ, also \
-along the direction to B1937+21, where the spin noise acts.
+arrows point at. Left: the cruise about the Sun, in astronomical units. Right: errors with 3σ, \
+also along the direction to B1937+21, where the spin noise acts.
 """
 
 
