@@ -160,22 +160,23 @@ def irregular(r: Results) -> Figure:
 
 FIGURES = {
     "figure_01": (
-        "The cruise from Earth to Mars on the plane of the ecliptic, and the directions to the "
-        "four pulsars.",
+        "Beyond the paper: the cruise from Earth to Mars on the plane of the ecliptic, and the "
+        "directions to the four pulsars.",
         route,
     ),
     "figure_02": (
-        "RMS length of the errors of position and velocity over the cruise, for three telescopes, "
-        "with a tenth of the solar radiation pressure not modeled, or all of it.",
+        "Beyond the paper: RMS length of the errors of position and velocity over the cruise, for "
+        "three telescopes, with a tenth of the solar radiation pressure not modeled, or all of it.",
         accuracy,
     ),
     "figure_03": (
-        "Mean NEES of four filters with a telescope of 1 m², by the fit of the timing models.",
+        "Beyond the paper: mean NEES of four filters with a telescope of 1 m², by the fit of the "
+        "timing models.",
         consistent,
     ),
     "figure_04": (
-        "Left: σ of the spin noise of each pulsar, and σ of the photon noise with 1 m² (open "
-        "marks). Right: position error with timing models that are ten years old.",
+        "Beyond the paper. Left: σ of the spin noise of each pulsar, and σ of the photon noise with "
+        "1 m² (open marks). Right: position error with timing models that are ten years old.",
         irregular,
     ),
 }
@@ -194,7 +195,12 @@ def table(r: Results) -> Rows:
     return rows
 
 
-TABLES = {"table_1": ("RMS errors and mean NEES from the fifth observation to arrival.", table)}
+TABLES = {
+    "table_1": (
+        "Beyond the paper: RMS errors and mean NEES from the fifth observation to arrival.",
+        table,
+    )
+}
 
 
 # -- the recording ---------------------------------------------------------------------------------
