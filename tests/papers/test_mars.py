@@ -202,7 +202,9 @@ def test_the_recording_holds_the_first_run(results, tmp_path):
     error = np.array(found["/state/modes"].to_record_batch().column("error").to_pylist())
     expected = results.error(study.BEST, "modes", "position")[:, 0]
     np.testing.assert_allclose(error[:, :3], expected)
-    assert {"/world/truth/here", "/world/mars/now", "/world/pulsar/B1937+21"} <= set(found)
+    assert {"/world/truth/here", "/world/pulsar/J0437-4715", "/plots/toward/first/modes"} <= set(
+        found
+    )
 
 
 def test_the_ledger_has_the_statements_of_the_abstract(claims):

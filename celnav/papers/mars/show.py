@@ -175,7 +175,7 @@ FIGURES = {
         consistent,
     ),
     "figure_04": (
-        "Beyond the paper. Left: σ of the spin noise of each pulsar, and σ of the photon noise with "
+        "Beyond the paper. Left: σ of the spin noise of each pulsar, and of the photon noise with "
         "1 m² (open marks). Right: position error with timing models that are ten years old.",
         irregular,
     ),
