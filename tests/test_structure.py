@@ -181,7 +181,7 @@ def with_whole_f_strings(stream):
 
 
 LIBRARY = ("gaussian", "filters", "engine", "tape", "models", "analysis")
-PAPERS = ("csrukf", "ssukf", "tstdkf", "aasghqf", "aukf")
+PAPERS = ("csrukf", "ssukf", "tstdkf", "aasghqf", "aukf", "mars")
 LIMITS = {
     **dict.fromkeys((f"papers.{paper}" for paper in PAPERS), 15_000),
     "library": 108_000,

@@ -242,7 +242,7 @@ def _notebook(out: Path, name: str, module: Any) -> dict[str, str]:
     the address is "" if there is none.
     """
     if name in papers.PAPERS:
-        path = NOTEBOOKS / f"{list(papers.PAPERS).index(name) + 1:02d}_{name}.ipynb"
+        path = next(NOTEBOOKS.glob(f"[0-9][0-9]_{name}.ipynb"), NOTEBOOKS / f"{name}.ipynb")
     else:
         path = NOTEBOOKS / "07_real_data.ipynb" if name in papers.REAL else Path(module.file)
     page = f"{SITE}/notebooks/{path.stem}.html"

@@ -25,7 +25,8 @@ from celnav.lazy import modules
 __getattr__, __dir__ = modules(__name__)
 
 PAPERS = {
-    name: f"celnav.papers.{name}" for name in ("csrukf", "ssukf", "tstdkf", "aasghqf", "aukf")
+    name: f"celnav.papers.{name}"
+    for name in ("csrukf", "ssukf", "tstdkf", "aasghqf", "aukf", "mars")
 }
 """Identifier -> module."""
 REAL = {

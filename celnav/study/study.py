@@ -380,6 +380,11 @@ class Results:
             if self.study.windows
             else {}
         )
+        if not windows:
+            raise ValueError(
+                f"at: expected an epoch or a slice, because Study has no windows, got {when!r}; "
+                "give Study windows=, or an epoch such as -1"
+            )
         return windows[choice("at", when, windows)]
 
     def squares(self, part: str, filter: str, group: str, at: When = -1) -> Array:

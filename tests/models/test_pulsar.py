@@ -105,7 +105,7 @@ def test_bad_pulsars_are_refused_by_name():
         with pytest.raises(ValueError, match=f"^{name}: expected .* B0531"):
             replace(crab, **change)
     with pytest.raises(
-        ValueError, match=r"^pulsar: expected one of B0531\+21, B1821-24, B1937\+21, got 'Vela'"
+        ValueError, match=r"^pulsar: expected one of B0531\+21, B1821-24, B1937\+21, .*, got 'Vela'"
     ):
         pulsars(["Vela"])
     with pytest.raises(ValueError, match=r"^pulsars: expected directions that span space"):

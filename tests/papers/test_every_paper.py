@@ -37,6 +37,7 @@ BY_ENGINE = {
     "tstdkf": ["constant, nine", "sweep"],
     "aasghqf": ["bound"],
     "aukf": ["near/Q 1"],
+    "mars": ["0.1 m², modeled"],
 }
 """Parts by paper that are run by both engines. Together they contain all filters that compile."""
 

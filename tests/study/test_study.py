@@ -408,3 +408,13 @@ def test_numbers_that_hold_are_counted_for_sure_and_perhaps():
     assert count_holding("n", numbers, (2, None), leading=True)[1:4] == (1.0, (2, None), (1.0, 2.0))
     decided = some("n", 2, [lambda _, number=number: number for number in numbers])(None)
     assert decided == Number("n", 2, (2, None))
+
+
+def test_a_window_of_a_study_without_windows_is_an_error_with_a_cure():
+    study = Study("none", GROUPS, trial, lambda _effort: {"usual": Part(runs, None, runs=4)}, [])
+    with pytest.raises(ValueError, match=r"no windows, got 'late'; give Study windows="):
+        study.reproduce(only=["usual"]).squares("usual", "kf", "position", "late")
+
+
+def runs(_config, rngs):
+    return evaluate_filters(trial(1.0, rngs), ["kf"])

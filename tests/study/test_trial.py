@@ -22,6 +22,7 @@ SMALL = {
     "tstdkf": {"days": 0.5, "initial": "drawn", "trend": "constant"},
     "aasghqf": {"steps": 25, "misalignment_deg": (1.0, 1.0, 1.0)},
     "aukf": {"duration_s": 5.0, "burst": "none"},
+    "mars": {"weeks": 12},
 }
 RUNS = 12
 
