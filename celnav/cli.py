@@ -156,7 +156,7 @@ def _parser() -> tuple[_Parser, dict[str, _Parser]]:
     """The parser, and the parsers of commands by name, from ``commands/options.toml``."""
     parser = _Parser(
         prog="celnav",
-        description="Navigation filters, batched and in square-root form, and five papers judged.",
+        description="Navigation filters, batched and in square-root form, and six papers judged.",
         epilog=EXIT,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

@@ -76,20 +76,20 @@ KINDS = {
 
 
 def errata() -> str:
-    """What the five papers print wrongly, and what had to be rebuilt, each shown by a number in the
+    """What the six papers print wrongly, and what had to be rebuilt, each shown by a number in the
     paper's notebook.
     """
     made = [
-        "# Errata of the five papers",
+        "# Errata of the six papers",
         "What is printed and demonstrably wrong, and what was lost in the texts at hand and "
         "rebuilt. What can be "
         "computed has its number on the page of `celnav reproduce`, and the notebook shows it. If "
         "your copy differs, tell us.",
     ]
-    for i, paper in enumerate(PAPERS, 1):
+    for paper in PAPERS:
         rows = load(paper).STUDY.rows
         made.append(
-            f"## {load(paper).TITLE}\n\n[The notebook](notebooks/{i:02d}_{paper}.ipynb) shows them."
+            f"## {load(paper).TITLE}\n\n[The notebook](notebooks/{notebook_of(paper)}) shows them."
         )
         for kind, head in KINDS.items():
             those = [row for row in rows if row.kind == kind]
@@ -116,7 +116,8 @@ ROW = re.compile(r'<tr id="([^"]*)" data-verdict="([^"]*)"')
 
 def notebook_of(paper: str) -> str:
     """The name of a paper's notebook."""
-    return f"{list(PAPERS).index(paper) + 1:02d}_{paper}.ipynb"
+    (path,) = (HERE.parent / "notebooks").glob(f"[0-9][0-9]_{paper}.ipynb")
+    return path.name
 
 
 def judged(paper: str) -> list[dict[str, Any]]:

@@ -1,4 +1,4 @@
-"""The pages of the five papers: what we find, the verdicts, the figures and the recordings.
+"""The pages of the six papers: what we find, the verdicts, the figures and the recordings.
 
 The text is that of the page of verdicts. The figures are those that the executed notebook holds, or
 all those of a folder of ``celnav reproduce``, which also has the recordings and their viewer.

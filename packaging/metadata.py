@@ -24,10 +24,10 @@ from urllib.parse import quote, urlsplit
 
 ROOT = Path(__file__).resolve().parents[1]
 PLACEHOLDER = "owner.invalid"
-PAPERS = ("Sun2015", "Wu2012", "Xu2023", "Liang2014", "Fan")
-"""Keys of the five papers in `data/references.bib`."""
+PAPERS = ("Sun2015", "Wu2012", "Xu2023", "Liang2014", "Fan", "Deng2013")
+"""Keys of the six papers in `data/references.bib`."""
 TITLE = (
-    "celnav: batched square-root filters for navigation, and five papers on them "
+    "celnav: batched square-root filters for navigation, and six papers on them "
     "reproduced and judged"
 )
 WORDS = {"true", "false", "yes", "no", "on", "off", "y", "n", "null"}
@@ -72,7 +72,7 @@ class Release:
     """What the files say of a release.
 
     project: table of `pyproject.toml`. owner: `packaging/owner.toml`. released: date of the
-    version in `CHANGELOG.md`, None if it has none. papers: entries of the five papers, by field.
+    version in `CHANGELOG.md`, None if it has none. papers: entries of the six papers, by field.
     """
 
     project: dict[str, Any]

@@ -160,7 +160,7 @@ class Shown(HTMLParser):
 
 
 def test_a_page_is_short_since_all_but_its_heads_is_folded(page):
-    """Eight screens with five papers: their answers and one figure each, and the first screen."""
+    """Eight screens with six papers: their answers and one figure each, and the first screen."""
     shown = Shown(page)
     assert shown.tags.count("table") == 1  # the counts
     assert shown.tags.count("img") == 0  # these papers have no figure that decides

@@ -200,7 +200,9 @@ def test_every_verdict_that_the_prose_states_is_checked(results, tmp_path, paper
 
 CASES = {
     'verdict("csrukf-converge", "in part")': "row: not in the results: 'csrukf-converge'; did you",
-    'interval("consistent", "Φ = 0")': "consistent: expected its verdict before its number 'Φ = 0'",
+    'interval("consistent", "mean NEES at the end, Φ = 0")': (
+        "consistent: expected its verdict before its number 'mean NEES at the end, Φ = 0'"
+    ),
     'verdict("consistent", "shown") ~ value("consistent", "Φ = 2")': "number of consistent: not in",
     'parameter("sigma_m")': "parameter of P: not in the results: 'sigma_m'",
     'parameter("phi", "Q")': "preset or part: not in the results: 'Q'",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import accumulate
 
 import numpy as np
 
@@ -84,20 +85,20 @@ def estimates_of(
     return estimates, np.stack(truth), np.stack(z)
 
 
-def sensor_states(
-    results: Results, part: str, name: str, sensors: Mapping[str, slice]
-) -> dict[str, Sequence[str]]:
+def sensor_states(results: Results, part: str, name: str, **sizes: int) -> dict[str, Sequence[str]]:
     """What became of each sensor's measurements, ``(T,)`` texts by title, in the first run of a
     part, which the filter ``name`` runs again.
 
-    sensors: the components of a measurement by title.
+    sizes: the number of components of each sensor by title, in their order.
 
-    >>> sensor_states(results, "A-slow", "ukf", {"stars": slice(0, 6), "SAR": slice(6, 8)})
+    >>> sensor_states(results, "A-slow", "ukf", stars=6, SAR=2)
     """
     first = results.first(part)
     track = run(first.filters[name], first.prior, first.epochs(name))
     y, used = track.innovation[:, 0], track.used[:, 0]
+    ends = accumulate(sizes.values())
+    rows = [slice(end - size, end) for size, end in zip(sizes.values(), ends, strict=True)]
     return {
-        title: measurement_states(y[:, rows], used[:, rows]).tolist()
-        for title, rows in sensors.items()
+        title: measurement_states(y[:, k], used[:, k]).tolist()
+        for title, k in zip(sizes, rows, strict=True)
     }

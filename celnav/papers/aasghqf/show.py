@@ -370,9 +370,7 @@ def record(results: Results, outputs: Outputs) -> list[str]:
 def showcase(results: Results, part: str) -> Showcase:
     """The first run of a part, run again in full; the other runs give the statistics."""
     c = results.parts[part].config
-    estimates, truth, z = estimates_of(
-        results, part, {f: LINES[f] for f in ("sghqf", "ukf", "aasghqf")}
-    )
+    estimates, truth, z = estimates_of(results, part, {f: LINES[f] for f in COMPARED})
     ground = np.diag(c.meters()) @ np.eye(2, 3)  # from longitude and latitude to east, north, up
     axes = np.zeros((3, 13))
     fix = (z[:, 6:] - truth[:, misalignment.POSITION]) @ ground
@@ -434,14 +432,9 @@ def showcase(results: Results, part: str) -> Showcase:
             colors.SIGMA: "inertial system",
             colors.NEGATIVE: "points with negative weight",
         },
-        states=sensor_states(results, part, "ukf", {"stars": slice(0, 6), "SAR": slice(6, 8)}),
+        states=sensor_states(results, part, "ukf", stars=6, SAR=2),
         start=0.5 * results.times(part)[-1],
         bars={"degree of observability by state": results.get("observability", "every")[0, 0]},
         parameters=vars(c),
-        facts={
-            "paper": "aasghqf",
-            "preset": part,
-            "seed": results.seed,
-            "runs": estimates["ukf"].errors.shape[1],
-        },
+        facts={"paper": "aasghqf", "preset": part, "seed": results.seed},
     )

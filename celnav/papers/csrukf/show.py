@@ -453,6 +453,5 @@ def _case(results: Results, case: str) -> showcase.Showcase:
             "paper": "csrukf",
             "case": case,
             "seed": results.seed,
-            "runs": results.parts[case].runs,
         },
     )

@@ -270,7 +270,7 @@ def record(results: Results, outputs: Outputs) -> list[str]:
                 plots={"toward": {"first": toward}},
                 legend={colors.STAR: "directions to the pulsars"},
                 parameters=vars(c),
-                facts={"paper": "mars", "case": BEST, "seed": results.seed, "runs": c.runs},
+                facts={"paper": "mars", "case": BEST, "seed": results.seed},
                 start_date=c.start_utc,
             )
         },

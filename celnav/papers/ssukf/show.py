@@ -319,7 +319,6 @@ def record(results: Results, outputs: Outputs) -> list[str]:
         facts={
             "paper": "ssukf",
             "seed": results.seed,
-            "runs": found["ssukf"].errors.shape[1],
             "exaggeration": EXAGGERATION,
         },
     )
