@@ -43,12 +43,12 @@ SIGNS = {
     "σ": r"$\sigma$",
     "≤": r"$\le$",
     "≥": r"$\ge$",
-    "²": "$^2$",
-    "³": "$^3$",
+    "·": r"$\cdot$",
     "§": r"\S\,",
     "–": "--",
 }
 """Signs of the ledger -> LaTeX."""
+RAISED = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
 WIDTHS = ("X", "p{27mm}", "p{21mm}", "p{17mm}", "p{17mm}")
 FLOATS = r"""\renewcommand\topfraction{0.9}
 \renewcommand\bottomfraction{0.9}
@@ -64,6 +64,7 @@ HEADS = ("Statement (place)", "Quantity that decides", r"Ours [95\,\%]", "Accept
 def tex(text: str) -> str:
     """Text of the ledger in LaTeX, with signs of minus, powers of ten and thousands."""
     text = "".join(SIGNS.get(sign, sign) for sign in text)
+    text = re.sub("[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+", lambda n: f"$^{{{n[0].translate(RAISED)}}}$", text)
     if unknown := re.search(r"[^\x00-\xff]", text):
         raise ValueError(f"SIGNS: expected LaTeX for {unknown[0]!r}, which is in {text!r:.60}")
     text = re.sub(r"(?<=\d)-(?=\d)", "--", text)  # from one place to another

@@ -264,7 +264,7 @@ def test_without_an_address_nothing_links_to_a_notebook():
 def test_with_an_address_every_notebook_opens_on_binder_and_colab():
     page = try_page("https://github.com/ada/celnav")
     links = re.findall(r"\]\((.*?)\)", page)
-    assert len(NOTEBOOKS) == 9
+    assert len(NOTEBOOKS) == 10
     assert links == [
         link
         for name in NOTEBOOKS

@@ -75,8 +75,8 @@ belief: symmetric
 extended_pose: extended_pose
 inertial: Strapdown
 montecarlo: Draws Draws.close blocks effort generators renewed run_of steps
-claims: accepted answer Ledger cells columns counted decisive dumps ledger mark markdown notes ours outcome plain printed
-    read_claims style tally written
+claims: accepted answer Ledger cells columns counted decisive dumps ledger mark markdown meaning notes ours outcome plain
+    printed read_claims style tally written
 gyro: Gyro.drift
 ledger: Claim Row Row.judged estimate order read_ledger read_printed
 operations: counted step_operations

@@ -73,7 +73,8 @@ class Showcase:
     legend: meaning of further colors. parameters: of the study; only numbers and texts are shown.
     states: which of several states holds, ``(T,)`` texts by title, beside those of the estimates;
         "" where none holds. shades: colors of states that `celnav.show.colors.STATES` lacks.
-    facts: about the recording, beside the number of runs. counter: name of a timeline of steps.
+    facts: about the recording, beside the number of runs of the estimates.
+    counter: name of a timeline of steps.
     start: time (s) at which the recording is shown first, where something is to be seen; None: the
         end. start_date: date and time of ``t = 0``. trail_s: length of trails.
     """
@@ -146,8 +147,8 @@ def record(showcase: Showcase, path: str | os.PathLike[str]) -> None:
                 if c.sigma is not None:
                     numbers(f"{entity} sigma", c.sigma, shape)
     mapped, size = _mapped(showcase)
-    runs = next(iter(showcase.estimates.values())).errors.shape[1]
-    facts = {"runs": runs, **showcase.facts}
+    runs = [estimate.errors.shape[1] for estimate in showcase.estimates.values()]
+    facts = ({"runs": runs[0]} if runs else {}) | {**showcase.facts}
     about: Any = {"name": showcase.name, "properties": facts, "counter": showcase.counter}
     about |= {"start": showcase.start, "start_date": showcase.start_date}
     with recording(path, showcase.times, layout=_layout(showcase, rows, size), **about) as out:

@@ -469,11 +469,12 @@ def test_shares_inside_of_an_interval_say_of_which_errors_they_are(results):
     pages = [
         o.data.get("text/html", "") for c in cells for o in c.get("outputs", ()) if "data" in o
     ]
-    row = re.search(r'<tr id="typical".*?</tr>', " ".join(pages), re.DOTALL)[0]
-    share = re.findall(r"<li>[^<]*, white: ([\d.]+) \[([\d.]+), ([\d.]+)\]", row)[-1]
+    label = "components within the predicted 95 % intervals, white"
+    cell = rf"{label}</td><[^>]*>([\d.]+) \[([\d.]+), ([\d.]+)\]"
+    share = re.search(cell, " ".join(pages)).groups()
     assert [round(100 * float(v)) for v in share] == [int(v) for v in said.groups()]
     (claim,) = [claim for claim in results.claims() if claim.id == "typical"]
-    assert claim.numbers[3].label == "components within the predicted 95 % intervals, white"
+    assert claim.numbers[3].label == label
     (row,) = [row for row in grace.STUDY.rows if row.id == "typical"]
     assert "components (radial, along and across the track)" in row.found
     titles = [axes.get_title() for axes in grace.FIGURES["figure_01"][1](results).axes]

@@ -72,8 +72,8 @@ def orientation(times: Array) -> tuple[Array, Array]:
 
 
 def around(times: Array) -> Around:
-    """`Around` at GPS seconds ``(T,)``."""
-    fixed, tt = orientation(np.append(times, times[-1] + STEP_S))
+    """`Around` at the beginning of each of the T - 1 intervals between GPS seconds ``(T,)``."""
+    fixed, tt = orientation(times)
     date, kernel = ephemeris.from_tt(*tt[:-1].T), ephemeris.de421()
     center, *bodies = (kernel.state(body, date).position for body in ("earth", "sun", "moon"))
     sun, moon = (matvec(fixed[:-1], 1e3 * (body - center)) for body in bodies)
