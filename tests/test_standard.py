@@ -205,7 +205,7 @@ def test_a_run_describes_itself_and_all_its_files(study, tmp_path):
     assert graph["#run"]["name"] == "celnav reproduce tiny --effort 1 --seed 0 --engine auto"
     assert graph["#celnav"]["softwareVersion"].startswith(f"{celnav.__version__}+code.")
     for package in references(graph["#celnav"]["softwareRequirements"]):
-        assert re.fullmatch(r"https://\S+/", package)
+        assert re.fullmatch(r"https://\S+/|pkg:pypi/\S+@\S+", package)
         assert graph[package]["url"].startswith("https://")
         assert graph[package]["softwareVersion"] in package
     paper = graph["./"]["citation"]["@id"]  # the only one, so it is not a list

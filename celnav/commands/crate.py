@@ -138,7 +138,7 @@ def _software(name: str, version: str) -> Entity:
         entity["@id"] = entity["url"] = f"https://docs.python.org/release/{version}/"
         return entity
     if name != "celnav":
-        entity["@id"] = f"https://pypi.org/project/{name}/{version}/"
+        entity["@id"] = f"pkg:pypi/{name}@{version}"  # a package URL
     try:
         fields = metadata.metadata(name).get_all("Project-URL") or ()
     except metadata.PackageNotFoundError:  # a checkout that is not installed

@@ -115,15 +115,15 @@ class Report(NamedTuple):
     def __str__(self) -> str:
         runs = "one run" if self.runs == 1 else f"{self.runs} runs"
         said = [*(("wrap", line) for line in self.wraps), ("NEES", self._nees())]
-        if (few := self.dominant) is not None:
-            which = f"dominated by {len(few.runs)} of {runs} (largest: run {few.runs[0]})"
-            others = f"median run {few.median:.4g}; the others {self._ratio(few.others)}"
+        if (dominant := self.dominant) is not None:
+            which = f"dominated by {len(dominant.runs)} of {runs} (largest: run {dominant.runs[0]})"
+            others = f"median run {dominant.median:.4g}; the others {self._ratio(dominant.others)}"
             said.append(("NEES", f"{which}; {others}"))
         for k, (sensor, rejected) in enumerate(zip(self.sensors, self.rejected, strict=True)):
             used = f"of {int(sensor.dof.sum())} components used"
             used += f", {rejected} rejected" if rejected else ""
             said.append((f"NIS {k}", f"{', '.join(sensor.names)}: {self._ratio(sensor)}; {used}"))
-        if few is None and self.nees is not None and self.nees.nis > self.nees.band[1]:
+        if dominant is None and self.nees is not None and self.nees.nis > self.nees.band[1]:
             small = [k for k, sensor in enumerate(self.sensors) if sensor.nis < sensor.band[0]]
             said += [(f"NIS {k}", CORRELATED) for k in small]
         events = [
