@@ -176,7 +176,7 @@ def direction(r: Results) -> list[Number]:
         along.append(square.mean(0))
         across.append((np.square(error).sum(-1) - square).mean(0))
     return [
-        estimate("RMS error along, ignoring over modes", rms_ratio, along, (1.05, None)),
+        estimate("RMS error along, ignoring over modes", rms_ratio, along, (2.0, None)),
         estimate("RMS error across, ignoring over modes", rms_ratio, across, (None, 1.05)),
     ]
 
